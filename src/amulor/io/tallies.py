@@ -75,7 +75,7 @@ def write_tally(
     >>> io.read_tally("run.nc").histories
     2000
     """
-    from amulor.transport.contributions import ANALYSERS, LIGHT
+    from amulor.transport.tally import ANALYSERS, LIGHT
 
     components = ["I", "Q", "U", "V"][: tally.batches.shape[2]]
     frequency = {"units": "Hz", "long_name": "modulation frequency"}
@@ -221,8 +221,7 @@ def _loaded(content: bytes, path: Path) -> xr.Dataset:
 def _tally(dataset: xr.Dataset, path: Path) -> Tally:
     """Return the tally that a file holds, checked as far as numbers can tell."""
     # Brings the compiled loops with it, which other readers of files do not need.
-    from amulor.transport.contributions import PathRecord
-    from amulor.transport.tally import Tally
+    from amulor.transport.tally import PathRecord, Tally
 
     def real(name: str) -> NDArray[np.float64]:
         values: NDArray[np.float64] = np.array(dataset[name].values, dtype=np.float64)

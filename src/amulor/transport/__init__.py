@@ -1,6 +1,5 @@
-"""Photon transport beyond single backscatter: all orders, full Stokes, modulated."""
+"""Photon transport: all orders of scattering, full Stokes vectors, modulated light."""
 
-from amulor.transport.contributions import PathRecord
 from amulor.transport.medium import Layer, Medium
 from amulor.transport.mesh import MeshTarget
 from amulor.transport.monte_carlo import ErrorGoal, Progress, Technique, simulate
@@ -12,7 +11,7 @@ from amulor.transport.receiver import (
 )
 from amulor.transport.scattering import ScatteringMatrix
 from amulor.transport.slab import reflection_and_transmission
-from amulor.transport.tally import Tally
+from amulor.transport.tally import PathRecord, Tally
 
 __all__ = [
     "DiscReceiver",

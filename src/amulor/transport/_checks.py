@@ -33,7 +33,7 @@ def at_most(value: float, limit: float, *, name: str, unit: str) -> float:
 
 
 def place(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
-    """Return three finite coordinates."""
+    """Return three finite coordinates as a vector."""
     vector = np.array(value, dtype=np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""A transport problem as the compiled loops take it, in the axes of the receiver."""
+"""Transport problem of the compiled loops, in the axes of the receiver."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Problem:
     target: PlaneTarget | MeshTarget | None
 
     def __post_init__(self) -> None:
-        """Refuse what does not fit together."""
+        """Refuse parts that do not fit together."""
         axis = self.axes[2]
         if not self.medium.unbounded and abs(abs(axis[2]) - 1) > 1e-9:
             tilt = math.degrees(math.acos(min(1.0, abs(axis[2]))))
@@ -152,7 +152,7 @@ class Problem:
 
     @cached_property
     def layers(self) -> tuple[Layer, ...]:
-        """Layers in the order in which the receiver sees them."""
+        """Layers in the order along the receiver's axis."""
         return self.medium.layers if self.axes[2, 2] >= 0 else self.medium.layers[::-1]
 
     @cached_property
@@ -166,7 +166,7 @@ class Problem:
         return np.sort(sign * (edges - depth))
 
     def _turned(self, position: Array) -> Array:
-        """Return places in the axes of the receiver."""
+        """Return positions in the axes of the receiver."""
         offset = position - place(self.receiver.position, name="position")
         result: Array = offset @ self.axes.T
         return result
@@ -178,13 +178,13 @@ class Problem:
 
     @cached_property
     def beam(self) -> Beam:
-        """The source for the kernels."""
+        """Source for the kernels."""
         direction = unit_vector(self.source.direction, name="direction")
-        own = axes_of(direction, name="direction of the source")
+        axes = axes_of(direction, name="direction of the source")
         return Beam(
             centre=self._turned(place(self.source.position, name="position")),
             axis=np.ascontiguousarray(self.axes @ direction),
-            across=np.ascontiguousarray(self.axes @ own[0]),
+            across=np.ascontiguousarray(self.axes @ axes[0]),
             radius=float(self.source.radius),
             divergence=float(self.source.divergence),
             stokes=self.source.stokes,
@@ -192,7 +192,7 @@ class Problem:
 
     @cached_property
     def face(self) -> Face:
-        """The receiver for the kernels."""
+        """Receiver for the kernels."""
         return Face(
             radius=float(self.receiver.radius),
             acceptance=float(self.receiver.acceptance_angle),
@@ -201,7 +201,7 @@ class Problem:
 
     @cached_property
     def surface(self) -> Surface:
-        """The target for the kernels, also if there is none."""
+        """Target for the kernels, also without one."""
         target = self.target
         plane = isinstance(target, PlaneTarget)
         right = [float(component) for component in self.axes[:, 0]]
@@ -227,7 +227,7 @@ class Problem:
 
     @property
     def joined_touch(self) -> float:
-        """What a touch of the target brings if an adjoint path meets it [1].
+        """Light of one touch of the target that meets an adjoint path [1].
 
         Omega times reflectance over pi, for a target that faces the receiver; 0 where
         no path of light from the target is scattered on its way. Several times as much
@@ -242,14 +242,14 @@ class Problem:
 
     @cached_property
     def scene(self) -> Scene:
-        """All that the light meets, for the kernels."""
+        """Water, target and receiver for the kernels."""
         return Scene(
             beam=self.beam, face=self.face, water=self.water, target=self.surface
         )
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all numbers that enter, to tell problems apart."""
+        """SHA-256 of all numbers of the problem."""
         return digest_of(
             *self.water,
             *self.beam[:5],
@@ -275,11 +275,13 @@ def water_tables(layers: tuple[Layer, ...], edges: Array) -> Water:
     functions: list[Any] = []
     table = []
     for layer in layers:
-        if not any(layer.phase_function is known for known in functions):
+        if not any(layer.phase_function is function for function in functions):
             functions.append(layer.phase_function)
         table.append(
             next(
-                k for k, known in enumerate(functions) if known is layer.phase_function
+                k
+                for k, function in enumerate(functions)
+                if function is layer.phase_function
             )
         )
     shape = (len(functions), _cells.SIZE)
@@ -307,14 +309,14 @@ def water_tables(layers: tuple[Layer, ...], edges: Array) -> Water:
 
 @lru_cache(maxsize=8)
 def _cells_of(function: Any) -> AngleCells:
-    """Return the cells of a phase function or matrix; runs often share a water."""
+    """Return the angle cells of a phase function or matrix, cached."""
     matrix = isinstance(function, ScatteringMatrix)
     return AngleCells(function.phase_function if matrix else function)
 
 
 @lru_cache(maxsize=8)
 def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
-    """Return what angles are drawn from and looked up in."""
+    """Return alias table, phase function and matrix elements in the angle cells."""
     cells = _cells_of(function)
     element = np.zeros((_cells.SIZE, 5))
     if isinstance(function, ScatteringMatrix):
@@ -323,5 +325,5 @@ def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
 
 
 def integrals_of(layers: tuple[Layer, ...]) -> tuple[float, ...]:
-    """Return the integral by which the phase function of each layer is divided [1]."""
+    """Return the integral of each layer's phase function, its divisor [1]."""
     return tuple(_cells_of(layer.phase_function).integral for layer in layers)

@@ -1,4 +1,4 @@
-"""Batches of a transport run: conducted, summed up, recorded."""
+"""Batches of a transport run: schedule, sums, and record of path lengths."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ from scipy.constants import speed_of_light
 
 from amulor.transport._kernels import contributions as _record_kernels
 from amulor.transport._kernels.types import Record as Deposits
-from amulor.transport.contributions import PathRecord, sums_of, together
 from amulor.transport.tally import (
     MOST_BATCHES,
+    PathRecord,
     Tally,
     paired,
+    sums_of,
+    together,
 )
 
 Array = NDArray[np.float64]
@@ -31,7 +33,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Batch:
-    """What one batch of histories gave, as means per history."""
+    """Result of one batch, as means per history."""
 
     number: int
     histories: int
@@ -64,7 +66,7 @@ class Accumulator:
 
     @classmethod
     def start(cls, frame: Tally, resume: Tally | None) -> Self:
-        """Return an accumulator without batches, or with those of a run to go on."""
+        """Return an accumulator without batches, or with those of a run to resume."""
         if resume is None:
             return cls(frame=frame, full=frame.batch_size)
         if resume.problem != frame.problem or resume.parts != frame.parts:
@@ -99,16 +101,16 @@ class Accumulator:
 
     @property
     def histories(self) -> int:
-        """Histories so far."""
+        """Number of histories so far."""
         return sum(self.counts)
 
     def with_batch(self, batch: Batch) -> Self:
-        """Return the same with the next batch."""
+        """Return the accumulator with the next batch added."""
         values, counts, full = [*self.values], [*self.counts], self.full
         if counts and counts[-1] < full:
-            old, count = values[-1], counts[-1]
+            mean, count = values[-1], counts[-1]
             counts[-1] = count + batch.histories
-            values[-1] = (old * count + batch.signal * batch.histories) / counts[-1]
+            values[-1] = (mean * count + batch.signal * batch.histories) / counts[-1]
         else:
             values.append(batch.signal)
             counts.append(batch.histories)
@@ -132,7 +134,7 @@ class Accumulator:
         )
 
     def _with_record(self, batch: Batch) -> tuple[Array, Array] | None:
-        """Return the record with that of the next batch."""
+        """Return the path record with that of the next batch added."""
         if batch.mass is None or batch.edge is None:
             return None
         if self.record is not None:
@@ -145,7 +147,7 @@ class Accumulator:
         return batch.mass, batch.edge
 
     def tally(self, seconds: float, interrupted: bool) -> Tally:
-        """Return the result."""
+        """Return the tally of the run."""
         return replace(
             self.frame,
             batches=np.array(self.values),
@@ -168,7 +170,7 @@ class Accumulator:
         return total, square, largest
 
     def _path_record(self, masses: Array, edges: Array) -> PathRecord:
-        """Return the mean record, both kinds of deposits in one."""
+        """Return the mean path record, both kinds of deposits in one."""
         mass, edge = masses / self.next_batch, edges / self.next_batch
         # Light spread over a bin, and half of what lies at each of its two nodes.
         spread = np.cumsum(edge, axis=-1)[..., :-1] * self.spacing
@@ -188,7 +190,7 @@ class Accumulator:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """How far a run has come.
+    """Progress of a run.
 
     Examples
     --------
@@ -199,19 +201,20 @@ class Progress:
     """
 
     histories: int
-    """Histories done."""
+    """Histories so far."""
     goal: int
-    """Histories asked for."""
+    """Requested histories."""
     relative_error: float
-    """Relative error asked for, or of all light at the first frequency; infinite before
-    eight batches [1]."""
+    """Relative error of the goal, or of all light at the first frequency; infinite
+    before eight batches [1].
+    """
     seconds: float
     """Time since the start [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorGoal:
-    """A relative error at which a run stops.
+    """Relative error at which a run stops.
 
     Raises
     ------
@@ -229,14 +232,14 @@ class ErrorGoal:
     relative_error: float
     """Standard error over the modulus to reach [1]."""
     light: str = "all"
-    """Light that it is of: "all", "water", "target", or a part."""
+    """Kind of light: "all", "water", "target", or a part."""
     analyser: str = "none"
-    """Analyser that the light passes, as for `Tally.detected`."""
+    """Analyzer in the receiver, as for `Tally.detected`."""
     frequency: int = 0
-    """Number of the frequency, from 0."""
+    """Index of the frequency, from 0."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse invalid values."""
         if not self.relative_error > 0:
             raise ValueError(
                 f"relative_error must be above 0, got {self.relative_error}"
@@ -251,7 +254,7 @@ class ErrorGoal:
         return float(errors[self.frequency])
 
     def reached(self, tally: Tally) -> bool:
-        """Return whether a run may stop now.
+        """Return whether a run may stop.
 
         It is asked after 16 batches and then after sqrt(2) times as many each time, so
         that a run that looks good by chance is seldom caught at it; and the error has
@@ -274,7 +277,7 @@ Spread = Callable[[Callable[[int], Batch], int, int], Iterator[Batch]]
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """When a run ends, and where its batches are worked on."""
+    """Limits of a run, and its workers."""
 
     histories: int
     error: ErrorGoal | None = None
@@ -284,7 +287,7 @@ class Limits:
     spread: Spread | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse invalid values."""
         _refuse_fractions(self.histories, least=1, name="histories")
         if self.longest_time is not None and not self.longest_time > 0:
             raise ValueError(f"longest_time must be above 0 s, got {self.longest_time}")
@@ -293,7 +296,7 @@ class Limits:
 
 
 def frequencies(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
-    """Return modulation frequencies, checked."""
+    """Return checked modulation frequencies."""
     frequency = np.array(modulation_frequency, dtype=np.float64)
     if frequency.ndim != 1 or frequency.size == 0:
         raise ValueError(
@@ -310,7 +313,7 @@ def frequencies(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
 
 
 def checked_seed(seed: int) -> int:
-    """Return a seed that a random number generator takes."""
+    """Return a seed that is valid for a random number generator."""
     _refuse_fractions(seed, least=0, name="seed")
     return int(seed)
 
@@ -329,15 +332,15 @@ def conduct(
     limits: Limits,
     resume: Tally | None = None,
 ) -> Tally:
-    """Return the tally of all batches up to the first limit that is met."""
+    """Run batches up to the first limit, and return their tally."""
     started = time.monotonic()
     done = Accumulator.start(frame, resume)
     size = frame.batch_size
     goal = max(1, math.ceil(limits.histories / size))
-    here = partial(_in_order, workers=limits.threads or os.cpu_count() or 1)
-    batches = (limits.spread or here)(batch_of, done.next_batch, goal)
+    local = partial(_in_order, workers=limits.threads or os.cpu_count() or 1)
+    batches = (limits.spread or local)(batch_of, done.next_batch, goal)
     interrupted = False
-    wanted = limits.error or ErrorGoal(relative_error=1.0)
+    error_goal = limits.error or ErrorGoal(relative_error=1.0)
     try:
         for batch in batches:
             done = done.with_batch(batch)
@@ -349,12 +352,12 @@ def conduct(
                     Progress(
                         histories=done.histories,
                         goal=goal * size,
-                        relative_error=wanted.of(state),
+                        relative_error=error_goal.of(state),
                         seconds=seconds,
                     )
                 )
             checked = limits.error is not None and done.next_batch in CHECKS
-            if checked and wanted.reached(state):
+            if checked and error_goal.reached(state):
                 break
             if limits.longest_time is not None and seconds > limits.longest_time:
                 break
@@ -368,7 +371,7 @@ def conduct(
 def _in_order(
     batch_of: Callable[[int], Batch], first: int, end: int, workers: int
 ) -> Iterator[Batch]:
-    """Yield batches in the order of their numbers, some at work at once."""
+    """Yield batches in the order of their numbers, several at work at once."""
     waiting: deque[Future[Batch]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         try:
@@ -390,14 +393,14 @@ _STEP = 0.05
 
 
 def random_state(seed: int, number: int) -> NDArray[np.uint64]:
-    """Return the state of the random numbers of a batch."""
+    """Return the state of the random number generator of a batch."""
     sequence = np.random.SeedSequence(seed, spawn_key=(number,))
     return sequence.generate_state(4, np.uint64).astype(np.uint64)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Record:
-    """Arrays that a batch fills, and what is read from them."""
+    """Arrays that a batch fills."""
 
     mass: Array
     edge: Array
@@ -413,8 +416,8 @@ class Record:
         wavenumber = 2j * np.pi * frequency * group_index / speed_of_light
         steepest = max(float(np.abs(wavenumber).max()), float(attenuation.max()))
         spacing = _STEP / steepest
-        wanted = 30 / float(attenuation[attenuation > 0].min()) / spacing
-        nodes = int(min(max(wanted, _FEWEST_NODES), _MOST_NODES))
+        node_count = 30 / float(attenuation[attenuation > 0].min()) / spacing
+        nodes = int(min(max(node_count, _FEWEST_NODES), _MOST_NODES))
         shape = (len(frame.parts), frame.batches.shape[2])
         return cls(
             mass=np.zeros((*shape, nodes)),
@@ -425,7 +428,7 @@ class Record:
         )
 
     def arrays(self, orders: int) -> Deposits:
-        """Return what the kernels take, with that many parts for orders."""
+        """Return the arrays for the kernels, with that many parts for orders."""
         return Deposits(
             mass=self.mass,
             edge=self.edge,

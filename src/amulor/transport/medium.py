@@ -1,4 +1,4 @@
-"""The water that photons travel through: layers, each the same all over."""
+"""Water that photons travel through: homogeneous layers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["Layer", "Medium"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Layer:
-    """Water that is the same all over, between two planes; or a gap without any.
+    """Homogeneous water between two planes, or a gap without water.
 
     Raises
     ------
@@ -37,12 +37,12 @@ class Layer:
     scattering: float
     """Scattering coefficient b [1/m]."""
     phase_function: PhaseFunction | ScatteringMatrix
-    """How it scatters; with the matrix the Stokes vector is carried along."""
+    """Phase function or scattering matrix; with a matrix Stokes vectors are carried."""
     thickness: float = math.inf
     """Extent across its planes [m]."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse invalid values."""
         for name in ("absorption", "scattering"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
@@ -88,14 +88,14 @@ class Medium:
     """
 
     layers: tuple[Layer, ...]
-    """Layers, in the order in which light that travels forward meets them."""
+    """Layers, in the order of light that travels forward."""
     group_index: float
     """Group index, the same in all layers [1]."""
     top: float = -math.inf
-    """Where the first layer begins on the forward axis [m]."""
+    """Start of the first layer on the forward axis [m]."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse invalid values."""
         if not (math.isfinite(self.group_index) and self.group_index >= 1):
             raise ValueError(
                 f"group_index must be at least 1, got {self.group_index!r}"
@@ -142,7 +142,7 @@ class Medium:
         phase_function: PhaseFunction | ScatteringMatrix,
         group_index: float,
     ) -> Self:
-        """Return water that is the same all over, without bounds.
+        """Return homogeneous water without bounds.
 
         Parameters
         ----------
@@ -197,7 +197,7 @@ class Medium:
 
     @property
     def polarized(self) -> bool:
-        """Whether the Stokes vector is carried along."""
+        """Whether Stokes vectors are carried."""
         return isinstance(self.layers[0].phase_function, ScatteringMatrix)
 
     @property

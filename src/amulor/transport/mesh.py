@@ -1,4 +1,4 @@
-"""Targets that are triangle meshes."""
+"""Targets of photon transport that are triangle meshes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PROBES = np.array(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeshTarget:
-    """A surface of triangles that reflects by Lambert's law, on both of its sides.
+    """Surface of triangles that reflects by Lambert's law, on both of its sides.
 
     Light does not pass it. The order of a triangle's corners does not matter: the
     side that the light comes from is the one that reflects it. Light may be reflected
@@ -51,28 +51,28 @@ class MeshTarget:
     """
 
     vertices: ArrayLike
-    """Places of the vertices: right, down, forward, shape (vertices, 3) [m]."""
+    """Positions of the vertices: right, down, forward, shape (vertices, 3) [m]."""
     faces: ArrayLike
-    """Numbers of the three vertices of each triangle, shape (faces, 3)."""
+    """Indices of the three vertices of each triangle, shape (faces, 3)."""
     reflectance: float
-    """Fraction of the light that it reflects [1]."""
+    """Reflectance [1]."""
     mueller: ArrayLike | None = None
     """Matrix over its first element, an ideal depolarizer if not given. It leads from
     the part of the scene's axis to the right that is perpendicular to the light before
     the reflection to that after it, wherever the receiver looks."""
     corners: Array = field(init=False, repr=False)
-    """Places of the corners of each triangle, shape (faces, 3, 3) [m]."""
+    """Positions of the corners of each triangle, shape (faces, 3, 3) [m]."""
     matrix: Array = field(init=False, repr=False)
-    """The matrix, shape (4, 4)."""
+    """Reduced Mueller matrix, shape (4, 4)."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse invalid values."""
         object.__setattr__(self, "corners", _corners(self.vertices, self.faces))
         matrix = reflection_matrix(self.reflectance, self.mueller)
         object.__setattr__(self, "matrix", matrix)
 
     def depth_inside(self, point: Array) -> float:
-        """Return how deep a point is inside of a closed part, 0 if it is in none [m].
+        """Return the depth of a point inside of a closed part, 0 outside [m].
 
         A part is a set of triangles that share edges; it is closed if each of its
         edges has two triangles.
@@ -87,7 +87,7 @@ class MeshTarget:
         return inside
 
     def reach_into(self, centre: Array, axis: Array, radius: float) -> float:
-        """Return how far the mesh reaches into a disc from its rim, or 0 [m].
+        """Return the depth to which the mesh enters a disc from its rim, or 0 [m].
 
         Parameters
         ----------
@@ -101,15 +101,15 @@ class MeshTarget:
         nearest = np.inf
         for first, second, third in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             # Of a corner alone on its side two edges go through the plane of the disc.
-            one = height[:, first]
-            alone = (one * height[:, second] <= 0) & (one * height[:, third] <= 0)
-            through = np.flatnonzero(alone & (one != 0))
+            side = height[:, first]
+            alone = (side * height[:, second] <= 0) & (side * height[:, third] <= 0)
+            through = np.flatnonzero(alone & (side != 0))
             if through.size == 0:
                 continue
             ends = []
-            for other in (second, third):
-                fraction = one[through] / (one[through] - height[through, other])
-                start, end = inplane[through, first], inplane[through, other]
+            for corner in (second, third):
+                fraction = side[through] / (side[through] - height[through, corner])
+                start, end = inplane[through, first], inplane[through, corner]
                 ends.append(start + fraction[:, np.newaxis] * (end - start))
             nearest = min(nearest, float(_to_segments(np.zeros(3), *ends).min()))
         level = np.all(height == 0, axis=1)
@@ -119,7 +119,7 @@ class MeshTarget:
 
     @cached_property
     def _closed_parts(self) -> list[Array]:
-        """Return the corners of each part that is closed."""
+        """Return the corners of each closed part."""
         shape = self.corners.shape
         _, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
         vertex = number.reshape(shape[0], 3)
@@ -152,16 +152,16 @@ def _corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
     if not np.all(np.isfinite(place)):
         wrong = int(np.flatnonzero(~np.isfinite(place).all(axis=1))[0])
         raise ValueError(f"vertices must be finite, got {place[wrong]} at {wrong}")
-    given = np.array(faces)
-    if given.size == 0:
+    indices = np.array(faces)
+    if indices.size == 0:
         raise ValueError("faces must hold at least one triangle, got none")
-    if given.ndim != 2 or given.shape[1] != 3:
-        raise ValueError(f"faces must have the shape (faces, 3), got {given.shape}")
-    if not np.issubdtype(given.dtype, np.integer):
+    if indices.ndim != 2 or indices.shape[1] != 3:
+        raise ValueError(f"faces must have the shape (faces, 3), got {indices.shape}")
+    if not np.issubdtype(indices.dtype, np.integer):
         raise ValueError(
-            f"faces must be whole numbers of vertices, got numbers of {given.dtype}"
+            f"faces must be whole numbers of vertices, got numbers of {indices.dtype}"
         )
-    number = given.astype(np.int64)
+    number = indices.astype(np.int64)
     beyond = np.flatnonzero(((number < 0) | (number >= len(place))).any(axis=1))
     if beyond.size > 0:
         row = number[beyond[0]]
@@ -186,35 +186,36 @@ def _corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
 
 
 def _refuse_twins(corner: Array) -> None:
-    """Refuse two triangles at one place: light would not know its side."""
+    """Refuse two triangles in one place: the lit side would be undefined."""
     _, number = np.unique(corner.reshape(-1, 3), axis=0, return_inverse=True)
-    _, first, same = np.unique(
+    _, first, face_of = np.unique(
         np.sort(number.reshape(-1, 3), axis=1),
         axis=0,
         return_index=True,
         return_inverse=True,
     )
-    twins = np.flatnonzero(first[same.reshape(-1)] != np.arange(len(corner)))
+    twins = np.flatnonzero(first[face_of.reshape(-1)] != np.arange(len(corner)))
     if twins.size > 0:
-        one, other = int(first[same.reshape(-1)[twins[0]]]), int(twins[0])
+        twin = int(twins[0])
+        original = int(first[face_of.reshape(-1)[twin]])
         raise ValueError(
-            f"faces {one} and {other} are the same triangle ({twins.size} such "
+            f"faces {original} and {twin} are the same triangle ({twins.size} such "
             "pairs); leave one of them out, as both of its sides reflect"
         )
 
 
 def _crossings(corner: Array, point: Array, direction: Array) -> int:
-    """Return how many triangles a ray meets."""
-    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    p = np.cross(direction, two)
-    determinant = np.einsum("ij,ij->i", one, p)
+    """Return the number of triangles on a ray."""
+    first_edge, second_edge = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    p = np.cross(direction, second_edge)
+    determinant = np.einsum("ij,ij->i", first_edge, p)
     s = point - corner[:, 0]
-    q = np.cross(s, one)
+    q = np.cross(s, first_edge)
     usable = determinant != 0
     scale = np.divide(1.0, determinant, out=np.zeros_like(determinant), where=usable)
     u = np.einsum("ij,ij->i", s, p) * scale
     v = q @ direction * scale
-    t = np.einsum("ij,ij->i", two, q) * scale
+    t = np.einsum("ij,ij->i", second_edge, q) * scale
     return int(np.sum(usable & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)))
 
 
@@ -230,13 +231,13 @@ def _to_segments(point: Array, start: Array, end: Array) -> Array:
 
 
 def distance_to_triangles(point: Array, corner: Array) -> float:
-    """Return the distance of a point from the nearest of some triangles [m]."""
-    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    normal = np.cross(one, two)
+    """Return the distance of a point from the nearest triangle [m]."""
+    first_edge, second_edge = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    normal = np.cross(first_edge, second_edge)
     square = np.einsum("ij,ij->i", normal, normal)
     offset = point - corner[:, 0]
-    v = np.einsum("ij,ij->i", np.cross(one, offset), normal) / square
-    u = np.einsum("ij,ij->i", np.cross(offset, two), normal) / square
+    v = np.einsum("ij,ij->i", np.cross(first_edge, offset), normal) / square
+    u = np.einsum("ij,ij->i", np.cross(offset, second_edge), normal) / square
     over = (u >= 0) & (v >= 0) & (u + v <= 1)
     height = np.abs(np.einsum("ij,ij->i", offset, normal)) / np.sqrt(square)
     rim = np.min(

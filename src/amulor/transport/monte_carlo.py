@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Technique:
-    """How paths are drawn and joined. None of this changes the expected result.
+    """Options of drawing and joining paths; none changes the expected result.
 
     Raises
     ------
@@ -60,20 +60,22 @@ class Technique:
     paths: int = 8
     """Forward paths in a group."""
     partners: int = 8
-    """Adjoint paths that each forward path of a group is joined with."""
+    """Adjoint paths joined with each forward path of a group."""
     stratified: bool = True
     """Whether first flights and directions of a group are spread evenly."""
     balanced: bool = True
-    """Whether a path that can be joined at several of its scatterings counts where
-    it is the least accidental (balance heuristic), not at all of them alike."""
+    """Whether pairs are weighted by the balance heuristic, instead of all alike."""
     direct: bool | None = None
-    """Whether the last way to the receiver is a local estimate; if not given, for
-    acceptances up to 0.35 rad."""
+    """Whether the last path to the receiver is a local estimate; by default for
+    acceptances up to 0.35 rad.
+    """
     scattering_orders: int = 10
-    """Orders of scattering that are kept apart; the last one holds all above it."""
+    """Orders of scattering that are recorded singly; the last one includes all higher
+    ones.
+    """
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse invalid values."""
         for name in ("paths", "partners", "scattering_orders"):
             value = getattr(self, name)
             if value < 1 or value != int(value):
@@ -98,7 +100,7 @@ def simulate(
     progress: Callable[[Progress], None] | None = None,
     spread: Spread | None = None,
 ) -> Tally:
-    r"""Return the light of a modulated beam that comes back to a receiver.
+    r"""Simulate the light of a modulated beam that comes back to a receiver.
 
     Parameters
     ----------
@@ -218,7 +220,7 @@ def _batch_size(histories: int, technique: Technique) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """One batch after the other of a problem; each from its own random numbers."""
+    """Batches of a problem; each has its own random numbers."""
 
     problem: Problem
     technique: Technique
@@ -229,7 +231,7 @@ class _Run:
 
     @property
     def stated(self) -> dict[str, Any]:
-        """All that its batches follow from, as plain numbers and text."""
+        """Numbers and texts that determine the batches."""
         return {
             "problem": self.problem.digest,
             "technique": asdict(self.technique),
@@ -268,7 +270,7 @@ class _Run:
         )
 
     def __call__(self, number: int) -> Batch:
-        """Return a batch."""
+        """Run a batch."""
         frame = self.frame()
         record = Record.empty(
             self.problem.water.attenuation,

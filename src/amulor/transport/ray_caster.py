@@ -1,4 +1,4 @@
-"""Where rays meet triangles: one hierarchy of boxes for photons, scenes, references."""
+"""Intersection of rays with triangles: one box hierarchy for photons and scenes."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class RayCaster:
 
     @property
     def gap(self) -> float:
-        """Distance that counts as none: 1e-9 of the largest coordinate [m]."""
+        """Distance that counts as zero: 1e-9 of the largest coordinate [m]."""
         return self._mesh.least
 
     def first(self, start: Array, direction: Array) -> Integers:
-        """Return the number of the triangle that each ray meets first, -1 for none."""
+        """Return the index of the first triangle on each ray, -1 for none."""
         met = np.full(len(start), -1, dtype=np.int64)
         _kernels.first_triangles(
             np.ascontiguousarray(start, dtype=float),
@@ -54,7 +54,7 @@ class RayCaster:
         return met
 
     def free(self, start: Array, end: Array, triangle: Integers) -> NDArray[np.bool_]:
-        """Return between which points there is no triangle."""
+        """Return whether the lines between points are free of triangles."""
         free = np.empty(len(start), dtype=np.bool_)
         _kernels.free_ways(
             np.ascontiguousarray(start, dtype=float),
@@ -87,13 +87,13 @@ def hierarchy(corner: Array) -> tuple[Mesh, Integers]:
     _kernels.enclose(low[number], high[number], least, link, sibling, box)
     sorted_corner = corner[number]
     triangle = np.empty((len(corner), 12))
-    one = sorted_corner[:, 1] - sorted_corner[:, 0]
-    two = sorted_corner[:, 2] - sorted_corner[:, 0]
-    normal = np.cross(one, two)
+    first_edge = sorted_corner[:, 1] - sorted_corner[:, 0]
+    second_edge = sorted_corner[:, 2] - sorted_corner[:, 0]
+    normal = np.cross(first_edge, second_edge)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     triangle[:, :EDGE_ONE] = sorted_corner[:, 0]
-    triangle[:, EDGE_ONE:EDGE_TWO] = one
-    triangle[:, EDGE_TWO:NORMAL] = two
+    triangle[:, EDGE_ONE:EDGE_TWO] = first_edge
+    triangle[:, EDGE_TWO:NORMAL] = second_edge
     triangle[:, NORMAL:] = np.divide(
         normal, length, out=np.zeros_like(normal), where=length > 0
     )

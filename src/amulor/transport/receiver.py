@@ -1,4 +1,4 @@
-"""What launches the light, what receives it, and what it falls on."""
+"""Source, receivers and plane target of a transport problem."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FORWARD = (0.0, 0.0, 1.0)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Source:
-    """A beam of light: a pencil, or one with Gaussian profile and divergence.
+    """Beam of light: a pencil, or one with Gaussian profile and divergence.
 
     Raises
     ------
@@ -45,9 +45,9 @@ class Source:
     """
 
     position: ArrayLike = _ORIGIN
-    """Where it starts: right, down, forward [m]."""
+    """Start of the beam: right, down, forward [m]."""
     direction: ArrayLike = _FORWARD
-    """Where it goes, any length."""
+    """Direction of the beam, any length."""
     polarization: str | ArrayLike = "none"
     """Name of a state of `amulor.optics.polarization.stokes.state`, or a Stokes vector
     with an intensity of 1. Its parallel axis is the part of "right" perpendicular to
@@ -60,7 +60,7 @@ class Source:
     """Stokes vector of the light."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse invalid values."""
         place(self.position, name="position")
         axes_of(unit_vector(self.direction, name="direction"), name="direction")
         at_least(self.radius, 0.0, name="radius", unit="m")
@@ -88,19 +88,19 @@ class Source:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Receiver:
-    """Place, axis and size of a receiver."""
+    """Position, axis and size of a receiver."""
 
     radius: float
     """Radius of the face [m]."""
     acceptance_angle: float
-    """Half angle from which light is received, up to pi / 2 [rad]."""
+    """Half angle of acceptance, up to pi / 2 [rad]."""
     position: ArrayLike = _ORIGIN
-    """Centre of the face: right, down, forward [m]."""
+    """Center of the face: right, down, forward [m]."""
     direction: ArrayLike = _FORWARD
-    """Where it looks, any length."""
+    """Viewing direction, any length."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse invalid values."""
         above(self.radius, 0.0, name="radius", unit="m")
         at_most(self.acceptance_angle, np.pi / 2, name="acceptance_angle", unit="rad")
         place(self.position, name="position")
@@ -109,7 +109,7 @@ class _Receiver:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DiscReceiver(_Receiver):
-    """A round face that receives all light within a cone, and nothing else.
+    """Round face that receives all light within a cone, and nothing else.
 
     With an acceptance of pi / 2 it receives all light that falls on its front.
 
@@ -124,7 +124,7 @@ class DiscReceiver(_Receiver):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GaussianReceiver(_Receiver):
-    r"""The receiver of eq. (38) of Ricci et al. 2010, as rebuilt.
+    r"""Gaussian receiver of eq. (38) of Ricci et al. 2010, as rebuilt.
 
     It receives the fraction :math:`\exp(-s^2/R^2 - \theta^2/\gamma^2)` of the light
     that falls on it at a distance s from its centre, under an angle to its axis.
@@ -146,8 +146,8 @@ def reflection_matrix(
     """Return the reduced matrix of a surface, checked along with its reflectance."""
     if not 0 <= reflectance <= 1:
         raise ValueError(f"reflectance must be from 0 to 1, got {reflectance!r}")
-    given = np.diag([1.0, 0, 0, 0]) if mueller is None else mueller
-    matrix = np.array(given, dtype=np.float64)
+    elements = np.diag([1.0, 0, 0, 0]) if mueller is None else mueller
+    matrix = np.array(elements, dtype=np.float64)
     if matrix.shape != (4, 4) or abs(matrix[0, 0] - 1) > 1e-12:
         raise ValueError(
             "mueller must have the shape (4, 4) and a first element of 1; put the "
@@ -166,7 +166,7 @@ def reflection_matrix(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlaneTarget:
-    """An endless plane that reflects by Lambert's law.
+    """Endless plane that reflects by Lambert's law.
 
     Raises
     ------
@@ -183,20 +183,20 @@ class PlaneTarget:
     """
 
     position: ArrayLike
-    """A point of it: right, down, forward [m]."""
+    """Point of the plane: right, down, forward [m]."""
     normal: ArrayLike = (0.0, 0.0, -1.0)
-    """Direction out of its lit side, any length."""
+    """Normal on the lit side, any length."""
     reflectance: float
-    """Fraction of the light that it reflects [1]."""
+    """Reflectance [1]."""
     mueller: ArrayLike | None = None
     """Matrix over its first element, an ideal depolarizer if not given. It leads from
     the part of the scene's axis to the right that is perpendicular to the light before
     the reflection to that after it, wherever the receiver looks."""
     matrix: NDArray[np.float64] = field(init=False, repr=False)
-    """The matrix, shape (4, 4)."""
+    """Reduced Mueller matrix, shape (4, 4)."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse invalid values."""
         place(self.position, name="position")
         unit_vector(self.normal, name="normal")
         matrix = reflection_matrix(self.reflectance, self.mueller)

@@ -1,4 +1,4 @@
-"""Single scattering as the photon transport takes it: phase function and matrix.
+"""Single scattering in photon transport: phase function and matrix.
 
 Equation numbers are those of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010,
 958360, doi:10.1155/2010/958360, as rebuilt.
@@ -33,7 +33,7 @@ REALIZABILITY_TOLERANCE = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class ScatteringMatrix:
-    r"""What particles do to the Stokes vector of the light that they scatter.
+    r"""Reduced Mueller matrix of scattering by particles.
 
     .. math::
 
@@ -73,7 +73,7 @@ class ScatteringMatrix:
     elements: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse invalid values."""
         angle = np.asarray(self.angle, dtype=np.float64)
         elements = np.asarray(self.elements, dtype=np.float64)
         if angle.ndim != 1 or angle.size < 2 or elements.shape != (angle.size, 5):
@@ -104,7 +104,7 @@ class ScatteringMatrix:
 
     @classmethod
     def rayleigh(cls, *, cells: int = 3600) -> ScatteringMatrix:
-        """Return that of particles much smaller than the wavelength, eq. (64).
+        """Return the matrix of particles much smaller than the wavelength, eq. (64).
 
         Parameters
         ----------
@@ -121,7 +121,7 @@ class ScatteringMatrix:
 
     @classmethod
     def spheres(cls, suspension: Suspension) -> ScatteringMatrix:
-        """Return that of spheres, from Mie's theory.
+        """Return the scattering matrix of spheres, from Mie's theory.
 
         Parameters
         ----------
@@ -140,7 +140,7 @@ class ScatteringMatrix:
     def tabulated(
         cls, angle: ArrayLike, *, mueller: ArrayLike, phase_function: PhaseFunction
     ) -> ScatteringMatrix:
-        """Return that of measured or computed matrices.
+        """Return a scattering matrix from tabulated Mueller matrices.
 
         Parameters
         ----------
@@ -201,7 +201,7 @@ class ScatteringMatrix:
 
 @dataclass(frozen=True, eq=False)
 class AngleCells:
-    """A phase function as cells that angles are drawn from and looked up in.
+    """Phase function in cells from which angles are drawn.
 
     In a cell the phase function is even in solid angle with the true mean, so what
     is drawn and what is looked up are one and the same function. A cell is 0.4 % of
@@ -213,7 +213,7 @@ class AngleCells:
 
     @cached_property
     def edges(self) -> NDArray[np.float64]:
-        """sin^2(angle / 2) of the edges of the cells, shape (cells + 1,) [1]."""
+        """Edges of the cells, sin^2(angle / 2), shape (cells + 1,) [1]."""
         return cell_edges()
 
     @cached_property
@@ -248,7 +248,7 @@ class AngleCells:
 
     @cached_property
     def probability(self) -> NDArray[np.float64]:
-        """Probability that a scattering falls into each cell [1]."""
+        """Probability of scattering into each cell [1]."""
         result: NDArray[np.float64] = self._integrals / self.integral
         return result
 
@@ -287,20 +287,20 @@ class AngleCells:
 
     @cached_property
     def urn(self) -> NDArray[np.float64]:
-        """What an angle is drawn from, shape (cells, 8), a row for each cell.
+        """Alias table of the angles, shape (cells, 8).
 
         A row holds a threshold, and lower end, width and number first of its own
         cell, then of the partner.
         """
         threshold, partner = alias_table(self.probability)
         low, width = self.edges[:-1], np.diff(self.edges)
-        own = np.arange(low.size)
-        columns = [threshold, low, width, own, low[partner], width[partner], partner]
+        cells = np.arange(low.size)
+        columns = [threshold, low, width, cells, low[partner], width[partner], partner]
         return np.stack([*columns, np.zeros(low.size)], axis=-1)
 
 
 def cell_edges() -> NDArray[np.float64]:
-    """Return sin^2(angle / 2) of the edges of the cells, from 0 to 1."""
+    """Return the cell edges as sin^2(angle / 2), from 0 to 1."""
     step = np.arange(_cells.PER_OCTAVE) / _cells.PER_OCTAVE
 
     def octaves(number: int) -> NDArray[np.float64]:
@@ -315,7 +315,7 @@ def cell_edges() -> NDArray[np.float64]:
 def alias_table(
     probability: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return thresholds and partners that draw cells by their probabilities.
+    """Return thresholds and partners of Walker's alias method.
 
     A. J. Walker, ACM Trans. Math. Softw. 3, 253 (1977), in the form of M. D. Vose,
     IEEE Trans. Softw. Eng. 17, 972 (1991).
@@ -355,7 +355,7 @@ def _compact(mueller: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _full(elements: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return full matrices of m12, m22, m33, m34 and m44."""
+    """Return full matrices from m12, m22, m33, m34 and m44."""
     matrix = np.zeros((*elements.shape[:-1], 4, 4))
     matrix[..., 0, 0] = 1
     matrix[..., 0, 1] = matrix[..., 1, 0] = elements[..., 0]

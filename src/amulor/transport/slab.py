@@ -1,4 +1,4 @@
-"""Light through plane layers that are lit all over: the classical benchmark."""
+"""Light through plane layers under uniform illumination: the classical benchmark."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def reflection_and_transmission(
     threads: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Tally:
-    r"""Return what of the light on plane layers comes back and gets through.
+    r"""Simulate the reflection and transmission of light by plane layers.
 
     Parameters
     ----------
@@ -115,13 +115,15 @@ def reflection_and_transmission(
             "polarized light needs a medium with a ScatteringMatrix, got one with a "
             "phase function only"
         )
-    ways = np.zeros((0, 2)) if outward is None else np.array(outward, dtype=np.float64)
-    if ways.ndim != 2 or ways.shape[1] != 2:
+    angles = (
+        np.zeros((0, 2)) if outward is None else np.array(outward, dtype=np.float64)
+    )
+    if angles.ndim != 2 or angles.shape[1] != 2:
         raise ValueError(
             "outward must be pairs of polar angle and azimuth, shape (m, 2), got "
-            f"the shape {ways.shape}"
+            f"the shape {angles.shape}"
         )
-    polar = ways[:, 0]
+    polar = angles[:, 0]
     if not np.all((polar >= 0) & (polar <= np.pi) & (np.abs(np.cos(polar)) > 1e-6)):
         raise ValueError("polar angles must be from 0 to pi rad, pi / 2 left out")
     limits = Limits(histories=histories, threads=threads, progress=progress)
@@ -134,14 +136,14 @@ def reflection_and_transmission(
         size=min(math.ceil(histories / _BATCHES), _LARGEST_BATCH),
         incidence=direction,
         stokes=stokes,
-        outward=_axes(ways),
+        outward=_axes(angles),
     )
     return conduct(run, run.frame(), limits)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """One batch after the other, each from its own random numbers."""
+    """Batches of a slab; each has its own random numbers."""
 
     medium: Medium
     water: Water
@@ -154,8 +156,8 @@ class _Run:
 
     def frame(self) -> Tally:
         """Return a tally without batches."""
-        ways = [f"direction {k + 1}" for k in range(len(self.outward))]
-        parts = ("reflected", "transmitted", *ways)
+        directions = [f"direction {k + 1}" for k in range(len(self.outward))]
+        parts = ("reflected", "transmitted", *directions)
         components = 4 if self.medium.polarized else 1
         return Tally(
             modulation_frequency=self.frequency,
@@ -180,7 +182,7 @@ class _Run:
         )
 
     def __call__(self, number: int) -> Batch:
-        """Return a batch."""
+        """Run a batch."""
         frame = self.frame()
         record = Record.empty(
             self.water.attenuation, self.medium.group_index, self.frequency, frame
@@ -202,7 +204,7 @@ class _Run:
 
 
 def _axes(outward: Array) -> Array:
-    """Return directions and, towards larger polar angles, parallel axes: (m, 6)."""
+    """Return directions with parallel axes towards larger polar angles: (m, 6)."""
     polar, azimuth = outward.T
     columns = [
         np.sin(polar) * np.cos(azimuth),

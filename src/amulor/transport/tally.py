@@ -1,4 +1,4 @@
-"""The result of a transport run: signals, and how sure they are."""
+"""Result of a transport run: signals, uncertainty, contributions of groups."""
 
 from __future__ import annotations
 
@@ -9,22 +9,166 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
-from amulor.transport.contributions import (
-    ANALYSERS,
-    LIGHT,
-    PathRecord,
-    analyser_vector,
-    outweighs,
-    together,
-)
+from amulor.optics.polarization import stokes as _stokes
 
-__all__ = ["Tally"]
+__all__ = [
+    "ANALYSERS",
+    "LIGHT",
+    "PathRecord",
+    "Tally",
+    "analyser_vector",
+    "outweighs",
+    "sums_of",
+    "together",
+]
+
+
+Array = NDArray[np.float64]
+
+#: Kinds of light, in the order of the rows of the sums.
+LIGHT = ("all", "water", "target")
+#: Analysers, in the order of the columns; without Stokes vectors there is the first.
+ANALYSERS = ("none", "H", "V", "P", "M", "R", "L")
+#: Sum, sum of squares and largest of the contributions of the groups.
+SUM, SQUARE, LARGEST = range(3)
+#: Equal contributions that would scatter as much, fewest from which an error is known:
+#: of fewer the large ones are likely to be missing yet, from sum and error alike.
+_FEWEST = 30
+
+
+def analyser_vector(name: str) -> Array:
+    """Return the Stokes response of an ideal analyzer."""
+    vector = _stokes.state(name)
+    result: Array = vector if name == "none" else 0.5 * vector
+    return result
+
+
+def sums_of(weight: Array) -> Array:
+    """Return sum, sum of squares and largest of contributions."""
+    light = np.stack([weight.sum(axis=1), weight[:, 0], weight[:, 1]])
+    if weight.shape[2] == 4:
+        vectors = np.stack([analyser_vector(name) for name in ANALYSERS], axis=-1)
+        passed = light @ vectors
+    else:
+        passed = light
+    return np.stack(
+        [
+            passed.sum(axis=1),
+            (passed**2).sum(axis=1),
+            passed.max(axis=1, initial=0.0),
+        ],
+        axis=-1,
+    )
+
+
+def together(first: Array, second: Array) -> Array:
+    """Return the combined sums of two sets of groups."""
+    result = first + second
+    result[..., LARGEST] = np.maximum(first[..., LARGEST], second[..., LARGEST])
+    return result
+
+
+def outweighs(sums: Array, *, groups: int, unseen: float = 0.0) -> bool:
+    """Return whether one group moves the mean by more than a standard error."""
+    if groups < 2:
+        return False
+    total, square, largest = (float(value) for value in sums)
+    if (square - total**2 / groups) * _FEWEST > total**2:
+        return True
+    remaining_groups = groups - 1
+    mean = (total - largest) / remaining_groups
+    spread = max(square - largest**2 - remaining_groups * mean**2, 0.0)
+    # What rounding leaves of equal contributions is no tail.
+    if largest - mean > math.sqrt(spread) + 1e-6 * largest:
+        return True
+    return unseen > math.sqrt(max(square - total**2 / groups, 0.0))
+
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PathRecord:
+    """Received light by path length, for other frequencies later.
+
+    Light of all lengths in a bin counts at its middle. A phasor that is summed over
+    the bins is wrong by at most an eighth of the square of the phase across a bin
+    times the unmodulated light: 3e-4 at the highest frequency of the run.
+
+    Examples
+    --------
+    Light on a path of 3 m, half a wavelength at 50 MHz with a group index of 1: its
+    phase is half a turn.
+
+    >>> import numpy as np
+    >>> from scipy.constants import speed_of_light
+    >>> from amulor.transport import PathRecord
+    >>> record = PathRecord(
+    ...     length=np.array([speed_of_light / 100e6]), water=np.array([[1e-7]]),
+    ...     target=np.array([[0.0]]), beyond=0.0,
+    ... )
+    >>> light = record.stokes([50e6], group_index=1.0)
+    >>> print(f"{abs(np.angle(light[0, 0])) / np.pi:.3f} pi")
+    1.000 pi
+    """
+
+    length: Array
+    """Middle of each bin of path length, shape (bins,) [m]."""
+    water: Array
+    """Mean light of water only in each bin, shape (bins, components) [1]."""
+    target: Array
+    """Mean light that met the target in each bin [1]."""
+    beyond: float
+    """Share of the unmodulated light on longer paths, which the record lacks [1]."""
+
+    def stokes(
+        self,
+        modulation_frequency: ArrayLike,
+        *,
+        group_index: float,
+        more_absorption: float = 0.0,
+    ) -> Complex:
+        r"""Return the light at other frequencies, or in water that absorbs more.
+
+        Parameters
+        ----------
+        modulation_frequency : array_like
+            Frequencies, not above those of the run, shape (n,) [Hz].
+        group_index : float
+            Group index of the run [1].
+        more_absorption : float
+            What to add to the absorption coefficient in all layers, not below 0: less
+            absorption would need paths that the run has not followed [1/m].
+
+        Returns
+        -------
+        ndarray
+            Water and target together, shape (n, components) [1]. Without errors; the
+            scatter is that of the run.
+
+        Raises
+        ------
+        ValueError
+            If the absorption added is below zero.
+
+        Notes
+        -----
+        Eq. (9) of Ricci et al. 2010 (:doi:`10.1155/2010/958360`), as rebuilt: a path
+        of length L counts :math:`e^{(i \omega / v - a) L}`.
+        """
+        if not more_absorption >= 0:
+            raise ValueError(
+                f"more_absorption must be at least 0 1/m, got {more_absorption!r} 1/m"
+            )
+        frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=np.float64))
+        wave = (2j * np.pi * group_index / speed_of_light) * frequency - more_absorption
+        phasor: Complex = np.exp(np.outer(wave, self.length).astype(np.complex128))
+        result: Complex = phasor @ (self.water + self.target)
+        return result
+
 
 #: Batches are merged in pairs when there are that many, so memory stays flat.
 MOST_BATCHES = 256
-
-Complex = NDArray[np.complex128]
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,43 +197,45 @@ class Tally:
     """
 
     modulation_frequency: Array
-    """Frequencies, shape (n,) [Hz]."""
+    """Modulation frequencies, shape (n,) [Hz]."""
     parts: tuple[str, ...]
     """Names of the parts of the light: water by number of scatterings, target without
     and with scattering in the water."""
     batches: Complex
     """Mean of each batch, shape (batches, parts, components, n); the components are I,
-    or I, Q, U and V [1]."""
+    or I, Q, U and V [1].
+    """
     histories_of: NDArray[np.int64]
     """Histories in each batch."""
     groups: int
-    """Groups of histories that share their paths; each counts as one contribution."""
+    """Groups of histories that share their paths; each is one contribution."""
     contribution: tuple[float, float, float]
     """Sum, sum of squares and largest of the contributions at zero frequency."""
     seed: int
     """Seed of the random numbers."""
     next_batch: int
-    """Number of the first batch that was not run, for a run that goes on."""
+    """Number of the first batch that was not run, to resume from."""
     batch_size: int
-    """Histories in a batch as it is run."""
+    """Histories in a full batch."""
     problem: str
-    """Digest of the problem, so that only like is merged with like."""
+    """Digest of the problem; only runs of the same one are merged."""
     seconds: float
-    """Time the run took [s]."""
+    """Run time [s]."""
     interrupted: bool = False
-    """Whether the run was stopped before it had all of its histories."""
+    """Whether the run was stopped before all of its histories."""
     record: PathRecord | None = None
-    """Record of path lengths, if it was asked for."""
+    """Record of path lengths, if requested."""
     merged_seeds: tuple[int, ...] = ()
     """Seeds of the other runs that were merged into this one."""
     contributions: Array | None = None
     """Sum, sum of squares and largest of the contributions at zero frequency, for all
     light, water and target, and each analyser: shape (3, 1 or 7, 3) [1]."""
     phase_function_integral: tuple[float, ...] = ()
-    """Integral over the sphere of the phase function of each layer, as it was given;
-    it was divided by that, which 0.2 % are allowed for [1]."""
+    """Integral over the sphere of each layer's phase function before normalization; 1
+    within 0.2 % [1].
+    """
     unseen: float = 0.0
-    """What a group brings by one touch of the target that an adjoint path meets [1]."""
+    """Light of a group by one touch of the target that meets an adjoint path [1]."""
 
     @property
     def histories(self) -> int:
@@ -98,7 +244,7 @@ class Tally:
 
     @property
     def polarized(self) -> bool:
-        """Whether there are Stokes vectors."""
+        """Whether Stokes vectors were carried."""
         return bool(self.batches.shape[2] == 4)
 
     def _select(self, which: str) -> Complex:
@@ -109,7 +255,7 @@ class Tally:
         return summed
 
     def _mean(self, values: Complex) -> Complex:
-        """Return the mean over batches, each with its weight."""
+        """Return the weighted mean over batches."""
         weight = self.histories_of / self.histories
         mean: Complex = np.tensordot(weight, values, axes=1)
         return mean
@@ -159,8 +305,8 @@ class Tally:
             If there is no such part.
         """
         if name not in self.parts:
-            known = ", ".join(repr(part) for part in self.parts)
-            raise ValueError(f"the parts are {known}; got {name!r}")
+            names = ", ".join(repr(part) for part in self.parts)
+            raise ValueError(f"the parts are {names}; got {name!r}")
         values = self.batches[:, self.parts.index(name)]
         return self._mean(values), self.covariance_of(values)
 
@@ -196,7 +342,7 @@ class Tally:
         return self._scatter(np.concatenate([values.real, values.imag], axis=1))
 
     def covariance_of(self, values: ArrayLike) -> Array:
-        """Return the covariance of the mean of something known for each batch.
+        """Return the covariance of the mean of batch values.
 
         Parameters
         ----------
@@ -221,7 +367,7 @@ class Tally:
         return result
 
     def _weight(self) -> Array:
-        """Return what the square of a batch's deviation counts in the variance."""
+        """Weights of squared batch deviations in the variance of the mean."""
         if self.histories_of.size < 2:
             raise ValueError("an error needs at least two batches, got one")
         return variance_weight(self.histories_of)
@@ -234,7 +380,7 @@ class Tally:
         return result
 
     def detected(self, analyser: str) -> tuple[Complex, Array]:
-        """Return the light that an ideal analyser lets pass, and its covariance.
+        """Return the light behind an ideal analyzer, and its covariance.
 
         Parameters
         ----------
@@ -258,7 +404,7 @@ class Tally:
         return self._mean(values), self.covariance_of(values)
 
     def passed(self, light: str = "all", *, analyser: str = "none") -> Complex:
-        """Return the light of each batch that an ideal analyser lets pass.
+        """Return the light of each batch behind an ideal analyzer.
 
         Parameters
         ----------
@@ -282,8 +428,8 @@ class Tally:
         elif light in self.parts:
             values = self.batches[:, self.parts.index(light)]
         else:
-            known = ", ".join(repr(name) for name in (*LIGHT, *self.parts))
-            raise ValueError(f"light must be one of {known}; got {light!r}")
+            names = ", ".join(repr(name) for name in (*LIGHT, *self.parts))
+            raise ValueError(f"light must be one of {names}; got {light!r}")
         if analyser == "none":
             return values[:, 0]
         if not self.polarized:
@@ -341,13 +487,13 @@ class Tally:
 
     @property
     def effective_contributions(self) -> float:
-        """Number of equal contributions that would scatter as these do [1]."""
+        """Number of equal contributions with the same relative scatter [1]."""
         total, square, _ = self.contribution
         return total**2 / square if square > 0 else 0.0
 
     @property
     def largest_fraction(self) -> float:
-        """Fraction of the light that one group of histories brought [1]."""
+        """Largest fraction of the light from one group of histories [1]."""
         total, _, largest = self.contribution
         return largest / total if total > 0 else 0.0
 
@@ -400,19 +546,19 @@ class Tally:
                     "older run, or one of plane layers; run it again"
                 )
             return outweighs(np.array(self.contribution), groups=self.groups)
-        known = ANALYSERS[: sums.shape[1]]
-        if analyser not in known:
+        names = ANALYSERS[: sums.shape[1]]
+        if analyser not in names:
             raise ValueError(
-                f"analyser must be one of {', '.join(known)}; got {analyser!r}"
+                f"analyser must be one of {', '.join(names)}; got {analyser!r}"
             )
         return outweighs(
-            sums[LIGHT.index(light), known.index(analyser)],
+            sums[LIGHT.index(light), names.index(analyser)],
             groups=self.groups,
             unseen=0.0 if light == "water" else self.unseen,
         )
 
     def delayed(self, path: float, *, group_index: float) -> Tally:
-        """Return the same light after a longer way.
+        """Return the tally with an added optical path.
 
         Parameters
         ----------
@@ -436,7 +582,7 @@ class Tally:
         )
 
     def merged(self, other: Tally) -> Tally:
-        """Return the two runs as one.
+        """Merge two runs into one.
 
         Parameters
         ----------
@@ -493,7 +639,7 @@ class Tally:
 def paired(
     batches: Complex, histories_of: NDArray[np.int64]
 ) -> tuple[Complex, NDArray[np.int64]]:
-    """Return batches joined with their neighbours; an odd one at the end stays."""
+    """Merge neighboring batches in pairs; an odd last one stays."""
     starts = np.arange(0, histories_of.size, 2)
     joined: NDArray[np.int64] = np.add.reduceat(histories_of, starts)
     fraction = histories_of / np.repeat(joined, 2)[: histories_of.size]
@@ -502,7 +648,7 @@ def paired(
 
 
 def variance_weight(histories_of: NDArray[np.int64]) -> Array:
-    """Return what the square of a batch's deviation counts in the mean's variance.
+    """Return the weights of squared batch deviations in the variance of the mean.
 
     Free of bias for batches of any sizes; fraction / (batches - 1) for equal ones.
     """
@@ -512,7 +658,7 @@ def variance_weight(histories_of: NDArray[np.int64]) -> Array:
 
 
 def _over(error: Array, modulus: Array) -> Array:
-    """Return an error over a modulus, infinite where no light has come."""
+    """Return an error over a modulus, infinite without light."""
     lit = modulus > 0
     result: Array = np.full(error.shape, math.inf)
     np.divide(error, modulus, out=result, where=lit)
@@ -520,7 +666,7 @@ def _over(error: Array, modulus: Array) -> Array:
 
 
 def _along(signal: Complex, covariance: Array, *, turn: complex) -> Array:
-    """Return the standard error of the part of a signal along its own direction."""
+    """Return the standard error of a signal along its own direction."""
     modulus = np.abs(signal)
     unit = (
         np.divide(signal, modulus, out=np.ones_like(signal), where=modulus > 0) * turn

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from amulor.transport.contributions import PathRecord
+from amulor.transport.tally import PathRecord
 
 SPEED = 299792458.0
 

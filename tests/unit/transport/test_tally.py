@@ -11,8 +11,13 @@ from hypothesis import strategies as st
 
 from amulor.optics.polarization import mueller, stokes
 from amulor.transport import Tally
-from amulor.transport.contributions import ANALYSERS, sums_of
-from amulor.transport.tally import MOST_BATCHES, paired, variance_weight
+from amulor.transport.tally import (
+    ANALYSERS,
+    MOST_BATCHES,
+    paired,
+    sums_of,
+    variance_weight,
+)
 
 PARTS = ("water, order 1", "water, order 2 and above", "target", "target, scattered")
 

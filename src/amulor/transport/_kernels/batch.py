@@ -1,4 +1,4 @@
-"""One batch of histories in a compiled loop: trace, join, record.
+"""Compiled batch of histories: trace paths, join them, record their light.
 
 Theory: docs/theory/photon-transport.md. Compiled, so that a batch of thousands of
 groups runs without Python, and without the lock that keeps its threads apart.
@@ -53,7 +53,7 @@ _ROWS = 64
 
 @step
 def launch(state: States, beam: Beam) -> Ray:
-    """Return a ray of light from the source, its frame turned with its direction."""
+    """Launch a ray of light from the source, its frame turned with its direction."""
     centre, axis, u = beam.centre, beam.axis, beam.across
     n = (axis[0], axis[1], axis[2])
     e = (u[0], u[1], u[2])
@@ -96,7 +96,7 @@ def launch(state: States, beam: Beam) -> Ray:
 
 @step
 def look(state: States, fraction: float, largest: float) -> Ray:
-    """Return a ray from the middle of the face, on which an adjoint path starts.
+    """Start a ray in the middle of the face, the first one of an adjoint path.
 
     Directions are drawn by the cosine law, with a squared sine up to largest, of which
     fraction is the part that this one has.
@@ -110,7 +110,7 @@ def look(state: States, fraction: float, largest: float) -> Ray:
 
 @allocating
 def without_segments(light: Array) -> Paths:
-    """Return paths without a segment, and what holds the light on each."""
+    """Empty paths, for light with this many numbers a segment."""
     return Paths(
         np.empty((_ROWS, SEGMENT_COLUMNS)),
         light,
@@ -124,7 +124,7 @@ def without_segments(light: Array) -> Paths:
 def begin_forward(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray]:
-    """Return the first flight of a forward path, and its ray; fill now with its light.
+    """Start a forward path: first flight and ray; fill now with its light.
 
     The optical thickness of the flight is exponential. Those of the paths of a group,
     of which this is the number-th, are spread evenly if the plan is stratified.
@@ -142,7 +142,7 @@ def begin_forward(
 def begin_adjoint(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray, Kind]:
-    """Return the first flight of an adjoint path, its ray and kind; fill now likewise.
+    """Start an adjoint path: first flight, ray and kind; fill now with its light.
 
     Its direction is drawn by the cosine law from the acceptance gamma; a pair with it
     counts Omega = pi sin^2 gamma over the number of pairs in the group.
@@ -169,7 +169,7 @@ def join(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add the light of a group of paths in all ways of joining them."""
+    """Join the paths of a group in all ways, and add their light."""
     water, target = scene.water, scene.target
     join_segments(state, forward, adjoint, water, target, plan, record, arrival)
     if plan.direct:
@@ -184,7 +184,7 @@ def join(
 def run_batch(
     state: States, scene: Scene, plan: Plan, record: Record, weight: Array
 ) -> None:
-    """Add groups of histories to the record, and keep the light of each in weight.
+    """Run groups of histories; add their light to the record and fill weight with it.
 
     weight has the shape (groups, 2, components): light from water and target. A group
     is that many forward paths, each joined with all of its adjoint paths.
@@ -192,11 +192,11 @@ def run_batch(
     rows = _ROWS if plan.polarized else 1
     forward = without_segments(np.zeros((rows, FORWARD_COLUMNS)))
     adjoint = without_segments(np.zeros((rows, ADJOINT_COLUMNS)))
-    seen = np.zeros(ADJOINT_COLUMNS)
+    direct = np.zeros(ADJOINT_COLUMNS)
     for k in range(4):
-        seen[3 + 5 * k] = 1.0
+        direct[3 + 5 * k] = 1.0
     components = 4 if plan.polarized else 1
-    arrival = Arrival(np.zeros(components), seen, np.zeros((2, components)))
+    arrival = Arrival(np.zeros(components), direct, np.zeros((2, components)))
     now = np.zeros(ADJOINT_COLUMNS)
     kind = Kind(False, plan.polarized, 0.0, 0.0)
     for g in range(weight.shape[0]):

@@ -1,4 +1,4 @@
-"""Contributions of photon paths: the direct estimate, joined paths, their record."""
+"""Contributions of photon paths: direct estimate, joined paths, and their record."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ from amulor.transport._kernels.types import (
 def add_at(
     array: Array, part: int, scaled: float, component: int, light: float
 ) -> None:
-    """Split light among four nodes around a place, with the weights of a cubic."""
+    """Split light among four nodes around a position, with cubic weights."""
     node = max(int(scaled) - 1, 0)
     a = scaled - node
     b, c, d = a - 1.0, a - 2.0, a - 3.0
@@ -96,7 +96,7 @@ WATER, TARGET = range(2)
 
 @kernel
 def add_to(total: Array, kind: int, light: Array) -> None:
-    """Add light to the sum of its kind."""
+    """Add light to the sum of its kind, water or target."""
     for k in range(light.size):
         total[kind, k] += light[k]
 
@@ -105,7 +105,7 @@ def add_to(total: Array, kind: int, light: Array) -> None:
 def add_beyond(
     record: Record, part: int, low: float, high: float, light: Array
 ) -> None:
-    """Add light spread over path lengths that are beyond the last node, exactly."""
+    """Add light spread over path lengths beyond the last node, exactly."""
     beyond, wavenumber = record.beyond, record.wavenumber
     for f in range(wavenumber.size):
         q = wavenumber[f]
@@ -150,24 +150,24 @@ def add_range(record: Record, part: int, low: float, high: float, light: Array) 
 def transform(
     mass: Array, edge: Array, wavenumber: Complex, spacing: float, out: Complex
 ) -> None:
-    """Add to out the integral of the record times exp(wavenumber x path length)."""
+    """Add the Fourier integral of the record over path length to out."""
     parts, components, nodes = mass.shape
     last = np.zeros((parts, components), dtype=np.int64)
-    used = 0
+    filled = 0
     for p in range(parts):
         for k in range(components):
             for n in range(nodes):
                 if mass[p, k, n] != 0.0 or edge[p, k, n] != 0.0:
                     last[p, k] = n + 1
-            used = max(used, last[p, k])
-    point = np.empty(used, dtype=np.complex128)
-    ramp = np.empty(used, dtype=np.complex128)
+            filled = max(filled, last[p, k])
+    point = np.empty(filled, dtype=np.complex128)
+    ramp = np.empty(filled, dtype=np.complex128)
     for f in range(wavenumber.size):
         q = wavenumber[f]
         per_node = np.exp(q * spacing)
         inverse = 0.0j if q == 0.0 else 1.0 / q
         phasor = 1.0 + 0.0j
-        for n in range(used):
+        for n in range(filled):
             length = n * spacing
             if n % 32 == 0:  # so that errors of the products do not grow
                 phasor = np.exp(q * length)
@@ -188,7 +188,7 @@ def transform(
 
 @kernel
 def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
-    """Return radius and acceptance of a sharp receiver that stands for this one.
+    """Draw radius and acceptance of a sharp receiver in place of a Gaussian one.
 
     A Gaussian exp(-s^2 / w^2) is the mean of discs of radius w sqrt(-ln u) over u
     from 0 to 1; so a Gaussian receiver is a sharp one of random size.
@@ -202,7 +202,7 @@ def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
 
 @kernel
 def face_point(state: States, place: Vector, radius: float, slope: float) -> Vector:
-    """Draw a point of the face that sees a place, and return what it stands for.
+    """Draw a point of the face that sees a place, with the area that it represents.
 
     Returns its two coordinates and the area it stands for, 0 if it does not see the
     place.
@@ -222,7 +222,7 @@ def face_point(state: States, place: Vector, radius: float, slope: float) -> Vec
 
 @step
 def way_to(place: Vector, px: float, py: float) -> tuple[float, Vector]:
-    """Return distance and direction of the way from a place to a point of the face."""
+    """Return distance and direction from a place to a point of the face."""
     x, y, z = place
     distance = math.sqrt((px - x) ** 2 + (py - y) ** 2 + z * z)
     return distance, ((px - x) / distance, (py - y) / distance, -z / distance)
@@ -237,7 +237,7 @@ def direct_from_segments(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add the light scattered once more on each segment, straight to the receiver.
+    """Add the light of one more scattering on each segment, straight to the receiver.
 
     At z on a segment it is b p(theta) dz / |n_z| times the solid angle of the face,
     the transmission and the weight w_k.
@@ -246,7 +246,7 @@ def direct_from_segments(
     attenuation, albedo, value = water.attenuation, water.albedo, water.value
     mesh = scene.target.mesh
     has_mesh = mesh.box.shape[0] > 0
-    seen = arrival.seen
+    path_matrix = arrival.path_matrix
     scale = 1.0 / plan.paths
     total = arrival.total
     for i in range(forward.used[USED_SEGMENTS]):
@@ -285,10 +285,10 @@ def direct_from_segments(
             continue
         if has_mesh and blocked(place, (px, py, 0.0), -1.0, mesh):
             continue
-        own = abs(n[2] * m[2]) / kernel
+        inverse_density = abs(n[2] * m[2]) / kernel
         weight = 1.0 / (segment[i, ORDER] + 1.0)
         if plan.balanced:
-            weight = own / (segment[i, PARTITION] + own)
+            weight = inverse_density / (segment[i, PARTITION] + inverse_density)
         depth = transmission_depth(z, 0.0, distance, water.edge, attenuation)
         factor = (
             scale
@@ -302,8 +302,8 @@ def direct_from_segments(
             * math.exp(-depth)
         )
         if plan.polarized:
-            seen[0], seen[1], seen[2] = returning_frame(m)
-            connected(n, forward.light[i], m, seen, water.element, at, cell, out)
+            path_matrix[0], path_matrix[1], path_matrix[2] = returning_frame(m)
+            connected(n, forward.light[i], m, path_matrix, water.element, at, cell, out)
             for k in range(4):
                 out[k] *= factor
         else:
@@ -322,13 +322,13 @@ def direct_from_touches(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add the light that goes from each touch straight to the receiver.
+    """Add the light from each touch of the target straight to the receiver.
 
     It is (reflectance / pi) cos times the solid angle of the face and the
     transmission, the cosine that between the target's normal and the way.
     """
     touch, water, target = forward.touch, scene.water, scene.target
-    out, seen, mesh = arrival.light, arrival.seen, target.mesh
+    out, path_matrix, mesh = arrival.light, arrival.path_matrix, target.mesh
     has_mesh = mesh.box.shape[0] > 0
     scale = 1.0 / plan.paths
     total = arrival.total
@@ -366,10 +366,10 @@ def direct_from_touches(
         if plan.polarized:
             n = (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ])
             frame = returning_frame(m)
-            seen[0], seen[1], seen[2] = frame
+            path_matrix[0], path_matrix[1], path_matrix[2] = frame
             light = forward.touch_light[i]
             vector = reflected(n, light, target.mueller, target.right, m, frame)
-            received(seen, vector, out)
+            received(path_matrix, vector, out)
             for k in range(4):
                 out[k] *= factor
         else:
@@ -384,7 +384,7 @@ def direct_from_touches(
 def path_blocked(
     adjoint: Array, row: int, end: Vector, start: float, mesh: Mesh
 ) -> bool:
-    """Return whether the mesh is in the way of a shifted adjoint path.
+    """Return whether the mesh blocks a shifted adjoint path.
 
     end is the shift of the path over the face, and the depth z on its segment in row
     at which it ends; start is the number of the triangle that it ends on, or -1.
@@ -411,7 +411,7 @@ def path_blocked(
 def meeting_depths(
     forward: Array, i: int, adjoint: Array, j: int, target: Target
 ) -> tuple[float, float]:
-    """Return the depths z from which to which two segments can meet.
+    """Return the interval of depths z in which two segments can meet.
 
     At these both segments have a point, the shift rho(z) - rho'(z) is on the face of
     the receiver, and the shifted scatterings are in front of the target's plane. There
@@ -466,7 +466,7 @@ def join_segments(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join each forward with each adjoint segment, and add the light.
+    """Join each forward segment with each adjoint segment, and add the light.
 
     The light of a pair is Omega b p(theta) dz / |n_z n'_z| times its weight w_k. FACE
     of an adjoint segment is the radius R of the face, SCALE is Omega over the number
@@ -511,8 +511,8 @@ def join_segments(
                 if path_blocked(second, j, (px, py, z_low), -1.0, mesh):
                     continue
             if plan.polarized:
-                light, seen = forward.light[i], adjoint.light[j]
-                connected(n, light, m, seen, water.element, at, cell, out)
+                light, path_matrix = forward.light[i], adjoint.light[j]
+                connected(n, light, m, path_matrix, water.element, at, cell, out)
                 for k in range(4):
                     out[k] *= factor
             else:
@@ -520,9 +520,15 @@ def join_segments(
             add_to(total, WATER, out)
             start = first[i, LENGTH] + second[j, LENGTH]
             slope = first[i, PER_Z] + second[j, PER_Z]
-            one, other = start + slope * z_low, start + slope * z_high
+            near, far = start + slope * z_low, start + slope * z_high
             part = min(order, record.orders - 1)
-            add_range(record, part, min(one, other), max(one, other), out)
+            add_range(
+                record,
+                part,
+                min(near, far),
+                max(near, far),
+                out,
+            )
 
 
 @inner
@@ -579,11 +585,11 @@ def join_touches(
             )
             if plan.polarized:
                 n = (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ])
-                seen = adjoint.light[j]
-                frame = (seen[0], seen[1], seen[2])
+                path_matrix = adjoint.light[j]
+                frame = (path_matrix[0], path_matrix[1], path_matrix[2])
                 light = forward.touch_light[i]
                 vector = reflected(n, light, target.mueller, target.right, m, frame)
-                received(seen, vector, out)
+                received(path_matrix, vector, out)
                 for k in range(4):
                     out[k] *= factor
             else:

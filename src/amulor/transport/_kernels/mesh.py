@@ -1,4 +1,4 @@
-"""Hits of rays on triangles, the hierarchy of boxes about them, and directions."""
+"""Compiled hits of rays on triangles: box hierarchy, occlusion, directions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STEEP = 1e300  # stands for 1/0, so that 0 times it is not "not a number"
 
 @kernel
 def inverse(component: float) -> float:
-    """Return one over a component of a direction, finite for 0."""
+    """Return the reciprocal of a direction component, finite for 0."""
     if abs(component) * _STEEP > 1.0:
         return 1.0 / component
     return math.copysign(_STEEP, component)
@@ -39,7 +39,7 @@ def inverse(component: float) -> float:
 
 @kernel
 def triangle_at(place: Vector, way: Vector, triangle: Array, k: int) -> float:
-    """Return the distance at which a ray meets a triangle, NaN if it does not.
+    """Return the distance at which a ray meets a triangle, NaN for a miss.
 
     The determinant form of Möller and Trumbore, in lengths of way.
     """
@@ -66,7 +66,7 @@ def triangle_at(place: Vector, way: Vector, triangle: Array, k: int) -> float:
 def first_hit(
     place: Vector, way: Vector, limit: float, enough: float, start: float, mesh: Mesh
 ) -> tuple[float, float]:
-    """Return distance and number of the nearest triangle that a ray meets.
+    """Return distance and index of the nearest triangle on a ray.
 
     Distances are in lengths of way. limit bounds them, and is returned with a number
     of -1 if nothing is met. The search ends at any hit nearer than enough. start is
@@ -75,9 +75,9 @@ def first_hit(
     box, link, triangle = mesh.box, mesh.link, mesh.triangle
     x, y, z = place
     dx, dy, dz = way
-    own = int(start)
+    start_triangle = int(start)
     least = 0.0
-    if own >= 0:
+    if start_triangle >= 0:
         least = mesh.least / math.sqrt(dx * dx + dy * dy + dz * dz)
     ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
     best = limit
@@ -94,7 +94,7 @@ def first_hit(
             continue
         first = link[node, FIRST_TRIANGLE]
         for k in range(first, first + link[node, TRIANGLES]):
-            if k == own:
+            if k == start_triangle:
                 continue
             distance = triangle_at(place, way, triangle, k)
             if least < distance < best:
@@ -119,7 +119,7 @@ def facing_normal(number: float, way: Vector, mesh: Mesh) -> Vector:
 
 @kernel
 def blocked(place: Vector, end: Vector, start: float, mesh: Mesh) -> bool:
-    """Return whether a triangle lies between two points, the first one's left out."""
+    """Return whether a triangle lies between two points, the first one's excluded."""
     way = (end[0] - place[0], end[1] - place[1], end[2] - place[2])
     distance, _ = first_hit(place, way, 1.0, 1.0, start, mesh)
     return distance < 1.0
@@ -127,7 +127,7 @@ def blocked(place: Vector, end: Vector, start: float, mesh: Mesh) -> bool:
 
 @entry
 def first_triangles(start: Array, way: Array, mesh: Mesh, met: Integers) -> None:
-    """Fill the number of the nearest triangle that each ray meets, -1 for none."""
+    """Fill the index of the nearest triangle on each ray, -1 for none."""
     for i in range(start.shape[0]):
         place = (start[i, 0], start[i, 1], start[i, 2])
         ahead = (way[i, 0], way[i, 1], way[i, 2])
@@ -137,13 +137,17 @@ def first_triangles(start: Array, way: Array, mesh: Mesh, met: Integers) -> None
 
 @entry
 def free_ways(
-    start: Array, end: Array, own: Integers, mesh: Mesh, free: NDArray[np.bool_]
+    start: Array,
+    end: Array,
+    triangle: Integers,
+    mesh: Mesh,
+    free: NDArray[np.bool_],
 ) -> None:
-    """Fill whether nothing lies between points; own are the triangles at the first."""
+    """Fill whether lines between points are free, less triangles at their starts."""
     for i in range(start.shape[0]):
         place = (start[i, 0], start[i, 1], start[i, 2])
-        other = (end[i, 0], end[i, 1], end[i, 2])
-        free[i] = not blocked(place, other, float(own[i]), mesh)
+        stop = (end[i, 0], end[i, 1], end[i, 2])
+        free[i] = not blocked(place, stop, float(triangle[i]), mesh)
 
 
 #: Triangles in a box without boxes, at most.
@@ -152,7 +156,7 @@ LEAF = 4
 
 @kernel
 def widest(centre: Array, number: Integers, first: int, last: int) -> int:
-    """Return the axis along which the centres of some triangles spread the most."""
+    """Return the axis of largest spread of triangle centers."""
     axis = 0
     most = -1.0
     for k in range(3):
@@ -170,7 +174,7 @@ def widest(centre: Array, number: Integers, first: int, last: int) -> int:
 def part(
     centre: Array, number: Integers, axis: int, first: int, last: int, middle: int
 ) -> None:
-    """Order triangles so that none before the middle is beyond one after it.
+    """Partition triangles about a middle one along an axis.
 
     C. A. R. Hoare's Find, Commun. ACM 4, 321 (1961), doi:10.1145/366622.366647.
     """
@@ -195,7 +199,7 @@ def part(
 
 @allocating_entry
 def split(centre: Array, number: Integers, link: Integers, sibling: Integers) -> int:
-    """Order triangles into boxes, fill links and siblings, and return how many boxes.
+    """Build the box hierarchy; fill links and siblings, and return the number of boxes.
 
     Boxes come before what is in them. sibling of a box is the second one of the two
     in it.
@@ -204,10 +208,10 @@ def split(centre: Array, number: Integers, link: Integers, sibling: Integers) ->
     waiting = np.empty((128, 3), dtype=np.int64)
     parent = np.empty(len(sibling), dtype=np.int64)
     waiting[0] = 0, len(number), -1
-    count, left = 0, 1
-    while left > 0:
-        left -= 1
-        first, last, above = waiting[left]
+    count, pending = 0, 1
+    while pending > 0:
+        pending -= 1
+        first, last, above = waiting[pending]
         parent[count] = above
         link[count, FIRST_TRIANGLE] = first
         link[count, TRIANGLES] = 0
@@ -220,9 +224,9 @@ def split(centre: Array, number: Integers, link: Integers, sibling: Integers) ->
             middle = first + (last - first) // 2
             axis = widest(centre, number, first, last)
             part(centre, number, axis, first, last, middle)
-            waiting[left] = middle, last, count
-            waiting[left + 1] = first, middle, count
-            left += 2
+            waiting[pending] = middle, last, count
+            waiting[pending + 1] = first, middle, count
+            pending += 2
         count += 1
     link[0, ESCAPE] = count
     for k in range(1, count):
@@ -240,7 +244,7 @@ def enclose(
     sibling: Integers,
     box: Array,
 ) -> None:
-    """Fill the corners of boxes from those of triangles, a gap around them."""
+    """Fill the corners of boxes from those of triangles, with a gap around them."""
     for k in range(len(box) - 1, -1, -1):
         for axis in range(3):
             if sibling[k] < 0:
@@ -250,16 +254,16 @@ def enclose(
                     lower, upper = min(lower, low[i, axis]), max(upper, high[i, axis])
                 box[k, axis], box[k, 3 + axis] = lower - gap, upper + gap
             else:
-                one, two = k + 1, sibling[k]
-                box[k, axis] = min(box[one, axis], box[two, axis])
-                box[k, 3 + axis] = max(box[one, 3 + axis], box[two, 3 + axis])
+                first, second = k + 1, sibling[k]
+                box[k, axis] = min(box[first, axis], box[second, axis])
+                box[k, 3 + axis] = max(box[first, 3 + axis], box[second, 3 + axis])
 
 
 @kernel
 def transmission_depth(
     z_start: float, z_end: float, length: float, edge: Array, attenuation: Array
 ) -> float:
-    """Return the optical thickness of a straight way between two depths."""
+    """Return the optical thickness of a straight path between two depths."""
     low, high = min(z_start, z_end), max(z_start, z_end)
     if high - low < 1e-9 * length or attenuation.size == 1:
         for k in range(attenuation.size):
@@ -284,7 +288,7 @@ def cone_window(
     z_low: float,
     z_high: float,
 ) -> tuple[float, float]:
-    """Return the part of a line that lies in a cone which widens with z from z = 0.
+    """Return the part of a line within a cone that widens with z from z = 0.
 
     The line is (x + slope_x z, y + slope_y z), the cone has the radius radius +
     slope z. The part is empty if the second number is not above the first.

@@ -1,4 +1,4 @@
-"""Stokes vectors along a path in compiled loops: frames, rotations, scattering.
+"""Compiled Stokes vectors along a path: frames, rotations, scattering.
 
 The frame of light that travels along n is a parallel axis e, perpendicular to n; the
 perpendicular axis is n x e. A scattering matrix enters as its elements m12, m22, m33,
@@ -21,7 +21,7 @@ ADJOINT_COLUMNS = 19
 
 @kernel
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return the product of two vectors that is perpendicular to both."""
+    """Return the cross product of two vectors."""
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -42,7 +42,7 @@ def turned_frame(turn: Turn, n: Vector, e: Vector) -> Vector:
 
 @kernel
 def any_frame(n: Vector) -> Vector:
-    """Return some unit vector perpendicular to n."""
+    """Return a unit vector perpendicular to n."""
     sign = 1.0 if n[2] >= 0 else -1.0
     factor = -1.0 / (sign + n[2])
     return 1.0 + sign * n[0] * n[0] * factor, sign * n[0] * n[1] * factor, -sign * n[0]
@@ -50,7 +50,7 @@ def any_frame(n: Vector) -> Vector:
 
 @kernel
 def projected_frame(n: Vector, right: Vector) -> Vector:
-    """Return the part of an axis perpendicular to n, made a unit vector."""
+    """Return the normalized projection of an axis on the plane perpendicular to n."""
     c = cross(right, n)
     across = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
     if across < 1e-24:  # along that axis, where it has no part to the side
@@ -62,7 +62,7 @@ def projected_frame(n: Vector, right: Vector) -> Vector:
 
 @kernel
 def returning_frame(m: Vector) -> Vector:
-    """Return (1, 0, 0), turned the short way with the direction (0, 0, -1) to m."""
+    """Return the parallel axis (1, 0, 0), turned with the direction (0, 0, -1) to m."""
     # Rotation that takes a = (0, 0, -1) to m: e - (e.m) (a + m) / (1 + a.m), as e.a=0.
     factor = m[0] / max(1.0 - m[2], 1e-300)
     return 1.0 - factor * m[0], -factor * m[1], -factor * (m[2] - 1.0)
@@ -110,7 +110,7 @@ def scattered(
 
 @kernel
 def see_through(row: Array, turn: Turn, element: Array, table: int, cell: int) -> None:
-    """Change the Mueller matrix A in row[3:] to that after one more scattering.
+    """Update the Mueller matrix A in row[3:] by one more scattering.
 
     The light is scattered first and its frame then turned back, so the matrix is
     multiplied from the right: A L(-azimuth) M.
@@ -129,12 +129,12 @@ def see_through(row: Array, turn: Turn, element: Array, table: int, cell: int) -
 
 
 @kernel
-def between_frames(n: Vector, e: Vector, other: Vector) -> Turn:
-    """Return the turn from one parallel axis to another of direction n."""
+def between_frames(n: Vector, e: Vector, axis: Vector) -> Turn:
+    """Return the rotation from one parallel axis to another of direction n."""
     p = cross(n, e)
     return (
-        e[0] * other[0] + e[1] * other[1] + e[2] * other[2],
-        p[0] * other[0] + p[1] * other[1] + p[2] * other[2],
+        e[0] * axis[0] + e[1] * axis[1] + e[2] * axis[2],
+        p[0] * axis[0] + p[1] * axis[1] + p[2] * axis[2],
     )
 
 
@@ -151,15 +151,15 @@ def connected(
     n: Vector,
     light: Array,
     m: Vector,
-    seen: Array,
+    path_matrix: Array,
     element: Array,
     table: int,
     cell: int,
     out: Array,
 ) -> None:
-    """Fill out with the Stokes vector that arrives by a scattering from n to m.
+    """Fill out with the Stokes vector received after a scattering from n to m.
 
-    light holds frame and Stokes vector of the light along n, seen holds frame and
+    light holds frame and Stokes vector of the light along n, path_matrix frame and
     Mueller matrix from the light along m to the receiver.
     """
     e = (light[0], light[1], light[2])
@@ -174,27 +174,27 @@ def connected(
     turn = between_frames(n, e, (ax, ay, az))
     vector = (light[3], light[4], light[5], light[6])
     i, q, u, v = scattered(vector, turn, element, table, cell)
-    # The parallel axis after the scattering, and from there to the frame of seen.
+    # The parallel axis after the scattering, and from there to that of path_matrix.
     f = (
         cosine * ax - norm * n[0],
         cosine * ay - norm * n[1],
         cosine * az - norm * n[2],
     )
-    turn = between_frames(m, f, (seen[0], seen[1], seen[2]))
+    turn = between_frames(m, f, (path_matrix[0], path_matrix[1], path_matrix[2]))
     q, u = turned_stokes(q, u, turn)
-    received(seen, (i, q, u, v), out)
+    received(path_matrix, (i, q, u, v), out)
 
 
 @kernel
-def received(seen: Array, stokes: Stokes, out: Array) -> None:
-    """Fill out with the product of the matrix in seen and a Stokes vector."""
+def received(path_matrix: Array, stokes: Stokes, out: Array) -> None:
+    """Fill out with the product of a path's Mueller matrix and a Stokes vector."""
     for k in range(4):
         at = 3 + 4 * k
         out[k] = (
-            seen[at] * stokes[0]
-            + seen[at + 1] * stokes[1]
-            + seen[at + 2] * stokes[2]
-            + seen[at + 3] * stokes[3]
+            path_matrix[at] * stokes[0]
+            + path_matrix[at + 1] * stokes[1]
+            + path_matrix[at + 2] * stokes[2]
+            + path_matrix[at + 3] * stokes[3]
         )
 
 

@@ -1,4 +1,4 @@
-"""Random numbers and scattering angles of the compiled loops of photon transport."""
+"""Compiled random numbers and scattering angles of photon transport."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PER_UNIT = 2.0**-53
 
 @kernel
 def next_integer(state: States) -> Any:
-    """Return 64 random bits, and move the state of four such words on."""
+    """Return 64 random bits, and advance the generator of four such words."""
     total = state[0] + state[3]
     value = ((total << np.uint64(23)) | (total >> np.uint64(41))) + state[0]
     shifted = state[1] << np.uint64(17)
@@ -29,19 +29,19 @@ def next_integer(state: States) -> Any:
 
 @kernel
 def uniform(state: States) -> float:
-    """Return a number from 0 to 1, 1 left out."""
+    """Return a uniform number from 0 to 1, 1 excluded."""
     return float(next_integer(state) >> np.uint64(11)) * _PER_UNIT
 
 
 @kernel
 def exponential(state: States) -> float:
-    """Return a number above or at 0, distributed as exp(-x)."""
+    """Return an exponentially distributed number."""
     return -math.log(1.0 - uniform(state))
 
 
 @kernel
 def fill_uniform(state: States, out: Array) -> None:
-    """Fill out with numbers from 0 to 1."""
+    """Fill out with uniform numbers from 0 to 1."""
     for k in range(out.size):
         out[k] = uniform(state)
 
@@ -61,17 +61,17 @@ _BACKWARD_OFFSET = (1023 - BACKWARD_OCTAVES - 1) * PER_OCTAVE - 1
 
 @kernel
 def cell_of(height: float) -> Any:
-    """Return the cell in which a height from 0 to 1 lies."""
+    """Return the cell of a height from 0 to 1."""
     if height < 0.5:
         if height < _FORWARD_LOW:
             return 0
         return (np.float64(height).view(np.int64) >> _BITS) - _FORWARD_OFFSET
-    rest = 1.0 - height
-    if rest < _BACKWARD_LOW:
+    above = 1.0 - height
+    if above < _BACKWARD_LOW:
         return SIZE - 1
-    if rest >= 0.5:  # a height of just 1/2
+    if above >= 0.5:  # a height of just 1/2
         return PER_OCTAVE * FORWARD_OCTAVES + 1
-    return SIZE - 1 - ((np.float64(rest).view(np.int64) >> _BITS) - _BACKWARD_OFFSET)
+    return SIZE - 1 - ((np.float64(above).view(np.int64) >> _BITS) - _BACKWARD_OFFSET)
 
 
 @kernel
@@ -89,13 +89,13 @@ def draw_height(state: States, urn: Array, table: int) -> tuple[float, int]:
 
 @kernel
 def height_between(cosine: float) -> float:
-    """Return the height of the angle that has a cosine, within 0 to 1."""
+    """Return the height of a cosine, within 0 to 1."""
     return min(max(0.5 * (1.0 - cosine), 0.0), 1.0)
 
 
 @kernel
 def disc_point(state: States, radius: float) -> tuple[float, float]:
-    """Return a point drawn evenly from a disc around the origin."""
+    """Draw a point evenly from a disc around the origin."""
     distance = radius * math.sqrt(uniform(state))
     angle = 2.0 * math.pi * uniform(state)
     return distance * math.cos(angle), distance * math.sin(angle)

@@ -1,4 +1,4 @@
-"""Photons through a slab in a compiled loop: chance exits, and fixed directions.
+"""Compiled photons through a slab: random exits, and fixed directions.
 
 The slab is the same all over its planes, so only the depth of a photon is known.
 Theory: docs/theory/photon-transport.md, "What it is checked against". Compiled, as the
@@ -47,23 +47,23 @@ REFLECTED, TRANSMITTED, FIRST_DIRECTION = 0, 1, 2
 
 
 class Light(NamedTuple):
-    """Light that falls on a slab, and where its radiant intensity is asked for."""
+    """Light incident on a slab, and directions of its radiant intensity."""
 
     incidence: Array
-    """Unit vector along it."""
+    """Unit vector along the incident light."""
     stokes: Array
-    """Its Stokes vector."""
+    """Stokes vector of the incident light."""
     polarized: bool
-    """Whether that is carried along."""
+    """Whether Stokes vectors are carried."""
     outward: Array
-    """Directions asked for and their parallel axes, shape (m, 6)."""
+    """Fixed directions and their parallel axes, shape (m, 6)."""
 
 
 @kernel
 def way_out(
     z: float, mz: float, edge: Array, attenuation: Array
 ) -> tuple[float, float]:
-    """Return optical thickness and length of the straight way out of the slab."""
+    """Return optical thickness and length of the straight path out of the slab."""
     depth, length = 0.0, 0.0
     for k in range(attenuation.size):
         low, high = edge[k], edge[k + 1]
@@ -79,7 +79,7 @@ def way_out(
 
 @kernel
 def meridian(n: Vector) -> Vector:
-    """Return the parallel axis in the plane of n and z, which points to larger angles.
+    """Return the parallel axis in the plane of n and z, towards larger angles.
 
     The angle is counted from +z. Along z it is taken at an azimuth of zero.
     """
@@ -145,28 +145,28 @@ def add_directions(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add what the next scattering sends into each fixed direction.
+    """Add the light of the next scattering into each fixed direction.
 
     A local estimate: p(theta) times exp(-tau) on the straight way out. The collision
     is given by its depth, layer and path length.
     """
     z, layer, length = collision
-    outward, out, seen = light.outward, arrival.light, arrival.seen
+    outward, out, path_matrix = light.outward, arrival.light, arrival.path_matrix
     at = water.table[layer]
     for k in range(outward.shape[0]):
         m = (outward[k, 0], outward[k, 1], outward[k, 2])
         cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
         cell = cell_of(height_between(cosine))
-        depth, rest = way_out(z, m[2], water.edge, water.attenuation)
+        depth, remaining = way_out(z, m[2], water.edge, water.attenuation)
         factor = water.value[at, cell] * math.exp(-depth)
         out[0] = factor
         if light.polarized:
             for i in range(3):
-                seen[i] = outward[k, 3 + i]
-            connected(n, now, m, seen, water.element, at, cell, out)
+                path_matrix[i] = outward[k, 3 + i]
+            connected(n, now, m, path_matrix, water.element, at, cell, out)
             for i in range(4):
                 out[i] *= factor
-        add_point(record, FIRST_DIRECTION + k, length + rest, out)
+        add_point(record, FIRST_DIRECTION + k, length + remaining, out)
 
 
 @step
@@ -232,7 +232,7 @@ def follow_photons(
     arrival: Arrival,
     now: Array,
 ) -> None:
-    """Follow photons that fall in, one by one; now is room for the light of one."""
+    """Follow incident photons one by one; now holds the light of one."""
     n = (light.incidence[0], light.incidence[1], light.incidence[2])
     axis = projected_frame(n, (1.0, 0.0, 0.0))
     for _ in range(histories):
@@ -246,11 +246,11 @@ def follow_photons(
 def run_slab(
     state: States, histories: int, light: Light, water: Water, record: Record
 ) -> None:
-    """Add histories to the record."""
-    seen = np.zeros(19)
+    """Run histories, and add them to the record."""
+    path_matrix = np.zeros(19)
     for k in range(4):
-        seen[3 + 5 * k] = 1.0
+        path_matrix[3 + 5 * k] = 1.0
     components = 4 if light.polarized else 1
-    arrival = Arrival(np.zeros(components), seen, np.zeros((2, components)))
+    arrival = Arrival(np.zeros(components), path_matrix, np.zeros((2, components)))
     now = np.zeros(7)
     follow_photons(state, histories, light, water, record, arrival, now)

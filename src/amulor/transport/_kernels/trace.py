@@ -1,4 +1,4 @@
-"""Paths of photons in compiled loops: straight segments between scatterings.
+"""Compiled photon paths: straight segments between scatterings.
 
 A path is traced forward from the source, or against the light from the receiver (an
 adjoint path). The axis z is that of the receiver, which looks along +z from z = 0.
@@ -73,7 +73,7 @@ def has_room(paths: Paths, water: Water) -> bool:
 
 @allocating
 def more_rows(array: Array, layers: int) -> Array:
-    """Return an array with the same rows, and room for some more flights."""
+    """Copy an array into a longer one, with room for further flights."""
     rows = array.shape[0]
     longer = np.empty((2 * (rows + layers), array.shape[1]))
     for row in range(rows):
@@ -84,7 +84,7 @@ def more_rows(array: Array, layers: int) -> Array:
 
 @allocating
 def longer(paths: Paths, layers: int, polarized: bool) -> Paths:
-    """Return the same paths in longer arrays; those of no light stay as they are."""
+    """Copy paths into longer arrays; those of no light stay as they are."""
     light, touch_light = paths.light, paths.touch_light
     if polarized:
         light, touch_light = more_rows(light, layers), more_rows(touch_light, layers)
@@ -99,7 +99,7 @@ def longer(paths: Paths, layers: int, polarized: bool) -> Paths:
 
 @kernel
 def layer_of(z: float, edge: Array) -> int:
-    """Return the layer in which z lies; -1 or the number of layers outside."""
+    """Return the layer at z; -1 or the number of layers outside."""
     k = 0
     while k < edge.size and z >= edge[k]:
         k += 1
@@ -162,7 +162,7 @@ def fly(
     nx, ny, nz = ray.direction
     layer, length = past.layer, past.length
     row = paths.used[USED_SEGMENTS]
-    kept = past.touches == 0.0 and abs(nz) > _LEVEL
+    joinable = past.touches == 0.0 and abs(nz) > _LEVEL
     end = FLYING
     while end == FLYING:
         if layer < 0 or layer >= attenuation.size:
@@ -185,7 +185,7 @@ def fly(
         next_z = z + nz * step
         if end == FLYING:
             next_z = edge[layer + 1] if nz > 0 else edge[layer]
-        if kept:
+        if joinable:
             slope_x, slope_y, per_z = nx / nz, ny / nz, 1.0 / nz
             segment[row, Z_LOW], segment[row, Z_HIGH] = min(z, next_z), max(z, next_z)
             segment[row, SLOPE_X], segment[row, SLOPE_Y] = slope_x, slope_y
@@ -223,7 +223,7 @@ def touch_target(
     paths: Paths,
     now: Array,
 ) -> None:
-    """Add a touch of the target by the path that has come to its place."""
+    """Add a touch of the target by a path."""
     touch, touch_light = paths.touch, paths.touch_light
     row = paths.used[USED_TOUCHES]
     touch[row, TOUCH_X], touch[row, TOUCH_Y], touch[row, TOUCH_Z] = ray.place
@@ -241,7 +241,7 @@ def touch_target(
 def reflect(
     state: States, ray: Ray, normal: Vector, target: Target, kind: Kind, now: Array
 ) -> Ray:
-    """Return the ray after a reflection by Lambert's law, cos / pi per solid angle.
+    """Reflect a ray by Lambert's law, cos / pi per solid angle.
 
     The frame and Stokes vector in now become those of the light that goes on, by the
     Mueller matrix of the target.
@@ -271,7 +271,7 @@ def reflect(
 def scatter(
     state: States, ray: Ray, layer: int, kind: Kind, water: Water, now: Array
 ) -> tuple[Ray, float]:
-    """Return the ray after a scattering, and what that adds to the partition.
+    """Scatter a ray; return it with its term of the partition.
 
     The angle is drawn from the phase function p, and |n_z m_z| / (b p) is added, the
     denominator of the weight w_k. The frame in now and the Stokes vector, or the
@@ -312,7 +312,7 @@ def trace(
     paths: Paths,
     now: Array,
 ) -> tuple[bool, Walk]:
-    """Add flights and touches of a path until it ends, or there is no room for more.
+    """Add flights and touches of a path until it ends, or the arrays are full.
 
     Returns whether it has ended, and where it is. now holds frame and Stokes vector,
     or Mueller matrix, of its light. Adjoint paths go through the target; what of them
@@ -370,7 +370,7 @@ def follow(
     paths: Paths,
     now: Array,
 ) -> Paths:
-    """Add the segments and touches of one path, and return the paths.
+    """Trace a path in arrays long enough for it; return the paths.
 
     thickness is the optical one of the first flight; now holds the light at its start.
     """

@@ -14,7 +14,7 @@ Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
 class Compiler(Protocol):
-    """A decorator that leaves the types of a loop as they are."""
+    """Decorator that leaves the types of a loop unchanged."""
 
     def __call__(self, loop: Loop, /) -> Loop:
         """Return the compiled loop."""
@@ -63,7 +63,7 @@ Turn: TypeAlias = tuple[float, float]
 
 
 class Water(NamedTuple):
-    """Layers of water across z, and the scattering angles of each."""
+    """Layers of water across z, and their scattering angles."""
 
     edge: Array
     """Planes between the layers and at both ends, z rising, shape (layers + 1,) [m]."""
@@ -72,22 +72,23 @@ class Water(NamedTuple):
     albedo: Array
     """b / c of each layer [1]."""
     table: Integers
-    """Number of the table of angles of each layer."""
+    """Index of the angle table of each layer."""
     urn: Array
-    """What angles are drawn from, shape (tables, cells, 8)."""
+    """Alias tables of the scattering angles, shape (tables, cells, 8)."""
     value: Array
     """Phase function p in each cell of the angle, shape (tables, cells) [1/sr]."""
     element: Array
-    """m12, m22, m33, m34 and m44 in each cell, shape (tables, cells, 5) [1]."""
+    """Elements m12, m22, m33, m34 and m44 in each cell, shape (tables, cells, 5) [1].
+    """
 
 
 class Mesh(NamedTuple):
-    """Triangles in a hierarchy of boxes; without boxes if there is no mesh."""
+    """Triangles in a hierarchy of boxes; no boxes without a mesh."""
 
     box: Array
     """Lower and upper corner of each box, shape (boxes, 6) [m]."""
     link: Integers
-    """Of each box: the one that follows a miss, first triangle, number of triangles."""
+    """For each box: next box after a miss, first triangle, number of triangles."""
     triangle: Array
     """Corner, two edges and unit normal of each triangle, shape (triangles, 12) [m]."""
     least: float
@@ -98,40 +99,40 @@ class Target(NamedTuple):
     """Surface that reflects by Lambert's law: a plane, a mesh, or none."""
 
     has_plane: bool
-    """Whether it is a plane."""
+    """Whether the target is a plane."""
     normal: Array
     """Unit normal of the plane on its lit side."""
     height: float
-    """Place of the plane along its normal [m]."""
+    """Position of the plane along its normal [m]."""
     reflectance: float
-    """Fraction of the light that it reflects [1]."""
+    """Reflectance [1]."""
     mueller: Array
     """Mueller matrix over its first element."""
     right: Vector
-    """The scene's axis to the right, which that is counted from."""
+    """Scene axis to the right, which the matrix refers to."""
     mesh: Mesh
-    """Its triangles."""
+    """Triangles of the mesh."""
 
 
 class Beam(NamedTuple):
-    """What launches the light."""
+    """Source of the light."""
 
     centre: Array
-    """Where it starts [m]."""
+    """Start of the beam [m]."""
     axis: Array
-    """Unit vector along it."""
+    """Unit vector along the beam."""
     across: Array
-    """Parallel axis of its light, a unit vector perpendicular to it."""
+    """Parallel axis of the light, a unit vector perpendicular to the beam."""
     radius: float
-    """Where its irradiance falls to 1/e; 0 for a pencil [m]."""
+    """Radius at which the irradiance falls to 1/e; 0 for a pencil [m]."""
     divergence: float
     """Angle at which its radiant intensity falls to 1/e [rad]."""
     stokes: Array
-    """Stokes vector of its light."""
+    """Stokes vector of the light."""
 
 
 class Face(NamedTuple):
-    """What receives the light: around the origin, looking along +z."""
+    """Receiver around the origin, which looks along +z."""
 
     radius: float
     """R [m]."""
@@ -142,7 +143,7 @@ class Face(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """All that the light meets, in the axes of the receiver."""
+    """Water, target and receiver, in the axes of the receiver."""
 
     beam: Beam
     face: Face
@@ -151,29 +152,30 @@ class Scene(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """How paths are drawn and joined."""
+    """Options of drawing and joining paths."""
 
     paths: int
     """Forward paths in a group."""
     partners: int
-    """Adjoint paths that each of them is joined with."""
+    """Adjoint paths joined with each of them."""
     stratified: bool
     """Whether first flights and directions of a group are spread evenly."""
     balanced: bool
     """Whether pairs are weighted by the balance heuristic."""
     direct: bool
-    """Whether the last way to the receiver is a local estimate."""
+    """Whether the last path to the receiver is a local estimate."""
     polarized: bool
     """Whether Stokes vectors are carried."""
 
 
 class Record(NamedTuple):
-    """Received light by part and length of its path."""
+    """Received light by part and path length."""
 
     mass: Array
-    """Light of one path length, split among nodes, (parts, components, nodes) [1]."""
+    """Light of single path lengths, split among nodes, (parts, components, nodes) [1].
+    """
     edge: Array
-    """Steps of the light per path length, split alike [1/m]."""
+    """Steps of the light per path length, split likewise [1/m]."""
     beyond: Complex
     """Light of longer paths, shape (parts, components, frequencies) [1]."""
     wavenumber: Complex
@@ -181,63 +183,63 @@ class Record(NamedTuple):
     spacing: float
     """Path length between nodes [m]."""
     orders: int
-    """Parts that hold orders of scattering; those of the target follow."""
+    """Number of parts for orders of scattering; those of the target follow."""
 
 
 class Ray(NamedTuple):
-    """A place on a path, and where it goes on from there."""
+    """Position and direction of a path."""
 
     place: Vector
-    """x, y and z [m]."""
+    """Coordinates x, y and z [m]."""
     direction: Vector
     """Unit vector n along the path."""
     axis: Vector
-    """Unit vector across it: parallel axis of the light, if that is carried."""
+    """Unit vector across the path: parallel axis of polarized light."""
 
 
 class Past(NamedTuple):
-    """What lies behind a path at its last corner."""
+    """History of a path up to its last corner."""
 
     first: int
-    """Row of its first segment."""
+    """Row of the first segment."""
     layer: int
-    """Layer in which the corner lies."""
+    """Layer of the corner."""
     length: float
-    """L [m]."""
+    """Path length L [m]."""
     partition: float
     """Sum over its scatterings of 1 / w, the balance heuristic's denominator [m sr]."""
     front: float
-    """Least height of its scatterings over the target's plane, adjoint paths [m]."""
+    """Least height of the scatterings over the target's plane, adjoint paths [m]."""
     order: float
-    """Number of its scatterings."""
+    """Number of scatterings."""
     touches: float
-    """Number of its reflections."""
+    """Number of reflections."""
 
 
 class Walk(NamedTuple):
-    """A path under way."""
+    """State of a path that is traced."""
 
     ray: Ray
-    """Its last corner, and where it goes on."""
+    """Ray from the last corner."""
     past: Past
-    """What lies behind that."""
+    """History up to that corner."""
     thickness: float
-    """Optical thickness tau of the flight to come [1]."""
+    """Optical thickness tau of the next flight [1]."""
     triangle: float
-    """Number of the triangle on which the ray starts, or -1."""
+    """Index of the triangle on which the ray starts, or -1."""
 
 
 class Kind(NamedTuple):
-    """What kind of path is traced."""
+    """Kind of a traced path."""
 
     adjoint: bool
-    """Whether it starts at the receiver and runs against the light."""
+    """Whether the path starts at the receiver and runs against the light."""
     polarized: bool
     """Whether it carries a Stokes vector, or an adjoint path a Mueller matrix."""
     face: float
-    """Radius of the face that an adjoint path starts on [m]."""
+    """Radius of the face on which an adjoint path starts [m]."""
     scale: float
-    """What a pair with this adjoint path counts [sr]."""
+    """Factor of a pair with this adjoint path [sr]."""
 
 
 class Paths(NamedTuple):
@@ -256,11 +258,11 @@ class Paths(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """Room for what arrives at the receiver, so that no loop allocates."""
+    """Work arrays for light at the receiver, so that no loop allocates."""
 
     light: Array
     """Stokes vector, or intensity."""
-    seen: Array
-    """Frame of light that arrives, and the matrix of nothing in its way."""
+    path_matrix: Array
+    """Frame and identity matrix of light that arrives unchanged."""
     total: Array
-    """Sum of what has arrived of a group, from water and target, (2, components)."""
+    """Sum of the light of a group, from water and target, (2, components)."""
