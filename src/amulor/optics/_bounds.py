@@ -1,4 +1,4 @@
-"""What NaN, infinity, sign and shape of an argument do, decided once for all of optics.
+"""Range checks of arguments: NaN, infinity, sign and shape.
 
 Each function returns its argument as an array of float64 or raises the one
 `ValueError` of this file, "absorption must be finite and not negative [1/m], got nan at
@@ -46,7 +46,7 @@ def require(
     unit: str = "",
     hint: str = "",
 ) -> None:
-    """Raise the error of all checks unless every element is allowed.
+    """Raise a ValueError unless every element is allowed.
 
     Examples
     --------
@@ -239,7 +239,7 @@ def checked_split_angle(value: ArrayLike, *, above: float = 0.0) -> Array:
 
 
 def broadcast(**arguments: ArrayLike) -> tuple[int, ...]:
-    """Return the shape to which arguments broadcast.
+    """Return the shape of broadcast arguments.
 
     Examples
     --------
@@ -276,7 +276,7 @@ def one_axis(least: int, **columns: ArrayLike) -> None:
 def last_axes(
     value: ArrayLike, shape: tuple[int, ...], *, name: str, meaning: str = ""
 ) -> Array:
-    """Return an array whose last axes have a shape.
+    """Return an array whose last axes have a given shape.
 
     Examples
     --------
@@ -285,8 +285,10 @@ def last_axes(
     """
     array = np.asarray(value, dtype=np.float64)
     if array.shape[-len(shape) :] != shape:
-        what = f" {meaning}" if meaning else ""
-        raise ValueError(f"{name} must have last axes {shape}{what}, got {array.shape}")
+        detail = f" {meaning}" if meaning else ""
+        raise ValueError(
+            f"{name} must have last axes {shape}{detail}, got {array.shape}"
+        )
     return array
 
 
@@ -307,5 +309,5 @@ def _checked(
 
 
 def _text(number: float) -> str:
-    """Return a number as a message writes it."""
+    """Format a number for a message."""
     return {np.pi: "pi", -np.pi: "-pi"}.get(number, f"{number:g}")

@@ -1,4 +1,4 @@
-"""Emitter, receiver and media of many beams: from optical paths to slant ranges."""
+"""Geometry of many beams: from two-way optical paths to slant ranges."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _DIFFERENCE = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """Beams as they leave the emitter, receivers, and what the light crosses."""
+    """Beams, receivers, and the media between them."""
 
     azimuth: Floats
     """Directions of the beams before the water [rad]."""
     elevation: Floats
-    """Likewise [rad]."""
+    """Elevations of the beams before the water [rad]."""
     emitter: Floats
     """Starts of the beams, last axis (3,) [m]."""
     receiver: Floats
-    """Where their light is collected, last axis (3,) [m]."""
+    """Positions of the receivers, last axis (3,) [m]."""
     medium: rays.Medium
-    """Indices and window."""
+    """Refractive indices and window."""
 
     @cached_property
     def beam(self) -> rays.Beam:
-        """Beams as they travel in the water."""
+        """Beams in the water."""
         return rays.enter_water(
             self.emitter,
             rays.direction(self.azimuth, self.elevation),
@@ -47,7 +47,7 @@ class Geometry:
     def path_limits(
         self, interval: tuple[float, float] | None, frequency: Floats
     ) -> tuple[Floats, Floats]:
-        """Shortest and longest optical path that an interval of ranges allows [m]."""
+        """Shortest and longest optical path within an interval of ranges [m]."""
         return rays.path_limits(
             interval,
             self.beam,
@@ -63,7 +63,7 @@ class Geometry:
         )
 
     def slant_range(self, path: Floats) -> Floats:
-        """Slant ranges of optical paths, not a number where there is none [m]."""
+        """Slant ranges of optical paths, NaN where there is none [m]."""
         return rays.slant_range_of_path(
             path, self.beam, self.receiver, medium=self.medium
         )
@@ -75,7 +75,7 @@ class Geometry:
         return slant_range, (farther - slant_range) / _DIFFERENCE
 
     def error_by_index(self, path: Floats, uncertainty: float) -> Floats:
-        """Error of the range by that of the group index of the water [m]."""
+        """Range error by the uncertainty of the water's group index [m]."""
         step = max(uncertainty, 1e-6)
         ends = [
             rays.slant_range_of_path(
@@ -93,7 +93,7 @@ class Geometry:
     def error_by_place(
         self, path: Floats, place: float, turn: float, *, axes: int = 3
     ) -> Floats:
-        """Error of the range by receiver's place [m] and beams' direction [rad]."""
+        """Range error by receiver position [m] and beam direction [rad]."""
         total = np.zeros(path.shape)
         if place > 0:
             for axis in np.eye(3)[:axes]:

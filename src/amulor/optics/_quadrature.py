@@ -48,16 +48,16 @@ _COSINE = tuple((-1.0) ** i / math.factorial(2 * i) for i in range(12))
 
 
 class Panel(NamedTuple):
-    """A piece of the depth, and what is integrated at its nodes."""
+    """Panel of the depth, with the integrand at its nodes."""
 
     half: float
-    """Half its width [m]."""
+    """Half width [m]."""
     centre: float
-    """Depth of its middle [m]."""
+    """Depth of the center [m]."""
     even: Array
-    """Sums of the values at the same distance right and left of the centre."""
+    """Sums of the values at equal distances right and left of the center."""
     odd: Array
-    """Their differences, right less left."""
+    """Differences of these values, right less left."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -147,7 +147,7 @@ def _add_fast(
 
 @numba.njit(cache=True, error_model="numpy")
 def _turns(phase_per_depth: Array, distance: float, out: Array) -> None:
-    """Fill out with phases over a distance, less whole turns if they are many."""
+    """Fill out with phases over a distance, less whole turns for large ones."""
     for f in range(phase_per_depth.size):
         out[f] = phase_per_depth[f] * distance
     if phase_per_depth.size > 0 and out[phase_per_depth.size - 1] > _FAR:
@@ -259,7 +259,7 @@ def bessel_nodes() -> Array:
 
 
 def _rule() -> NDArray[np.float64]:
-    """Return the tables that turn values at the nodes of a panel into its terms.
+    """Return the tables from values at the nodes of a panel to its terms.
 
     [0] and [1] give the factors of the spherical Bessel functions of even and odd
     order in the moment of exp(i k s), [2] and [3] those of the Chebyshev

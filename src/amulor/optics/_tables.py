@@ -1,4 +1,4 @@
-"""Reads the published tables that come with this package, each once."""
+"""Published tables of the package, each read once."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 @cache
 def numbers(name: str) -> NDArray[np.float64]:
-    """Return a table of numbers, not writable.
+    """Return a table of numbers, read-only.
 
     Examples
     --------
@@ -28,7 +28,7 @@ def numbers(name: str) -> NDArray[np.float64]:
 
 @cache
 def rows(name: str) -> tuple[dict[str, str], ...]:
-    """Return a table with a line of column names as texts.
+    """Return a table with a line of column names, as texts.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Water and receiver of the small-angle models, by name and within range."""
+"""Water and receiver arguments of the small-angle models, with range checks."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ _RULES: dict[str, tuple[_Check, str, float, float]] = {
 
 
 def checked(name: str, value: ArrayLike) -> Any:
-    """Return a scalar as a float, all else as an array of floats, if within range."""
+    """Return a scalar as a float, else an array of floats, within its range."""
     check, unit, above, most = _RULES[name]
     if type(value) is float and above < value <= most:
         return value
@@ -81,7 +81,7 @@ def checked(name: str, value: ArrayLike) -> Any:
 
 
 def refuse_behind_receiver(standoff: Any, depth: Any = None) -> None:
-    """Refuse a column that begins, or a surface that stands, behind the receiver."""
+    """Refuse a column or a surface behind the receiver."""
     if depth is None:
         path, name = standoff, "standoff"
     else:
@@ -93,7 +93,7 @@ def refuse_behind_receiver(standoff: Any, depth: Any = None) -> None:
 def phase_per_depth(
     modulation_frequency: ArrayLike, *, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return the phase that an echo gains with the depth it comes from [rad/m]."""
+    """Return the phase of an echo per depth [rad/m]."""
     frequency = checked("modulation_frequency", modulation_frequency)
     index = checked("group_index", group_index)
     if not isinstance(index, float):
@@ -103,7 +103,7 @@ def phase_per_depth(
 
 @dataclass(frozen=True, kw_only=True)
 class _Checked:
-    """Arguments of which each is looked at when they are put together."""
+    """Arguments that are checked on construction."""
 
     def __post_init__(self) -> None:
         values = self.__dict__  # as the class is frozen
@@ -117,7 +117,7 @@ class _Checked:
 
 @dataclass(frozen=True, kw_only=True)
 class Receiver(_Checked):
-    """The receiver and where the beam runs beside it; floats or arrays."""
+    """Receiver, and the beam relative to it; floats or arrays."""
 
     baseline: Any
     receiver_radius: Any

@@ -1,4 +1,4 @@
-"""Settles which ambiguity interval a phase lies in."""
+"""Resolution of the ambiguity interval of modulation phases."""
 
 from __future__ import annotations
 
@@ -61,17 +61,18 @@ class Path:
     wrong: Floats
     """Probability of another interval within the limits, for normal errors [1]."""
     residual: Floats
-    """Phases at all frequencies less those of the path, first axis the frequencies, as
-    optical paths; zero where one was left out [m]."""
+    """Residual of the phases as optical paths, first axis the frequencies; zero where
+    one was left out [m].
+    """
     strain: Floats
-    """Sum of their squares in units of their errors, doubts included [1]."""
+    """Sum of squared residuals in units of their errors, doubts included [1]."""
     left_out: NDArray[np.bool_]
     """Outliers among the frequencies, first axis the frequencies."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """Choices about the frequencies that all pixels of a scan share.
+    """Decisions about the frequencies that all pixels of a scan share.
 
     Examples
     --------
@@ -83,9 +84,9 @@ class Choices:
     order: tuple[int, ...]
     """Indices of the frequencies by their median error as a length, rising."""
     outliers_searched: bool = True
-    """Whether few enough pixels are unsettled to search them for outliers."""
+    """Whether few enough pixels are unsettled to search for outliers."""
     outliers_left_out: bool = True
-    """Whether each frequency is an outlier in few enough pixels to leave it out."""
+    """Whether each frequency is an outlier in few enough pixels to be left out."""
 
 
 def optical_path(
@@ -177,7 +178,7 @@ def fit(
     longest: Floats,
     doubt: Floats | float = 0.0,
 ) -> tuple[Path, Choices]:
-    """Return the optical path of the pixels, and the scan-wide choices behind it.
+    """Return the optical path of the pixels, and the decisions shared by the scan.
 
     Parameters
     ----------
@@ -225,7 +226,7 @@ def _solved(
     doubt: Floats | float,
     choices: Choices | None,
 ) -> tuple[Path, Choices]:
-    """Return path and choices, the latter from these pixels if there are none yet."""
+    """Return path and decisions, the latter from these pixels if not given."""
     if choices is None:
         order = _by_error(uncertainty, modulation_frequency)
     else:
@@ -270,14 +271,14 @@ def _solved(
 
 def _by_error(uncertainty: Floats, modulation_frequency: Floats) -> tuple[int, ...]:
     """Return the frequencies in the order of their error as a length."""
-    each = speed_of_light / modulation_frequency / (2 * np.pi)
-    sigma = np.maximum(uncertainty, _SMALLEST_PHASE_ERROR).reshape(len(each), -1)
-    return tuple(int(k) for k in np.argsort(np.nanmedian(sigma, axis=1) * each))
+    per_phase = speed_of_light / modulation_frequency / (2 * np.pi)
+    sigma = np.maximum(uncertainty, _SMALLEST_PHASE_ERROR).reshape(len(per_phase), -1)
+    return tuple(int(k) for k in np.argsort(np.nanmedian(sigma, axis=1) * per_phase))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Phases:
-    """What `optical_path` is given, all of it over (frequencies, ...) or (...)."""
+    """Arguments of `optical_path`, over (frequencies, ...) or (...)."""
 
     phase: Floats
     uncertainty: Floats
@@ -286,64 +287,64 @@ class _Phases:
     longest: Floats
     doubt: Floats
     order: tuple[int, ...]
-    """Frequencies, the one with the smallest error first."""
+    """Frequency indices, the smallest error first."""
 
     def part(
         self, pixels: tuple[NDArray[np.intp], ...], left_out: NDArray[np.bool_]
     ) -> _Phases:
-        """Return some pixels, without the phases that are left out there."""
-        every: tuple[Any, ...] = (slice(None), *pixels)
+        """Return some pixels, without their outlying phases."""
+        index: tuple[Any, ...] = (slice(None), *pixels)
         return replace(
             self,
-            phase=self.phase[every],
-            uncertainty=np.where(left_out, np.inf, self.uncertainty[every]),
+            phase=self.phase[index],
+            uncertainty=np.where(left_out, np.inf, self.uncertainty[index]),
             shortest=self.shortest[pixels],
             longest=self.longest[pixels],
-            doubt=self.doubt[every],
+            doubt=self.doubt[index],
         )
 
 
 def _wrong(
-    path: Path, unsettled: NDArray[np.bool_], known: _Phases
+    path: Path, unsettled: NDArray[np.bool_], phases: _Phases
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the phases without which unsettled pixels are settled, and which are."""
-    gone = path.left_out[:, unsettled]
+    """Return outlying phases of unsettled pixels, and the pixels settled by that."""
+    left_out = path.left_out[:, unsettled]
     strain = path.strain[unsettled]
     cured = np.zeros(strain.size, dtype=bool)
     going_on = np.ones(strain.size, dtype=bool)
-    for _ in range(int(len(gone) * BREAKDOWN)):
-        here = np.flatnonzero(going_on)
-        if here.size == 0:
+    for _ in range(int(len(left_out) * BREAKDOWN)):
+        active = np.flatnonzero(going_on)
+        if active.size == 0:
             break
         pixels = np.zeros(unsettled.shape, dtype=bool)
-        pixels.reshape(-1)[np.flatnonzero(unsettled)[here]] = True
-        strains, settled = _without_each(known, pixels, gone[:, here])
+        pixels.reshape(-1)[np.flatnonzero(unsettled)[active]] = True
+        strains, settled = _without_each(phases, pixels, left_out[:, active])
         order = np.argsort(strains, axis=0)
-        column = np.arange(here.size)
+        column = np.arange(active.size)
         best, next_best = (strains[order[k], column] for k in (0, 1))
         with np.errstate(invalid="ignore"):
-            better = strain[here] - best > _CULPRIT
+            better = strain[active] - best > _CULPRIT
             sure = settled[order[0], column] & (next_best - best > _CULPRIT)
-        gone[order[0][better], here[better]] = True
-        strain[here] = best
-        cured[here] = better & sure
-        going_on[here] = better & ~sure
-    return gone, cured
+        left_out[order[0][better], active[better]] = True
+        strain[active] = best
+        cured[active] = better & sure
+        going_on[active] = better & ~sure
+    return left_out, cured
 
 
 def _leave_out(
     path: Path,
     unsettled: NDArray[np.bool_],
-    known: _Phases,
-    gone: NDArray[np.bool_],
+    phases: _Phases,
+    left_out: NDArray[np.bool_],
     cured: NDArray[np.bool_],
 ) -> None:
-    """Leave out wrong phases of unsettled pixels, in place."""
+    """Leave out outlying phases of unsettled pixels, in place."""
     if not cured.any():
         return
     places = np.zeros(unsettled.shape, dtype=bool)
     places[unsettled] = cured
-    solved = _grouped(known, places, gone[:, cured])
+    solved = _grouped(phases, places, left_out[:, cured])
     for name in ("length", "uncertainty", "settled", "wrong", "strain"):
         getattr(path, name)[places] = getattr(solved, name)
     for name in ("weight", "residual", "left_out"):
@@ -351,51 +352,51 @@ def _leave_out(
 
 
 def _without_each(
-    known: _Phases, pixels: NDArray[np.bool_], gone: NDArray[np.bool_]
+    phases: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return strain, and whether it is settled, with each one phase more left out."""
-    strains = np.full(gone.shape, np.inf)
-    settled = np.zeros(gone.shape, dtype=bool)
-    for index in range(len(gone)):
-        without = gone.copy()
+    """Return strain and settledness with each further phase left out in turn."""
+    strains = np.full(left_out.shape, np.inf)
+    settled = np.zeros(left_out.shape, dtype=bool)
+    for index in range(len(left_out)):
+        without = left_out.copy()
         without[index] = True
-        tried = _grouped(known, pixels, without)
+        tried = _grouped(phases, pixels, without)
         # Leaving out what is out already is no cure.
-        strains[index] = np.where(gone[index], np.inf, tried.strain)
-        settled[index] = tried.settled & ~gone[index]
+        strains[index] = np.where(left_out[index], np.inf, tried.strain)
+        settled[index] = tried.settled & ~left_out[index]
     return strains, settled
 
 
 def _grouped(
-    known: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
+    phases: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> Path:
-    """Return the best paths of pixels, those that leave out the same ones together."""
+    """Return the best paths of pixels, grouped by the phases they leave out."""
     masks, group = np.unique(left_out, axis=1, return_inverse=True)
     places = np.flatnonzero(pixels)
     parts: dict[str, NDArray[Any]] = {}
     for number, mask in enumerate(masks.T):
-        here = np.flatnonzero(group.ravel() == number)
-        chosen = np.unravel_index(places[here], pixels.shape)
-        solved = _best_path(known.part(chosen, mask[:, None]))
+        members = np.flatnonzero(group.ravel() == number)
+        chosen = np.unravel_index(places[members], pixels.shape)
+        solved = _best_path(phases.part(chosen, mask[:, None]))
         for name, values in vars(solved).items():
-            whole = parts.setdefault(
+            collected = parts.setdefault(
                 name, np.empty((*values.shape[:-1], len(places)), values.dtype)
             )
-            whole[..., here] = values
+            collected[..., members] = values
     return Path(**parts)
 
 
-def _best_path(known: _Phases) -> Path:
-    """Return the path of the smallest misfit; phases of infinite error are left out."""
-    phase, modulation_frequency = known.phase, known.modulation_frequency
-    shortest, longest = known.shortest, known.longest
+def _best_path(phases: _Phases) -> Path:
+    """Return the path of the smallest misfit; phases of infinite error are ignored."""
+    phase, modulation_frequency = phases.phase, phases.modulation_frequency
+    shortest, longest = phases.shortest, phases.longest
     wavelength = speed_of_light / modulation_frequency
-    each = wavelength.reshape(-1, *[1] * (phase.ndim - 1))
-    sigma = np.maximum(known.uncertainty, _SMALLEST_PHASE_ERROR) * each / (2 * np.pi)
-    measured = np.mod(phase, 2 * np.pi) * each / (2 * np.pi)
+    cycle = wavelength.reshape(-1, *[1] * (phase.ndim - 1))
+    sigma = np.maximum(phases.uncertainty, _SMALLEST_PHASE_ERROR) * cycle / (2 * np.pi)
+    measured = np.mod(phase, 2 * np.pi) * cycle / (2 * np.pi)
     precision = sigma**-2
-    there = np.isfinite(sigma).reshape(len(sigma), -1).any(axis=1)
-    best = next((k for k in known.order if there[k]), known.order[0])
+    measured_anywhere = np.isfinite(sigma).reshape(len(sigma), -1).any(axis=1)
+    best = next((k for k in phases.order if measured_anywhere[k]), phases.order[0])
     step = wavelength[best]
     span = float(np.nanmax(longest - shortest)) / step
     if span > _MOST_CANDIDATES:
@@ -412,11 +413,11 @@ def _best_path(known: _Phases) -> Path:
     strain = np.full(nearest.shape, np.inf)
     # Likelihoods of all candidates over that of the best one so far.
     total = np.zeros(nearest.shape)
-    excused = 1 / (sigma**2 + (known.doubt * each / (2 * np.pi)) ** 2)
+    excused = 1 / (sigma**2 + (phases.doubt * cycle / (2 * np.pi)) ** 2)
     for count in range(int(np.ceil(span + 1)) + 1):
         candidate = nearest + count * step
-        turns = np.round((candidate - measured) / each)
-        unwrapped = measured + turns * each
+        turns = np.round((candidate - measured) / cycle)
+        unwrapped = measured + turns * cycle
         refined = np.sum(weight * unwrapped, axis=0)
         error = (unwrapped - refined) ** 2
         misfit = np.sum(error * precision, axis=0)
@@ -430,8 +431,8 @@ def _best_path(known: _Phases) -> Path:
         length = np.where(better, refined, length)
         strain = np.where(better, np.sum(error * excused, axis=0), strain)
         lowest = np.where(better, misfit, lowest)
-    turns = np.round((length - measured) / each)
-    residual = np.where(precision > 0, measured + turns * each - length, 0.0)
+    turns = np.round((length - measured) / cycle)
+    residual = np.where(precision > 0, measured + turns * cycle - length, 0.0)
     freedom = (precision > 0).sum(axis=0) - 1
     with np.errstate(invalid="ignore"):
         settled = np.isfinite(lowest) & (second - lowest > MARGIN)
@@ -451,7 +452,7 @@ def _best_path(known: _Phases) -> Path:
 
 
 def _chi_square_limits(count: int) -> Floats:
-    """Return the largest misfit by the degrees of freedom, from 0 on."""
+    """Return the largest acceptable misfit by degrees of freedom, from 0 on."""
     from scipy.special import chdtri
 
     return np.asarray(chdtri(np.arange(count), DISAGREEMENT), dtype=float)

@@ -1,4 +1,4 @@
-r"""Daylight in the sea as a source of shot noise, and how deep it reaches.
+r"""Daylight in the sea as a source of shot noise, by depth.
 
 References
 ----------
@@ -68,7 +68,7 @@ def daylight_rate(
     transmission: ArrayLike,
     quantum_efficiency: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the rate of photoelectrons that daylight releases in a receiver.
+    r"""Return the rate of photoelectrons by daylight in a receiver.
 
     Parameters
     ----------

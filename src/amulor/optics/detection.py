@@ -36,7 +36,7 @@ __all__ = [
 def photoelectron_rate(
     power: ArrayLike, *, wavelength: ArrayLike, quantum_efficiency: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the rate at which optical power releases photoelectrons.
+    r"""Return the rate of photoelectrons for an optical power.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def effective_integration_time(
 def settled_integration_time(
     dwell: ArrayLike, *, time_constant: ArrayLike, settling: float = 5.0
 ) -> NDArray[np.float64]:
-    r"""Return the white-noise integration time of a sample that first settles.
+    r"""Return the white-noise integration time of a sample after settling.
 
     Parameters
     ----------
@@ -184,11 +184,11 @@ def settled_integration_time(
     >>> print(f"{settled_integration_time(0.125, time_constant=0.01):.4f} s")
     0.0865 s
     """
-    whole = not_negative(dwell, name="dwell", unit="s")
+    total = not_negative(dwell, name="dwell", unit="s")
     constant = positive(time_constant, name="time_constant", unit="s")
     wait = not_negative(settling, name="settling", unit="time constants")
-    broadcast(dwell=whole, time_constant=constant, settling=wait)
-    averaging = np.maximum(whole - wait * constant, 0.0)
+    broadcast(dwell=total, time_constant=constant, settling=wait)
+    averaging = np.maximum(total - wait * constant, 0.0)
     return effective_integration_time(averaging, time_constant=constant)
 
 
@@ -298,7 +298,7 @@ def photon_noise(
 
 
 def speckle_contrast(speckle_cells: ArrayLike) -> NDArray[np.float64]:
-    r"""Return how much the light of a rough surface varies with the speckle pattern.
+    r"""Return the relative variation of light from a rough surface by speckle.
 
     Parameters
     ----------
@@ -333,7 +333,7 @@ def speckle_contrast(speckle_cells: ArrayLike) -> NDArray[np.float64]:
 def phase_floor_covariance(
     signal: ArrayLike, *, phase_floor: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    r"""Return what a random phase error adds to the covariance of a signal.
+    r"""Return the covariance of a signal by a random phase error.
 
     Parameters
     ----------
@@ -524,7 +524,7 @@ def _checked_moments(
     NDArray[np.float64],
     NDArray[np.float64],
 ]:
-    """Return signal and second moments as arrays of one shape, refused if odd."""
+    """Return signal and second moments as arrays of one shape, checked."""
     phasor = np.asarray(signal, dtype=np.complex128)
     in_phase = measured(in_phase_variance, name="in_phase_variance")
     quadrature = measured(quadrature_variance, name="quadrature_variance")

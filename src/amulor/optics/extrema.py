@@ -1,4 +1,4 @@
-"""Maxima and minima of a sweep over modulation frequency, and what spaces them."""
+"""Maxima and minima of a sweep over modulation frequency, and their separation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Extrema", "find", "group_depth", "ripple", "separation"]
 
 @dataclass(frozen=True)
 class Extrema:
-    """Where a curve turns, in rising order of frequency.
+    """Extrema of a curve, in rising order of frequency.
 
     Examples
     --------
@@ -48,7 +48,7 @@ class Extrema:
 
 
 def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
-    """Return where amplitude, contrast or another quantity is largest and smallest.
+    """Return the maxima and minima of amplitude, contrast or another quantity.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def group_depth(
     *,
     group_index: float,
 ) -> NDArray[np.float64]:
-    r"""Return the depth from which the modulation of a water signal seems to come.
+    r"""Return the apparent depth of a water signal from the slope of its phase.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def group_depth(
 def separation(
     distance: ArrayLike, *, group_depth: ArrayLike, group_index: float
 ) -> NDArray[np.float64]:
-    r"""Return how far apart the maxima of target and water are in a sweep.
+    r"""Return the separation of the maxima of target and water in a sweep.
 
     Parameters
     ----------
@@ -205,10 +205,10 @@ def separation(
     37.3 MHz
     """
     far = measured(distance, name="distance", unit="m")
-    seen = finite(group_depth, name="group_depth", unit="m")
+    near = finite(group_depth, name="group_depth", unit="m")
     index = at_least(group_index, 1, name="group_index")
-    broadcast(distance=far, group_depth=seen, group_index=index)
-    ahead = far - seen
+    broadcast(distance=far, group_depth=near, group_index=index)
+    ahead = far - near
     require(
         ahead,
         ~(ahead <= 0),
@@ -221,7 +221,7 @@ def separation(
 
 
 def ripple(value: ArrayLike) -> float:
-    """Return (max - min) / mean of a sweep.
+    """Return the ripple (max - min) / mean of a sweep.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def ripple(value: ArrayLike) -> float:
 def _sweep(
     modulation_frequency: ArrayLike, value: ArrayLike, *, name: str
 ) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Return frequencies and values, refused unless they are a sweep."""
+    """Return frequencies and values of a sweep, checked."""
     f = not_negative(modulation_frequency, name="modulation_frequency", unit="Hz")
     y = np.asarray(value)
     one_axis(3, modulation_frequency=f, **{name: y})
@@ -270,7 +270,7 @@ def _sweep(
 def _vertex(
     f: NDArray[np.float64], y: NDArray[np.float64], at: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Return the vertices of the parabolas through samples and their neighbours."""
+    """Return the vertices of parabolas through neighboring samples."""
     before, after = f[at - 1] - f[at], f[at + 1] - f[at]
     low, high = y[at - 1] - y[at], y[at + 1] - y[at]
     curve = (high / after - low / before) / (after - before)

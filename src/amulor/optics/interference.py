@@ -27,7 +27,7 @@ __all__ = [
 def total_signal(
     target_signal: ArrayLike, water_signal: ArrayLike
 ) -> NDArray[np.complex128]:
-    r"""Return what the detector sees of a target behind water.
+    r"""Return the total signal of a target behind water.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def total_signal(
 
 
 def target_signal(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.complex128]:
-    r"""Return what is left of a signal when that of the water is taken out.
+    r"""Return the target signal after subtraction of the water signal.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def target_signal(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.comp
 def phase_error(
     target_signal: ArrayLike, water_signal: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return by how much the water turns the phase of a target.
+    r"""Return the phase error of a target by the water signal.
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ def target_amplitude_and_phase(
     water_amplitude: ArrayLike,
     water_phase: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    r"""Return amplitude and phase of a target when the water is taken out.
+    r"""Return amplitude and phase of a target after subtraction of the water.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-r"""How late an echo arrives, by light that is scattered on its way there and back.
+r"""Delay of an echo by light that is scattered on its way there and back.
 
 Light that small scattering angles bend off its way and back takes a longer way than
 the straight one. The receiver sees it with the light that was not scattered, and the
@@ -60,7 +60,7 @@ def late_echo(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return how much too far an echo seems to lie, by light scattered on its way.
+    r"""Return the range excess of an echo by light scattered on its way.
 
     Parameters
     ----------
@@ -182,12 +182,12 @@ def late_echo(
     flat = {
         name: np.broadcast_to(value, shape).ravel() for name, value in places.items()
     }
-    found = np.empty((3, int(np.prod(shape))))
-    for begin in range(0, found.shape[1], _AT_ONCE):
+    terms = np.empty((3, int(np.prod(shape))))
+    for begin in range(0, terms.shape[1], _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
-        some = {name: value[part] for name, value in flat.items()}
-        found[:, part] = _excess(phase_function, float(split_angle), **some)
-    scattered, bare, unscattered = found.reshape(3, *shape)
+        chunk = {name: value[part] for name, value in flat.items()}
+        terms[:, part] = _excess(phase_function, float(split_angle), **chunk)
+    scattered, bare, unscattered = terms.reshape(3, *shape)
     rate = 2 * np.pi * index / speed_of_light
     return np.asarray(
         (bare + _at_frequency(rate * frequency, scattered, unscattered)) / 2
@@ -195,21 +195,21 @@ def late_echo(
 
 
 def _at_frequency(rate: Array, excess: Array, unscattered: Array) -> Array:
-    """Return the excess of the way that the phase of the echo shows [m].
+    """Return the path excess shown by the phase of the echo [m].
 
     The rate is that of the phase with the way [rad/m].
     """
     # Clear water has no scatterings and no excess.
     count = np.maximum(-np.log(unscattered), 1e-9)
-    each = (1 - 1j * rate * excess / (count * _SHAPE)) ** -_SHAPE
+    per_scattering = (1 - 1j * rate * excess / (count * _SHAPE)) ** -_SHAPE
     with np.errstate(invalid="ignore", divide="ignore"):
-        shown = count * each.imag / rate
-    return np.asarray(np.where(rate > 0, shown, excess))
+        apparent = count * per_scattering.imag / rate
+    return np.asarray(np.where(rate > 0, apparent, excess))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Table:
-    """The transform of a phase function and integrals of it, over its frequency."""
+    """Transform of a phase function and its integrals, over frequency."""
 
     value: CubicSpline
     slope: PPoly
@@ -229,8 +229,8 @@ def _table(phase_function: PhaseFunction, split_angle: float, octave: int) -> _T
 
     top = 2.0**octave
     even = np.arange(0.0, min(_EVEN, top) + _EVEN_STEP, _EVEN_STEP)
-    more = max(0, int(np.ceil(np.log(top / even[-1]) / np.log(_GROWTH))))
-    node = np.concatenate([even, even[-1] * _GROWTH ** np.arange(1, more + 1)])
+    count = max(0, int(np.ceil(np.log(top / even[-1]) / np.log(_GROWTH))))
+    node = np.concatenate([even, even[-1] * _GROWTH ** np.arange(1, count + 1)])
     value = CubicSpline(node, phase_function.hankel(node, split_angle=split_angle))
     slope = value.derivative()
     over = slope(node)
@@ -262,7 +262,7 @@ def _excess(
     cross_tilt: Array,
     standoff: Array,
 ) -> Array:
-    """Return the ways that scattering and aperture add [m], the unscattered share."""
+    """Return path excess by scattering, by the aperture [m], and unscattered share."""
     way = depth + standoff
     width = receiver_radius**2 + beam_radius**2
     width = width + (acceptance_angle * way) ** 2 + (beam_divergence * depth) ** 2
@@ -290,18 +290,18 @@ def _excess(
         out, _ = _way(terms, kappa, beam_divergence[:, None], way=column["depth"])
         back, mixed = _way(terms, kappa, acceptance_angle[:, None], way=column["way"])
         back = back - lean[:, None] * column["way"]
-        both = (out + back) * zeroth - 2 * aside[:, None] * mixed * first
-        return np.asarray(-both / 2)
+        sum_of_ways = (out + back) * zeroth - 2 * aside[:, None] * mixed * first
+        return np.asarray(-sum_of_ways / 2)
 
     def mean(light: Array, terms: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        whole = np.sum(unit * light * zeroth, axis=1)
-        whole[np.abs(whole) <= _ROUNDING * np.sum(unit * light, axis=1)] = np.nan
-        return whole, np.sum(unit * light * longer(terms), axis=1) / whole
+        total = np.sum(unit * light * zeroth, axis=1)
+        total[np.abs(total) <= _ROUNDING * np.sum(unit * light, axis=1)] = np.nan
+        return total, np.sum(unit * light * longer(terms), axis=1) / total
 
     nothing = np.zeros_like(kappa)
     direct, bare = mean(np.ones_like(kappa), (nothing, nothing, nothing))
-    whole, excess = mean(passed, water)
-    unscattered = direct / whole
+    total, excess = mean(passed, water)
+    unscattered = direct / total
     unscattered[~((unscattered > 0) & (unscattered <= 1 + 1e-12))] = np.nan
     aperture = bare - baseline**2 / (2 * way)
     return np.array([excess - bare, aperture, np.minimum(unscattered, 1.0)])
@@ -310,7 +310,7 @@ def _excess(
 def _scattering_terms(
     table: _Table, rate: Array, kappa: Array, depth: Array
 ) -> tuple[Array, Array, Array]:
-    """Return integrals over the way of the Laplacian, of A^2 and of A by scattering.
+    """Return path integrals of the Laplacian, of A^2 and of A by scattering.
 
     A is the gradient along kappa of the exponent, b_f / kappa times the difference of
     the transform at the end of the way and at the depth.
@@ -326,11 +326,11 @@ def _scattering_terms(
 def _way(
     terms: tuple[Array, Array, Array], kappa: Array, spread: Array, *, way: Array
 ) -> tuple[Array, Array]:
-    """Return the integrals of Laplacian and square, and of A, with the start's spread.
+    """Return the integrals with the spread of the start: Laplacian and square, and A.
 
     The start is Gaussian in direction, with the 1/e semi-angle `spread`.
     """
     laplacian, square, single = terms
     start = -(spread**2) * kappa * way / 2
-    both = laplacian - spread**2 * way + square + 2 * start * single + start**2 * way
-    return both, single + start * way
+    total = laplacian - spread**2 * way + square + 2 * start * single + start**2 * way
+    return total, single + start * way

@@ -1,4 +1,4 @@
-"""Low-pass behaviour of the water signal: all ways to its cut-off, first-order form.
+"""Low-pass behavior of the water signal: cut-off frequency and first-order fits.
 
 `cut_off`, `cut_off_of_sweep` and `cut_off_of_narrow_receiver` give where the modulus is
 at half power: of a response that can be evaluated, of one known at some frequencies
@@ -184,7 +184,7 @@ def cut_off_of_sweep(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> f
 
 @dataclass(frozen=True)
 class LowPassFit:
-    """Result of a fit of the first-order low-pass to a measured sweep.
+    """Fit of the first-order low-pass to a measured sweep.
 
     Examples
     --------
@@ -206,7 +206,7 @@ class LowPassFit:
 
 
 def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
-    r"""Return the first-order low-pass that comes closest to a measured sweep.
+    r"""Fit the first-order low-pass to the amplitudes of a sweep.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
 
 
 def fit_of_power(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
-    r"""Return the first-order low-pass that comes closest to the power of a sweep.
+    r"""Fit the first-order low-pass to the power of a sweep.
 
     Parameters
     ----------
@@ -371,7 +371,7 @@ def fit_of_power(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPa
 def _checked(
     modulation_frequency: ArrayLike, amplitude: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies and amplitudes of a sweep that a form can be fitted to."""
+    """Return frequencies and amplitudes of a sweep, checked for a fit."""
     f = not_negative(modulation_frequency, name="modulation_frequency", unit="Hz")
     a = not_negative(amplitude, name="amplitude")
     one_axis(3, modulation_frequency=f, amplitude=a)
@@ -390,7 +390,7 @@ def _grid(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _closest(residual_sum: NDArray[np.float64], f: NDArray[np.float64]) -> int:
-    """Return the place of the least sum of squares, inside of the grid."""
+    """Return the position of the least sum of squares, inside of the grid."""
     closest = int(np.argmin(residual_sum))
     if closest in (0, residual_sum.size - 1):
         raise _not_shown(f)

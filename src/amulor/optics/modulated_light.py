@@ -1,4 +1,4 @@
-r"""Modulated light in time: what is launched, what comes back, and its attenuation.
+r"""Modulated light in time: launched power, received power, attenuation.
 
 A complex response, received per launched power, says it all in frequency; here it is
 turned into the power that a detector sees from one moment to the next.
@@ -90,7 +90,7 @@ def received_power(
     modulation_depth: ArrayLike,
     modulation_frequency: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the power that comes back from water or target.
+    r"""Return the power received from water or target.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def complex_attenuation(
     modulation_frequency: ArrayLike,
     group_index: ArrayLike,
 ) -> NDArray[np.complex128]:
-    r"""Return the attenuation coefficient that modulated light goes by.
+    r"""Return the complex attenuation coefficient of modulated light.
 
     Parameters
     ----------

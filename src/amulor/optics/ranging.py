@@ -31,7 +31,7 @@ __all__ = [
 def phase(
     slant_range: ArrayLike, *, modulation_frequency: ArrayLike, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the modulation phase delay that a distance causes.
+    r"""Return the modulation phase delay of a distance.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def phase(
 def slant_range(
     phase: ArrayLike, *, modulation_frequency: ArrayLike, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the distance that a modulation phase delay stands for.
+    r"""Return the distance of a modulation phase delay.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def slant_range_uncertainty(
 def phase_per_range(
     modulation_frequency: ArrayLike, *, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return by how much the phase grows with the distance.
+    r"""Return the phase per distance.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def phase_per_range(
 def range_per_phase(
     modulation_frequency: ArrayLike, *, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return by how much the distance moves with the phase.
+    r"""Return the distance per phase.
 
     Turns errors of a phase into errors of the slant range, with their sign if they
     have one, frequency by frequency. Twice the value at a group index of 1 is the
@@ -311,7 +311,7 @@ def range_per_phase(
 
 
 def phase_shift(signal: ArrayLike, *, residual: ArrayLike) -> NDArray[np.float64]:
-    r"""Return by how much a residual in a signal turns its phase.
+    r"""Return the phase shift by a residual in a signal.
 
     Parameters
     ----------
@@ -341,11 +341,11 @@ def phase_shift(signal: ArrayLike, *, residual: ArrayLike) -> NDArray[np.float64
     -0.1244 rad
     """
     total = np.asarray(signal, dtype=np.complex128)
-    left = np.asarray(residual, dtype=np.complex128)
-    broadcast(signal=total, residual=left)
+    remaining = np.asarray(residual, dtype=np.complex128)
+    broadcast(signal=total, residual=remaining)
     with np.errstate(invalid="ignore", divide="ignore"):
-        rest = total - left
-        shift: NDArray[np.float64] = np.asarray(np.angle(total / rest))
+        corrected = total - remaining
+        shift: NDArray[np.float64] = np.asarray(np.angle(total / corrected))
     return shift
 
 
@@ -393,7 +393,7 @@ def photon_limited_uncertainty(
     modulation_frequency: ArrayLike,
     group_index: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the standard deviation of a distance that photon counting allows.
+    r"""Return the standard deviation of a distance limited by photon counting.
 
     Parameters
     ----------
@@ -455,16 +455,16 @@ def photon_limited_uncertainty(
 
 
 def _frequency(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
-    """Return the modulation frequency as an array, refused unless above zero."""
+    """Return the modulation frequency as an array, checked to be above zero."""
     return positive(modulation_frequency, name="modulation_frequency", unit="Hz")
 
 
 def _velocity(group_index: ArrayLike) -> NDArray[np.float64]:
-    """Return the group velocity [m/s], refused for a group index below 1."""
+    """Return the group velocity [m/s], for a group index of at least 1."""
     velocity: NDArray[np.float64] = speed_of_light / _group_index(group_index)
     return velocity
 
 
 def _group_index(group_index: ArrayLike) -> NDArray[np.float64]:
-    """Return the group index as an array, refused below 1."""
+    """Return the group index as an array, checked to be at least 1."""
     return at_least(group_index, 1, name="group_index", hint="water has about 1.38")

@@ -1,4 +1,4 @@
-"""Beams through a flat window into the water, and the way of the light back.
+"""Beams through a flat window into the water, and the light's return.
 
 Coordinates are right, down, forward, a right-handed system seen from the instrument.
 The window is a plane across the forward axis: the half space before it is air, the one
@@ -18,7 +18,7 @@ from amulor.optics._bounds import broadcast, finite, last_axes, require
 
 @dataclass(frozen=True, kw_only=True)
 class Medium:
-    """What the light crosses: water, and perhaps a window with air before it.
+    """Media of the light: water, and optionally a window with air before it.
 
     Examples
     --------
@@ -47,7 +47,7 @@ class Medium:
 
 @dataclass(frozen=True, kw_only=True)
 class Beam:
-    """A beam as it travels in the water, and what it crossed before.
+    """Beam in the water, with the path before it.
 
     Examples
     --------
@@ -59,13 +59,13 @@ class Beam:
     """
 
     entry: NDArray[np.float64]
-    """Where the water begins, last axis (3,) [m]."""
+    """Start of the beam in the water, last axis (3,) [m]."""
     direction: NDArray[np.float64]
     """Unit vector in the water, last axis (3,) [1]."""
     length_before: NDArray[np.float64]
     """Geometric length before the water [m]."""
     optical_length_before: NDArray[np.float64]
-    """The same, each part times its group index [m]."""
+    """Optical length before the water, by group index [m]."""
 
 
 def direction(azimuth: ArrayLike, elevation: ArrayLike) -> NDArray[np.float64]:
@@ -195,7 +195,7 @@ def enter_water(position: ArrayLike, unit_vector: ArrayLike, *, medium: Medium) 
 def return_length(
     point: ArrayLike, receiver: ArrayLike, *, medium: Medium
 ) -> NDArray[np.float64]:
-    """Return the optical length of the light's way from a point to the receiver.
+    """Return the optical length from a point back to the receiver.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def return_length(
 def return_distance(
     point: ArrayLike, receiver: ArrayLike, *, medium: Medium
 ) -> NDArray[np.float64]:
-    """Return the water on the light's way from a point to the receiver.
+    """Return the length in water from a point back to the receiver.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def return_distance(
 def _ways_back(
     point: ArrayLike, receiver: ArrayLike, medium: Medium
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | float]:
-    """Return the way back in water, and the optical length of that before it."""
+    """Return the length in water of the way back, and the optical length after it."""
     source = last_axes(point, (3,), name="point", meaning="(x, y, z)")
     sink = last_axes(receiver, (3,), name="receiver", meaning="(x, y, z)")
     broadcast(point=source, receiver=sink)
@@ -361,7 +361,7 @@ def slant_range_of_path(
     *,
     medium: Medium,
 ) -> NDArray[np.float64]:
-    r"""Return how far along its beam a surface lies, from the two-way optical path.
+    r"""Return the slant range of a surface from the two-way optical path.
 
     Parameters
     ----------
@@ -442,7 +442,7 @@ def path_limits(
     medium: Medium,
     modulation_frequency: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the two-way optical paths between which a target may lie.
+    """Return the shortest and longest two-way optical paths within range limits.
 
     Parameters
     ----------

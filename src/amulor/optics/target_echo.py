@@ -1,4 +1,4 @@
-r"""The echo of a diffuse surface through the same water as the water signal.
+r"""Echo of a diffuse surface, through the same water as the water signal.
 
 One function for each model of the water: a Lambertian plane returns
 :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with the overlap F of that model,
@@ -534,7 +534,7 @@ def _place(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> tuple[dict[str, ArrayLike], NDArray[np.float64] | float]:
-    """Return the arguments of an overlap for where a surface stands, and a cosine."""
+    """Return the overlap arguments of a surface position, and a cosine."""
     place: dict[str, ArrayLike] = {
         "depth": depth,
         "baseline": baseline,
@@ -562,7 +562,7 @@ def _place(
     )
     angle = np.arcsin(offset / np.where(way > 0, way, 1.0))
     middle = (out + back) / 2
-    seen: dict[str, ArrayLike] = {
+    surface_view: dict[str, ArrayLike] = {
         "depth": middle,
         "baseline": way * angle,
         "standoff": way - middle,
@@ -570,7 +570,7 @@ def _place(
     # Off the axis by less where the aperture is as wide as the view.
     aperture = positive(receiver_radius, name="receiver_radius", unit="m")
     width = positive(acceptance_angle, name="acceptance_angle", unit="rad") * way
-    return seen, np.cos(angle * width**2 / (aperture**2 + width**2))
+    return surface_view, np.cos(angle * width**2 / (aperture**2 + width**2))
 
 
 def _echo(
@@ -581,7 +581,7 @@ def _echo(
     reflectance: ArrayLike,
     cosine: ArrayLike,
 ) -> NDArray[np.complex128]:
-    """Return the echo of a Lambertian plane that the light reaches like this."""
+    """Return the echo of a Lambertian plane for an overlap."""
     frequency = not_negative(
         modulation_frequency, name="modulation_frequency", unit="Hz"
     )

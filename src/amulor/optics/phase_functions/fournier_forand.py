@@ -225,7 +225,7 @@ def _log_delta_pi(relative_index: float) -> float:
 
 
 def _checked(relative_index: float, slope: float) -> float:
-    """Return nu, with both parameters refused outside of their ranges."""
+    """Return nu, after range checks of both parameters."""
     within(
         relative_index,
         1,

@@ -264,7 +264,7 @@ def henyey_greenstein_second_moment(
 
 
 def similarity_second_moment(*, asymmetry: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the second moment that the mean cosine alone suggests.
+    r"""Return the second moment implied by the mean cosine alone.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def _distance(
 def _distance_from_peak(
     from_peak: NDArray[np.float64], g: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the same from the angle to the peak, at 0 for g >= 0 and pi else."""
+    """Return sqrt(1 + g^2 - 2 g cos) from the angle to the peak."""
     strength = np.abs(g)
     half_chord = np.sin(from_peak / 2)
     square: NDArray[np.float64] = (1 - strength) ** 2 + 4 * strength * half_chord**2
@@ -314,5 +314,5 @@ def _distance_from_peak(
 
 
 def _asymmetry(value: ArrayLike) -> NDArray[np.float64]:
-    """Return a mean cosine as an array, refused unless above -1 and below 1."""
+    """Return a mean cosine as an array, checked to lie between -1 and 1."""
     return within(value, -1, 1, name="asymmetry", above=True, below=True)

@@ -29,7 +29,7 @@ LARGEST_DIRECTION_FREQUENCY = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Panels:
-    r"""Panels of the angle between which a phase function is smooth.
+    r"""Panels of the angle within which a phase function is smooth.
 
     Parameters
     ----------
@@ -276,18 +276,18 @@ def forward_split(
     diffuse = 0.0
     if split < np.pi:
         diffuse, _ = _weighted_integrals(phase_function, split, np.pi)
-    whole = forward + diffuse
-    if not abs(whole - 1) < 0.02:
+    total = forward + diffuse
+    if not abs(total - 1) < 0.02:
         raise ValueError(
             "phase_function must integrate to 1 over the sphere within 2 %, got "
-            f"{whole:g}; divide it by its integral, or a volume scattering function "
+            f"{total:g}; divide it by its integral, or a volume scattering function "
             "by the scattering coefficient"
         )
     if not forward > 0:
         raise ValueError(
             f"phase_function must scatter something below {split:g} rad, got nothing"
         )
-    return forward / whole, moment / forward
+    return forward / total, moment / forward
 
 
 _SMALLEST_ANGLE = 1e-18
@@ -301,14 +301,14 @@ def _weighted_integrals(
     tolerance = np.array([1e-11, 1e-11])  # of the whole sphere, and of its fraction
     panels = max(4, int(np.ceil(np.log(high / low))))
     edges = np.linspace(np.log(low), np.log(high), panels + 1)
-    left, right = edges[:-1], edges[1:]
+    lower, upper = edges[:-1], edges[1:]
     total = np.zeros(2)
 
     def integrate(
-        left: NDArray[np.float64], right: NDArray[np.float64]
+        lower: NDArray[np.float64], upper: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        half = (right - left)[:, np.newaxis] / 2
-        angle = np.exp(left[:, np.newaxis] + half * (nodes + 1))
+        half = (upper - lower)[:, np.newaxis] / 2
+        angle = np.exp(lower[:, np.newaxis] + half * (nodes + 1))
         angle = np.clip(angle, low, high)  # exp(log(pi)) is not pi
         flat = angle.ravel()
         value = np.asarray(phase_function(flat), dtype=np.float64)
@@ -322,19 +322,19 @@ def _weighted_integrals(
         fraction *= half * weights
         return np.stack([fraction.sum(axis=1), (fraction * angle**2).sum(axis=1)])
 
-    coarse = integrate(left, right)
+    coarse = integrate(lower, upper)
     for _ in range(60):
-        middle = (left + right) / 2
-        first, second = integrate(left, middle), integrate(middle, right)
+        middle = (lower + upper) / 2
+        first, second = integrate(lower, middle), integrate(middle, upper)
         fine = first + second
         scale = np.maximum(np.abs(total + fine.sum(axis=1)), 1e-300)
         done = np.all(np.abs(fine - coarse) <= (tolerance * scale)[:, np.newaxis], 0)
         total += fine[:, done].sum(axis=1)
         if np.all(done):
             return float(total[0]), float(total[1])
-        left, right = (
-            np.concatenate([left[~done], middle[~done]]),
-            np.concatenate([middle[~done], right[~done]]),
+        lower, upper = (
+            np.concatenate([lower[~done], middle[~done]]),
+            np.concatenate([middle[~done], upper[~done]]),
         )
         coarse = np.concatenate([first[:, ~done], second[:, ~done]], axis=1)
     raise ValueError(
@@ -345,7 +345,7 @@ def _weighted_integrals(
 
 @cache
 def gauss_legendre(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return nodes and weights on -1..1, worked out once, not writable.
+    """Return nodes and weights on -1..1, cached and read-only.
 
     Parameters
     ----------

@@ -151,7 +151,7 @@ def amplitudes(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Suspension:
-    """What spheres of many sizes scatter, per volume of the medium.
+    """Scattering by spheres of many sizes, per volume of the medium.
 
     Examples
     --------
@@ -186,7 +186,7 @@ class Suspension:
 
     @cached_property
     def phase_function(self) -> PhaseFunction:
-        """Phase function through the table; its `integral` should be close to 1."""
+        """Phase function from the table; its `integral` should be close to 1."""
         return tabulated(self.angle, value=self.value, name="Mie suspension")
 
     def mueller(self, angle: ArrayLike) -> NDArray[np.float64]:
@@ -231,7 +231,7 @@ def size_distribution(
     medium_index: float,
     angle: ArrayLike | None = None,
 ) -> Suspension:
-    r"""Return what a suspension of spheres scatters.
+    r"""Return the scattering of a suspension of spheres.
 
     Parameters
     ----------
@@ -358,13 +358,13 @@ def _amplitudes(
 
 
 def _angles(angle: ArrayLike | None, *, largest: float) -> NDArray[np.float64]:
-    """Return the angles of a table, refused unless they rise from 0 to pi."""
+    """Return the angles of a table, checked to rise from 0 to pi."""
     if angle is None:
         count = max(721, 1 + int(np.ceil(32 * largest)))
         return np.linspace(0, np.pi, count)
     theta = checked_angle(angle, name="angle")
-    whole = theta.ndim == 1 and theta.size > 2 and np.all(np.diff(theta) > 0)
-    if not whole or theta[0] != 0 or theta[-1] < np.pi - 1e-9:
+    rising = theta.ndim == 1 and theta.size > 2 and np.all(np.diff(theta) > 0)
+    if not rising or theta[0] != 0 or theta[-1] < np.pi - 1e-9:
         raise ValueError(
             "angle must be 1-D and rise from 0 to pi rad, got shape "
             f"{theta.shape} from {theta.flat[0]:g} to {theta.flat[-1]:g} rad"
@@ -373,7 +373,7 @@ def _angles(angle: ArrayLike | None, *, largest: float) -> NDArray[np.float64]:
 
 
 def _checked_size(value: float) -> float:
-    """Return a size parameter, refused outside of its range."""
+    """Return a size parameter, checked against its range."""
     hint = "it is the circumference over the wavelength in the medium"
     x = within(
         value, 0, LARGEST_SIZE_PARAMETER, name="size_parameter", above=True, hint=hint
@@ -382,7 +382,7 @@ def _checked_size(value: float) -> float:
 
 
 def _checked_index(value: complex) -> complex:
-    """Return a relative index, refused if its absorption has the wrong sign."""
+    """Return a relative index, checked for the sign of its absorption."""
     m = complex(value)
     require(
         m,
@@ -395,7 +395,7 @@ def _checked_index(value: complex) -> complex:
 
 
 def _miepython() -> Any:
-    """Return the package that sums the series."""
+    """Import the package that sums the series."""
     try:
         return import_module("miepython")
     except ImportError as error:

@@ -31,7 +31,7 @@ _SLOPES = (3.05, 4.9)
 def mixture(
     functions: Sequence[PhaseFunction], *, scattering: ArrayLike, name: str = ""
 ) -> PhaseFunction:
-    r"""Return the phase function of scatterers that stand in one water together.
+    r"""Return the phase function of several scatterers in one water.
 
     Parameters
     ----------
@@ -80,14 +80,14 @@ def mixture(
     if len(parts) == 1:
         return parts[0][1]
     heads = [function.head_exponent for _, function in parts]
-    edges = np.unique(np.concatenate([each.panels.edges for _, each in parts]))
-    listed = ", ".join(f"{weight:.3g} of {each.name}" for weight, each in parts)
+    edges = np.unique(np.concatenate([function.panels.edges for _, function in parts]))
+    listed = ", ".join(f"{weight:.3g} of {function.name}" for weight, function in parts)
     return PhaseFunction(
         name=name or listed,
         panels=Panels(partial(_value, parts=parts), edges, max(heads)),
         head_angle=max(function.head_angle for _, function in parts),
         closed_cumulative=partial(_cumulative, parts=parts),
-        closed_asymmetry=sum(weight * each.asymmetry for weight, each in parts),
+        closed_asymmetry=sum(weight * function.asymmetry for weight, function in parts),
     )
 
 
@@ -126,10 +126,10 @@ def fournier_forand_with_backscatter(backscatter_fraction: float) -> PhaseFuncti
     )
 
     def excess(slope: float) -> float:
-        found = fournier_forand_backscatter_fraction(
+        backscatter = fournier_forand_backscatter_fraction(
             relative_index=_index(slope), slope=slope
         )
-        return found - fraction
+        return backscatter - fraction
 
     from scipy.optimize import brentq  # a fifth of the start of `amulor image`
 
@@ -138,7 +138,7 @@ def fournier_forand_with_backscatter(backscatter_fraction: float) -> PhaseFuncti
 
 
 def _index(slope: float) -> float:
-    """Return the relative index that goes with a slope of the size distribution [1]."""
+    """Return the relative index for a slope of the size distribution [1]."""
     return 1.01 + 0.1542 * (slope - 3)
 
 

@@ -1,4 +1,4 @@
-r"""Phase functions as objects from formulas: isotropic to Fournier-Forand.
+r"""Phase functions from formulas: isotropic to Fournier-Forand.
 
 >>> water = fournier_forand(relative_index=1.1, slope=3.5835)
 >>> print(f"{water.backscatter_fraction:.4f}, {water.at_180:.2e} 1/sr")
@@ -35,7 +35,7 @@ __all__ = [
 
 
 def isotropic() -> PhaseFunction:
-    """Return the phase function that is the same everywhere.
+    """Return the isotropic phase function.
 
     Returns
     -------
@@ -244,10 +244,10 @@ def _two_terms(
     weight: float,
 ) -> NDArray[np.float64]:
     """Return the weighted sum of a Henyey-Greenstein formula of two asymmetries."""
-    other = (1 - weight) * formula(angle, asymmetry=second)
-    return weight * formula(angle, asymmetry=first) + other
+    second_term = (1 - weight) * formula(angle, asymmetry=second)
+    return weight * formula(angle, asymmetry=first) + second_term
 
 
 def _asymmetry(value: float, *, name: str) -> float:
-    """Return a mean cosine, refused where the panels would not resolve the peak."""
+    """Return a mean cosine, checked against the resolution of the panels."""
     return float(within(value, -0.9999, 0.999999, name=name))

@@ -1,4 +1,4 @@
-"""Phase functions as objects: one set of questions, whatever is behind them.
+"""Phase functions as objects: one interface for formulas and tables.
 
 They are made by `amulor.optics.phase_functions.models` from formulas and by
 `amulor.optics.phase_functions.tables` from tables.
@@ -30,7 +30,7 @@ __all__ = ["PhaseFunction", "SamplingTable"]
 
 @dataclass(frozen=True, eq=False)
 class SamplingTable:
-    """Inverse of a cumulative phase function, to draw angles from.
+    """Inverse of a cumulative phase function, from which angles are drawn.
 
     Both arrays rise, so the inverse is monotone. Between two nodes the phase function
     is taken as constant, which keeps the fraction of each cell exact.
@@ -49,8 +49,7 @@ class SamplingTable:
     half_chord_squared: NDArray[np.float64]
     """sin^2(angle / 2) of each node, from 0 to 1 [1]."""
     error: float
-    """Largest distance between the cumulative of what is drawn and the true one, as
-    found at 15 points inside of each cell [1]."""
+    """Largest error of the cumulative, found at 15 points inside of each cell [1]."""
 
     def angle(self, fraction: ArrayLike) -> NDArray[np.float64]:
         r"""Return the angle below which a fraction of the scattering lies.
@@ -104,15 +103,16 @@ class PhaseFunction:
     """
 
     name: str
-    """What it is, with its parameters."""
+    """Name with parameters."""
     panels: Panels = field(repr=False)
     """Value and the panels of the angle over which it is smooth."""
     head_angle: float = 0.0
     """Angle below which the function is a power law for want of data; 0 if none
     [rad]."""
     integral: float = 1.0
-    """Integral over the sphere of the values it was made from: 1, or for a volume
-    scattering function the scattering coefficient [1/m]."""
+    """Integral over the sphere before normalization: 1, or for a volume scattering
+    function the scattering coefficient [1/m].
+    """
     closed_cumulative: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = (
         field(default=None, repr=False)
     )
@@ -154,7 +154,7 @@ class PhaseFunction:
 
     @property
     def description(self) -> str:
-        """Name, and how much of the scattering lies in a head without data."""
+        """Name, with the share of the scattering in a head without data."""
         if self.head_angle == 0:
             return self.name
         fraction = float(self.cumulative(self.head_angle))
@@ -243,7 +243,7 @@ class PhaseFunction:
     def hankel(
         self, direction_frequency: ArrayLike, *, split_angle: float
     ) -> NDArray[np.float64]:
-        r"""Return the transform of the forward part, for the small-angle form.
+        r"""Return the Hankel transform of the forward part, for the small-angle form.
 
         Parameters
         ----------
@@ -292,7 +292,7 @@ class PhaseFunction:
         return self.panels.hankel(q, split_angle=split) / fraction
 
     def sampling_table(self, size: int) -> SamplingTable:
-        """Return a table to draw scattering angles from.
+        """Return a table from which scattering angles are drawn.
 
         Parameters
         ----------
@@ -339,5 +339,5 @@ class PhaseFunction:
 
 
 def _split(value: float) -> float:
-    """Return a split angle, refused in the innermost panel as well."""
+    """Return a split angle, checked to lie beyond the innermost panel."""
     return float(checked_split_angle(value, above=INNERMOST_ANGLE))

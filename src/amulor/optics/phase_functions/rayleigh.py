@@ -1,4 +1,4 @@
-r"""Scattering by what is small: its phase function, and how small that is.
+r"""Scattering by small particles: phase function and size parameter.
 
 The matrix that goes with it is `amulor.optics.polarization.mueller.rayleigh`; spheres
 of any size are in `amulor.optics.phase_functions.mie`.
@@ -167,7 +167,7 @@ def size_parameter(
 def scattering_regime(
     size_parameter: ArrayLike, *, rayleigh_below: float = 0.1, mie_above: float = 10.0
 ) -> NDArray[np.str_]:
-    r"""Return which of the three regimes of scattering a particle belongs to.
+    r"""Return the scattering regime of a particle, one of three.
 
     Parameters
     ----------

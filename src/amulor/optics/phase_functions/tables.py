@@ -250,7 +250,7 @@ def _table_value(
     logs: NDArray[np.float64],
     head: float,
 ) -> NDArray[np.float64]:
-    """Return the power laws between the nodes, and the head below the first."""
+    """Return power laws between the nodes, and the head below the first."""
     start = 1 if node[0] == 0 else 0
     with np.errstate(divide="ignore"):  # log(0) meets the lobe, or a head refused
         log_angle = np.log(angle)
@@ -301,7 +301,7 @@ def _edges(
 def _checked(
     angle: ArrayLike, table: ArrayLike, *, name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the columns of a table, refused if they are no table up to pi."""
+    """Return the columns of a table, checked to reach up to pi."""
     theta = checked_angle(angle, name="angle")
     column = finite(table, name=name)
     one_axis(2, angle=theta, **{name: column})
@@ -320,7 +320,7 @@ def _checked(
 
 
 def _refuse_heavy(head_exponent: float) -> None:
-    """Refuse a head that would hold infinite scattering."""
+    """Refuse a head with infinite scattering."""
     if not (np.isfinite(head_exponent) and head_exponent < 2):
         raise ValueError(
             "the head below the first angle must be a power law with an exponent "

@@ -149,17 +149,17 @@ def retarder(
         hint="it is what passes along the better axis",
     )
     matrix = np.zeros((*delta.shape, 4, 4))
-    kept = mean * np.sqrt(1 - contrast**2)
+    coherent = mean * np.sqrt(1 - contrast**2)
     matrix[..., 0, 0] = matrix[..., 1, 1] = mean
     matrix[..., 0, 1] = matrix[..., 1, 0] = mean * contrast
-    matrix[..., 2, 2] = matrix[..., 3, 3] = kept * np.cos(delta)
-    matrix[..., 2, 3] = kept * np.sin(delta)
-    matrix[..., 3, 2] = -kept * np.sin(delta)
+    matrix[..., 2, 2] = matrix[..., 3, 3] = coherent * np.cos(delta)
+    matrix[..., 2, 3] = coherent * np.sin(delta)
+    matrix[..., 3, 2] = -coherent * np.sin(delta)
     return rotated(matrix, angle=turn)
 
 
 def largest_transmission(mueller: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the fraction of light that an element passes in the state it passes best.
+    r"""Return the largest transmission of an element over all states.
 
     Parameters
     ----------

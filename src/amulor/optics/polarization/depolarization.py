@@ -1,4 +1,4 @@
-r"""How far a Mueller matrix depolarizes, and whether anything can have it.
+r"""Depolarization and physical realizability of Mueller matrices.
 
 Conventions are those of `amulor.optics.polarization.mueller`. Equation numbers are
 those of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
@@ -95,7 +95,7 @@ def depolarization_effect(mueller: ArrayLike) -> NDArray[np.float64]:
 
 
 def coherency_matrix(mueller: ArrayLike) -> NDArray[np.complex128]:
-    r"""Return the coherency matrix that belongs to a Mueller matrix.
+    r"""Return the coherency matrix of a Mueller matrix.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def coherency_matrix(mueller: ArrayLike) -> NDArray[np.complex128]:
 
 
 def realizability_defect(mueller: ArrayLike) -> NDArray[np.float64]:
-    """Return by how much a matrix fails to be that of a physical element.
+    """Return the realizability defect of a Mueller matrix.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def realizability_defect(mueller: ArrayLike) -> NDArray[np.float64]:
 
 
 def is_realizable(mueller: ArrayLike, *, tolerance: float = 1e-9) -> NDArray[np.bool_]:
-    """Return whether a matrix can be that of a physical element.
+    """Return whether a matrix is physically realizable.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ _PAULI_PRODUCTS = _pauli_products()
 
 
 def _reduced(mueller: ArrayLike) -> NDArray[np.float64]:
-    """Return Mueller matrices over their first elements, refused if not above 0."""
+    """Return Mueller matrices over their first elements, checked to be above 0."""
     matrix = as_matrices(mueller)
     first = matrix[..., :1, :1]
     above_zero(first[..., 0, 0], name="m11 of mueller", hint="there is no light else")

@@ -1,4 +1,4 @@
-r"""Mueller matrices: algebra, targets, particles, and what an ideal analyser passes.
+r"""Mueller matrices: algebra, targets, particles, ideal analyzers.
 
 Real polarizers and retarders are in `amulor.optics.polarization.components`, pairs of
 states made with them in `amulor.optics.polarization.schemes`.
@@ -101,7 +101,7 @@ def ideal_backscatter() -> NDArray[np.float64]:
 
 
 def ideal_depolarizer() -> NDArray[np.float64]:
-    """Return the matrix of a target that keeps no polarization.
+    """Return the matrix of a target that depolarizes all light.
 
     Returns
     -------
@@ -199,10 +199,10 @@ def rayleigh(angle: ArrayLike) -> NDArray[np.float64]:
     [ 1. -1.  0.  0.]
     """
     cosine = np.cos(checked_angle(angle, name="angle"))
-    whole = 1 + cosine**2
-    along = 2 * cosine / whole
+    intensity = 1 + cosine**2
+    along = 2 * cosine / intensity
     return particles(
-        m12=-(1 - cosine**2) / whole, m22=1.0, m33=along, m34=0.0, m44=along
+        m12=-(1 - cosine**2) / intensity, m22=1.0, m33=along, m34=0.0, m44=along
     )
 
 
@@ -306,7 +306,7 @@ def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
 
 
 def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
-    """Return the light that comes out of an element or a target.
+    """Return the light after an element or a target.
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
 
 
 def _axes_turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix that refers Stokes vectors to axes turned by an angle."""
+    """Return the matrix of Stokes vectors between axes turned by an angle."""
     cosine, sine = np.cos(2 * angle), np.sin(2 * angle)
     matrix = np.zeros((*angle.shape, 4, 4))
     matrix[..., 0, 0] = matrix[..., 3, 3] = 1
@@ -399,7 +399,7 @@ def _axes_turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def as_matrices(mueller: ArrayLike) -> NDArray[np.float64]:
-    """Return Mueller matrices as an array, refused if the last axes are not (4, 4).
+    """Return Mueller matrices as an array, checked for last axes (4, 4).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-r"""Pairs of launched and analysed state with real polarizers and quarter-wave plates.
+r"""Pairs of launched and analyzed state with real polarizers and quarter-wave plates.
 
 With ideal components everything here becomes
 `amulor.optics.polarization.mueller.detected_fraction`. Letters of states and the
@@ -80,7 +80,7 @@ _CIRCULAR = {"R": np.pi / 4, "L": -np.pi / 4}
 
 
 def generator(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64]:
-    """Return the matrix of the components that make a state.
+    """Return the matrix of the components that generate a state.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def generator(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64
 
 
 def analyser(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64]:
-    """Return the matrix of the components that let a state pass.
+    """Return the matrix of the components that analyze a state.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def launched_stokes(
     arm: PolarizationArm = IDEAL,
     laser: ArrayLike = (1.0, 0.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:
-    """Return the light that leaves an emitter which is to make a state.
+    """Return the Stokes vector of a real emitter set to a state.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def received_fraction(
     receiver: PolarizationArm = IDEAL,
     laser: ArrayLike = (1.0, 0.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:
-    r"""Return the fraction of the light that a pair of real arms receives from a scene.
+    r"""Return the fraction of light that a pair of real arms receives from a scene.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def cross_talk(
     receiver: PolarizationArm = IDEAL,
     laser: ArrayLike = (1.0, 0.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:
-    r"""Return what imperfect components add to the reading of a pair.
+    r"""Return the cross-talk of imperfect components in the reading of a pair.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def cross_talk(
 def linear_leak(
     *, axis_error: ArrayLike, extinction_ratio: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return what a turned polarizer passes of the light that it should block.
+    r"""Return the light that a turned polarizer passes instead of blocking.
 
     Parameters
     ----------
@@ -381,7 +381,7 @@ def linear_leak(
 def circular_leak(
     *, retardance_error: ArrayLike, plate_error: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return what a circular analyser passes of the other helicity.
+    r"""Return the light of the other helicity that a circular analyzer passes.
 
     Parameters
     ----------
@@ -421,7 +421,7 @@ def circular_leak(
 def _components(
     state: str, arm: PolarizationArm, *, side: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Return polarizer and plate; side is 1 for a generator and -1 for an analyser."""
+    """Return polarizer and plate; side is 1 for a generator and -1 for an analyzer."""
     stokes.state(state)  # refuses names that are none
     if state == "none":
         return np.eye(4), None

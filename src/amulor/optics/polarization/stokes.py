@@ -88,8 +88,8 @@ def state(name: str) -> NDArray[np.float64]:
     [1. 0. 0. 1.]
     """
     if name not in _STATES:
-        known = ", ".join(repr(known) for known in _STATES)
-        raise ValueError(f"the polarization state must be one of {known}, got {name!r}")
+        names = ", ".join(repr(names) for names in _STATES)
+        raise ValueError(f"the polarization state must be one of {names}, got {name!r}")
     return np.array(_STATES[name])
 
 
@@ -326,7 +326,7 @@ def ellipticity_angle(stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def _stokes(stokes: ArrayLike) -> NDArray[np.float64]:
-    """Return Stokes vectors as an array, refused if not (..., 4) or dark."""
+    """Return Stokes vectors as an array, checked for shape (..., 4) and intensity."""
     vector = last_axes(stokes, (4,), name="stokes", meaning="(I, Q, U, V)")
     above_zero(vector[..., 0], name="the intensity I of stokes")
     return vector

@@ -1,4 +1,4 @@
-"""Tables of a phase function, and of Bessel functions, for the small-angle model."""
+"""Tables of a phase function, and water columns, for the small-angle model."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _SMALLEST = 1e-18  # angle below which a peak counts as forward [rad]
 
 
 class Table(NamedTuple):
-    """What the small-angle model needs to know of a phase function."""
+    """Phase function in the form that the small-angle model needs."""
 
     split: float
     fraction: float
@@ -61,14 +61,14 @@ class Table(NamedTuple):
 
 
 def table(phase_function: PhaseFunction, split_angle: float) -> Table:
-    """Return the table of a phase function, kept if it can be told from others."""
+    """Return the table of a phase function, cached if it is hashable."""
     split = float(split_angle)
     if isinstance(phase_function, Hashable):
-        return _kept_table(phase_function, split)
-    return _fresh_table(phase_function, split)
+        return _cached_table(phase_function, split)
+    return _computed_table(phase_function, split)
 
 
-def _fresh_table(phase_function: PhaseFunction, split: float) -> Table:
+def _computed_table(phase_function: PhaseFunction, split: float) -> Table:
     """Return forward fraction, and (1 - mean transform up to x) / x^2 in cells."""
     fraction, _ = forward_split(phase_function, split_angle=split)
     degree = 10
@@ -89,7 +89,7 @@ def _fresh_table(phase_function: PhaseFunction, split: float) -> Table:
     return Table(split, fraction, monomials(values))
 
 
-_kept_table = lru_cache(maxsize=32)(_fresh_table)
+_cached_table = lru_cache(maxsize=32)(_computed_table)
 
 
 def _spread_by_transform(
@@ -97,10 +97,10 @@ def _spread_by_transform(
 ) -> Array:
     """Return (1 - mean of the transform up to x) / x^2 at the nodes of the cells."""
     node, weight = _gauss()
-    one = float(np.asarray(transform(np.zeros(1), split_angle=split))[0])
-    if not abs(one - 1) < 1e-6:
+    at_zero = float(np.asarray(transform(np.zeros(1), split_angle=split))[0])
+    if not abs(at_zero - 1) < 1e-6:
         raise ValueError(
-            f"phase_function.hankel must be 1 at frequency 0, got {one:g}; divide "
+            f"phase_function.hankel must be 1 at frequency 0, got {at_zero:g}; divide "
             "the forward part by its integral"
         )
     width = np.diff(edge)[:, None]
@@ -123,12 +123,12 @@ def _spread_by_transform(
 def _spread_by_quadrature(
     phase_function: PhaseFunction, x: Array, split: float
 ) -> Array:
-    """Return the same from the phase function itself."""
+    """Return (1 - mean of the transform up to x) / x^2 by quadrature over angle."""
     coarse = _angle_panels(phase_function, split)
     angle, weight = _angle_rule(coarse[:-1], coarse[1:])
     forward = np.sum(weight * _density(phase_function, angle))
-    whole, per = _kernels.LINEAR, _kernels.PER_OCTAVE
-    starts = [0, *range(whole, len(x), per)]
+    linear, per = _kernels.LINEAR, _kernels.PER_OCTAVE
+    starts = [0, *range(linear, len(x), per)]
     out = np.empty(x.shape)
     for first, last in zip(starts, [*starts[1:], len(x)], strict=True):
         group = np.ascontiguousarray(x[first:last])
@@ -152,26 +152,26 @@ def _angle_panels(phase_function: PhaseFunction, split: float) -> Array:
     count = int(np.ceil(np.log(split / _SMALLEST)))
     edges = np.geomspace(_SMALLEST, split, count + 1)
     edges[-1] = split
-    left, right = edges[:-1], edges[1:]
-    kept = [np.array([_SMALLEST, split])]
+    lower, upper = edges[:-1], edges[1:]
+    edge_sets = [np.array([_SMALLEST, split])]
     for _ in range(40):
-        middle = np.sqrt(left * right)
-        whole, lower, upper = (
+        middle = np.sqrt(lower * upper)
+        coarse, first, second = (
             np.sum(weight * _density(phase_function, angle), axis=1)
             for angle, weight in (
                 _angle_rule(low, high)
-                for low, high in ((left, right), (left, middle), (middle, right))
+                for low, high in ((lower, upper), (lower, middle), (middle, upper))
             )
         )
-        rough = np.abs(whole - lower - upper) > 1e-10
-        kept += [left, middle]
+        rough = np.abs(coarse - first - second) > 1e-10
+        edge_sets += [lower, middle]
         if not np.any(rough):
             break
-        left, right = (
-            np.concatenate([left[rough], middle[rough]]),
-            np.concatenate([middle[rough], right[rough]]),
+        lower, upper = (
+            np.concatenate([lower[rough], middle[rough]]),
+            np.concatenate([middle[rough], upper[rough]]),
         )
-    return np.unique(np.concatenate(kept))
+    return np.unique(np.concatenate(edge_sets))
 
 
 def _angle_rule(low: Array, high: Array) -> tuple[Array, Array]:
@@ -244,19 +244,19 @@ def panels(
     length: float,
     step: float,
     end: float,
-    known: float,
+    partial_sum: float,
     breaks: Sequence[float] = (),
 ) -> tuple[Array, Array, float]:
-    """Return edges of panels, F(z) at their nodes, and the integral of it.
+    """Return edges of panels, F(z) at their nodes, and its integral.
 
     light is F(z); on_axis is at least as large but for the loss, and falls with the
     square of the depth beyond the length. The first panel is a step wide; at breaks
-    F(z) need not be smooth. What is known of the response adds to the scale.
+    F(z) need not be smooth. partial_sum is response summed already.
     """
     node, weight, tail = depth_rule()
 
     def rest(depth: float) -> float:
-        """Return more than what all water behind a depth can send."""
+        """Return an upper limit of the water signal from behind a depth."""
         reach = min(depth + length, 1 / loss if loss > 0 else np.inf)
         return float(on_axis(np.array(depth)) * np.exp(-loss * depth) * reach)
 
@@ -270,19 +270,19 @@ def panels(
             limits.append(min(limits[-1] + width, end))
         inside = [depth for depth in breaks if start < depth < limits[-1]]
         start = limits[-1]
-        each = np.unique(limits + inside)
-        waiting = np.stack([each[:-1], each[1:]], axis=1)
+        limits_inside = np.unique(limits + inside)
+        waiting = np.stack([limits_inside[:-1], limits_inside[1:]], axis=1)
         while waiting.size:
             half = (waiting[:, 1] - waiting[:, 0]) / 2
             depth = waiting[:, :1] + half[:, None] * (node + 1)
-            taken = light(depth.ravel()).reshape(depth.shape)
-            part = half * (taken @ weight)
-            unresolved = 2 * half * np.max(np.abs(taken @ tail), axis=1)
-            scale = known + total + abs(part.sum())
+            samples = light(depth.ravel()).reshape(depth.shape)
+            part = half * (samples @ weight)
+            unresolved = 2 * half * np.max(np.abs(samples @ tail), axis=1)
+            scale = partial_sum + total + abs(part.sum())
             rounding = _ROUNDING * on_axis(waiting[:, 0]) * half
             done = unresolved <= np.maximum(_TOLERANCE * scale, rounding)
             edges = np.concatenate([edges, waiting[done]])
-            values = np.concatenate([values, taken[done]])
+            values = np.concatenate([values, samples[done]])
             total += max(part[done].sum(), 0.0)
             low, high = waiting[~done].T
             middle = (low + high) / 2
@@ -296,7 +296,7 @@ def panels(
                 )
         # What is sent from beyond this depth does not count.
         enough = start
-        while enough < end and rest(enough) > _TOLERANCE * (known + total):
+        while enough < end and rest(enough) > _TOLERANCE * (partial_sum + total):
             enough *= 1.25
         end = min(end, enough)
     return edges, values, total
@@ -304,7 +304,7 @@ def panels(
 
 @cache
 def depth_rule() -> tuple[Array, Array, Array]:
-    """Return nodes and weights of a panel, and what gives its last Legendre terms."""
+    """Return nodes, weights, and the matrix of the last Legendre terms of a panel."""
     size = 2 * ORDER
     node, weight = legendre.leggauss(size)
     order = np.arange(size)
@@ -320,10 +320,10 @@ _DEGREE = 10
 
 
 class Shared(NamedTuple):
-    """What all columns have in common."""
+    """Water, receiver and tables that all columns share."""
 
     water: _kernels.Water
-    """Water and receiver; its baseline and tilts do not count."""
+    """Water and receiver; its baseline and tilts are ignored."""
     cells: Array
     """Table of the phase function."""
     rule: Array
@@ -331,18 +331,18 @@ class Shared(NamedTuple):
 
 
 class Light(NamedTuple):
-    """The scattered light of one water at any depth and distance from the axis."""
+    """Scattered light of one water at any depth and distance from the axis."""
 
     edge: Array
-    """Panels of the depth in which it is smooth, shape (panel, 2) [m]."""
+    """Panels of the depth in which the light is smooth, shape (panel, 2) [m]."""
     span: Array
     """Start and width of the cells of ln(1 + q) at each node, shape (node, 2)."""
     cells: Array
-    """Their polynomials, shape (node, cell, 10)."""
+    """Polynomials of the cells, shape (node, cell, 10)."""
 
 
 def light_of(view: Array, shared: Shared, panels_of: Callable[[Array], Array]) -> Light:
-    """Return the light that columns look up.
+    """Return the table of scattered light for columns.
 
     A row of view is baseline, tilt, cross tilt and end of a column; `panels_of` gives
     the edges of panels in which the light of one such row is smooth.
@@ -383,19 +383,19 @@ def integrals(
 
 
 def _spread(view: Array) -> NDArray[np.intp]:
-    """Return columns that stand for all: the extremes, and some between."""
+    """Return representative columns: the extremes, and some between."""
     extremes = np.concatenate([view.argmin(axis=0), view.argmax(axis=0)])
     even = np.linspace(0, len(view) - 1, 3).astype(np.intp)
     return np.unique(np.concatenate([extremes, even]))
 
 
 def _common(edges: Array) -> Array:
-    """Return panels none of which reaches over an edge of another, rising."""
-    each = np.unique(edges)
+    """Return panels that cross no edge of any column, rising."""
+    distinct = np.unique(edges)
     # Edges that are the same but for rounding, and slivers between two columns.
-    keep = np.append(True, np.diff(each) > 1e-6 * each[1:])
-    each = each[keep]
-    return np.stack([each[:-1], each[1:]], axis=1)
+    keep = np.append(True, np.diff(distinct) > 1e-6 * distinct[1:])
+    distinct = distinct[keep]
+    return np.stack([distinct[:-1], distinct[1:]], axis=1)
 
 
 def _tables(depth: Array, view: Array, shared: Shared) -> tuple[Array, Array]:
@@ -408,9 +408,9 @@ def _tables(depth: Array, view: Array, shared: Shared) -> tuple[Array, Array]:
     for first in range(0, len(view), 512):
         baseline, tilt, cross, _ = view[first : first + 512].T
         apart = (baseline - tilt * path) ** 2 + (cross * path) ** 2
-        found = np.log1p(apart / area)
-        low = np.minimum(low, found.min(axis=1))
-        high = np.maximum(high, found.max(axis=1))
+        separation = np.log1p(apart / area)
+        low = np.minimum(low, separation.min(axis=1))
+        high = np.maximum(high, separation.max(axis=1))
     count = int(np.clip(np.ceil(np.max(high - low) / _CELL), 1, _MOST_CELLS))
     width = np.maximum((high - low) / count, 1e-9)
     node = np.cos(np.pi * (np.arange(_DEGREE) + 0.5) / _DEGREE)
@@ -443,7 +443,7 @@ _Fitted = TypeVar("_Fitted")
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Receiver):
-    """Water, beam and receiver of many columns; floats or arrays."""
+    """Arguments for water, beam and receiver of many columns; floats or arrays."""
 
     absorption: Any
     scattering: Any
@@ -459,7 +459,7 @@ LOOK = ("baseline", "tilt", "cross_tilt", "standoff")
 
 
 class Column(NamedTuple):
-    """A column of water seen by an instrument (SI units).
+    """Column of water in the view of an instrument (SI units).
 
     Where each depth is looked at in its own way, such as the pixels of a target, what
     `LOOK` names has an element for each depth.
@@ -478,18 +478,18 @@ class Column(NamedTuple):
     end: float
 
     def look(self) -> dict[str, float]:
-        """Return how all depths are looked at, or zeros where each has its own."""
+        """Return the view of all depths, or zeros where each has its own."""
         view = {name: getattr(self, name) for name in LOOK}
-        each = any(np.ndim(value) for value in view.values())
-        return dict.fromkeys(view, 0.0) if each else view
+        varies = any(np.ndim(value) for value in view.values())
+        return dict.fromkeys(view, 0.0) if varies else view
 
     def loss(self, spread: Table) -> float:
-        """Return 2 k', by which light is lost on its way there and back [1/m]."""
+        """Return 2 k', the loss of light on its way there and back [1/m]."""
         return 2 * (self.absorption + self.scattering * (1 - spread.fraction))
 
 
 def looks(depth: Array, column: Column) -> Array:
-    """Return depths and how they are looked at as rows, for the compiled loops."""
+    """Return depths and views as rows, for the compiled loops."""
     view = (getattr(column, name) for name in LOOK)
     return np.stack(np.broadcast_arrays(depth, *view), axis=1)
 
@@ -522,7 +522,7 @@ def overlap_of(
 
 
 def _alike(values: list[Array], count: int) -> list[NDArray[np.intp]]:
-    """Return where all of some values are the same, for each that there are."""
+    """Return groups of indices at which all values agree."""
     if count == 0:
         return []
     if not values:
@@ -541,13 +541,12 @@ def response_of(
     phase_function: PhaseFunction,
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
-    many: Many | None = None,
+    batched: Many | None = None,
     fewest: int = 2,
 ) -> NDArray[np.complex128]:
     """Return the response, with integral giving that of exp(i w z) F(z) for many w.
 
-    many gives it for at least the fewest columns that differ in where beam and receiver
-    look only.
+    batched gives it for at least the fewest columns that differ only in the view.
     """
     phases, columns, spread, vsf = _prepared(
         modulation_frequency,
@@ -557,12 +556,12 @@ def response_of(
         split_angle=split_angle,
         backscatter_vsf=backscatter_vsf,
     )
-    together = None if many is None else _views(phases, columns, fewest)
-    if many is None or together is None:
+    together = None if batched is None else _views(phases, columns, fewest)
+    if batched is None or together is None:
         result = _by_column(integral, phases, columns, spread)
     else:
         view, column, scatter = together
-        result = scatter(many(phases.ravel(), view, column, spread))
+        result = scatter(batched(phases.ravel(), view, column, spread))
     return np.asarray(vsf * result)
 
 
@@ -576,7 +575,7 @@ def fit_of(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> _Fitted | None:
-    """Return a fit to columns that differ in where beam and receiver look only."""
+    """Return a fit to columns that differ only in the view."""
     phases, columns, spread, _ = _prepared(
         modulation_frequency,
         arguments,
@@ -600,7 +599,7 @@ def _prepared(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> tuple[Array, dict[str, NDArray[Any]], Table, Any]:
-    """Return phases per depth, columns, table and beta_pi of arguments in range."""
+    """Return phases per depth, columns, table and beta_pi of checked arguments."""
     refuse_behind_receiver(arguments.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     spread = table(phase_function, split_angle)
@@ -617,7 +616,7 @@ def _prepared(
 def _views(
     phases: Array, columns: dict[str, NDArray[Any]], fewest: int
 ) -> tuple[Array, Column, Callable[[Complex], Complex]] | None:
-    """Return each view of columns that share the rest, and what arranges its results.
+    """Return distinct views of alike columns, and the function that scatters results.
 
     None for too few columns, where they share less, and where frequencies have no axes
     of their own.
@@ -638,13 +637,13 @@ def _views(
             shared[name] = float(value.flat[0])
     view = np.stack([np.broadcast_to(columns[name], inner).ravel() for name in VIEW])
     # Pixels that look the same way at the same end are worked out once.
-    each, back = np.unique(view.T, axis=0, return_inverse=True)
+    distinct, back = np.unique(view.T, axis=0, return_inverse=True)
 
-    def scatter(found: Complex) -> Complex:
-        """Return the results of each view, (view, phase), in the shape of the call."""
-        found = found[back.ravel()].reshape(*wide, phases.size)
+    def scatter(results: Complex) -> Complex:
+        """Arrange the results of each view, (view, phase), in the shape of the call."""
+        results = results[back.ravel()].reshape(*wide, phases.size)
         # The frequencies go to where they were.
-        lifted = np.moveaxis(found, -1, 0).reshape(phases.size, *wide)
+        lifted = np.moveaxis(results, -1, 0).reshape(phases.size, *wide)
         out: Complex = np.empty(shape, dtype=complex)
         for number, index in enumerate(np.ndindex(padded)):
             place = tuple(
@@ -654,14 +653,14 @@ def _views(
             out[place] = lifted[number]
         return out
 
-    return each, Column(**shared, **dict.fromkeys(VIEW, 0.0)), scatter
+    return distinct, Column(**shared, **dict.fromkeys(VIEW, 0.0)), scatter
 
 
-def _columns(arguments: Arguments, **others: Any) -> dict[str, NDArray[Any]]:
-    """Return the arguments as arrays, if they broadcast with the others."""
+def _columns(arguments: Arguments, **arrays: Any) -> dict[str, NDArray[Any]]:
+    """Return the arguments as arrays, checked to broadcast with others."""
     columns = {name: np.asarray(value) for name, value in arguments.named().items()}
-    if any(np.ndim(value) for value in (*columns.values(), *others.values())):
-        _bounds.broadcast(**others, **columns)
+    if any(np.ndim(value) for value in (*columns.values(), *arrays.values())):
+        _bounds.broadcast(**arrays, **columns)
     return columns
 
 

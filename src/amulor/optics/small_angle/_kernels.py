@@ -45,23 +45,23 @@ class Water(NamedTuple):
     """
 
     loss: float
-    """2 k' [1/m]."""
+    """Loss 2 k' [1/m]."""
     forward: float
-    """2 b_f [1/m]."""
+    """Forward scattering, twice: 2 b_f [1/m]."""
     split_angle: float
-    """Where the forward part of the phase function ends [rad]."""
+    """Split angle, the end of the forward part of the phase function [rad]."""
     baseline: float
-    """rho_0 [m]."""
+    """Baseline rho_0 [m]."""
     tilt: float
-    """n_0 along the baseline [rad]."""
+    """Tilt n_0 along the baseline [rad]."""
     cross_tilt: float
-    """n_0 across it [rad]."""
+    """Tilt n_0 across it [rad]."""
     standoff: float
-    """zeta - z [m]."""
+    """Standoff zeta - z [m]."""
     radius_squared: float
-    """R^2 + w^2 [m^2]."""
+    """Squared radius of receiver and beam, R^2 + w^2 [m^2]."""
     angle_squared: float
-    """gamma^2 + delta^2 [1]."""
+    """Squared angle of receiver and beam, gamma^2 + delta^2 [1]."""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -99,7 +99,7 @@ def lost(x: float, split: float, table: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _scattering_end(depth: float, top: float, water: Water, table: Array) -> float:
-    """Return where scattering has ended the integral over kappa, or top."""
+    """Return the frequency kappa at which scattering ends the integral, or top."""
     thickness = water.forward * depth
     if thickness > _SCATTERED_END:
         while (
@@ -162,7 +162,7 @@ def _scattered_at(
 
 @numba.njit(cache=True, error_model="numpy")
 def aimed(look: Array, water: Water) -> Water:
-    """Return a column that is looked at as a row of depth and view says."""
+    """Return a column in the view of a row of depth and view."""
     return Water(
         water.loss,
         water.forward,
@@ -194,9 +194,9 @@ def scattered(
         if z <= 0.0:  # nothing is scattered before the water begins
             out[n] = 0.0
             continue
-        own = aimed(look[n], water)
-        offset = _offset(z, own)
-        out[n] = _scattered_at(z, offset, own, table, bessel, rule, work)
+        column = aimed(look[n], water)
+        offset = _offset(z, column)
+        out[n] = _scattered_at(z, offset, column, table, bessel, rule, work)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -223,7 +223,7 @@ def add_panels(
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def separation(z: float, view: Array, water: Water) -> float:
-    """Return ln(1 + q), q the squared distance of beam and axis over that they blur.
+    """Return ln(1 + q), q the squared distance of beam and axis over their blur.
 
     A view is baseline, tilt and cross tilt.
     """
@@ -235,7 +235,7 @@ def separation(z: float, view: Array, water: Water) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _shortened(value: Array, part: float, rules: tuple[Array, Array, Array]) -> None:
-    """Replace the values of a panel by those of the first part of it."""
+    """Replace the values of a panel by those of its first part."""
     _, node, series = rules
     size = node.size
     term = np.zeros(size)

@@ -36,51 +36,51 @@ class Water(NamedTuple):
     """Water, beam and receiver."""
 
     loss: float
-    """2 k' [1/m]."""
+    """Loss 2 k' [1/m]."""
     forward: float
-    """2 b_f [1/m]."""
+    """Forward scattering, twice: 2 b_f [1/m]."""
     split_angle: float
-    """Where the forward part of the phase function ends [rad]."""
+    """Split angle, the end of the forward part of the phase function [rad]."""
     receiver_radius: float
-    """R [m]."""
+    """Receiver radius R [m]."""
     acceptance_angle: float
-    """gamma [rad]."""
+    """Acceptance angle gamma [rad]."""
     beam_radius_squared: float
-    """w^2 [m^2]."""
+    """Squared beam radius w^2 [m^2]."""
     beam_divergence_squared: float
-    """delta^2 [1]."""
+    """Squared beam divergence delta^2 [1]."""
 
 
 class Tables(NamedTuple):
-    """Functions and rules that were worked out beforehand."""
+    """Precomputed functions and quadrature rules."""
 
     lost: Array
-    """1 less the mean transform of the phase function, of `_tables.table`."""
+    """1 less the mean transform of the phase function, of `_columns.table`."""
     bessel: Array
-    """J0, of `_tables.bessel`."""
+    """Bessel function J0, of `_quadrature.bessel`."""
     disc: Array
-    """2 J1(x) / x, of `_tables.disc`."""
+    """Disc transform 2 J1(x) / x, of `_columns.disc`."""
     rule: Array
     """Nodes and weights of a panel on -1..1, in two rows."""
     series: Array
-    """What gives the Legendre terms from the values at the nodes."""
+    """Matrix from values at the nodes to Legendre terms."""
 
 
 class _Place(NamedTuple):
-    """One depth: what the transform of eq. (29) takes of it."""
+    """Terms of the transform of eq. (29) at one depth."""
 
     depth: float
-    """z [m]."""
+    """Depth z [m]."""
     thickness: float
-    """2 b_f z [1]."""
+    """Forward scattering, 2 b_f z [1]."""
     unscattered: float
-    """exp(-2 b_f z) where it is taken out, else 0 [1]."""
+    """Unscattered part exp(-2 b_f z) where it is subtracted, else 0 [1]."""
     beam: float
-    """w^2 + delta^2 zeta^2 [m^2]."""
+    """Squared beam width, w^2 + delta^2 zeta^2 [m^2]."""
     split_angle: float
-    """Where the forward part of the phase function ends [rad]."""
+    """Split angle, the end of the forward part of the phase function [rad]."""
     reach: float
-    """z times the split angle: how fast the edge of the forward part turns [m]."""
+    """Oscillation of the edge of the forward part: z times the split angle [m]."""
     radius: tuple[float, float, float]
     """Arguments over kappa of J0 and of the two discs [m]."""
 
@@ -146,7 +146,7 @@ def _turned(
 
 @numba.njit(cache=True, error_model="numpy")
 def _scattering_end(place: _Place, table: Array) -> float:
-    """Return the spatial frequency at which scattering has ended the integral."""
+    """Return the spatial frequency at which scattering ends the integral."""
     depth, thickness, split_angle = place.depth, place.thickness, place.split_angle
     if thickness <= _SCATTERED_END:
         return math.inf
@@ -160,7 +160,7 @@ def _scattering_end(place: _Place, table: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _envelope(kappa: float, radius: tuple[float, float, float]) -> float:
-    """Return about the most that the product of the three Bessel functions can be."""
+    """Return an estimate of the largest product of the three Bessel functions."""
     bound: float = 1.0
     x: float = kappa * radius[0]
     if x > 0.64:
@@ -174,7 +174,7 @@ def _envelope(kappa: float, radius: tuple[float, float, float]) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _place(look: Array, water: Water) -> _Place:
-    """Return what a depth is that is looked at as a row says."""
+    """Return the terms of a depth in the view of a row."""
     z = look[0]
     path = z + look[4]
     offset = math.hypot(look[1] - look[2] * path, look[3] * path)
@@ -188,18 +188,18 @@ def _place(look: Array, water: Water) -> _Place:
 
 @numba.njit(cache=True, error_model="numpy")
 def _slowest(radius: tuple[float, float, float]) -> float:
-    """Return how fast the slowest product of three waves turns [m]."""
+    """Return the slowest oscillation of a product of three waves [m]."""
     slowest = math.inf
     for j in range(4):
         side = radius[1] if j % 2 == 0 else -radius[1]
-        other = radius[2] if j < 2 else -radius[2]
-        slowest = min(slowest, abs(radius[0] + side + other))
+        third = radius[2] if j < 2 else -radius[2]
+        slowest = min(slowest, abs(radius[0] + side + third))
     return slowest
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _widest_turn(low: float, place: _Place, wave: Flags) -> tuple[float, float]:
-    """Return the turn of the plain factors, and the most of it in a panel."""
+    """Return the oscillation of the plain factors, and its limit in a panel."""
     turn = place.reach if low * place.reach < _SPLIT_END else 0.0
     waves = 0
     for j in range(3):
@@ -221,7 +221,7 @@ def _plain_factors(
     disc: Array,
     value: Complex,
 ) -> float:
-    """Fill value[0] with all that is no wave; return what water and beam leave last.
+    """Fill value[0] with the non-oscillating factors; return that at the end.
 
     The tables come one by one, as each access to an array of a bundle is counted.
     """
@@ -254,7 +254,7 @@ def _multiply_waves(
     rate: Array,
     value: Complex,
 ) -> int:
-    """Multiply value[0] by the waves; return of how many products the sum consists.
+    """Multiply value[0] by the waves; return the number of products in the sum.
 
     The real part of the product of two waves is half that of their product and half
     that of the product of one and the conjugate of the other. rate is how fast the
@@ -329,8 +329,8 @@ def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> 
             break
         # What is left shrinks at least as fast as the spatial frequency grows.
         before, size = size, abs(last) * _envelope(low, radius)
-        rest = size * min(low, 1.0 / slowest if slowest > 0.0 else math.inf)
-        if size <= before and rest < max(_TAIL * abs(total), _ROUNDING * on_axis):
+        remainder = size * min(low, 1.0 / slowest if slowest > 0.0 else math.inf)
+        if size <= before and remainder < max(_TAIL * abs(total), _ROUNDING * on_axis):
             break
     return total
 

@@ -1,4 +1,4 @@
-r"""Deviation of received light from straight back, and what backscatter it meets.
+r"""Deviation of received light from straight back, and the backscatter at that angle.
 
 The water signal takes the volume scattering function at 180 degrees for all light. Here
 is how far that light really was from 180 degrees, and the mean to take instead, in the
@@ -38,7 +38,7 @@ def backscatter_direction(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> tuple[Array, Array]:
-    r"""Return by how much received light was scattered away from straight back.
+    r"""Return mean and variance of the deviation of received light from straight back.
 
     Parameters
     ----------
@@ -97,15 +97,16 @@ def backscatter_direction(
     )
     d = b_f * moment / 4
     place = (radius**2 + gamma**2 * z**2) / 2 + 4 / 3 * d * z**3
-    both = gamma**2 * z / 2 + 2 * d * z**2
+    covariance = gamma**2 * z / 2 + 2 * d * z**2
     # C - B^2 / A without cancellation, over the common denominator.
-    rest = (
+    determinant = (
         (gamma * radius) ** 2 / 4
         + 2 * d * z * radius**2
         + 2 / 3 * d * z**3 * gamma**2
         + 4 / 3 * (d * z**2) ** 2
     )
-    return np.asarray(rho * both / place), np.asarray(rest / place + 0 * rho)
+    variance = np.asarray(determinant / place + 0 * rho)
+    return np.asarray(rho * covariance / place), variance
 
 
 def effective_radiance(
@@ -121,7 +122,7 @@ def effective_radiance(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return how much of the light of one depth comes back by each deviation.
+    r"""Return the received light of one depth by its deviation from straight back.
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ def effective_radiance(
     >>> print(f"{aside / straight:.0f}")
     9
     """
-    whole = small_angle_diffusion.overlap(
+    total = small_angle_diffusion.overlap(
         depth,
         absorption=absorption,
         forward_scattering=forward_scattering,
@@ -185,7 +186,7 @@ def effective_radiance(
     broadcast(angle=nu, cross_angle=across, depth=mean)
     along = nu - mean
     density = np.exp(-(along**2 + across**2) / (2 * variance)) / (2 * np.pi * variance)
-    return np.asarray(whole * density)
+    return np.asarray(total * density)
 
 
 def mean_backscatter_vsf(
@@ -198,7 +199,7 @@ def mean_backscatter_vsf(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return the volume scattering function as the received light of a depth meets it.
+    r"""Return the mean volume scattering function over the received light of a depth.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ def water_response(
     end: ArrayLike = np.inf,
     shared_light: SharedLight | None = None,
 ) -> NDArray[np.complex128]:
-    r"""Return the signal that the water sends back to a Gaussian receiver.
+    r"""Return the water signal of a Gaussian receiver, for any phase function.
 
     All arguments but the phase function and its split angle are broadcast against
     each other; axes along which only the frequency changes cost little.
@@ -190,7 +190,7 @@ def water_response(
         phase_function=phase_function,
         split_angle=split_angle,
         backscatter_vsf=backscatter_vsf,
-        many=partial(_responses, shared_light=shared_light),
+        batched=partial(_responses, shared_light=shared_light),
         fewest=2 if shared_light is None else 1,
     )
 
@@ -207,9 +207,9 @@ class SharedLight:
     """
 
     light: Light | None = None
-    """Table to look it up in; None without scattering, and where it is not used."""
+    """Table of the light; None without scattering, or if unused."""
     singly: bool = False
-    """Whether each column is integrated singly, too few or too unlike for a table."""
+    """Whether each column is integrated singly: too few or too unlike for a table."""
 
 
 def fit(
@@ -308,7 +308,7 @@ def overlap(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return how much of the light of one depth a Gaussian receiver would take in.
+    r"""Return the overlap F(z) of beam and Gaussian receiver at a depth.
 
     Parameters
     ----------
@@ -379,7 +379,7 @@ def overlap(
 
 
 def _widths(column: Column) -> tuple[float, float]:
-    """Return the radius and the semi-angle of receiver and beam together."""
+    """Return the combined radius and semi-angle of receiver and beam."""
     radius = np.hypot(column.receiver_radius, column.beam_radius)
     angle = np.hypot(column.acceptance_angle, column.beam_divergence)
     return float(radius), float(angle)
@@ -403,10 +403,10 @@ def _without_forward_scattering(column: Column) -> dict[str, Any]:
 
 
 def _beam_loss(column: Column) -> float:
-    """Return the part of the peak that the width of the beam leaves."""
+    """Return the part of the peak that remains for a beam of this width."""
     radius, angle = _widths(column)
-    own = column.receiver_radius * column.acceptance_angle
-    return (own / (radius * angle)) ** 2
+    receiver = column.receiver_radius * column.acceptance_angle
+    return (receiver / (radius * angle)) ** 2
 
 
 def _light(depth: Array, column: Column, spread: Table) -> Array:
@@ -424,7 +424,7 @@ def _scattered(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _water(column: Column, spread: Table) -> _kernels.Water:
-    """Return a column as the loops take it."""
+    """Return a column for the compiled loops."""
     radius, angle = _widths(column)
     return _kernels.Water(
         loss=column.loss(spread),
@@ -448,12 +448,12 @@ def _response(
     plain = _plain(np.append(0.0, phase_per_depth), column)
     if column.end == 0 or column.scattering == 0:
         return plain[1:]
-    edges, values = _panels(column, spread, known=float(plain[0].real))
+    edges, values = _panels(column, spread, partial_sum=float(plain[0].real))
     return plain[1:] + integral(phase_per_depth, edges, values)
 
 
 def _plain(phase_per_depth: Array, column: Column) -> NDArray[np.complex128]:
-    """Return the integral of exp(i w z) F(z) of light that was not scattered [m sr]."""
+    """Return the integral of exp(i w z) F(z) of unscattered light [m sr]."""
     # Of frequency f comes w = 4 pi f n / c; group index 1 stands for n here.
     return np.asarray(
         _beam_loss(column)
@@ -467,7 +467,9 @@ def _plain(phase_per_depth: Array, column: Column) -> NDArray[np.complex128]:
     )
 
 
-def _panels(column: Column, spread: Table, *, known: float) -> tuple[Array, Array]:
+def _panels(
+    column: Column, spread: Table, *, partial_sum: float
+) -> tuple[Array, Array]:
     """Return edges of panels of the depth, and the scattered light in them [sr]."""
     radius, angle = _widths(column)
     loss, peak = column.loss(spread), _peak(column)
@@ -479,7 +481,7 @@ def _panels(column: Column, spread: Table, *, known: float) -> tuple[Array, Arra
         length=radius / angle + column.standoff,
         step=step,
         end=column.end,
-        known=known,
+        partial_sum=partial_sum,
     )
     return edges, values
 
@@ -492,7 +494,7 @@ def _responses(
     *,
     shared_light: SharedLight | None,
 ) -> NDArray[np.complex128]:
-    """Return the same for many rows of baseline, tilt, cross tilt and end."""
+    """Return the integrals for many rows of baseline, tilt, cross tilt and end."""
     if shared_light is None:
         farthest = float(view[:, 3].max())
         shared_light = _shared_light(
@@ -500,7 +502,7 @@ def _responses(
         )
     if shared_light.singly:
         return np.array(
-            [_response(phase_per_depth, _looking(column, row), spread) for row in view]
+            [_response(phase_per_depth, _in_view(column, row), spread) for row in view]
         )
     return _look_up(phase_per_depth, view, column, spread, light=shared_light.light)
 
@@ -513,7 +515,7 @@ def _shared_light(
     *,
     farthest: float,
 ) -> SharedLight:
-    """Return the light of many columns, singly where a table is off by a millionth."""
+    """Return the light of many columns, singly if a table errs by a millionth."""
     if len(view) < FEWEST:
         return SharedLight(singly=True)
     if column.scattering == 0:
@@ -522,7 +524,7 @@ def _shared_light(
     few = view[np.linspace(0, len(view) - 1, _CHECKS).astype(int)]
     values = _look_up(phase_per_depth, few, column, spread, light=light)
     for row, value in zip(few, values, strict=True):
-        expected = _response(phase_per_depth, _looking(column, row), spread)
+        expected = _response(phase_per_depth, _in_view(column, row), spread)
         if np.max(abs(value - expected)) > _TABLE * np.max(abs(expected)):
             return SharedLight(singly=True)
     return SharedLight(light=light)
@@ -536,7 +538,7 @@ def _look_up(
     *,
     light: Light | None,
 ) -> NDArray[np.complex128]:
-    """Return the integrals of many columns, their scattered light by a table if any."""
+    """Return the integrals of many columns, with their scattered light from a table."""
     names = dict(zip(VIEW, view.T[:, :, None], strict=True))
     plain = _plain(phase_per_depth, column._replace(**names))
     if light is None:
@@ -547,18 +549,18 @@ def _look_up(
 
 
 def _light_of(view: Array, far: float, column: Column, spread: Table) -> Light:
-    """Return the scattered light of many columns, in a table to a depth."""
+    """Return the scattered light of many columns, as a table up to a depth."""
 
     def panels_of(row: Array) -> Array:
-        looking = _looking(column, row)._replace(end=far)
-        known = float(_plain(np.zeros(1), looking)[0].real)
-        return _panels(looking, spread, known=known)[0]
+        looking = _in_view(column, row)._replace(end=far)
+        partial_sum = float(_plain(np.zeros(1), looking)[0].real)
+        return _panels(looking, spread, partial_sum=partial_sum)[0]
 
     shared = Shared(_water(column, spread), spread.cells, _frequency_rule())
     return light_of(view, shared, panels_of)
 
 
-def _looking(column: Column, row: Array) -> Column:
+def _in_view(column: Column, row: Array) -> Column:
     """Return a column with the view of a row."""
     return column._replace(**dict(zip(VIEW, map(float, row), strict=True)))
 

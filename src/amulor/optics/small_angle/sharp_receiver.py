@@ -52,7 +52,7 @@ def water_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.complex128]:
-    r"""Return the signal that the water sends back to a receiver with sharp edges.
+    r"""Return the water signal of a receiver with sharp edges.
 
     All arguments but the phase function and its split angle are broadcast against
     each other; axes along which only the frequency changes cost little.
@@ -202,7 +202,7 @@ def overlap(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return how much of the light of one depth a sharp-edged receiver would take in.
+    r"""Return the overlap F(z) of beam and sharp-edged receiver at a depth.
 
     Parameters
     ----------
@@ -279,13 +279,13 @@ def _response(
     """Return the integral of exp(i w z) F(z) over the column [m sr]."""
     thin = column.beam_radius == 0 and column.beam_divergence == 0
     total = np.zeros(phase_per_depth.size, dtype=complex)
-    known = 0.0
+    partial_sum = 0.0
     if thin:
-        edges, values, known = _panels(
+        edges, values, partial_sum = _panels(
             partial(_unscattered, column=column),
             column,
             loss=2 * (column.absorption + column.scattering),
-            known=0.0,
+            partial_sum=0.0,
         )
         total += integral(phase_per_depth, edges, values)
     if not thin or column.scattering > 0:
@@ -293,16 +293,16 @@ def _response(
             partial(_collected, column=column, spread=spread),
             column,
             loss=column.loss(spread),
-            known=known,
+            partial_sum=partial_sum,
         )
         total += integral(phase_per_depth, edges, values)
     return total
 
 
 def _panels(
-    light: Callable[[Array], Array], column: Column, *, loss: float, known: float
+    light: Callable[[Array], Array], column: Column, *, loss: float, partial_sum: float
 ) -> tuple[Array, Array, float]:
-    """Return edges of panels, what is seen of the light in them, and its integral."""
+    """Return edges of panels, the light at their nodes, and its integral."""
     radius, angle = column.receiver_radius, column.acceptance_angle
     scale = loss + column.scattering
     step = 0.3 * (radius / angle + column.baseline)
@@ -313,7 +313,7 @@ def _panels(
         length=radius / angle + column.standoff,
         step=min(step, 1 / scale) if scale > 0 else step,
         end=column.end,
-        known=known,
+        partial_sum=partial_sum,
         breaks=_edges_of_view(column),
     )
 
@@ -343,7 +343,7 @@ def _collected(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _unscattered(depth: Array, column: Column) -> Array:
-    """Return F(z) of light of a thin beam that was not scattered on its way [sr]."""
+    """Return F(z) of the unscattered light of a thin beam [sr]."""
     path = depth + column.standoff
     offset = np.hypot(column.baseline - column.tilt * path, column.cross_tilt * path)
     loss = 2 * (column.absorption + column.scattering)
@@ -351,32 +351,32 @@ def _unscattered(depth: Array, column: Column) -> Array:
 
 
 def _common(offset: Array, column: Column, path: Array) -> Array:
-    """Return what a thin beam lights of the acceptance of all points of the aperture.
+    """Return the acceptance of all aperture points that a thin beam lights [sr].
 
     This is the area that the aperture has in common with the disc that the
     acceptance cone cuts out at the path, over the squared path [sr].
     """
-    radius, seen = column.receiver_radius, column.acceptance_angle * path
-    nearer = (offset - radius + seen) * (offset + radius - seen)
-    farther = (radius + seen - offset) * (radius + seen + offset)
+    radius, view_radius = column.receiver_radius, column.acceptance_angle * path
+    nearer = (offset - radius + view_radius) * (offset + radius - view_radius)
+    farther = (radius + view_radius - offset) * (radius + view_radius + offset)
     corner = np.sqrt(np.maximum(nearer, 0.0) * np.maximum(farther, 0.0))
-    at_radius = np.arctan2(corner, offset**2 + radius**2 - seen**2)
-    at_seen = np.arctan2(corner, offset**2 + seen**2 - radius**2)
-    lens = radius**2 * _segment(at_radius) + seen**2 * _segment(at_seen)
+    at_radius = np.arctan2(corner, offset**2 + radius**2 - view_radius**2)
+    at_seen = np.arctan2(corner, offset**2 + view_radius**2 - radius**2)
+    lens = radius**2 * _segment(at_radius) + view_radius**2 * _segment(at_seen)
     partly = np.divide(lens, path**2, out=np.zeros(path.shape), where=path > 0)
-    within = offset <= np.abs(radius - seen)
+    within = offset <= np.abs(radius - view_radius)
     return np.where(within, _on_axis(path, column), np.where(farther > 0, partly, 0.0))
 
 
 def _segment(angle: Array) -> Array:
-    """Return the area of a segment of half this angle, over the squared radius."""
+    """Return the area of a circular segment by half angle, over the squared radius."""
     power = angle**2
     series = 2 / 3 * angle * power * (1 - power / 5 * (1 - 2 * power / 21))
     return np.where(angle < 0.05, series, angle - np.sin(angle) * np.cos(angle))
 
 
 def _on_axis(path: Array, column: Column) -> Array:
-    """Return the most that F(z) can be in water without losses [sr]."""
+    """Return an upper limit of F(z) in water without losses [sr]."""
     radius, angle = column.receiver_radius, column.acceptance_angle
     return np.pi * (radius * angle / np.maximum(radius, angle * path)) ** 2
 
@@ -394,7 +394,7 @@ def _edges_of_view(column: Column) -> list[float]:
 
 
 def _tables_of(spread: Table) -> _kernels.Tables:
-    """Return the tables of a phase function with those common to all of them."""
+    """Return the tables of a phase function, with those common to all."""
     rule, series = _frequency_rule()
     return _kernels.Tables(
         lost=spread.cells, bessel=bessel(), disc=disc(), rule=rule, series=series

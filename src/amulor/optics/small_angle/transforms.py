@@ -1,4 +1,4 @@
-r"""Small-angle transport in Fourier space: what water, beam and receiver do to light.
+r"""Small-angle transport in Fourier space: transfer of water, beam and receiver.
 
 Light at a depth z has a place :math:`\boldsymbol\rho` across the axis and a small
 direction :math:`\mathbf n`; their conjugates are the spatial
@@ -51,7 +51,7 @@ def layer_transfer(
     phase_function: PhaseFunction,
     split_angle: float,
 ) -> Array:
-    r"""Return what a layer of water does to one Fourier component of a beam.
+    r"""Return the transfer of a layer of water for one Fourier component of a beam.
 
     At zero `direction_frequency` this is the modulation transfer function of the water:
     the contrast in which a pattern of stripes arrives, times the loss of light.
@@ -144,7 +144,7 @@ def diffusion_layer_transfer(
     diffuse_scattering: ArrayLike,
     second_moment: ArrayLike,
 ) -> Array:
-    r"""Return the same in the diffusion form, where all light spreads as a Gaussian.
+    r"""Return the transfer in the diffusion form, with a Gaussian spread of all light.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def receiver_sensitivity(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return how much of a ray the Gaussian receiver takes in.
+    r"""Return the sensitivity of the Gaussian receiver to a ray.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def effective_source_transform(
     beam_radius: ArrayLike = 0.0,
     beam_divergence: ArrayLike = 0.0,
 ) -> NDArray[np.complex128]:
-    r"""Return the transform of beam and receiver together, per launched power.
+    r"""Return the combined transform of beam and receiver, per launched power.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The small-angle form with a Gaussian put for its spread: fast, no free parameter."""
+"""The small-angle form with a Gaussian spread: fast, no free parameter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled loops of the closure of the small-angle form, and nothing else."""
+"""Compiled loops of the closure of the small-angle form."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _ASIDE = 30.0  # offset squared over S beyond which a Gaussian has no light
 
 
 class Layout(NamedTuple):
-    """Where the panels of a column begin, break and end."""
+    """Panel layout of a column."""
 
     step: float
     """Width of the first panel [m]."""
@@ -44,7 +44,7 @@ class Layout(NamedTuple):
     narrow: float
     """Depth over which they stay near [m]."""
     end: float
-    """Where the water ends [m]."""
+    """End of the water [m]."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -82,15 +82,17 @@ def _lost(x: float, split: float, table: Array) -> tuple[float, float]:
 def _broadened(
     area: float, z: float, clear: float, water: Water, table: Array
 ) -> float:
-    """Return clear + B for the spatial frequency that an area S stands for."""
+    """Return clear + B for the spatial frequency of an area S."""
     x = 2.0 * z / math.sqrt(area)
     _, slope = _lost(x, water.split_angle, table)
     return clear + 2.0 * water.forward * z * z * z * slope
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _settled(start: float, z: float, clear: float, water: Water, table: Array) -> float:
-    """Return the S = clear + B(S) that is next to a start below or above it.
+def _solution(
+    start: float, z: float, clear: float, water: Water, table: Array
+) -> float:
+    """Return the solution S = clear + B(S) next to a start below or above it.
 
     The right side rises with S, so the steps go one way only; a longer one is taken
     along the two before it unless it passes the solution.
@@ -128,21 +130,21 @@ def _line(z: float, water: Water, table: Array) -> tuple[float, float, float, fl
     offset = (water.baseline - water.tilt * path) ** 2 + (water.cross_tilt * path) ** 2
     area, lost = clear, 0.0
     if z > 0.0 and water.forward > 0.0:
-        area = _settled(clear, z, clear, water, table)
+        area = _solution(clear, z, clear, water, table)
         lost = _exponent(area, z, clear, water, table)
         _, widest = _lost(0.0, water.split_angle, table)
         widest = clear + 2.0 * water.forward * z * z * z * widest
-        other = _settled(widest, z, clear, water, table)
-        if other > area * (1.0 + _SAME):
+        second_area = _solution(widest, z, clear, water, table)
+        if second_area > area * (1.0 + _SAME):
             # Two solutions: each is a lower bound of the light on the axis.
-            exponent = _exponent(other, z, clear, water, table)
-            if exponent + math.log(other) < lost + math.log(area):
-                area, lost = other, exponent
+            exponent = _exponent(second_area, z, clear, water, table)
+            if exponent + math.log(second_area) < lost + math.log(area):
+                area, lost = second_area, exponent
     return area, lost, area - clear, offset / area
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _taken(z: float, water: Water, table: Array) -> float:
+def _overlap(z: float, water: Water, table: Array) -> float:
     """Return F(z) / pi R^2 gamma^2."""
     area, lost, _, aside = _line(z, water, table)
     return math.exp(-water.loss * z - lost - aside) / area
@@ -152,26 +154,26 @@ def _taken(z: float, water: Water, table: Array) -> float:
 def departures(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill rows of out with what the closure lacks of eq. (29), absolute and relative.
+    """Fill rows of out with the light of eq. (29) that the closure lacks.
 
     By Gauss-Laguerre nodes: rule has nodes and weights, a row of look is as in
     `collected`. Compiled, as S(z) is found step by step.
     """
     for n in range(look.shape[0]):
         z = look[n, 0]
-        own = aimed(look[n], water)
-        area, lost, spread, aside = _line(z, own, table)
+        column = aimed(look[n], water)
+        area, lost, spread, aside = _line(z, column, table)
         out[n, 0] = out[n, 1] = 0.0
-        if z <= 0.0 or own.forward <= 0.0:
+        if z <= 0.0 or column.forward <= 0.0:
             continue
         total = 0.0
         for i in range(rule.shape[1]):
             t = rule[0, i]
-            value, _ = _lost(2.0 * z * math.sqrt(t / area), own.split_angle, table)
-            above = own.forward * z * value - lost - spread * t / area
+            value, _ = _lost(2.0 * z * math.sqrt(t / area), column.split_angle, table)
+            above = column.forward * z * value - lost - spread * t / area
             wave = j0(2.0 * math.sqrt(aside * t), bessel)
             total += rule[1, i] * wave * (math.exp(-above) - 1.0)
-        out[n, 0] = total * math.exp(-own.loss * z - lost) / area
+        out[n, 0] = total * math.exp(-column.loss * z - lost) / area
         out[n, 1] = math.inf
         if lost <= _LOST and aside <= _ASIDE:
             relative = total * math.exp(aside)
@@ -187,12 +189,12 @@ def collected(look: Array, water: Water, table: Array, out: Array) -> None:
     Compiled, as S(z) is found step by step, docs/theory/water-signal.md.
     """
     for n in range(look.shape[0]):
-        out[n] = _taken(look[n, 0], aimed(look[n], water), table)
+        out[n] = _overlap(look[n, 0], aimed(look[n], water), table)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _bound(z: float, water: Water) -> float:
-    """Return at least the F(z) / pi R^2 gamma^2 of light on the axis."""
+    """Return an upper limit of F(z) / pi R^2 gamma^2 on the axis."""
     path = z + water.standoff
     area = water.radius_squared + water.angle_squared * path * path
     return math.exp(-water.loss * z) / area
@@ -212,7 +214,7 @@ def _unresolved(value: Array, tail: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _edges(start: float, stop: float, layout: Layout, waiting: Array) -> int:
-    """Put what lies between start and stop on the stack, broken about the nearest."""
+    """Push spans from start to stop on the stack, broken about the nearest depth."""
     count = 0
     high = stop
     for factor in (9.0, 3.0, 1.0, 0.0, -1.0, -3.0, -9.0):
@@ -247,27 +249,27 @@ def _add_panels(
     odd = np.empty(ORDER)
     work = np.empty((2, ORDER))
     turn = np.empty((2, phases.size))
-    left = _edges(span[0], span[1], layout, waiting)
+    pending = _edges(span[0], span[1], layout, waiting)
     total = before
-    while left > 0:
-        left -= 1
-        low, high = waiting[left, 0], waiting[left, 1]
+    while pending > 0:
+        pending -= 1
+        low, high = waiting[pending, 0], waiting[pending, 1]
         half = 0.5 * (high - low)
         centre = low + half
         part = 0.0
         for i in range(node.size):
-            value[i] = _taken(centre + half * node[i], water, table)
+            value[i] = _overlap(centre + half * node[i], water, table)
             part += weight[i] * value[i]
         part *= half
-        rest = 2.0 * half * _unresolved(value, tail)
+        unresolved = 2.0 * half * _unresolved(value, tail)
         allowed = max(
             _UNRESOLVED * (total + part), _ROUNDING * half * _bound(low, water)
         )
-        halved = half > _NARROWEST * centre and left + 2 <= _CAPACITY
-        if rest > allowed and halved:
-            waiting[left, 0], waiting[left, 1] = centre, high
-            waiting[left + 1, 0], waiting[left + 1, 1] = low, centre
-            left += 2
+        halved = half > _NARROWEST * centre and pending + 2 <= _CAPACITY
+        if unresolved > allowed and halved:
+            waiting[pending, 0], waiting[pending, 1] = centre, high
+            waiting[pending + 1, 0], waiting[pending + 1, 1] = low, centre
+            pending += 2
             continue
         for i in range(ORDER):
             right, behind = value[ORDER + i], value[ORDER - 1 - i]

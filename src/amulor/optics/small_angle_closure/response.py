@@ -1,4 +1,4 @@
-r"""Water signal by a closure of the small-angle form: fast, and no free parameter.
+r"""Water signal by a closure of the small-angle form: fast, no free parameter.
 
 The exponent by which scattering damps a spatial frequency is replaced by the straight
 line in its square that touches it at the frequency which the light itself has.
@@ -57,7 +57,7 @@ def water_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.complex128]:
-    r"""Return the signal that the water sends back, by the closure of eq. (29).
+    r"""Return the water signal by the closure of eq. (29).
 
     All arguments but the phase function and its split angle are broadcast against
     each other; axes along which only the frequency changes cost little.
@@ -203,7 +203,7 @@ def overlap(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return how much of the light of one depth a receiver would take in, by closure.
+    r"""Return the overlap F(z) of beam and receiver at a depth, by closure.
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ def departure(
 
 
 def _water(column: Column, spread: Table) -> small_angle_kernels.Water:
-    """Return a column as the loops take it."""
+    """Return a column for the compiled loops."""
     return small_angle_kernels.Water(
         loss=column.loss(spread),
         forward=2 * column.scattering * spread.fraction,
@@ -418,7 +418,7 @@ def _departures(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _lacking(depth: Array, column: Column, spread: Table) -> Array:
-    """Light of eq. (29) less that of the closure, over pi R^2 gamma^2 and relative."""
+    """Return the light of eq. (29) less that of the closure, over pi R^2 gamma^2."""
     out = np.empty((depth.size, 2))
     _kernels.departures(
         looks(depth, column),
@@ -438,7 +438,7 @@ def _laguerre() -> Array:
 
 
 def _lacked(column: Column, spread: Table) -> float:
-    """Light of eq. (29) of a column less that of the closure, over the latter [1]."""
+    """Return the light of eq. (29) less the closure, relative to the closure [1]."""
     loss = column.loss(spread) / 2
     across = (column.receiver_radius + column.baseline) / column.acceptance_angle
     faded = _REACH / loss if loss > 0 else np.inf
@@ -480,7 +480,7 @@ def _response(
 
 
 def _meeting(water: small_angle_kernels.Water) -> dict[str, float]:
-    """Return the depth at which beam and axis are nearest, and over which [m]."""
+    """Return the depth at which beam and axis are nearest, and its extent [m]."""
     slant = water.tilt**2 + water.cross_tilt**2
     if slant == 0:
         return {"nearest": -1.0, "narrow": 0.0}

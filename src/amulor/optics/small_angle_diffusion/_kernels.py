@@ -1,4 +1,4 @@
-"""Compiled loops of the water signal in diffusion form, and nothing else."""
+"""Compiled loops of the water signal in diffusion form."""
 
 from __future__ import annotations
 
@@ -31,60 +31,60 @@ _EXP = tuple(1.0 / math.factorial(i) for i in range(14))
 
 
 class Geometry(NamedTuple):
-    """One column of water and its instrument, as a row of a table holds them.
+    """Column of water and its instrument, as a row of a table.
 
     The row has the values in the order of these fields, here and in `_columns`.
     """
 
     reduced_attenuation: float
-    """k' = a + b_d [1/m]."""
+    """Reduced attenuation k' = a + b_d [1/m]."""
     spreading: float
     """Factor (2/3) b_f <theta^2> of z^3 in S(z) [1/m]."""
     baseline: float
-    """rho_0 [m]."""
+    """Baseline rho_0 [m]."""
     receiver_radius: float
-    """R [m]."""
+    """Receiver radius R [m]."""
     acceptance_angle: float
-    """gamma [rad]."""
+    """Acceptance angle gamma [rad]."""
     tilt: float
-    """n_0 along the baseline [rad]."""
+    """Tilt n_0 along the baseline [rad]."""
     cross_tilt: float
-    """n_0 across it [rad]."""
+    """Tilt n_0 across it [rad]."""
     standoff: float
-    """zeta - z [m]."""
+    """Standoff zeta - z [m]."""
     start: float
-    """Where the integral begins [m]."""
+    """Start of the integral [m]."""
     end: float
-    """Where it ends [m]."""
+    """End of the integral [m]."""
 
 
 class Column(NamedTuple):
-    """The same as the integrand of eq. (46) takes it, with zeta = z + standoff.
+    """Column of water in the form of eq. (46), with zeta = z + standoff.
 
     S(z) = aperture + acceptance zeta^2 + spreading z^3, and the squared distance of
     beam and receiver axis is closest + slant (z - nearest)^2.
     """
 
     loss: float
-    """2 k' [1/m]."""
+    """Loss 2 k' [1/m]."""
     spreading: float
     """Factor (2/3) b_f <theta^2> of z^3 in S(z) [1/m]."""
     aperture: float
-    """R^2 [m^2]."""
+    """Squared receiver radius R^2 [m^2]."""
     acceptance: float
-    """gamma^2 [1]."""
+    """Squared acceptance angle gamma^2 [1]."""
     slant: float
     """Squared inclination |n_0|^2 of the beam [1]."""
     nearest: float
     """Depth z at which beam and receiver axis are nearest [m]."""
     closest: float
-    """Their squared distance there [m^2]."""
+    """Squared distance of beam and axis there [m^2]."""
     standoff: float
-    """zeta - z [m]."""
+    """Standoff zeta - z [m]."""
     start: float
-    """Where the integral begins [m]."""
+    """Start of the integral [m]."""
     end: float
-    """Where nothing is left to add [m]."""
+    """Depth beyond which nothing is added [m]."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -138,7 +138,7 @@ def _slope(z: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _scale(area: float, column: Column) -> float:
-    """Return about the distance over which S(z) doubles."""
+    """Return the distance over which S(z) about doubles."""
     scale = np.sqrt(area / column.acceptance)
     if column.spreading > 0.0:
         scale = min(scale, np.cbrt(area / column.spreading))
@@ -147,7 +147,7 @@ def _scale(area: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _bound(a: float, b: float, column: Column) -> float:
-    """Return the most that the exponent of F(z) can be between a and b."""
+    """Return an upper limit of the exponent of F(z) between a and b."""
     offset = column.closest
     if not a < column.nearest < b:
         offset = min(_offset(a, column), _offset(b, column))
@@ -156,7 +156,7 @@ def _bound(a: float, b: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _geometry(row: Array) -> Geometry:
-    """Return a row by the names of its values."""
+    """Return a row as named values."""
     return Geometry(
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9]
     )
@@ -164,7 +164,7 @@ def _geometry(row: Array) -> Geometry:
 
 @numba.njit(cache=True, error_model="numpy")
 def _prepare(geometry: Geometry) -> Column:
-    """Return what the integrand needs, and cut off depths that add nothing."""
+    """Return the terms of the integrand, with depths that add nothing cut off."""
     column = Column(
         2.0 * geometry.reduced_attenuation,
         geometry.spreading,
@@ -209,7 +209,7 @@ def _prepare(geometry: Geometry) -> Column:
 
 @numba.njit(cache=True, error_model="numpy")
 def _break_points(column: Column, z_break: Array) -> tuple[int, float, float]:
-    """Fill z_break; return how many, where F(z) is largest and about how broad.
+    """Fill z_break; return its count, the maximum of F(z) and its approximate width.
 
     Return -1 for how many if there is no room for them.
     """
@@ -247,8 +247,8 @@ def _break_points(column: Column, z_break: Array) -> tuple[int, float, float]:
         z_break[count] = z
         count += 1
         # All that follows is at most this: the offset left out, S and depth growing.
-        rest = np.log(min(1.6 * scale, 1.0 / (loss + 1e-300)) / area) - loss * z
-        if z >= limit or loss * z > 745.0 or rest < highest + np.log(width) - 40.0:
+        remainder = np.log(min(1.6 * scale, 1.0 / (loss + 1e-300)) / area) - loss * z
+        if z >= limit or loss * z > 745.0 or remainder < highest + np.log(width) - 40.0:
             break
         step = scale
         if loss > 0.0:
@@ -316,10 +316,10 @@ def _sample(
 def _unresolved(
     a: float, b: float, peak: float, column: Column, rule: Array, work: Array
 ) -> float:
-    """Return how far the polynomials in work[4:6] miss F(z) between a and b."""
+    """Return the error of the polynomials in work[4:6] for F(z) between a and b."""
     n = ORDER - 1
-    rest = abs(work[4, n]) + abs(work[5, n])
-    rest += 0.25 * (abs(work[4, n - 1]) + abs(work[5, n - 1]))
+    error = abs(work[4, n]) + abs(work[5, n])
+    error += 0.25 * (abs(work[4, n - 1]) + abs(work[5, n - 1]))
     even = odd = 0.0
     for i in range(ORDER):
         even += work[0, i] * rule[4, 2, i]
@@ -328,7 +328,7 @@ def _unresolved(
     at_a = abs(even - odd - np.exp(_level(a, column) - top))
     at_b = abs(even + odd - np.exp(_level(b, column) - top))
     # The ends lie outside the nodes, where the polynomials miss by much more.
-    return float(max(rest, max(at_a, at_b) / 30.0))
+    return float(max(error, max(at_a, at_b) / 30.0))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -359,10 +359,10 @@ def _add_column(
     rounding = _ROUNDING * (1.0 + 0.1 * dip)
     for j in range(count - 1):
         waiting[0, 0], waiting[0, 1] = z_break[j], z_break[j + 1]
-        left = 1
-        while left > 0:
-            left -= 1
-            a, b = waiting[left, 0], waiting[left, 1]
+        pending = 1
+        while pending > 0:
+            pending -= 1
+            a, b = waiting[pending, 0], waiting[pending, 1]
             half = 0.5 * (b - a)
             centre = a + half
             most = np.exp(_bound(a, b, column) - np.log(_area(a, column)) - top)
@@ -378,11 +378,11 @@ def _add_column(
                 return np.nan  # a maximum was missed, and with it the scale
             allowed = max(_UNRESOLVED * width / half, rounding * largest)
             if not _unresolved(a, b, peak, column, rule, work) <= allowed:
-                if left + 2 > _CAPACITY or half < 1e-12 * centre:
+                if pending + 2 > _CAPACITY or half < 1e-12 * centre:
                     return np.nan
-                waiting[left, 0], waiting[left, 1] = centre, b
-                waiting[left + 1, 0], waiting[left + 1, 1] = a, centre
-                left += 2
+                waiting[pending, 0], waiting[pending, 1] = centre, b
+                waiting[pending + 1, 0], waiting[pending + 1, 1] = a, centre
+                pending += 2
                 continue
             panel = Panel(half, centre, work[0], work[1])
             add_panel(panel, phase_per_depth, rule, work[4:], turn, sums)

@@ -1,4 +1,4 @@
-"""Where in the water its signal comes from: by depth, by time, and up to where."""
+"""Distribution of the water signal over depth and time."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def impulse_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.float64]:
-    r"""Return what the receiver gets from the water after a very short pulse.
+    r"""Return the received power after a very short pulse.
 
     Parameters
     ----------
@@ -150,8 +150,8 @@ def maximum_distance(fraction: float, **water: Any) -> float:
     """
     within(fraction, 0, 1, name="fraction", above=True, below=True)
     column = {"backscatter_vsf": 1.0, "group_index": 1.0, **water}
-    whole = float(model.water_response(0.0, **column).real)
-    if whole == 0:
+    total = float(model.water_response(0.0, **column).real)
+    if total == 0:
         raise ValueError(
             "the receiver gets no light from this water: baseline too wide, or "
             "acceptance_angle too small"
@@ -159,7 +159,7 @@ def maximum_distance(fraction: float, **water: Any) -> float:
 
     def excess(depth: float) -> float:
         part = model.water_response(0.0, **(column | {"end": depth}))
-        return float(part.real) / whole - fraction
+        return float(part.real) / total - fraction
 
     farthest = 1.0
     end = float(column.get("end", np.inf))

@@ -1,4 +1,4 @@
-"""Integral of the diffusion form over the depth, for arguments of any shape."""
+"""Water signal of the diffusion form: depth integral for arguments of any shape."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SMALLEST_LENGTH = 1e-250
 
 @dataclass(frozen=True, kw_only=True)
 class _Column(Receiver):
-    """Water in the diffusion form and the receiver it is seen by."""
+    """Water in the diffusion form, and its receiver."""
 
     absorption: Any
     forward_scattering: Any
@@ -43,7 +43,7 @@ class _Column(Receiver):
 
     @property
     def reduced_attenuation(self) -> Any:
-        """k', by which light is lost on one way [1/m]."""
+        """Reduced attenuation k' of one way [1/m]."""
         return self.absorption + self.diffuse_scattering
 
     @property
@@ -163,7 +163,7 @@ def water_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.complex128]:
-    r"""Return the signal that the water between instrument and end sends back.
+    r"""Return the water signal between the instrument and an end.
 
     All arguments are broadcast against each other.
 
@@ -295,7 +295,7 @@ def overlap(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> NDArray[np.float64]:
-    r"""Return how much of the light of one depth the receiver would take in.
+    r"""Return the overlap F(z) of beam and receiver at a depth.
 
     Parameters
     ----------
@@ -393,7 +393,7 @@ def water_tail(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.complex128]:
-    r"""Return the signal that open water sends back from behind a depth.
+    r"""Return the signal of open water behind a depth.
 
     This is what is left over when the signal of open water is subtracted from
     that of a scene in which a target ends the water.

@@ -1,4 +1,4 @@
-"""Properties of the water itself: index, absorption, scattering, named waters."""
+"""Optical properties of water: index, absorption, scattering, named waters."""
 
 from __future__ import annotations
 

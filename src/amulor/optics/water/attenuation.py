@@ -11,7 +11,7 @@ __all__ = ["optical_thickness", "single_scattering_albedo", "transmission"]
 
 
 def transmission(distance: ArrayLike, *, attenuation: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the fraction of a collimated beam that is left after a distance.
+    r"""Return the fraction of a collimated beam that remains after a distance.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def optical_thickness(
 def single_scattering_albedo(
     *, absorption: ArrayLike, scattering: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the fraction of the attenuation that is due to scattering.
+    r"""Return the fraction of the attenuation by scattering.
 
     Parameters
     ----------

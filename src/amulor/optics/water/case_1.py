@@ -119,7 +119,7 @@ def cdom_absorption(
     absorption_at_440: ArrayLike,
     cdom_slope: ArrayLike = CDOM_SLOPE,
 ) -> NDArray[np.float64]:
-    r"""Return the absorption of coloured dissolved organic matter (yellow substance).
+    r"""Return the absorption of colored dissolved organic matter (yellow substance).
 
     Parameters
     ----------
@@ -150,10 +150,10 @@ def cdom_absorption(
     0.00497 1/m
     """
     vacuum = within(wavelength, 350e-9, 700e-9, name="wavelength", unit="m")
-    known = not_negative(absorption_at_440, name="absorption_at_440", unit="1/m")
+    at_440 = not_negative(absorption_at_440, name="absorption_at_440", unit="1/m")
     steep = not_negative(cdom_slope, name="cdom_slope", unit="1/m")
-    broadcast(wavelength=vacuum, absorption_at_440=known, cdom_slope=steep)
-    return np.asarray(known * np.exp(-steep * (vacuum - _REFERENCE)))
+    broadcast(wavelength=vacuum, absorption_at_440=at_440, cdom_slope=steep)
+    return np.asarray(at_440 * np.exp(-steep * (vacuum - _REFERENCE)))
 
 
 def particle_scattering(

@@ -1,4 +1,4 @@
-r"""Milk at any visible wavelength: spheres of fat and casein, and what was measured.
+r"""Milk at any visible wavelength: spheres of fat and casein, and measurements.
 
 References
 ----------
@@ -44,7 +44,7 @@ _BANDS = {"B": 400e-9, "G": 500e-9, "R": 600e-9}
 
 
 class MilkSuspension(NamedTuple):
-    """What milk adds to the water that it is stirred into.
+    """Contribution of milk to the water that it is stirred into.
 
     Examples
     --------
@@ -63,11 +63,11 @@ class MilkSuspension(NamedTuple):
     scattering: float
     """Scattering coefficient [1/m]."""
     phase_function: PhaseFunction
-    """Phase function of both together."""
+    """Phase function of fat and casein together."""
 
 
 class MeasuredMilk(NamedTuple):
-    """What a camera saw of undiluted milk, in one of its bands.
+    """Camera measurement of undiluted milk, in one band.
 
     Examples
     --------
@@ -164,7 +164,7 @@ def milk_suspension(
 
 
 def measured_milk(wavelength: float, *, kind: str) -> MeasuredMilk:
-    """Return what was measured of undiluted milk in a band of a camera.
+    """Return the measured properties of undiluted milk in a band of a camera.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def _spheres(
     index: complex,
     light: tuple[float, float],
 ) -> mie.Suspension:
-    """Return spheres that fill a share of the volume."""
+    """Return the spheres of a volume share."""
     filled = float(np.sum(number * 4 / 3 * np.pi * radius**3))
     return mie.size_distribution(
         2 * radius,

@@ -92,7 +92,7 @@ def molecular_scattering(
 def molecular_backscattering(
     wavelength: ArrayLike, *, temperature: ArrayLike, salinity: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the part of the molecular scattering that goes beyond 90 degrees.
+    r"""Return the part of the molecular scattering beyond 90 degrees.
 
     Parameters
     ----------

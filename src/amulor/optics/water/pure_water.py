@@ -1,4 +1,4 @@
-r"""Absorption of pure fresh and sea water, from two named sources that disagree.
+r"""Absorption of pure fresh and sea water, from two sources that disagree.
 
 At 405 nm Pope and Fry give twice the absorption of Mason, Cone and Fry. Where amulor
 has to choose it takes `mason_absorption`: it is the later measurement of the same

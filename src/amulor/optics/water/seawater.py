@@ -160,7 +160,7 @@ def refractive_index_vacuum(
 def group_index(
     wavelength: ArrayLike, *, temperature: ArrayLike, salinity: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the index by which the modulation envelope travels in sea water.
+    r"""Return the group index of sea water, for the modulation envelope.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def iapws_refractive_index(
 def iapws_group_index(
     wavelength: ArrayLike, *, temperature: ArrayLike, density: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the index by which the modulation envelope travels in fresh water.
+    r"""Return the group index of fresh water, for the modulation envelope.
 
     Parameters
     ----------

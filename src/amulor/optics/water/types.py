@@ -101,32 +101,32 @@ class PetzoldStation:
     """
 
     name: str
-    """Station, as the report calls it."""
+    """Station name in the report."""
     water: str
-    """Kind of water that it usually stands for."""
+    """Kind of water that the station usually represents."""
     place: str
-    """Where it was."""
+    """Place of the measurement."""
     date: str
-    """When it was measured, ISO 8601."""
+    """Date of the measurement, ISO 8601."""
     wavelength: float
     """Wavelength [m]."""
     attenuation: float
     """Attenuation coefficient c, measured [1/m]."""
     scattering: float
-    """Scattering coefficient b, the integral of what was measured [1/m]."""
+    """Scattering coefficient b, the integral of the measured function [1/m]."""
     absorption: float
-    """Absorption coefficient a, the difference of the two [1/m]."""
+    """Absorption coefficient a, the difference of c and b [1/m]."""
     backscatter_fraction: float
     """Backscattering over scattering [1]."""
     median_angle: float
-    """Half of the scattering is by less than this angle [rad]."""
+    """Angle below which half of the scattering lies [rad]."""
     status: Literal["measured"] = "measured"
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Milk:
-    """What milk adds to the scattering of the water that it is stirred into.
+    """Contribution of milk to the scattering of the water that it is stirred into.
 
     Examples
     --------
@@ -143,9 +143,9 @@ class Milk:
     asymmetry: float
     """Mean cosine of the scattering angle [1]."""
     uncertainty_factor: float
-    """The true scattering is expected within this factor, either way [1]."""
+    """Factor within which the true scattering is expected, either way [1]."""
     status: Literal["model"] = "model"
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
 
 def jerlov(water_type: str, wavelength: ArrayLike, *, source: str) -> JerlovWater:
@@ -328,15 +328,15 @@ def milk(volume_fraction: ArrayLike, *, fat: float) -> Milk:
     12.5 1/m within 1.5
     """
     fraction = within(volume_fraction, 0, 1, name="volume_fraction")
-    for known, (scattering, asymmetry) in _MILKS.items():
-        if math.isclose(fat, known, rel_tol=1e-9):
+    for fat_content, (scattering, asymmetry) in _MILKS.items():
+        if math.isclose(fat, fat_content, rel_tol=1e-9):
             return Milk(
                 wavelength=405e-9,
                 scattering=np.asarray(scattering * fraction),
                 asymmetry=asymmetry,
                 uncertainty_factor=1.5,
             )
-    listed = ", ".join(f"{known:g}" for known in _MILKS)
+    listed = ", ".join(f"{fat_content:g}" for fat_content in _MILKS)
     raise ValueError(f"fat must be one of {listed} (by mass), got {fat:g}")
 
 
@@ -344,6 +344,6 @@ def _columns(
     rows: tuple[dict[str, str], ...], water_type: str, *names: str
 ) -> list[_Array]:
     """Return the wavelengths [m] and the named columns of a water type."""
-    own = [row for row in rows if row["water_type"] == water_type]
-    grid = 1e-9 * np.array([float(row["wavelength_nm"]) for row in own])
-    return [grid, *(np.array([float(row[name]) for row in own]) for name in names)]
+    selected = [row for row in rows if row["water_type"] == water_type]
+    grid = 1e-9 * np.array([float(row["wavelength_nm"]) for row in selected])
+    return [grid, *(np.array([float(row[name]) for row in selected]) for name in names)]
