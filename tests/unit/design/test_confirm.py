@@ -94,7 +94,7 @@ def test_three_scans_are_the_least(plate: Survey) -> None:
 
 
 @pytest.mark.slow
-def test_a_design_that_sees_nothing_is_differences(plate: Survey) -> None:
+def test_a_design_that_sees_nothing_is_said(plate: Survey) -> None:
     dark = plate.with_({"instrument.power": 1e-12})
     with pytest.raises(SurveyError, match="fewer than half"):
         scans(dark, "none", interval=(1.0, 2.0), repeats=3)
