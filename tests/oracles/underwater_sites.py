@@ -339,3 +339,32 @@ def wall_stations(count, rng):
         up = rng.uniform(-0.6, 0.6)
         found.append(looking((east, -2.2, up), rng.uniform(-0.1, 0.1, 3) * [1, 0, 1]))
     return found
+
+
+@dataclass(frozen=True)
+class Corner:
+    """Three planes that meet: a floor and two walls, water above and before them."""
+
+    turn: float
+
+    def __call__(self, point):
+        sine, cosine = np.sin(self.turn), np.cos(self.turn)
+        first = cosine * point[:, 0] + sine * point[:, 1]
+        second = -sine * point[:, 0] + cosine * point[:, 1]
+        return np.minimum(np.minimum(first + 1.0, second + 1.0), point[:, 2])
+
+
+def corner(rng):
+    """Return a corner of two walls on a floor, turned a little, and some stones."""
+    stones = [
+        Ball((*rng.uniform(-0.6, 0.6, 2), rng.uniform(-0.05, 0.05)), 0.15)
+        for _ in range(3)
+    ]
+    return Scene((Corner(rng.uniform(-0.1, 0.1)), *stones))
+
+
+def corner_stations(count, rng):
+    """Return stations that look into the corner."""
+    return ring(
+        count, rng, at=(-0.5, -0.5, 0.3), spread=1.2, toward=np.pi / 4, reach=2.6
+    )

@@ -135,6 +135,9 @@ class SiteScan(Description):
     instrument: Name = "instrument"
     """Which instrument it was made with: scans of one instrument and one epoch share
     the errors of its delay and its geometry."""
+    drift: Annotated[Length, Field(ge=0)] = 0.0
+    """Standard uncertainty of a slow drift of its ranges: half of the change from the
+    first to the last row [m]."""
     processing: Processing | None = None
     """How the cube becomes a range image; not needed for a range image."""
     simulated_from: Path | None = None

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from amulor import cli
 from amulor.site.registration.pose import start_pose
-from amulor.site.registration.register import register
+from amulor.site.registration.register import register, surface_of
 from amulor.site.registration.result import Registration
 
 
@@ -129,3 +129,53 @@ def test_a_plane_settles_and_leaves_three_directions_of_each_scan_to_its_start()
         off, turn = drawn.wrong(found)[name]
         assert off < 4 * np.sqrt(np.trace(spread[:3, :3]))
         assert turn < 4 * np.sqrt(np.trace(spread[3:, 3:]))
+
+
+def ramp(distance: np.ndarray) -> np.ndarray:
+    return distance + 0.005 * np.linspace(-1, 1, distance.shape[0])[:, None]
+
+
+def test_a_drift_that_poses_absorb_is_named_with_its_scan_and_size() -> None:
+    # 5 mm at either end moves the pose by 8 mm, and the misfit stays 1.
+    drawn = one_visit("bed", 2, rows=48, spoiled={"a2": ramp})
+    found = registered(drawn)
+    assert max(pair["misfit"] for pair in found.pairs) < 1.3
+    (named,) = [one for one in found.contradictions if one.scan]
+    assert (named.scan, named.error) == ("a2", "rows")
+    assert abs(named.shift - 0.005) < 4 * named.stated_shift
+    assert "scan 'a2': its ranges change from the first row to the last" in (
+        named.sentence
+    )
+    # A drift that is stated is estimated, and the pose is right within its error.
+    scans = tuple(
+        scan.model_copy(update={"drift": 0.005}) if scan.name == "a2" else scan
+        for scan in drawn.site.scan
+    )
+    site = drawn.site.model_copy(update={"scan": scans})
+    surfaces = {s.name: surface_of(site, s, drawn.images[s.name]) for s in scans}
+    other = register(site, surfaces=surfaces, images=drawn.images)
+    assert other.contradictions == ()
+    assert 0.005 * other.errors["drift: a2"] == pytest.approx(0.005, abs=0.0015)
+    off, _ = drawn.wrong(other)["a2"]
+    assert off < 0.5 * drawn.wrong(found)["a2"][0]
+
+
+def test_a_delay_of_one_scan_is_named() -> None:
+    drawn = one_visit("bed", 2, rows=48, spoiled={"a2": lambda d: d + 0.02})
+    found = registered(drawn)
+    assert [one.scan for one in found.contradictions if one.scan] == ["a2"]
+
+
+def test_scores_of_patterns_are_standard_normal_and_sizes_are_detectable() -> None:
+    scores = []
+    for seed in range(11, 15):
+        found = registered(one_visit("bed", seed, rows=36))
+        assert found.contradictions == ()
+        scores += [test.score for test in found.patterns]
+        # Seven patterns of four scans.
+        assert len(found.patterns) == 28
+        for test in found.patterns:
+            # 3.89 and 0.84 are the quantiles of 1e-4, both sides, and of 80 percent.
+            assert test.detectable == pytest.approx(4.732 * test.uncertainty, rel=1e-3)
+    # Of 112 numbers, of which those of one site hang together: 1 +- 0.2.
+    assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.4)

@@ -15,6 +15,7 @@ from amulor.errors import CubeError
 from amulor.site.registration import network
 from amulor.site.registration.network import KnownPose, Layout, State, Ties
 from amulor.site.registration.pair import Pair, compared, tree_of
+from amulor.site.registration.patterns import PatternTest, pattern_tests
 from amulor.site.registration.pose import ScanPose, aligned, departure
 from amulor.site.registration.surface import ScanSurface
 
@@ -84,6 +85,8 @@ class Alignment:
     """How many steps it took; as many as are allowed if it did not settle."""
     settled: bool
     """Whether the last step was small."""
+    patterns: tuple[PatternTest, ...]
+    """Tests of errors over rows, columns, range and angle."""
 
 
 def align(
@@ -160,6 +163,7 @@ def align(
         disagreements=disagreements,
         steps=taken,
         settled=settled,
+        patterns=pattern_tests(state, pairs, ties, trust, surfaces, free=free),
     )
 
 

@@ -121,7 +121,7 @@ class Layout:
         return np.concatenate(found) if found else np.zeros(0, dtype=np.intp)
 
 
-class _System:
+class System:
     """Normal equations as they are added up."""
 
     def __init__(self, size: int) -> None:
@@ -131,6 +131,7 @@ class _System:
         self.scatter = np.zeros((size, size))
 
     def add(self, at: Numbers, matrix: Floats, gradient: Floats) -> None:
+        """Add a matrix and a gradient of some unknowns; -1 stands for a fixed one."""
         free = at >= 0
         at = at[free]
         self.matrix[np.ix_(at, at)] += matrix[np.ix_(free, free)]
@@ -172,8 +173,8 @@ def step(
 ) -> Step:
     """Take a part of one step; at least `free` directions count as free."""
     layout = Layout(state, ties.fixed)
-    projection, free = _projection(state, pairs, trust, layout, free)
-    system = _system(state, pairs, ties, trust, layout, projection, steady=steady)
+    projection, free = projector(state, pairs, trust, layout, free)
+    system = system_of(state, pairs, ties, trust, layout, projection, steady=steady)
     change = -np.asarray(np.linalg.solve(system.matrix, system.gradient), dtype=float)
     score = abs(float(change @ system.gradient))
     change = part * change
@@ -209,8 +210,8 @@ def covariance(
     and pair that it takes part in, so that what neighbours share is not averaged away.
     """
     layout = Layout(state, ties.fixed)
-    projection, _ = _projection(state, pairs, trust, layout, free)
-    system = _system(state, pairs, ties, trust, layout, projection)
+    projection, _ = projector(state, pairs, trust, layout, free)
+    system = system_of(state, pairs, ties, trust, layout, projection)
     noise = np.zeros((layout.size, layout.size))
     for name, surface in surfaces.items():
         noise += _of_noise(name, surface, state, pairs, trust, layout)
@@ -220,7 +221,7 @@ def covariance(
     return (spread + spread.T) / 2, layout
 
 
-def _system(
+def system_of(
     state: State,
     pairs: Sequence[Pair],
     ties: Ties,
@@ -229,10 +230,11 @@ def _system(
     projection: Floats,
     *,
     steady: bool = False,
-) -> _System:
-    system = _System(layout.size)
+) -> System:
+    """Return the normal equations of surfaces, start poses, targets and bars."""
+    system = System(layout.size)
     for pair, weight in zip(pairs, trust, strict=True):
-        at, spread = _into(pair, state, layout)
+        at, spread = pair_unknowns(pair, state, layout)
         x = pair.by_target @ spread
         z = x if steady else pair.by_source @ spread
         weighted = z * (weight * pair.weight)[:, None]
@@ -263,7 +265,7 @@ def _system(
     return system
 
 
-def _into(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
+def pair_unknowns(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
     """Return the unknowns of a pair, and the derivatives of its numbers by them."""
     poses = [state.poses[name] for name in (pair.source, pair.target)]
     relative = np.zeros((6, 12))
@@ -284,7 +286,7 @@ def _into(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
     return at, spread
 
 
-def _projection(
+def projector(
     state: State,
     pairs: Sequence[Pair],
     trust: Sequence[float],
@@ -300,7 +302,7 @@ def _projection(
     information, extent = np.zeros((size, size)), np.zeros((size, size))
     parts = []
     for pair, weight in zip(pairs, trust, strict=True):
-        at, spread = _into(pair, state, layout)
+        at, spread = pair_unknowns(pair, state, layout)
         poses = at[:12] >= 0
         at, spread = at[:12][poses], spread[:6, :12][:, poses]
         weighted = pair.by_source[:, :6] * (weight * pair.weight)[:, None]
@@ -325,7 +327,7 @@ def _projection(
     return np.asarray(np.eye(size) - free @ free.T @ extent), count
 
 
-def _add_centre(system: _System, centre: Centre, state: State, layout: Layout) -> None:
+def _add_centre(system: System, centre: Centre, state: State, layout: Layout) -> None:
     """Add a target as one scan saw it."""
     pose = state.poses[centre.scan]
     arm = pose.turn(centre.position)
@@ -372,14 +374,14 @@ def _of_noise(
     if not parts:
         return variance
     columns = np.unique(
-        np.concatenate([_into(pair, state, layout)[0] for pair, _ in parts])
+        np.concatenate([pair_unknowns(pair, state, layout)[0] for pair, _ in parts])
     )
     columns = columns[columns >= 0]
     place = np.full(layout.size, -1)
     place[columns] = np.arange(len(columns))
     of_pixel = np.zeros((surface.own.size, len(columns)))
     for pair, weight in parts:
-        at, spread = _into(pair, state, layout)
+        at, spread = pair_unknowns(pair, state, layout)
         kept = at >= 0
         factor = np.sqrt(weight) * pair.misfit * pair.weight
         rows = (pair.by_source @ spread[:, kept]) * factor[:, None]

@@ -58,6 +58,8 @@ class Pair:
     """Derivative of the distance by the range of the source's pixel, shape (n,)."""
     source_pixel: Numbers
     """Numbers of the source's pixels, shape (n,)."""
+    target_pixel: Numbers
+    """Numbers of the target's pixels, shape (n,)."""
     window: sparse.csr_matrix
     """Derivative by the ranges of the target's pixels, shape (n, pixels), negative."""
     misfit: float
@@ -202,6 +204,7 @@ def compared(
         by_source=rows[1],
         along=alongs[0],
         source_pixel=pixel,
+        target_pixel=at.pixel,
         window=-window,
         misfit=outcome.misfit,
         held=held,

@@ -24,6 +24,7 @@ from amulor.site.registration.network import (
     KnownPose,
     Ties,
 )
+from amulor.site.registration.patterns import contradicted
 from amulor.site.registration.pose import (
     ScanPose,
     best_pose,
@@ -69,6 +70,7 @@ def surface_of(site: Site, scan: SiteScan, image: xr.Dataset) -> ScanSurface:
         scan=scan.name,
         instrument=f"{scan.instrument}, {scan.epoch}",
         water=f"{water}, {scan.epoch}",
+        drift=scan.drift,
     )
     return scan_surface(
         image, name=scan.name, shared=shared, window=site.registration.window
@@ -242,6 +244,7 @@ def _result(
         remarks=(*remarks, *_apart(site, found, ties)),
         settled=found.settled,
         fixed=ties.fixed or "",
+        patterns=found.patterns,
     )
     return replace(result, weaknesses=_weak(result, ties, surfaces))
 
@@ -276,6 +279,15 @@ def _contradictions(found: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
                     stated_turn=0.0, score=value**2,
                 )
             )  # fmt: skip
+    pattern = contradicted(found.patterns)
+    if pattern is not None:
+        contradicting.append(
+            Contradiction(
+                scan=pattern.scan, error=pattern.pattern, shift=pattern.size, turn=0.0,
+                stated_shift=pattern.uncertainty, stated_turn=0.0,
+                score=pattern.score**2,
+            )
+        )  # fmt: skip
     return tuple(sorted(contradicting, key=lambda one: -one.score))
 
 
@@ -298,6 +310,27 @@ def _apart(site: Site, found: Alignment, ties: Ties) -> Iterator[str]:
                 "another visit; only start poses and control points do, and change is "
                 "compared no better than these are known"
             )
+    if met or len(site.epoch) == 1:
+        groups = _groups([scan.name for scan in site.scan], tied)
+        for group in groups[1:]:
+            yield (
+                f"{', '.join(group)}: no surface and no target ties them to the other "
+                "scans; only start poses and control points do, which nothing checks"
+            )
+
+
+def _groups(names: list[str], tied: list[tuple[str, str]]) -> list[list[str]]:
+    """Return the groups of scans that ties connect, the largest first."""
+    number = {name: at for at, name in enumerate(names)}
+    for _ in names:
+        for pair in tied:
+            least = min(number[name] for name in pair)
+            number |= dict.fromkeys(pair, least)
+    groups = [
+        [name for name in names if number[name] == at]
+        for at in sorted(set(number.values()))
+    ]
+    return sorted(groups, key=len, reverse=True)
 
 
 def _weak(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from amulor.cube import provenance
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output
+from amulor.site.registration.patterns import PATTERNS, PatternTest
 from amulor.site.registration.pose import ScanPose, cross_matrix
 
 Floats = NDArray[np.float64]
@@ -40,13 +41,14 @@ class Contradiction:
     scan: str
     """Name of the scan; empty for an error that several share."""
     error: str
-    """Key of the shared error; empty for a start pose."""
+    """Key of the shared error, or of a pattern of a scan; empty for a start pose."""
     shift: float
-    """Distance of the pose from its start pose [m]."""
+    """Distance of the pose from its start pose, or size of a pattern [m]."""
     turn: float
     """Angle from it [rad]."""
     stated_shift: float
-    """Stated uncertainty of the start's position, of all three axes together [m]."""
+    """Stated uncertainty of the start's position, of all three axes together; standard
+    uncertainty of a pattern's size [m]."""
     stated_turn: float
     """Stated uncertainty of its attitude, of all three axes together [rad]."""
     score: float
@@ -55,6 +57,15 @@ class Contradiction:
     @property
     def sentence(self) -> str:
         """One line: which scan stands how far off, and what to look at."""
+        if self.error and self.scan:
+            return (
+                f"scan {self.scan!r}: its ranges change {PATTERNS[self.error]} by "
+                f"{abs(self.shift) * 1e3:.1f} +- {self.stated_shift * 1e3:.1f} mm "
+                f"({np.sqrt(self.score):.1f} standard uncertainties) beside those of "
+                "its neighbours, which no pose and no stated error explains; look "
+                "whether the instrument drifted or its delay changed, or state the "
+                "drift of this scan"
+            )
         if self.error:
             return (
                 f"{self.error}: the scans put this error at {np.sqrt(self.score):.1f} "
@@ -103,6 +114,8 @@ class Registration:
     """Whether the last step was small."""
     fixed: str = ""
     """Scan whose axes are those of the site, where nothing ties it to the world."""
+    patterns: tuple[PatternTest, ...] = ()
+    """Tests of errors of each scan over rows, columns, range and angle."""
 
     def covariance_of(self, *names: str) -> Floats:
         """Return the covariance of some unknowns, as named in `places`."""
@@ -163,6 +176,7 @@ def write_registration(
         "remarks": list(result.remarks),
         "good": not result.contradictions,
         "contradictions": [vars(one) for one in result.contradictions],
+        "patterns": [vars(test) for test in result.patterns],
         "places": result.places,
         "covariance": result.covariance.tolist(),
     }
@@ -226,4 +240,5 @@ def _registration_of(content: dict[str, Any]) -> Registration:
         remarks=tuple(content["remarks"]),
         settled=bool(content["settled"]),
         fixed=content["fixed"],
+        patterns=tuple(PatternTest(**test) for test in content["patterns"]),
     )

@@ -40,7 +40,7 @@ class Shared:
 
 
 def shared_errors(
-    image: xr.Dataset, *, scan: str, instrument: str, water: str
+    image: xr.Dataset, *, scan: str, instrument: str, water: str, drift: float = 0.0
 ) -> Shared:
     r"""Return the errors that the pixels of a scan share.
 
@@ -66,6 +66,11 @@ def shared_errors(
                 keys.append(f"{name}: {of[name]}")
                 shapes.append(term)
                 growth.append(_POWER[name] * term / reach)
+    if drift > 0:
+        course = np.linspace(-drift, drift, distance.shape[0])[:, None]
+        keys.append(f"drift: {scan}")
+        shapes.append(np.where(there, course, 0.0))
+        growth.append(np.zeros(distance.shape))
     own: list[tuple[Floats, Floats]] = []
     turns = _turns(image, reach)
     for name in WATER_TERMS:

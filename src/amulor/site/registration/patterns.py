@@ -1,0 +1,196 @@
+r"""Tests of each scan for errors over rows, columns, range and angle of incidence.
+
+A pose absorbs most of a drift, and the misfit hardly grows. So each pattern is tested
+as one unknown more, with poses and shared errors free to absorb it (data snooping,
+W. Baarda, A testing procedure for use in geodetic networks, 1968). With the normal
+equations :math:`A`, the gradient :math:`g` and the row :math:`l = (-A_{jb}
+A_{bb}^{-1}, 1)` of a pattern j the sum :math:`l g` has the mean zero without it, and
+its variance is that of pixels, start poses and shared errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from amulor.site.registration.network import (
+    Layout,
+    State,
+    Ties,
+    pair_unknowns,
+    projector,
+    system_of,
+)
+from amulor.site.registration.pair import Pair
+from amulor.site.registration.surface import ScanSurface
+
+Floats = NDArray[np.float64]
+
+#: Patterns of a scan, in the order of their test, with words for a message.
+PATTERNS = {
+    "constant": "by one amount",
+    "rows": "from the first row to the last",
+    "rows, bent": "over the rows, most in the middle",
+    "columns": "from the first column to the last",
+    "columns, bent": "over the columns, most in the middle",
+    "range": "with the range",
+    "angle": "with the angle of incidence",
+}
+#: Chance of a false alarm in a site [1].
+_CHANCE = 1e-3
+#: Minimal detectable size over the standard uncertainty: power 80 %, chance 1e-4 [1].
+_POWERFUL = float(norm.isf(1e-4 / 2) + norm.isf(1 - 0.8))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PatternTest:
+    """Test of one pattern of one scan."""
+
+    scan: str
+    """Name of the scan."""
+    pattern: str
+    """Key of `PATTERNS`."""
+    size: float
+    """Estimated half of the difference of both ends of the pattern [m]."""
+    uncertainty: float
+    """Standard uncertainty of the size [m]."""
+    detectable: float
+    """Minimal detectable size: 80 % power, chance 1e-4 of a false alarm [m]."""
+    score: float
+    """Size over its standard uncertainty [1]."""
+
+
+def pattern_values(surface: ScanSurface) -> Floats:
+    """Values of all patterns, -1 to 1 over a scan, shape (pattern, row, column) [1]."""
+    shape = surface.distance.shape
+    row, column = np.meshgrid(
+        *(np.linspace(-1, 1, size) for size in shape), indexing="ij"
+    )
+    facing = np.abs(np.einsum("ijk,ijk->ij", surface.normal, surface.direction))
+    values = [
+        np.ones(shape),
+        row,
+        1 - 2 * row**2,
+        column,
+        1 - 2 * column**2,
+        _scaled(surface.distance, surface.smooth),
+        _scaled(1 / np.maximum(facing, 0.1), surface.smooth),
+    ]
+    return np.array(values)
+
+
+def _scaled(values: Floats, at: NDArray[np.bool_]) -> Floats:
+    """Values between -1 and 1 over some pixels, 0 elsewhere."""
+    low, high = float(values[at].min()), float(values[at].max())
+    if high - low < 1e-9:
+        return np.zeros(values.shape)
+    return np.where(at, 2 * (values - low) / (high - low) - 1, 0.0)
+
+
+def pattern_tests(
+    state: State,
+    pairs: Sequence[Pair],
+    ties: Ties,
+    trust: Sequence[float],
+    surfaces: Mapping[str, ScanSurface],
+    *,
+    free: int,
+) -> tuple[PatternTest, ...]:
+    """Test all patterns of all scans, each by itself."""
+    layout = Layout(state, ties.fixed)
+    projection, _ = projector(state, pairs, trust, layout, free)
+    base = system_of(state, pairs, ties, trust, layout, projection)
+    inverse = np.asarray(np.linalg.inv(base.matrix), dtype=float)
+    derivatives = []
+    for pair, weight in zip(pairs, trust, strict=True):
+        at, spread = pair_unknowns(pair, state, layout)
+        # Rows of the projector for the unknowns of the pair; fixed ones have none.
+        reached = spread[:, at >= 0] @ projection[at[at >= 0]]
+        derivatives.append(
+            (pair.by_target @ reached, pair.by_source @ reached, weight * pair.weight)
+        )
+    tests: list[PatternTest] = []
+    for name, surface in surfaces.items():
+        shapes = pattern_values(surface).reshape(len(PATTERNS), -1)
+        if any(name in (pair.source, pair.target) for pair in pairs):
+            tests += _tests_of(
+                name, shapes, pairs, derivatives, surfaces,
+                (inverse, base.gradient, base.scatter),
+            )  # fmt: skip
+    return tuple(tests)
+
+
+def _tests_of(
+    name: str,
+    shapes: Floats,
+    pairs: Sequence[Pair],
+    derivatives: Sequence[tuple[Floats, Floats, Floats]],
+    surfaces: Mapping[str, ScanSurface],
+    base: tuple[Floats, Floats, Floats],
+) -> list[PatternTest]:
+    """Test the patterns of one scan."""
+    inverse, gradient, scatter = base
+    count, size = len(shapes), len(gradient)
+    by_pattern = []
+    crossed, own = np.zeros((count, size)), np.zeros((count, count))
+    back, sums = np.zeros((size, count)), np.zeros(count)
+    for pair, (x, z, weight) in zip(pairs, derivatives, strict=True):
+        columns = np.zeros((len(pair.distance), count))
+        if name == pair.source:
+            columns = -shapes[:, pair.source_pixel].T * pair.along[:, None]
+        elif name == pair.target:
+            columns = shapes[:, pair.target_pixel].T
+        columns = np.where(weight[:, None] > 0, columns, 0.0)
+        by_pattern.append(columns)
+        weighted = columns * weight[:, None]
+        crossed += weighted.T @ x
+        own += weighted.T @ columns
+        back += (z * weight[:, None]).T @ columns
+        sums += weighted.T @ pair.distance
+    absorbed = -crossed @ inverse
+    effect = np.diag(own + absorbed @ back)
+    total = sums + absorbed @ gradient
+    variance = np.einsum("ij,jk,ik->i", absorbed, scatter, absorbed)
+    of_pixel = {
+        scan: np.zeros((surface.own.size, count)) for scan, surface in surfaces.items()
+    }
+    for pair, columns, (_, z, weight) in zip(
+        pairs, by_pattern, derivatives, strict=True
+    ):
+        rows = (columns + z @ absorbed.T) * (weight * pair.misfit)[:, None]
+        np.add.at(of_pixel[pair.source], pair.source_pixel, rows * pair.along[:, None])
+        of_pixel[pair.target] += pair.window.T @ rows
+    for scan, values in of_pixel.items():
+        noise = np.nan_to_num(surfaces[scan].own.ravel())
+        variance += ((values * noise[:, None]) ** 2).sum(axis=0)
+    tests = []
+    for number, pattern in enumerate(PATTERNS):
+        # What poses absorb to the last part cannot be tested.
+        if not effect[number] > 1e-6 * own[number, number] > 0:
+            continue
+        sigma = float(np.sqrt(variance[number]))
+        score = -float(total[number]) / sigma
+        spread = sigma / float(effect[number])
+        tests.append(
+            PatternTest(
+                scan=name, pattern=pattern, score=score, uncertainty=spread,
+                size=score * spread, detectable=_POWERFUL * spread,
+            )
+        )  # fmt: skip
+    return tests
+
+
+def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
+    """Strongest pattern, if chance hardly makes it in any scan of a site.
+
+    Others are mostly its shadow: poses carry it into the neighbours of a scan.
+    """
+    if not tests:
+        return None
+    strongest = max(tests, key=lambda test: abs(test.score))
+    limit = float(norm.isf(_CHANCE / 2 / len(tests)))
+    return strongest if abs(strongest.score) > limit else None
