@@ -1,4 +1,4 @@
-"""Mirrors by analog outputs: of the lock-in, of an NI card, of a LabJack."""
+"""Mirrors on analog outputs of the lock-in, an NI card or a LabJack."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ class Outputs(Protocol):
     """Analog outputs by name."""
 
     def identity(self) -> str:
-        """Return whose they are."""
+        """Return the device of the outputs."""
 
     def set(self, volts: dict[str, float]) -> dict[str, float]:
-        """Set them [V]; return what is put out, as far as that can be told [V]."""
+        """Set the outputs [V]; return the voltages read back, if possible [V]."""
 
     def close(self) -> None:
-        """Let go of them."""
+        """Release the outputs."""
 
 
 class LockInOutputs:
-    """The auxiliary outputs of a lock-in, counted from 1; read back."""
+    """Auxiliary outputs of a lock-in, counted from 1, with read-back."""
 
     def __init__(self, lock_in: Any) -> None:
         if not hasattr(lock_in, "set_output"):
@@ -42,22 +42,22 @@ class LockInOutputs:
         self._lock_in = lock_in
 
     def identity(self) -> str:
-        """Return whose they are."""
+        """Return the device of the outputs."""
         return f"outputs of {self._lock_in.identity()}"
 
     def set(self, volts: dict[str, float]) -> dict[str, float]:
-        """Set them [V] and read them back [V]."""
+        """Set the outputs [V] and read them back [V]."""
         return {
             name: self._lock_in.set_output(int(name), value)
             for name, value in volts.items()
         }
 
     def close(self) -> None:
-        """Do nothing: the link is the lock-in's."""
+        """Do nothing: the link belongs to the lock-in."""
 
 
 class NidaqOutputs:
-    """Outputs of a card of National Instruments, by nidaqmx; not read back."""
+    """Outputs of a National Instruments card, by nidaqmx, without read-back."""
 
     def __init__(self, limits: dict[str, tuple[float, float]]) -> None:
         package = _imported("nidaqmx", "mirrors on a card of National Instruments")
@@ -74,11 +74,11 @@ class NidaqOutputs:
             raise _failed("nidaqmx", error) from error
 
     def identity(self) -> str:
-        """Return whose they are."""
+        """Return the device of the outputs."""
         return f"nidaqmx {', '.join(self._names)}"
 
     def set(self, volts: dict[str, float]) -> dict[str, float]:
-        """Set them all at once [V]; the card does not say what it puts out."""
+        """Set all outputs at once [V]; return the commanded voltages [V]."""
         try:
             self._task.write([volts[name] for name in self._names], auto_start=True)
         except Exception as error:
@@ -86,14 +86,14 @@ class NidaqOutputs:
         return volts
 
     def close(self) -> None:
-        """Let go of the channels; what they put out stays."""
+        """Release the channels; their voltages stay."""
         if self._task is not None:
             self._task.close()
             self._task = None
 
 
 class LabjackOutputs:
-    """Outputs of a LabJack, by its package ljm; its registers are read back."""
+    """Outputs of a LabJack, by its package ljm, with read-back of its registers."""
 
     def __init__(self, address: str | None) -> None:
         package = _imported("labjack.ljm", "mirrors on a LabJack")
@@ -107,11 +107,11 @@ class LabjackOutputs:
             raise _failed("LabJack", error) from error
 
     def identity(self) -> str:
-        """Return whose they are."""
+        """Return the device of the outputs."""
         return f"LabJack {self._serial:.0f}"
 
     def set(self, volts: dict[str, float]) -> dict[str, float]:
-        """Set them [V] and read the registers back [V]."""
+        """Set the outputs [V] and read the registers back [V]."""
         try:
             for name, value in volts.items():
                 self._ljm.eWriteName(self._handle, name, value)
@@ -129,20 +129,20 @@ class LabjackOutputs:
 
 
 class Mirror:
-    """What the angle of a beam is at a voltage, from measured pairs.
+    """Angle of a beam as a function of voltage, fitted to measured pairs.
 
     A line for three or four pairs, a parabola from five on, by least squares; `spread`
-    is the standard deviation of what is left, the uncertainty of an angle.
+    is the standard deviation of the residuals, the uncertainty of an angle.
     """
 
     def __init__(self, settings: MirrorSettings) -> None:
-        self._own = settings
+        self._settings = settings
         volts, angles = np.array(settings.volts), np.array(settings.angles)
         degree = 2 if volts.size >= _CURVED else 1
         self._fit = np.polynomial.Polynomial.fit(volts, angles, degree)
-        left = angles - self._fit(volts)
+        residuals = angles - self._fit(volts)
         free = volts.size - degree - 1
-        self.spread = math.sqrt(float(np.sum(left**2)) / free)
+        self.spread = math.sqrt(float(np.sum(residuals**2)) / free)
         slope = self._fit.deriv()(volts)
         if not (np.all(slope > 0) or np.all(slope < 0)):
             raise InstrumentError(
@@ -155,21 +155,21 @@ class Mirror:
         return float(self._fit(volts))
 
     def volts(self, angle: float) -> float:
-        """Voltage [V] of an angle [rad], between those that were measured."""
-        low, high = self._own.volts[0], self._own.volts[-1]
-        found = [
+        """Return the voltage of an angle [rad], within the measured ones [V]."""
+        low, high = self._settings.volts[0], self._settings.volts[-1]
+        solutions = [
             float(root.real)
             for root in map(complex, (self._fit - angle).roots())
             if abs(root.imag) < 1e-9 and low - 1e-9 <= root.real <= high + 1e-9
         ]
-        if not found:
+        if not solutions:
             ends = sorted((self.angle(low), self.angle(high)))
             raise InstrumentError(
-                f"output {self._own.output} turns the beam from {ends[0]:.5g} to "
+                f"output {self._settings.output} turns the beam from {ends[0]:.5g} to "
                 f"{ends[1]:.5g} rad, the scan needs {angle:.5g} rad; make the spans of "
                 "the scan smaller, or measure angles at more voltages"
             )
-        return min(max(found[0], low), high)
+        return min(max(solutions[0], low), high)
 
 
 class AnalogScanner:
@@ -183,7 +183,7 @@ class AnalogScanner:
         clock: Clock,
         tolerance: float,
     ) -> None:
-        self._outputs, self._own, self._clock = outputs, settings, clock
+        self._outputs, self._settings, self._clock = outputs, settings, clock
         self._mirrors = [Mirror(settings.azimuth), Mirror(settings.elevation)]
         self.spread = max(mirror.spread for mirror in self._mirrors)
         if self.spread > tolerance:
@@ -195,7 +195,7 @@ class AnalogScanner:
             )
 
     def identity(self) -> str:
-        """Return whose outputs, and how well angles are known."""
+        """Return the device of the outputs and the uncertainty of angles."""
         return (
             f"mirrors on {self._outputs.identity()}, angles known to "
             f"{self.spread * 1e6:.3g} urad"
@@ -204,14 +204,14 @@ class AnalogScanner:
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
-        """Turn to a direction [rad]; return that of the voltages put out [rad]."""
-        names = (self._own.azimuth.output, self._own.elevation.output)
+        """Turn to a direction [rad]; return the direction of the voltages [rad]."""
+        names = (self._settings.azimuth.output, self._settings.elevation.output)
         volts = [
             mirror.volts(angle)
             for mirror, angle in zip(self._mirrors, (azimuth, elevation), strict=True)
         ]
         put_out = self._outputs.set(dict(zip(names, volts, strict=True)))
-        self._clock.sleep(self._own.settling)
+        self._clock.sleep(self._settings.settling)
         across, up = (
             mirror.angle(put_out[name])
             for mirror, name in zip(self._mirrors, names, strict=True)
@@ -230,12 +230,12 @@ class AnalogScanner:
         """Do nothing: mirrors stay where they are, and the laser is off."""
 
     def close(self) -> None:
-        """Let go of the outputs."""
+        """Release the outputs."""
         self._outputs.close()
 
 
 def outputs_of(settings: AnalogSettings, *, lock_in: Any, address: str | None) -> Any:
-    """Return the outputs that a devices file names."""
+    """Return the outputs that a devices file states."""
     if settings.outputs == "lock_in":
         return LockInOutputs(lock_in)
     if settings.outputs == "labjack":
@@ -259,9 +259,9 @@ def _imported(name: str, purpose: str) -> Any:
         ) from None
 
 
-def _failed(what: str, error: Exception) -> InstrumentError:
+def _failed(device: str, error: Exception) -> InstrumentError:
     text = " ".join(str(error).split())
     return InstrumentError(
-        f"{what} has failed: {type(error).__name__}: {text}; check cable, driver and "
+        f"{device} has failed: {type(error).__name__}: {text}; check cable, driver and "
         "scanner.analog of the devices file"
     )

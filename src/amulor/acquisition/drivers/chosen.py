@@ -1,4 +1,4 @@
-"""Which driver a part of the devices file stands for."""
+"""Choice of the driver for each part of the devices file."""
 
 from __future__ import annotations
 
@@ -37,46 +37,51 @@ from amulor.acquisition.settings import (
 
 
 def other(part: str, settings: Settings, clock: Clock) -> Any:
-    """Return a device of another package."""
+    """Return the device of another package."""
     driver = getattr(settings, part).driver
     return plugins.make(part, driver, wiring(part, settings, clock))
 
 
 def wiring(part: str, settings: Settings, clock: Clock) -> plugins.Wiring:
-    """Return what a device of another package is made from."""
-    own = getattr(settings, part)
+    """Return address, timeout, clock and options for a device of another package."""
+    section = getattr(settings, part)
     return plugins.Wiring(
-        address=own.address, timeout=own.timeout, clock=clock, options=own.options or {}
+        address=section.address,
+        timeout=section.timeout,
+        clock=clock,
+        options=section.options or {},
     )
 
 
 class Stages:
-    """Controllers by their address: several axes share one link."""
+    """Stage controllers by address: several axes share one link."""
 
     def __init__(self, clock: Clock, opened: contextlib.ExitStack) -> None:
         self._clock = clock
         self._opened = opened
-        self._known: dict[str, PiController] = {}
+        self._controllers: dict[str, PiController] = {}
 
-    def at(self, own: ScannerSettings | MountSettings | TargetSettings) -> PiController:
-        """Return the controller of a part, made when it is first asked for."""
-        assert own.address is not None
-        if own.address not in self._known:
-            link = linked(own, serial_end=PiController.serial_end)
+    def at(
+        self, part: ScannerSettings | MountSettings | TargetSettings
+    ) -> PiController:
+        """Return the controller of a part; connected once for each address."""
+        assert part.address is not None
+        if part.address not in self._controllers:
+            link = linked(part, serial_end=PiController.serial_end)
             self._opened.callback(link.close)
-            self._known[own.address] = PiController(link, clock=self._clock)
-        return self._known[own.address]
+            self._controllers[part.address] = PiController(link, clock=self._clock)
+        return self._controllers[part.address]
 
 
 def source_of(settings: Settings, clock: Clock) -> Source | None:
-    """Return what modulates the laser, None if the lock-in does."""
-    own = settings.source
-    if own.driver == "none":
+    """Return the modulation source; None if the lock-in modulates the laser."""
+    part = settings.source
+    if part.driver == "none":
         return None
-    if own.driver == "scpi":
-        link = linked(own)
+    if part.driver == "scpi":
+        link = linked(part)
         try:
-            return ScpiSource(link, own, clock=clock)
+            return ScpiSource(link, part, clock=clock)
         except BaseException:
             link.close()
             raise
@@ -86,78 +91,78 @@ def source_of(settings: Settings, clock: Clock) -> Source | None:
 def scanner_of(
     settings: Settings, stages: Stages, lock_in: LockIn, clock: Clock
 ) -> Scanner:
-    """Return what turns the beam."""
-    own = settings.scanner
-    if own.driver == "analog":
-        assert own.analog is not None
-        outputs = outputs_of(own.analog, lock_in=lock_in, address=own.address)
+    """Return the scanner."""
+    part = settings.scanner
+    if part.driver == "analog":
+        assert part.analog is not None
+        outputs = outputs_of(part.analog, lock_in=lock_in, address=part.address)
         tolerance = settings.procedure.position_tolerance
         try:
-            return AnalogScanner(outputs, own.analog, clock=clock, tolerance=tolerance)
+            return AnalogScanner(outputs, part.analog, clock=clock, tolerance=tolerance)
         except BaseException:
             outputs.close()
             raise
-    if own.driver == "pi_gcs":
-        return PiScanner(stages.at(own), own)
-    if own.driver == "pelco_d":
-        assert own.address is not None
-        port = SerialPort(baud_rate=own.baud_rate, flow_control=own.flow_control)
-        octets = OctetLink(own.address, timeout=own.timeout, serial=port)
+    if part.driver == "pi_gcs":
+        return PiScanner(stages.at(part), part)
+    if part.driver == "pelco_d":
+        assert part.address is not None
+        port = SerialPort(baud_rate=part.baud_rate, flow_control=part.flow_control)
+        octets = OctetLink(part.address, timeout=part.timeout, serial=port)
         try:
-            return PelcoHead(octets, own, clock=clock)
+            return PelcoHead(octets, part, clock=clock)
         except BaseException:
             octets.close()
             raise
-    if own.driver == "ophyd_async":
-        return OphydScanner.made(wiring("scanner", settings, clock), own)
+    if part.driver == "ophyd_async":
+        return OphydScanner.made(wiring("scanner", settings, clock), part)
     return cast(Scanner, other("scanner", settings, clock))
 
 
 def lock_in_of(settings: Settings, clock: Clock) -> LockIn:
-    """Return what measures."""
-    own = settings.lock_in
-    if own.driver == "digitiser":
+    """Return the lock-in amplifier."""
+    part = settings.lock_in
+    if part.driver == "digitiser":
         return DigitiserLockIn(other("digitiser", settings, clock), clock=clock)
-    if own.driver == "pymeasure":
+    if part.driver == "pymeasure":
         return PymeasureLockIn(wiring("lock_in", settings, clock))
-    if own.driver == "ophyd_async":
+    if part.driver == "ophyd_async":
         return OphydLockIn.made(wiring("lock_in", settings, clock))
-    if own.driver == "scpi":
-        assert own.scpi is not None
-        link = linked(own)
-        external = own.reference == "external"
+    if part.driver == "scpi":
+        assert part.scpi is not None
+        link = linked(part)
+        external = part.reference == "external"
         try:
-            return ScpiLockIn(link, own.scpi, clock=clock, external=external)
+            return ScpiLockIn(link, part.scpi, clock=clock, external=external)
         except BaseException:
             link.close()
             raise
-    if own.driver not in ("sr844", "sr865a", "zurich"):
+    if part.driver not in ("sr844", "sr865a", "zurich"):
         return cast(LockIn, other("lock_in", settings, clock))
-    external = own.reference == "external"
-    assert own.address is not None
-    if own.driver == "zurich":
-        assert own.modulation_amplitude is not None
+    external = part.reference == "external"
+    assert part.address is not None
+    if part.driver == "zurich":
+        assert part.modulation_amplitude is not None
         return ZurichLockIn.connect(
-            own.address,
-            mean_output_input=own.mean_output_input,
-            modulation_amplitude=own.modulation_amplitude,
+            part.address,
+            mean_output_input=part.mean_output_input,
+            modulation_amplitude=part.modulation_amplitude,
             clock=clock,
         )
-    driver: type[Sr844 | Sr865a] = Sr844 if own.driver == "sr844" else Sr865a
-    link = linked(own, serial_end=driver.serial_end)
+    driver: type[Sr844 | Sr865a] = Sr844 if part.driver == "sr844" else Sr865a
+    link = linked(part, serial_end=driver.serial_end)
     try:
-        if own.modulation_amplitude is None:
+        if part.modulation_amplitude is None:
             return Sr844(
                 link,
-                mean_output_input=own.mean_output_input,
+                mean_output_input=part.mean_output_input,
                 clock=clock,
                 external=external,
             )
         return Sr865a(
             link,
-            mean_output_input=own.mean_output_input,
-            modulation_amplitude=own.modulation_amplitude,
-            input_range=own.input_range or INPUT_RANGES[0],
+            mean_output_input=part.mean_output_input,
+            modulation_amplitude=part.modulation_amplitude,
+            input_range=part.input_range or INPUT_RANGES[0],
             clock=clock,
             external=external,
         )
@@ -166,6 +171,6 @@ def lock_in_of(settings: Settings, clock: Clock) -> LockIn:
         raise
 
 
-def mount_of(own: MountSettings, stages: Stages) -> RotationMount | None:
-    """Return what turns a polarizer, None if nothing does."""
-    return None if own.driver == "none" else PiMount(stages.at(own), own.axis)
+def mount_of(part: MountSettings, stages: Stages) -> RotationMount | None:
+    """Return the rotation mount of a polarizer; None without a motor."""
+    return None if part.driver == "none" else PiMount(stages.at(part), part.axis)

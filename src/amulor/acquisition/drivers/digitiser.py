@@ -1,4 +1,4 @@
-"""A lock-in amplifier made of a digitiser: its records are demodulated here."""
+"""Lock-in amplifier in software: records of a digitizer, demodulated."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from amulor.errors import InstrumentError
 
 #: Fraction of the range that counts as clipped, and below which a finer one is taken.
 _FULL, _FINER_BELOW = 0.999, 0.25
-#: How far a tone of the reference must stand out of its noise, in deviations [1].
+#: Least signal-to-noise ratio of a reference tone [1].
 _PRESENT = 10.0
 
 
 class DigitiserLockIn:
-    """A digitiser that sees the detector, and what modulates the laser as reference.
+    """Lock-in amplifier from records of the detector and of the modulation.
 
     Phases are those of the detector against the reference, tone by tone, so that
     neither the start of a record nor a common trigger matters; a difference of the
@@ -28,7 +28,7 @@ class DigitiserLockIn:
     digitiser promises to start each record in phase with its own generator.
     """
 
-    #: It waits, integrates and tells its errors by itself.
+    #: It integrates by itself, without a filter to settle, and estimates its errors.
     records = True
 
     def __init__(self, digitiser: Digitiser, *, clock: Clock) -> None:
@@ -41,68 +41,70 @@ class DigitiserLockIn:
         return self._digitiser.identity()
 
     def prepare(self, *, time_constant: float) -> None:
-        """Set the coarsest range; a time constant there is none."""
+        """Set the coarsest range; there is no time constant."""
         self._digitiser.prepare()
         self._set_range(len(self._digitiser.ranges) - 1)
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Set the modulation frequency [Hz], return what is set [Hz]."""
+        """Set the modulation frequency [Hz]; return the actual one [Hz]."""
         return self.set_frequencies([frequency], timeout=timeout)[0]
 
     def set_frequencies(
         self, frequencies: Sequence[float], *, timeout: float
     ) -> list[float]:
-        """Modulate by all of them at once [Hz], return what is set [Hz]."""
-        found = self._digitiser.set_frequencies(frequencies, timeout=timeout)
-        if len(found) != len(frequencies):
+        """Modulate at several frequencies at once [Hz]; return the actual ones [Hz]."""
+        actual = self._digitiser.set_frequencies(frequencies, timeout=timeout)
+        if len(actual) != len(frequencies):
             raise InstrumentError(
-                f"{self.identity()} modulates by {len(found)} frequencies, asked for "
+                f"{self.identity()} modulates by {len(actual)} frequencies, asked for "
                 f"are {len(frequencies)}; lower procedure.frequencies_at_once"
             )
-        self._frequencies = tuple(found)
-        return [*found]
+        self._frequencies = tuple(actual)
+        return [*actual]
 
     def read(self) -> Reading:
         """Return the outputs of one record."""
         return self.read_all()[0]
 
     def read_all(self) -> list[Reading]:
-        """Return the outputs of one record, of every frequency."""
-        found = self.record(0.0)
+        """Return the outputs of one record at every frequency."""
+        recorded = self.record(0.0)
         return [
             Reading(
                 signal=complex(signal),
-                mean=found.mean,
+                mean=recorded.mean,
                 modulation_frequency=frequency,
-                overload=found.overload,
-                unlocked=found.unlocked,
+                overload=recorded.overload,
+                unlocked=recorded.unlocked,
             )
             for signal, frequency in zip(
-                found.signals.mean(axis=0), found.modulation_frequencies, strict=True
+                recorded.signals.mean(axis=0),
+                recorded.modulation_frequencies,
+                strict=True,
             )
         ]
 
     def record(self, duration: float) -> Recorded:
-        """Return the mean of the records that fit into a time [s], one at least."""
+        """Return the mean of the records that fit into a time [s], at least one."""
         began = self._clock.now()
         signals, variances, means, offsets = [], [], [], []
         overload, unlocked = Overload.NONE, False
         while True:
-            left = duration - (self._clock.now() - began)
-            found = self._digitiser.acquire(max(left, 0.0))
-            values = np.asarray(found.signal, dtype=float)
-            rate, used = found.sample_rate, [*self._frequencies]
-            if found.clipped or np.max(np.abs(values)) >= _FULL * self.full_scale():
+            remaining = duration - (self._clock.now() - began)
+            waveform = self._digitiser.acquire(max(remaining, 0.0))
+            values = np.asarray(waveform.signal, dtype=float)
+            rate, used = waveform.sample_rate, [*self._frequencies]
+            if waveform.clipped or np.max(np.abs(values)) >= _FULL * self.full_scale():
                 overload |= Overload.INPUT
             turn, extra = np.ones(len(used), dtype=complex), np.zeros(len(used))
-            if found.reference is not None:
+            if waveform.reference is not None:
                 offset = clock_offset(
-                    found.reference, sample_rate=rate, frequencies=used
+                    waveform.reference, sample_rate=rate, frequencies=used
                 )
                 offsets.append(offset)
                 used = [frequency * (1 + offset) for frequency in used]
                 reference = demodulate(
-                    found.reference, sample_rate=rate, frequencies=used
+                    waveform.reference, sample_rate=rate, frequencies=used
                 )
                 size = np.abs(reference.signals)
                 unlocked |= bool(np.any(size <= _PRESENT * reference.spreads))
@@ -111,7 +113,7 @@ class DigitiserLockIn:
             tones = demodulate(values, sample_rate=rate, frequencies=used)
             signals.append(tones.signals * turn)
             variances.append(tones.spreads**2 + (np.abs(tones.signals) * extra) ** 2)
-            means.append(tones.offset if found.shows_mean else math.nan)
+            means.append(tones.offset if waveform.shows_mean else math.nan)
             # Another one of the same length must fit.
             length = len(values) / rate
             if self._clock.now() - began + length > duration * (1 + 1e-9):
@@ -129,14 +131,14 @@ class DigitiserLockIn:
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Take the next larger range, if there is one."""
+        """Select the next larger range; False if there is none."""
         if self._range == len(self._digitiser.ranges) - 1:
             return False
         self._set_range(self._range + 1)
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Take the next smaller range if this peak amplitude [V] leaves room."""
+        """Select the next smaller range if this peak amplitude [V] fits well."""
         if self._range == 0 or amplitude > _FINER_BELOW * self.full_scale():
             return False
         # The mean of the detector needs room, too, where the input shows it.
@@ -150,11 +152,11 @@ class DigitiserLockIn:
         return self._digitiser.ranges[self._range]
 
     def make_safe(self) -> None:
-        """Put no modulation out."""
+        """Switch the modulation off."""
         self._digitiser.make_safe()
 
     def close(self) -> None:
-        """Let go of the digitiser."""
+        """Close the digitizer."""
         self._digitiser.close()
 
     def _set_range(self, number: int) -> None:

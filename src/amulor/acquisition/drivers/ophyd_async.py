@@ -1,4 +1,4 @@
-"""Devices of ophyd-async as scanner, lock-in and laser, by the names of their parts."""
+"""Devices of ophyd-async as scanner, lock-in and laser."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from amulor.acquisition.protocols import Overload, Reading
 from amulor.acquisition.settings import ScannerSettings
 from amulor.errors import InstrumentError
 
-#: How near a value must be that is read back, in parts.
+#: Largest relative difference of a read-back value [1].
 _SAME = 0.01
 _POLL = 0.01
-#: What the part `options` must and may say, beside the class.
+#: Required and further entries of the part `options`, beside the class.
 _LOCK_IN = ("x", "y", "frequency", "time_constant", "full_scale")
 _LOCK_IN_MORE = (
     "mean", "input_overload", "output_overload", "unlocked", "phase", "counts",
@@ -34,7 +34,7 @@ _LASER_MORE = ("on", "off", "state", "interlock", "interlock_closed", "current",
 
 
 class OphydScanner:
-    """Two axes of ophyd-async that turn the beam; each has `set` and `locate`."""
+    """Scanner of two ophyd-async axes, each with `set` and `locate`."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class OphydScanner:
         azimuth: str,
         elevation: str,
     ) -> None:
-        self._own, self._settings = device, settings
+        self._device, self._settings = device, settings
         self._paths = (azimuth, elevation)
         self._axes = [device.part(path) for path in self._paths]
         for path, axis in zip(self._paths, self._axes, strict=True):
@@ -56,49 +56,49 @@ class OphydScanner:
 
     @classmethod
     def made(cls, wiring: Wiring, settings: ScannerSettings) -> OphydScanner:
-        """Return the scanner that a devices file names."""
-        own = OphydDevice.made(
+        """Connect the scanner that a devices file states."""
+        device = OphydDevice.made(
             "scanner", wiring, needed=("azimuth", "elevation"), more=()
         )
-        with closed_if_it_fails(own):
+        with closed_if_it_fails(device):
             paths = {
                 name: str(wiring.options[name]) for name in ("azimuth", "elevation")
             }
-            return cls(own, settings, **paths)
+            return cls(device, settings, **paths)
 
     def identity(self) -> str:
-        """Return what the device says it is, and its axes."""
-        return f"{', '.join(self._paths)} of {self._own.identity()}"
+        """Return the identity of the device and its axes."""
+        return f"{', '.join(self._paths)} of {self._device.identity()}"
 
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
-        """Turn to a direction [rad] within a time [s]; return where it stands [rad]."""
+        """Turn to a direction [rad] within a time [s]; return the read-back [rad]."""
         goals = self._positions(azimuth, elevation)
 
-        async def there() -> list[Any]:
+        async def reach() -> list[Any]:
             pairs = zip(self._axes, goals, strict=True)
             await asyncio.gather(*(done(axis.set(goal)) for axis, goal in pairs))
             return await asyncio.gather(*(done(axis.locate()) for axis in self._axes))
 
-        found = self._own.call(
-            f"go to {goals[0]:.6g} and {goals[1]:.6g}", there, timeout=timeout
+        places = self._device.call(
+            f"go to {goals[0]:.6g} and {goals[1]:.6g}", reach, timeout=timeout
         )
-        own = self._settings
-        across, up = (float(place["readback"]) for place in found)
+        settings = self._settings
+        across, up = (float(place["readback"]) for place in places)
         return (
-            (across - own.azimuth_zero) * own.angle_per_unit,
-            (up - own.elevation_zero) * own.angle_per_unit,
+            (across - settings.azimuth_zero) * settings.angle_per_unit,
+            (up - settings.elevation_zero) * settings.angle_per_unit,
         )
 
     def refuse_beyond_reach(
         self, azimuth: Sequence[float], elevation: Sequence[float]
     ) -> None:
-        """Raise if an axis that checks its goals refuses one of these [rad]."""
-        own = self._settings
-        if own.park_azimuth is not None and own.park_elevation is not None:
-            azimuth = [*azimuth, own.park_azimuth]
-            elevation = [*elevation, own.park_elevation]
+        """Raise if an axis refuses one of these directions [rad]."""
+        settings = self._settings
+        if settings.park_azimuth is not None and settings.park_elevation is not None:
+            azimuth = [*azimuth, settings.park_azimuth]
+            elevation = [*elevation, settings.park_elevation]
         ends = zip(
             self._positions(min(azimuth), min(elevation)),
             self._positions(max(azimuth), max(elevation)),
@@ -109,44 +109,48 @@ class OphydScanner:
             if check is None:
                 continue
             for goal in goals:
-                self._own.call(
+                self._device.call(
                     f"take {path} to {goal:.6g}, where the scan needs it",
                     partial(check, goal),
                 )
 
     def make_safe(self) -> None:
-        """Stop both axes, and turn to where they are to be left if that is stated."""
-        own, wrong = self._settings, []
+        """Stop both axes, and turn to the parking direction, if one is set."""
+        settings, wrong = self._settings, []
         for path, axis in zip(self._paths, self._axes, strict=True):
             if hasattr(axis, "stop"):
                 try:
-                    self._own.call(f"stop {path}", partial(axis.stop, success=True))
+                    self._device.call(f"stop {path}", partial(axis.stop, success=True))
                 except InstrumentError as error:  # the other one is to stop, too
                     wrong.append(str(error))
         if wrong:
             raise InstrumentError("; ".join(wrong))
-        if own.park_azimuth is not None and own.park_elevation is not None:
-            self.move(own.park_azimuth, own.park_elevation, timeout=own.move_timeout)
+        if settings.park_azimuth is not None and settings.park_elevation is not None:
+            self.move(
+                settings.park_azimuth,
+                settings.park_elevation,
+                timeout=settings.move_timeout,
+            )
 
     def close(self) -> None:
-        """Let go of the device."""
-        self._own.close()
+        """Release the device."""
+        self._device.close()
 
     def _positions(self, azimuth: float, elevation: float) -> tuple[float, float]:
-        own = self._settings
+        settings = self._settings
         return (
-            own.azimuth_zero + azimuth / own.angle_per_unit,
-            own.elevation_zero + elevation / own.angle_per_unit,
+            settings.azimuth_zero + azimuth / settings.angle_per_unit,
+            settings.elevation_zero + elevation / settings.angle_per_unit,
         )
 
 
 class OphydLockIn:
-    """A lock-in of ophyd-async; read after `trigger`, if it has that."""
+    """Lock-in of ophyd-async, read after `trigger`, if it has that."""
 
     def __init__(
         self, device: OphydDevice, options: Mapping[str, Any], *, clock: Clock
     ) -> None:
-        self._own, self._options, self._clock = device, options, clock
+        self._device, self._options, self._clock = device, options, clock
         self._frequency = math.nan
         self._factor = 1.0 if options.get("counts") == "peak" else math.sqrt(2)
         names = ("x", "y", "mean", "input_overload", "output_overload", "unlocked")
@@ -160,31 +164,33 @@ class OphydLockIn:
 
     @classmethod
     def made(cls, wiring: Wiring) -> OphydLockIn:
-        """Return the lock-in that a devices file names."""
-        own = OphydDevice.made("lock_in", wiring, needed=_LOCK_IN, more=_LOCK_IN_MORE)
-        with closed_if_it_fails(own):
-            return cls(own, wiring.options, clock=wiring.clock)
+        """Connect the lock-in that a devices file states."""
+        device = OphydDevice.made(
+            "lock_in", wiring, needed=_LOCK_IN, more=_LOCK_IN_MORE
+        )
+        with closed_if_it_fails(device):
+            return cls(device, wiring.options, clock=wiring.clock)
 
     def identity(self) -> str:
-        """Return what the device says it is."""
-        return self._own.identity()
+        """Return the identity of the device."""
+        return self._device.identity()
 
     def prepare(self, *, time_constant: float) -> None:
         """Set the time constant [s]."""
         path = str(self._options["time_constant"])
-        self._own.set(path, time_constant)
-        found = float(self._own.value(path))
-        if not math.isclose(found, time_constant, rel_tol=_SAME):
+        self._device.set(path, time_constant)
+        actual = float(self._device.value(path))
+        if not math.isclose(actual, time_constant, rel_tol=_SAME):
             raise InstrumentError(
-                f"{self.identity()} makes {found:g} s of a time constant of "
+                f"{self.identity()} makes {actual:g} s of a time constant of "
                 f"{time_constant:g} s; change instrument.lock_in.time_constant"
             )
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Set the modulation frequency [Hz], wait for lock, return what is set [Hz]."""
+        """Set the modulation frequency, wait for lock, return the actual one [Hz]."""
         path = str(self._options["frequency"])
-        self._own.set(path, frequency, timeout=timeout)
-        self._frequency = float(self._own.value(path))
+        self._device.set(path, frequency, timeout=timeout)
+        self._frequency = float(self._device.value(path))
         end = Deadline(self._clock, timeout)
         while self.read().unlocked:
             if end.passed():
@@ -196,36 +202,36 @@ class OphydLockIn:
         return self._frequency
 
     def read(self) -> Reading:
-        """Return the outputs and the state of this instant."""
-        trigger = getattr(self._own.device, "trigger", None)
+        """Return the present outputs and state."""
+        trigger = getattr(self._device.device, "trigger", None)
 
         async def look() -> list[Any]:
             if trigger is not None:
                 await done(trigger())
             return await asyncio.gather(*(value_of(part) for part in self._parts))
 
-        found = dict(zip(self._names, self._own.call("be read", look), strict=True))
+        values = dict(zip(self._names, self._device.call("be read", look), strict=True))
         overload = Overload.NONE
-        if found.get("input_overload"):
+        if values.get("input_overload"):
             overload |= Overload.INPUT
-        if found.get("output_overload"):
+        if values.get("output_overload"):
             overload |= Overload.OUTPUT
-        y = float(found["y"])
+        y = float(values["y"])
         rises = self._options.get("phase") == "rises"
         return Reading(
-            signal=self._factor * complex(float(found["x"]), y if rises else -y),
-            mean=float(found.get("mean", math.nan)),
+            signal=self._factor * complex(float(values["x"]), y if rises else -y),
+            mean=float(values.get("mean", math.nan)),
             modulation_frequency=self._frequency,
             overload=overload,
-            unlocked=bool(found.get("unlocked", False)),
+            unlocked=bool(values.get("unlocked", False)),
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Make no room: the scale is what the options say."""
+        """Return False: the options fix the scale."""
         return False
 
     def sharpen(self, amplitude: float) -> bool:
-        """Change nothing."""
+        """Return False: the options fix the scale."""
         return False
 
     def full_scale(self) -> float:
@@ -233,39 +239,39 @@ class OphydLockIn:
         return self._factor * float(self._options["full_scale"])
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 [V]; return what is read back [V]."""
+        """Set an auxiliary output, counted from 1 [V]; return its read-back [V]."""
         path = self._numbered("outputs", self._outputs, number)
-        self._own.set(path, voltage)
-        return float(self._own.value(path))
+        self._device.set(path, voltage)
+        return float(self._device.value(path))
 
     def input(self, number: int) -> float:
         """Return the voltage at an auxiliary input, counted from 1 [V]."""
-        return float(self._own.value(self._numbered("inputs", self._inputs, number)))
+        return float(self._device.value(self._numbered("inputs", self._inputs, number)))
 
     def reconnect(self) -> None:
-        """Do nothing: ophyd-async holds its links itself."""
+        """Do nothing: ophyd-async reconnects by itself."""
 
     def make_safe(self) -> None:
-        """Do nothing: a lock-in without light is safe; the laser's gate is its own."""
+        """Do nothing: a lock-in without light is safe, and the laser is gated apart."""
 
     def close(self) -> None:
-        """Let go of the device."""
-        self._own.close()
+        """Release the device."""
+        self._device.close()
 
-    def _numbered(self, what: str, paths: Sequence[str], number: int) -> str:
+    def _numbered(self, kind: str, paths: Sequence[str], number: int) -> str:
         if not 1 <= number <= len(paths):
             raise InstrumentError(
-                f"lock_in.options.{what} names {len(paths)}, asked for was number "
+                f"lock_in.options.{kind} names {len(paths)}, asked for was number "
                 f"{number}; name it, or change the part laser"
             )
         return paths[number - 1]
 
 
 class OphydLaser:
-    """A laser or a shutter of ophyd-async: a part lets light out, one is read back."""
+    """Laser or shutter of ophyd-async: a part to enable it, and one to read back."""
 
     def __init__(self, device: OphydDevice, options: Mapping[str, Any]) -> None:
-        self._own, self._options = device, options
+        self._device, self._options = device, options
         self._enable = str(options["enable"])
         self._state = str(options.get("state", self._enable))
         for name in ("enable", "state", "interlock", "current", "temperature"):
@@ -274,57 +280,58 @@ class OphydLaser:
 
     @classmethod
     def made(cls, wiring: Wiring) -> OphydLaser:
-        """Return the laser that a devices file names."""
-        own = OphydDevice.made("laser", wiring, needed=("enable",), more=_LASER_MORE)
-        with closed_if_it_fails(own):
-            return cls(own, wiring.options)
+        """Connect the laser that a devices file states."""
+        device = OphydDevice.made("laser", wiring, needed=("enable",), more=_LASER_MORE)
+        with closed_if_it_fails(device):
+            return cls(device, wiring.options)
 
     def identity(self) -> str:
-        """Return what the device says it is."""
-        return f"{self._enable} of {self._own.identity()}"
+        """Return the identity of the device."""
+        return f"{self._enable} of {self._device.identity()}"
 
     def on(self) -> None:
-        """Let light out, if the interlock is closed."""
+        """Switch the laser on, if the interlock is closed."""
         self.check()
-        self._own.set(self._enable, self._options.get("on", True))
+        self._device.set(self._enable, self._options.get("on", True))
 
     def off(self) -> None:
-        """Let no light out, and read back that it is so."""
-        wanted = self._options.get("off", False)
-        self._own.set(self._enable, wanted)
-        found = self._own.value(self._state)
-        if found != wanted:
+        """Switch the laser off, and read its state back."""
+        off_value = self._options.get("off", False)
+        self._device.set(self._enable, off_value)
+        state = self._device.value(self._state)
+        if state != off_value:
             raise InstrumentError(
-                f"{self._state} of {self._own.identity()} is {found!r} and not "
-                f"{wanted!r}: the laser may be on; switch it off by hand"
+                f"{self._state} of {self._device.identity()} is {state!r} and not "
+                f"{off_value!r}: the laser may be on; switch it off by hand"
             )
 
     def check(self) -> None:
         """Raise if the interlock is open."""
         if "interlock" not in self._options:
             return
-        found = self._own.value(str(self._options["interlock"]))
-        if found != self._options.get("interlock_closed", True):
+        state = self._device.value(str(self._options["interlock"]))
+        if state != self._options.get("interlock_closed", True):
             raise InstrumentError(
                 f"the interlock of the laser is open: {self._options['interlock']} of "
-                f"{self._own.identity()} is {found!r}; see who opened it, and close it"
+                f"{self._device.identity()} is {state!r}; see who opened it, and "
+                "close it"
             )
 
     def readings(self) -> dict[str, float]:
-        """Return current [A] and temperature [degC] of the diode, as far as known."""
+        """Return current [A] and temperature [degC] of the diode, if measured."""
         return {
-            f"laser_{name}": float(self._own.value(str(self._options[name])))
+            f"laser_{name}": float(self._device.value(str(self._options[name])))
             for name in ("current", "temperature")
             if name in self._options
         }
 
     def make_safe(self) -> None:
-        """Let no light out; once more if that has failed."""
+        """Switch the laser off, with a second attempt."""
         try:
             self.off()
         except InstrumentError:
             self.off()
 
     def close(self) -> None:
-        """Let go of the device."""
-        self._own.close()
+        """Release the device."""
+        self._device.close()

@@ -1,4 +1,4 @@
-"""Pan-tilt heads by Pelco-D: frames of seven bytes, positions of 0.01 degrees."""
+"""Pan-tilt heads by the protocol Pelco-D: positions in steps of 0.01 degrees."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from amulor.acquisition.settings.parts import PanTiltSettings
 from amulor.errors import InstrumentError
 
 _SYNC, _LENGTH = 0xFF, 7
-#: Second command byte: set a position, ask for one, and what the answer has instead.
+#: Second command byte: set a position, query it, and the one of the answer.
 _SET = {"pan": 0x4B, "tilt": 0x4D}
 _ASK = {"pan": 0x51, "tilt": 0x53}
 _ANSWER = {"pan": 0x59, "tilt": 0x5B}
 #: Hundredths of a degree in a turn.
 _TURN = 36_000
-#: Steps within which an axis is there, and looks one after the other that say so.
+#: Steps within which an axis has arrived, and positions in a row that show it.
 _NEAR, _LOOKS = 2, 2
-#: How long an axis that stands near its goal, and far from it, is waited for [s]; and
-#: time between looks [s].
+#: Wait for an axis at rest near its goal and far from it [s]; time between queries
+#: [s].
 _STILL, _HELD, _POLL = 1.0, 3.0, 0.02
-#: Farther from where it was sent, an axis was held up [0.01 degrees].
+#: Distance from its goal beyond which an axis was blocked [0.01 degrees].
 _ASTRAY = 50
 #: Most bytes that may come before an answer.
 _MOST_OTHERS = 64
 
 
 class Octets(Protocol):
-    """What the driver needs of a link; a test can be one, too."""
+    """Byte link of the driver."""
 
     address: str
 
@@ -38,10 +38,10 @@ class Octets(Protocol):
         """Send bytes."""
 
     def receive(self, most: int) -> bytes:
-        """Return what has come, at least one byte."""
+        """Return received bytes, at least one."""
 
     def forget(self) -> None:
-        """Throw away what has come."""
+        """Discard received bytes."""
 
     def reopen(self) -> None:
         """Close the link and open it again."""
@@ -63,18 +63,18 @@ def frame(number: int, command: int, value: int = 0) -> bytes:
 
 
 class PelcoHead:
-    """Pan and tilt of a head, which turns the whole instrument.
+    """Pan-tilt head that turns the whole instrument.
 
     Set positions are 0x4B and 0x4D, questions 0x51 and 0x53, answers 0x59 and 0x5B. A
-    head says neither that it has arrived nor that it refuses: it has arrived where two
-    looks in a row find it within 0.02 degrees of its goal, and one that no longer moves
-    and stands farther off than half a degree is an error.
+    head reports neither arrival nor refusal. It has arrived when two positions in a row
+    lie within 0.02 degrees of its goal. One at rest, more than half a degree off, is an
+    error.
     """
 
     def __init__(
         self, link: Octets, settings: ScannerSettings, *, clock: Clock
     ) -> None:
-        self._link, self._own, self._clock = link, settings, clock
+        self._link, self._settings, self._clock = link, settings, clock
         self._head = settings.pan_tilt or PanTiltSettings()
         self._signs = {
             "pan": 1 if self._head.pan_counts == "right" else -1,
@@ -84,16 +84,16 @@ class PelcoHead:
             "pan": settings.azimuth_zero * 100,
             "tilt": settings.elevation_zero * 100,
         }
-        self._position("pan")  # raises if nobody is there
+        self._position("pan")  # raises if no head answers
 
     def identity(self) -> str:
-        """Return the protocol and the number; a head does not say who it is."""
+        """Return protocol and number; a head has no identity of its own."""
         return f"pan-tilt head {self._head.number} by Pelco-D"
 
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
-        """Turn to a direction [rad] within a time [s]; return where it stands [rad]."""
+        """Turn to a direction [rad] within a time [s]; return the read-back [rad]."""
         goals = {
             "pan": self._counted("pan", azimuth),
             "tilt": self._counted("tilt", elevation),
@@ -101,17 +101,21 @@ class PelcoHead:
         for axis, goal in goals.items():
             self._link.send(frame(self._head.number, _SET[axis], goal))
         end = Deadline(self._clock, timeout)
-        stands = {axis: self._arrived(axis, goal, end) for axis, goal in goals.items()}
-        return self._angle("pan", stands["pan"]), self._angle("tilt", stands["tilt"])
+        positions = {
+            axis: self._arrived(axis, goal, end) for axis, goal in goals.items()
+        }
+        return self._angle("pan", positions["pan"]), self._angle(
+            "tilt", positions["tilt"]
+        )
 
     def refuse_beyond_reach(
         self, azimuth: Sequence[float], elevation: Sequence[float]
     ) -> None:
-        """Raise if a direction [rad] is beyond the ends that are stated."""
-        own, head = self._own, self._head
-        if own.park_azimuth is not None and own.park_elevation is not None:
-            azimuth = [*azimuth, own.park_azimuth]
-            elevation = [*elevation, own.park_elevation]
+        """Raise if a direction [rad] is beyond the limits in the settings."""
+        settings, head = self._settings, self._head
+        if settings.park_azimuth is not None and settings.park_elevation is not None:
+            azimuth = [*azimuth, settings.park_azimuth]
+            elevation = [*elevation, settings.park_elevation]
         for name, angles, low, high in (
             ("pan", azimuth, head.lowest_pan, head.highest_pan),
             ("tilt", elevation, head.lowest_tilt, head.highest_tilt),
@@ -128,15 +132,19 @@ class PelcoHead:
                 )
 
     def make_safe(self) -> None:
-        """Stop, and turn to where it is to be left if that is stated."""
+        """Stop, and turn to the parking direction, if one is set."""
         try:
             self._stop()
         except InstrumentError:
             self._link.reopen()
             self._stop()
-        own = self._own
-        if own.park_azimuth is not None and own.park_elevation is not None:
-            self.move(own.park_azimuth, own.park_elevation, timeout=own.move_timeout)
+        settings = self._settings
+        if settings.park_azimuth is not None and settings.park_elevation is not None:
+            self.move(
+                settings.park_azimuth,
+                settings.park_elevation,
+                timeout=settings.move_timeout,
+            )
 
     def close(self) -> None:
         """Close the link."""
@@ -144,7 +152,7 @@ class PelcoHead:
 
     def _stop(self) -> None:
         self._link.send(frame(self._head.number, 0))
-        self._position("pan")  # raises if nobody is there
+        self._position("pan")  # raises if no head answers
 
     def _counted(self, axis: str, angle: float) -> int:
         steps = self._zeros[axis] + self._signs[axis] * math.degrees(angle) * 100
@@ -156,7 +164,7 @@ class PelcoHead:
         return math.radians(((steps + _TURN / 2) % _TURN - _TURN / 2) / 100)
 
     def _arrived(self, axis: str, goal: int, end: Deadline) -> int:
-        """Return where an axis stands when it is there, or moves no more."""
+        """Wait for an axis; return its position at its goal or at rest [0.01 deg]."""
         near, last, since = 0, None, self._clock.now()
         while True:
             position = self._position(axis)
@@ -178,23 +186,23 @@ class PelcoHead:
             self._clock.sleep(_POLL)
 
     def _position(self, axis: str) -> int:
-        """Return what a head answers to the question for a position."""
+        """Query the position of an axis [0.01 deg]."""
         self._link.forget()
         self._link.send(frame(self._head.number, _ASK[axis]))
-        wanted = bytes([_SYNC, self._head.number, 0, _ANSWER[axis]])
+        header = bytes([_SYNC, self._head.number, 0, _ANSWER[axis]])
         content = b""
         while len(content) < _MOST_OTHERS:
             content += self._link.receive(_LENGTH)
             # Others on the line, and acknowledgements of four bytes, may come first.
-            place = content.find(wanted)
+            place = content.find(header)
             if place < 0 or len(content) < place + _LENGTH:
                 continue
-            found = content[place : place + _LENGTH]
-            value = found[4] << 8 | found[5]
-            if found == frame(self._head.number, _ANSWER[axis], value):
+            message = content[place : place + _LENGTH]
+            value = message[4] << 8 | message[5]
+            if message == frame(self._head.number, _ANSWER[axis], value):
                 return value % _TURN
             raise InstrumentError(
-                f"the head at {self._link.address} has answered {found.hex(' ')}, "
+                f"the head at {self._link.address} has answered {message.hex(' ')}, "
                 "whose last byte is not the sum of those before; check the cable, its "
                 "termination and the bits per second"
             )

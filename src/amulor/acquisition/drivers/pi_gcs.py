@@ -1,4 +1,4 @@
-"""Stages behind controllers of Physik Instrumente, by the General Command Set 2.0."""
+"""Stages of Physik Instrumente, by the General Command Set 2.0."""
 
 from __future__ import annotations
 
@@ -10,23 +10,22 @@ from amulor.acquisition.links.lines import Conversation
 from amulor.acquisition.settings import ScannerSettings, TargetSettings
 from amulor.errors import InstrumentError
 
-#: What ERR? answers after a stop on purpose.
+#: Answer of ERR? after a commanded stop.
 _STOPPED = 10
-#: Time between two looks: short ones first, twice as long each time, up to this [s].
+#: First and longest time between two queries; it doubles each time [s].
 _FIRST_POLL, _POLL = 0.2e-3, 2e-3
-#: What the identity of a controller holds, in small letters.
+#: Part of the identity of every controller, in small letters.
 _MAKER = "physik instrumente"
 #: Asks for the axes that move, as bits of a hexadecimal number: the one character 5.
 _MOTION = "\x05"
-#: How long axes may take to come to rest after HLT, before STP [s].
+#: Longest time to come to rest after HLT, before STP [s].
 _HALT = 2.0
 #: Difference of position and goal beyond which the controller is asked for an error,
 #: in the unit of the axis.
 _ASTRAY = 0.01
-#: Part of the longest way of a sweep that is no way at all for another axis.
-_NO_WAY = 1e-2
-#: Difference of place and goal beyond which a mount [deg] and the target [mm] are not
-#: where they are said to be.
+#: Fraction of the longest path of a sweep below which another axis is not moved.
+_UNMOVED = 1e-2
+#: Largest difference of position and goal of a mount [deg] and of the target [mm].
 _MOUNT_OFF, _TARGET_OFF = 0.5, 1.0
 
 
@@ -55,19 +54,19 @@ class PiController:
         return self._identity
 
     def enable(self, axes: Sequence[str]) -> None:
-        """Close the servo loop of axes that know where they are."""
+        """Close the servo loop of axes; raise if one is not referenced."""
         self._link.send("SVO " + " ".join(f"{axis} 1" for axis in axes))
         self.raise_error()
-        known = self._values("FRF?", axes)
+        referenced = self._values("FRF?", axes)
         for axis in axes:
-            if known[axis] != 1:
+            if referenced[axis] != 1:
                 raise InstrumentError(
                     f"axis {axis} at {self._link.address} does not know where it is; "
                     f"see that nothing is in its way, and reference it (FRF {axis})"
                 )
 
     def refuse_beyond_reach(self, goals: Mapping[str, Sequence[float]]) -> None:
-        """Raise if an axis could not go where it will be sent."""
+        """Raise if a goal is beyond the travel range of its axis."""
         low = self._values("TMN?", [*goals])
         high = self._values("TMX?", [*goals])
         for axis, positions in goals.items():
@@ -89,7 +88,7 @@ class PiController:
         # Not in one packet with a question: a controller may answer it before it moves.
         self._link.send("MOV " + " ".join(words))
         end, wait = Deadline(self._clock, timeout), _FIRST_POLL
-        # Both are questions: where it stands is wanted as soon as it is there.
+        # Both are queries: the position is needed as soon as the goal is reached.
         question = f"ONT? {listed}\nPOS? {listed}"
         while True:
             answers = self._link.ask(question, answers=2 * len(axes))
@@ -110,23 +109,23 @@ class PiController:
         return [result[axis] for axis in axes]
 
     def velocities(self, axes: Sequence[str]) -> dict[str, float]:
-        """Return the velocity that is set for each axis, in units of it [1/s]."""
+        """Return the velocity setting of each axis, in its unit [1/s]."""
         return self._values("VEL?", axes)
 
     def set_velocities(self, velocities: Mapping[str, float]) -> None:
-        """Set the velocity of axes, in units of them [1/s]."""
+        """Set the velocity of axes, in their units [1/s]."""
         words = [f"{axis} {value:.7g}" for axis, value in velocities.items()]
         self._link.send("VEL " + " ".join(words))
 
     def set_out(self, goals: Mapping[str, float]) -> None:
-        """Begin to move axes to positions, in the unit of each, and do not wait."""
+        """Start to move axes to positions, in their units, without waiting."""
         words = [f"{axis} {goal:.7f}" for axis, goal in goals.items()]
         self._link.send("MOV " + " ".join(words))
 
     def positions(self, axes: Sequence[str]) -> list[float]:
-        """Return where axes are now, also while they move, in the unit of each."""
-        found = self._values("POS?", axes)
-        return [found[axis] for axis in axes]
+        """Return the present positions of axes, in their units."""
+        values = self._values("POS?", axes)
+        return [values[axis] for axis in axes]
 
     def stop(self) -> None:
         """Stop all axes, over a new link if the old one is lost."""
@@ -137,7 +136,7 @@ class PiController:
             self._stop()
 
     def raise_error(self) -> None:
-        """Raise if the controller has an error to tell, which is then forgotten."""
+        """Raise if the controller reports an error, and clear it."""
         (code,) = self._link.ask("ERR?")
         if code not in ("0", str(_STOPPED)):
             raise InstrumentError(
@@ -150,7 +149,7 @@ class PiController:
         self._link.close()
 
     def _stop(self) -> None:
-        """Halt smoothly, and abruptly what has not come to rest by then."""
+        """Halt all axes smoothly, then abruptly any that still moves."""
         self._link.send("HLT")
         (code,) = self._link.ask("ERR?")
         if code in ("0", str(_STOPPED)) and self._comes_to_rest():
@@ -215,43 +214,47 @@ class PiScanner(_OnController):
 
     def __init__(self, controller: PiController, settings: ScannerSettings) -> None:
         self._settings = settings
-        #: What is set when nothing sweeps, known once it was swept; whether it is set.
+        #: Velocities outside sweeps, read at the first sweep; whether one changed them.
         self._fast: dict[str, float] = {}
         self._is_slow = False
-        #: Where the axes stand since the last move, until they are sent elsewhere.
-        self._here: dict[str, float] | None = None
+        #: Positions after the last move, until the next one starts.
+        self._current: dict[str, float] | None = None
         super().__init__(controller, [settings.azimuth_axis, settings.elevation_axis])
 
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
-        """Turn to a direction [rad] within a time [s]; return where it stands [rad]."""
+        """Turn to a direction [rad] within a time [s]; return the read-back [rad]."""
         self._restore_velocities()
-        self._here = None
+        self._current = None
         across, up = self._controller.move(
             self._goals(azimuth, elevation), timeout=timeout
         )
-        self._here = dict(zip(self._axes, (across, up), strict=True))
+        self._current = dict(zip(self._axes, (across, up), strict=True))
         return self._directions(across, up)
 
     def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
-        """Set out for a direction [rad], to be there after a time [s]; do not wait.
+        """Start to move to a direction [rad], reached after a time [s]; do not wait.
 
         Notes
         -----
-        Axes that have nothing to do are not moved. Velocities (VEL) are those of the
-        whole way; what was set before is set again with the next move, and at the end.
+        Axes already at their goal are not moved. Velocities (VEL) are constant over the
+        whole path; the next move and the end restore those set before.
         """
         if not self._fast:
             self._fast = self._controller.velocities(self._axes)
         goals = self._goals(azimuth, elevation)
-        here = self._here or dict(
+        origin = self._current or dict(
             zip(self._axes, self._controller.positions(self._axes), strict=True)
         )
-        self._here = None
-        ways = {axis: abs(goal - here[axis]) for axis, goal in goals.items()}
-        moved = [axis for axis in goals if ways[axis] > _NO_WAY * max(ways.values())]
-        slow = {axis: ways[axis] / duration for axis in moved}
+        self._current = None
+        distances = {axis: abs(goal - origin[axis]) for axis, goal in goals.items()}
+        moved = [
+            axis
+            for axis in goals
+            if distances[axis] > _UNMOVED * max(distances.values())
+        ]
+        slow = {axis: distances[axis] / duration for axis in moved}
         for axis, velocity in slow.items():
             if velocity > self._fast[axis]:
                 raise InstrumentError(
@@ -264,7 +267,7 @@ class PiScanner(_OnController):
         self._controller.set_out({axis: goals[axis] for axis in moved})
 
     def where(self) -> tuple[float, float]:
-        """Return where it is now, also while it moves [rad]."""
+        """Return the present direction, also while it moves [rad]."""
         return self._directions(*self._controller.positions(self._axes))
 
     def _restore_velocities(self) -> None:
@@ -279,49 +282,53 @@ class PiScanner(_OnController):
         }
 
     def _directions(self, across: float, up: float) -> tuple[float, float]:
-        own = self._settings
+        settings = self._settings
         return (
-            (across - own.azimuth_zero) * own.angle_per_unit,
-            (up - own.elevation_zero) * own.angle_per_unit,
+            (across - settings.azimuth_zero) * settings.angle_per_unit,
+            (up - settings.elevation_zero) * settings.angle_per_unit,
         )
 
     def refuse_beyond_reach(
         self, azimuth: Sequence[float], elevation: Sequence[float]
     ) -> None:
         """Raise if an axis cannot go to all of these directions [rad]."""
-        own = self._settings
-        if own.park_azimuth is not None and own.park_elevation is not None:
-            azimuth = [*azimuth, own.park_azimuth]
-            elevation = [*elevation, own.park_elevation]
+        settings = self._settings
+        if settings.park_azimuth is not None and settings.park_elevation is not None:
+            azimuth = [*azimuth, settings.park_azimuth]
+            elevation = [*elevation, settings.park_elevation]
         self._controller.refuse_beyond_reach(self._positions(azimuth, elevation))
 
     def _positions(
         self, azimuth: Sequence[float], elevation: Sequence[float]
     ) -> dict[str, list[float]]:
-        """Return where the axes are in these directions, in their unit."""
-        own = self._settings
-        zeros = (own.azimuth_zero, own.elevation_zero)
+        """Return the axis positions of these directions, in the unit of the axis."""
+        settings = self._settings
+        zeros = (settings.azimuth_zero, settings.elevation_zero)
         return {
-            axis: [zero + angle / own.angle_per_unit for angle in angles]
+            axis: [zero + angle / settings.angle_per_unit for angle in angles]
             for axis, zero, angles in zip(
                 self._axes, zeros, (azimuth, elevation), strict=True
             )
         }
 
     def make_safe(self) -> None:
-        """Stop, and turn to where it is to be left if that is stated."""
+        """Stop, and turn to the parking direction, if one is set."""
         super().make_safe()
         self._restore_velocities()
-        own = self._settings
-        if own.park_azimuth is not None and own.park_elevation is not None:
-            self.move(own.park_azimuth, own.park_elevation, timeout=own.move_timeout)
+        settings = self._settings
+        if settings.park_azimuth is not None and settings.park_elevation is not None:
+            self.move(
+                settings.park_azimuth,
+                settings.park_elevation,
+                timeout=settings.move_timeout,
+            )
 
 
-def _refuse_elsewhere(what: str, stands: float, goal: float, *, near: float) -> None:
-    if not abs(stands - goal) <= near:
+def _refuse_off_target(part: str, position: float, goal: float, *, near: float) -> None:
+    if not abs(position - goal) <= near:
         raise InstrumentError(
-            f"{what} is on target at {stands:g} and was sent to {goal:g}, in the unit "
-            "of its axis; reference it, and see what holds it"
+            f"{part} is on target at {position:g} and was sent to {goal:g}, in the "
+            "unit of its axis; reference it, and see what holds it"
         )
 
 
@@ -332,11 +339,11 @@ class PiMount(_OnController):
         super().__init__(controller, [axis])
 
     def rotate(self, angle: float, *, timeout: float) -> float:
-        """Turn to an angle [rad] within a time [s]; return where it stands [rad]."""
+        """Turn to an angle [rad] within a time [s]; return the read-back [rad]."""
         goal = math.degrees(angle)
-        (stands,) = self._controller.move({self._axes[0]: goal}, timeout=timeout)
-        _refuse_elsewhere(f"mount {self._axes[0]}", stands, goal, near=_MOUNT_OFF)
-        return math.radians(stands)
+        (reached,) = self._controller.move({self._axes[0]: goal}, timeout=timeout)
+        _refuse_off_target(f"mount {self._axes[0]}", reached, goal, near=_MOUNT_OFF)
+        return math.radians(reached)
 
     def refuse_beyond_reach(self, angles: Sequence[float]) -> None:
         """Raise if the axis cannot go to all of these angles [rad]."""
@@ -345,28 +352,28 @@ class PiMount(_OnController):
 
 
 class PiTargetStage(_OnController):
-    """One axis in millimetres that carries the target."""
+    """One axis in millimeters that carries the target."""
 
     def __init__(self, controller: PiController, settings: TargetSettings) -> None:
         self._settings = settings
         super().__init__(controller, [settings.axis])
 
     def bring_in(self, *, timeout: float) -> float:
-        """Put the target where it is scanned, within a time [s]; return where [m]."""
+        """Put the target into the beam within a time [s]; return its position [m]."""
         return self._go(self._settings.position_in, timeout)
 
     def take_out(self, *, timeout: float) -> float:
-        """Leave open water in every beam, within a time [s]; return where it is [m]."""
+        """Take the target out within a time [s]; return its position [m]."""
         return self._go(self._settings.position_out, timeout)
 
     def _go(self, position: float, timeout: float) -> float:
         goal = position * 1e3
-        (stands,) = self._controller.move({self._axes[0]: goal}, timeout=timeout)
-        _refuse_elsewhere("the target", stands, goal, near=_TARGET_OFF)
-        return stands / 1e3
+        (reached,) = self._controller.move({self._axes[0]: goal}, timeout=timeout)
+        _refuse_off_target("the target", reached, goal, near=_TARGET_OFF)
+        return reached / 1e3
 
     def refuse_beyond_reach(self) -> None:
-        """Raise if the axis cannot go to one of its two places."""
-        own = self._settings
-        goals = [own.position_in * 1e3, own.position_out * 1e3]
+        """Raise if one of its two positions is beyond the travel range."""
+        settings = self._settings
+        goals = [settings.position_in * 1e3, settings.position_out * 1e3]
         self._controller.refuse_beyond_reach({self._axes[0]: goals})

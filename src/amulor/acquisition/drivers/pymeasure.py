@@ -1,4 +1,4 @@
-"""Lock-in amplifiers that pymeasure knows, by the names of their attributes."""
+"""Lock-in amplifiers of pymeasure, by the names of their attributes."""
 
 from __future__ import annotations
 
@@ -12,46 +12,46 @@ from amulor.acquisition.protocols import Overload, Reading
 from amulor.errors import InstrumentError, MissingExtraError
 
 _Value = TypeVar("_Value")
-#: What the part `options` must and may say.
+#: Required and further entries of the part `options`.
 _NEEDED = ("class", "x", "y", "frequency", "time_constant", "full_scale")
 _MORE = (
     "prepare", "arguments", "mean", "status", "input_overload", "output_overload",
     "unlocked", "phase", "outputs",
 )  # fmt: skip
-#: How near the time constant must be that is read back, in parts.
+#: Largest relative difference of the read-back time constant [1].
 _SAME = 0.01
 
 
 class PymeasureLockIn:
-    """An instrument of pymeasure behind the protocol of a lock-in."""
+    """Lock-in amplifier driven by a class of pymeasure."""
 
     def __init__(self, wiring: Wiring) -> None:
-        own = wiring.options
-        missing = [name for name in _NEEDED if name not in own]
-        unknown = [name for name in own if name not in (*_NEEDED, *_MORE)]
+        options = wiring.options
+        missing = [name for name in _NEEDED if name not in options]
+        unknown = [name for name in options if name not in (*_NEEDED, *_MORE)]
         if missing or unknown or wiring.address is None:
             raise InstrumentError(
                 "a lock-in of pymeasure needs lock_in.address and the options "
                 f"{', '.join(_NEEDED)}; missing are {', '.join(missing) or 'none'}, "
                 f"not known are {', '.join(unknown) or 'none'}"
             )
-        module, _, name = str(own["class"]).partition(":")
+        module, _, name = str(options["class"]).partition(":")
         try:
             kind = getattr(importlib.import_module(module), name)
         except ImportError:
             raise MissingExtraError(
-                "pymeasure", extra="clients", purpose=f"a lock-in by {own['class']}"
+                "pymeasure", extra="clients", purpose=f"a lock-in by {options['class']}"
             ) from None
         except AttributeError:
             raise InstrumentError(
                 f"{module} has no {name!r}; see lock_in.options.class, such as "
                 "pymeasure.instruments.srs:SR860"
             ) from None
-        self._own, self._address = own, wiring.address
-        self._make = lambda: kind(wiring.address, **own.get("arguments", {}))
-        self._instrument: Any = self._said("answer", self._make)
-        self._identity = str(self._said("identify", self._identify))
-        self._outputs = list(own.get("outputs", []))
+        self._options, self._address = options, wiring.address
+        self._make = lambda: kind(wiring.address, **options.get("arguments", {}))
+        self._instrument: Any = self._checked("answer", self._make)
+        self._identity = str(self._checked("identify", self._identify))
+        self._outputs = list(options.get("outputs", []))
 
     def _identify(self) -> str:
         try:
@@ -60,62 +60,63 @@ class PymeasureLockIn:
             return str(self._instrument.ask("*IDN?")).strip()
 
     def identity(self) -> str:
-        """Return what the instrument says it is."""
+        """Return the identity of the instrument."""
         return self._identity
 
     def prepare(self, *, time_constant: float) -> None:
-        """Set what the options say, and the time constant [s]."""
-        for name, value in self._own.get("prepare", {}).items():
+        """Set the attributes of the options, and the time constant [s]."""
+        for name, value in self._options.get("prepare", {}).items():
             self._set(name, value)
-        self._set(self._own["time_constant"], time_constant)
-        found = float(self._get(self._own["time_constant"]))
-        if not math.isclose(found, time_constant, rel_tol=_SAME):
+        self._set(self._options["time_constant"], time_constant)
+        actual = float(self._get(self._options["time_constant"]))
+        if not math.isclose(actual, time_constant, rel_tol=_SAME):
             raise InstrumentError(
-                f"{self._identity} makes {found:g} s of a time constant of "
+                f"{self._identity} makes {actual:g} s of a time constant of "
                 f"{time_constant:g} s; change instrument.lock_in.time_constant"
             )
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Set the modulation frequency [Hz], return what is set [Hz]."""
-        self._set(self._own["frequency"], frequency)
+        """Set the modulation frequency [Hz]; return the actual one [Hz]."""
+        self._set(self._options["frequency"], frequency)
         self._bits()  # clears what was before
-        self._frequency = float(self._get(self._own["frequency"]))
+        self._frequency = float(self._get(self._options["frequency"]))
         return self._frequency
 
     def read(self) -> Reading:
-        """Return the outputs and the state of this instant."""
-        own = self._own
-        if own["x"] == own["y"]:  # one with both, such as a snapshot, of one moment
-            x, y = (float(value) for value in self._get(own["x"])[:2])
+        """Return the present outputs and state."""
+        options = self._options
+        if options["x"] == options["y"]:  # a snapshot of both at one moment
+            x, y = (float(value) for value in self._get(options["x"])[:2])
         else:
-            x, y = float(self._get(own["x"])), float(self._get(own["y"]))
+            x, y = float(self._get(options["x"])), float(self._get(options["y"]))
+        rises = options.get("phase") == "rises"
         bits, overload = self._bits(), Overload.NONE
-        if bits & own.get("input_overload", 0):
+        if bits & options.get("input_overload", 0):
             overload |= Overload.INPUT
-        if bits & own.get("output_overload", 0):
+        if bits & options.get("output_overload", 0):
             overload |= Overload.OUTPUT
         return Reading(
-            signal=math.sqrt(2) * complex(x, y if own.get("phase") == "rises" else -y),
-            mean=float(self._get(own["mean"])) if "mean" in own else math.nan,
+            signal=math.sqrt(2) * complex(x, y if rises else -y),
+            mean=float(self._get(options["mean"])) if "mean" in options else math.nan,
             modulation_frequency=self._frequency,
             overload=overload,
-            unlocked=bool(bits & own.get("unlocked", 0)),
+            unlocked=bool(bits & options.get("unlocked", 0)),
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Make no room: the scale is what the options say."""
+        """Return False: the options fix the scale."""
         return False
 
     def sharpen(self, amplitude: float) -> bool:
-        """Change nothing."""
+        """Return False: the options fix the scale."""
         return False
 
     def full_scale(self) -> float:
-        """Return the largest peak amplitude, of what the options state in rms [V]."""
-        return math.sqrt(2) * float(self._own["full_scale"])
+        """Return the largest peak amplitude; the options give its rms value [V]."""
+        return math.sqrt(2) * float(self._options["full_scale"])
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 [V]; return what is read back [V]."""
+        """Set an auxiliary output, counted from 1 [V]; return its read-back [V]."""
         if not 1 <= number <= len(self._outputs):
             raise InstrumentError(
                 f"lock_in.options.outputs names {len(self._outputs)} outputs, asked "
@@ -127,10 +128,10 @@ class PymeasureLockIn:
     def reconnect(self) -> None:
         """Open the link again after it was lost."""
         self.close()
-        self._instrument = self._said("answer", self._make)
+        self._instrument = self._checked("answer", self._make)
 
     def make_safe(self) -> None:
-        """Do nothing: a lock-in without light is safe; the laser's gate is its own."""
+        """Do nothing: a lock-in without light is safe, and the laser is gated apart."""
 
     def close(self) -> None:
         """Close the link; it may be called twice."""
@@ -139,24 +140,29 @@ class PymeasureLockIn:
             adapter.close()
 
     def _bits(self) -> int:
-        return int(self._get(self._own["status"])) if "status" in self._own else 0
+        return (
+            int(self._get(self._options["status"])) if "status" in self._options else 0
+        )
 
     def _get(self, name: str) -> Any:
-        value = self._said(f"tell its {name}", lambda: getattr(self._instrument, name))
-        return self._said(f"tell its {name}", value) if callable(value) else value
+        value = self._checked(
+            f"tell its {name}", lambda: getattr(self._instrument, name)
+        )
+        return self._checked(f"tell its {name}", value) if callable(value) else value
 
     def _set(self, name: str, value: Any) -> None:
         if not hasattr(type(self._instrument), name):
             raise InstrumentError(
-                f"{self._own['class']} has no attribute {name!r}; see lock_in.options"
+                f"{self._options['class']} has no attribute {name!r}; see "
+                "lock_in.options"
             )
-        self._said(f"set {name}", lambda: setattr(self._instrument, name, value))
+        self._checked(f"set {name}", lambda: setattr(self._instrument, name, value))
 
-    def _said(self, what: str, call: Callable[[], _Value]) -> _Value:
+    def _checked(self, action: str, call: Callable[[], _Value]) -> _Value:
         try:
             return call()
         except Exception as error:  # pymeasure and what it rests on raise many kinds
             raise InstrumentError(
-                f"{self._own['class']} at {self._address} has failed to {what}: "
+                f"{self._options['class']} at {self._address} has failed to {action}: "
                 f"{type(error).__name__}: {error}; check cable, power, lock_in.options"
             ) from error

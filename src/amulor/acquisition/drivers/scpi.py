@@ -1,4 +1,4 @@
-"""Signal generators and laser drivers by commands that the devices file states."""
+"""Generators, laser drivers and lock-ins by the commands of the devices file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from amulor.errors import InstrumentError
 
 
 class _Scpi:
-    """An instrument that says who it is when asked by ``*IDN?``."""
+    """Instrument with ``*IDN?`` and, where stated, a lock of its own."""
 
     def __init__(
         self, link: Conversation, words: ScpiLaserSettings | ScpiSourceSettings
@@ -42,14 +42,14 @@ class _Scpi:
         return self._identity
 
     def close(self) -> None:
-        """Let others drive it, and close the link."""
+        """Release the lock of the instrument, and close the link."""
         if self._unlock is not None:
             with contextlib.suppress(InstrumentError):
                 self._link.send(self._unlock)
             self._unlock = None
         self._link.close()
 
-    def _say(self, lines: tuple[str, ...]) -> None:
+    def _send(self, lines: tuple[str, ...]) -> None:
         for line in lines:
             self._link.send(line)
 
@@ -68,55 +68,55 @@ class ScpiSource(_Scpi):
         self._settings, self._words, self._clock = settings, settings.scpi, clock
         self._puts_out = False
         assert settings.amplitude is not None
-        self._say(self._words.off)
-        self._say(self._words.prepare)
-        self._say((self._words.amplitude.format(value=settings.amplitude),))
+        self._send(self._words.off)
+        self._send(self._words.prepare)
+        self._send((self._words.amplitude.format(value=settings.amplitude),))
         self._refuse_error("its amplitude")
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Put out a modulation frequency [Hz]; return what the generator says [Hz]."""
-        self._say((self._words.frequency.format(value=frequency),))
+        """Output a modulation frequency [Hz]; return the read-back [Hz]."""
+        self._send((self._words.frequency.format(value=frequency),))
         if not self._puts_out:
-            self._say(self._words.on)
+            self._send(self._words.on)
             self._puts_out = True
         self._refuse_error(f"{frequency:g} Hz")
         answer = self._answer(self._words.frequency_read)
         try:
-            found = float(answer)
+            actual = float(answer)
         except ValueError:
-            found = math.nan
-        if not math.isclose(found, frequency, rel_tol=1e-3):
+            actual = math.nan
+        if not math.isclose(actual, frequency, rel_tol=1e-3):
             raise InstrumentError(
                 f"the source at {self._link.address} was set to {frequency:g} Hz and "
                 f"says {answer!r}; see its range and source.scpi of the devices file"
             )
         self._clock.sleep(self._settings.settling)
-        return found
+        return actual
 
     def make_safe(self) -> None:
-        """Put nothing out, over a new link if the old one is lost."""
+        """Switch the output off, over a new link if the old one is lost."""
         self._puts_out = False
         try:
-            self._say(self._words.off)
+            self._send(self._words.off)
             self._answer("*IDN?")
         except InstrumentError:
             self._link.reopen()
-            self._say(self._words.off)
+            self._send(self._words.off)
             self._answer("*IDN?")
 
-    def _refuse_error(self, what: str) -> None:
+    def _refuse_error(self, setting: str) -> None:
         if self._words.error is None:
             return
         answer = self._answer(self._words.error)
         if not answer.startswith(self._words.no_error):
             raise InstrumentError(
-                f"the source at {self._link.address} refused {what}: {answer}; see "
+                f"the source at {self._link.address} refused {setting}: {answer}; see "
                 "source.scpi and source.amplitude of the devices file"
             )
 
 
 class ScpiLaser(_Scpi):
-    """A laser diode driver, or anything that lets light out by commands."""
+    """Laser diode driver, or a shutter with commands."""
 
     def __init__(self, link: Conversation, settings: LaserSettings) -> None:
         assert settings.scpi is not None
@@ -124,10 +124,10 @@ class ScpiLaser(_Scpi):
         self._words = settings.scpi
 
     def on(self) -> None:
-        """Let light out, if the interlock is closed."""
+        """Switch the laser on, if the interlock is closed."""
         self.check()
-        self._say(self._words.prepare or ())
-        self._say(self._words.on)
+        self._send(self._words.prepare or ())
+        self._send(self._words.on)
         if self._words.error is not None:
             answer = self._answer(self._words.error)
             if not answer.startswith(self._words.no_error or "0"):
@@ -137,8 +137,8 @@ class ScpiLaser(_Scpi):
                 )
 
     def readings(self) -> dict[str, float]:
-        """Return current [A] and temperature [degC], as far as they are asked for."""
-        found = {}
+        """Return current [A] and temperature [degC], where a query is stated."""
+        values = {}
         for name, question in (
             ("laser_current", self._words.current),
             ("laser_temperature", self._words.temperature),
@@ -147,19 +147,19 @@ class ScpiLaser(_Scpi):
                 continue
             answer = self._answer(question)
             try:
-                found[name] = float(answer)
+                values[name] = float(answer)
             except ValueError:
-                found[name] = math.nan
-            if not math.isfinite(found[name]):
+                values[name] = math.nan
+            if not math.isfinite(values[name]):
                 raise InstrumentError(
                     f"the laser at {self._link.address} has answered {question!r} by "
                     f"{answer!r}, needed is a number; see laser.scpi"
                 )
-        return found
+        return values
 
     def off(self) -> None:
-        """Let no light out, and read back that it is so."""
-        self._say(self._words.off)
+        """Switch the laser off, and read its state back."""
+        self._send(self._words.off)
         answer = self._answer(self._words.state)
         if answer != self._words.is_off:
             raise InstrumentError(
@@ -180,7 +180,7 @@ class ScpiLaser(_Scpi):
             )
 
     def make_safe(self) -> None:
-        """Let no light out, over a new link if the old one is lost."""
+        """Switch the laser off, over a new link if the old one is lost."""
         try:
             self.off()
         except InstrumentError:
@@ -189,12 +189,12 @@ class ScpiLaser(_Scpi):
 
 
 _POLL = 0.01
-#: Part of the full scale below which a finer one is taken, and of which it leaves half.
+#: Fraction of the next finer full scale up to which it is selected.
 _FINER_BELOW = 0.5
 
 
 class ScpiLockIn:
-    """A lock-in that is spoken to as a devices file says."""
+    """Lock-in amplifier with the commands of the devices file."""
 
     def __init__(
         self,
@@ -219,7 +219,7 @@ class ScpiLockIn:
         return self._identity
 
     def prepare(self, *, time_constant: float) -> None:
-        """Send what a scan needs, the time constant [s], and the coarsest scale."""
+        """Send the preparing commands, the time constant [s] and the coarsest scale."""
         words = self._words
         code = None
         for number, value in enumerate(words.time_constants):
@@ -243,7 +243,7 @@ class ScpiLockIn:
                 )
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Set the modulation frequency [Hz], wait for lock, return what is set [Hz]."""
+        """Set the modulation frequency, wait for lock, return the actual one [Hz]."""
         words = self._words
         if not self._external:
             self._link.send(words.frequency.format(value=frequency))
@@ -260,7 +260,7 @@ class ScpiLockIn:
         return self._frequency
 
     def read(self) -> Reading:
-        """Return the outputs and the state of this instant."""
+        """Return the present outputs and state."""
         words = self._words
         x, y = self._numbers(words.read, 2)
         mean = math.nan if words.mean is None else self._numbers(words.mean, 1)[0]
@@ -280,14 +280,14 @@ class ScpiLockIn:
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Take the next coarser scale, if there is one."""
+        """Select the next coarser scale; False if there is none."""
         if self._words.scale is None or self._place == 0:
             return False
         self._set_scale(self._place - 1)
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Take the next finer scale if this peak amplitude [V] leaves room in it."""
+        """Select the next finer scale if this peak amplitude [V] fits well."""
         if self._words.scale is None or self._place == len(self._order) - 1:
             return False
         if amplitude > _FINER_BELOW * self._peak(self._place + 1):
@@ -300,7 +300,7 @@ class ScpiLockIn:
         return self._peak(self._place)
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 [V]; return what is read back [V]."""
+        """Set an auxiliary output, counted from 1 [V]; return its read-back [V]."""
         words = self._words
         if words.output is None or words.output_read is None:
             raise InstrumentError(
@@ -316,7 +316,7 @@ class ScpiLockIn:
         self._link.reopen()
 
     def make_safe(self) -> None:
-        """Do nothing: a lock-in without light is safe; the laser's gate is its own."""
+        """Do nothing: a lock-in without light is safe, and the laser is gated apart."""
 
     def close(self) -> None:
         """Close the link."""
@@ -341,12 +341,12 @@ class ScpiLockIn:
     def _numbers(self, question: str, count: int) -> list[float]:
         (answer,) = self._link.ask(question)
         try:
-            found = [float(part) for part in answer.split(",")]
+            numbers = [float(part) for part in answer.split(",")]
         except ValueError:
-            found = []
-        if len(found) != count or not all(map(math.isfinite, found)):
+            numbers = []
+        if len(numbers) != count or not all(map(math.isfinite, numbers)):
             raise InstrumentError(
                 f"{self._identity} has answered {question!r} by {answer!r}, needed are "
                 f"{count} numbers; see lock_in.scpi of the devices file"
             )
-        return found
+        return numbers

@@ -1,4 +1,4 @@
-"""What the lock-in amplifiers of Stanford Research have in common."""
+"""Lock-in amplifiers of Stanford Research: their common commands, and the SR844."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ERROR_BITS = 0b0011_0000
 
 
 class Stanford:
-    """A conversation with a Stanford lock-in, from identity to auxiliary outputs."""
+    """Commands shared by Stanford lock-ins: identity, queries, auxiliary channels."""
 
     model = ""
     #: What a line ends with on a serial port.
@@ -64,7 +64,7 @@ class Stanford:
         return self.number(f"{word} {code},{voltage:.3f};{word}? {code}")
 
     def input(self, number: int) -> float:
-        """Voltage at an auxiliary input, counted from 1 as on the panel [V]."""
+        """Return the voltage at an auxiliary input, counted from 1 as on panels [V]."""
         if not 1 <= number <= self._inputs:
             raise InstrumentError(
                 f"{self.model} has auxiliary inputs 1 to {self._inputs}, asked for was "
@@ -78,23 +78,23 @@ class Stanford:
         self._choose_interface()
 
     def make_safe(self) -> None:
-        """Do nothing: a lock-in without light is safe; the laser's gate is its own."""
+        """Do nothing: a lock-in without light is safe, and the laser is gated apart."""
 
     def close(self) -> None:
         """Close the link."""
         self._link.close()
 
     def number(self, line: str) -> float:
-        """Return the number that a query is answered with."""
+        """Return the numeric answer of a query."""
         return self.numbers(line, count=1)[0]
 
     def numbers(self, line: str, *, count: int) -> list[float]:
-        """Return the numbers, separated by commas, that a query is answered with."""
+        """Return the comma-separated numbers of the answer to a query."""
         (answer,) = self._link.ask(line)
         return self.parsed(answer, line, count=count)
 
     def parsed(self, answer: str, line: str, *, count: int) -> list[float]:
-        """Return the numbers of an answer, or say what is wrong with it."""
+        """Return the numbers of an answer; raise if they are not numbers."""
         try:
             result = [float(part) for part in answer.split(",")]
         except ValueError:
@@ -107,7 +107,7 @@ class Stanford:
         return result
 
     def configure(self, lines: Sequence[str]) -> None:
-        """Send settings and make sure that the instrument took all of them."""
+        """Send settings; raise if the instrument refused one."""
         for line in lines:
             self._link.send(line)
         status = int(self.number("*ESR?"))
@@ -118,21 +118,23 @@ class Stanford:
             )
 
     def index_of(
-        self, wanted: float, offered: Sequence[float], what: str, unit: str = "s"
+        self, requested: float, offered: Sequence[float], quantity: str, unit: str = "s"
     ) -> int:
-        """Return the code of a value that the instrument offers."""
+        """Return the code of a value among those that the instrument offers."""
         for code, value in enumerate(offered):
-            if math.isclose(value, wanted, rel_tol=1e-6):
+            if math.isclose(value, requested, rel_tol=1e-6):
                 return code
-        closest = sorted(offered, key=lambda value: abs(math.log(value / wanted)))[:2]
+        closest = sorted(offered, key=lambda value: abs(math.log(value / requested)))[
+            :2
+        ]
         raise InstrumentError(
-            f"{self.model} has no {what} of {wanted:g} {unit}; it has "
+            f"{self.model} has no {quantity} of {requested:g} {unit}; it has "
             f"{min(closest):g} {unit} and {max(closest):g} {unit}: change "
             f"{'instrument.lock_in of the survey' if unit == 's' else 'the setting'}"
         )
 
     def _choose_interface(self) -> None:
-        """Let answers come over this link, if the instrument must be told."""
+        """Direct answers to this link, where the instrument needs a command for it."""
 
     def _identify(self) -> str:
         (result,) = self._link.ask("*IDN?")
@@ -158,7 +160,7 @@ UNLOCKED, OUT_OF_RANGE, INPUT, RESERVE, FILTER = 1, 2, 16, 32, 64
 #: More of them: display or output of either channel, either auxiliary input.
 CHANNEL_1, CHANNEL_2, AUXILIARY = 256, 512, 1024
 _FREQUENCIES = (25e3, 200e6)
-#: Reserves by the codes of WRSV and CRSV: the first has the most room.
+#: Reserves by the codes of WRSV and CRSV: the first is the largest.
 _HIGH, _NORMAL = 0, 1
 _POLL = 0.01
 #: Fraction of the full scale below which a finer one is taken; the steps are 3.2.
@@ -184,7 +186,7 @@ class Sr844(Stanford):
     _get_input = "AUXI"
 
     def _choose_interface(self) -> None:
-        """Let answers come over this link (manual, page 4-10)."""
+        """Direct answers to this link (manual, page 4-10)."""
         self._link.send(f"OUTX {int('GPIB' in self._link.address.upper())}")
 
     def prepare(self, *, time_constant: float) -> None:
@@ -205,7 +207,7 @@ class Sr844(Stanford):
         self.configure([*lines, f"SENS {self._sensitivity}"])
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Set the modulation frequency [Hz], wait for lock, return what is set [Hz]."""
+        """Set the modulation frequency, wait for lock, return the actual one [Hz]."""
         low, high = _FREQUENCIES
         if not low <= frequency <= high:
             raise InstrumentError(
@@ -226,7 +228,7 @@ class Sr844(Stanford):
         return self.number("FREQ?")
 
     def read(self) -> Reading:
-        """Return the outputs and the state of this instant."""
+        """Return the present outputs and state."""
         values = (
             "1,2,8" if self._mean_input is None else f"1,2,8,{5 + self._mean_input}"
         )
@@ -253,7 +255,7 @@ class Sr844(Stanford):
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Take one step that makes room: first the reserve that lacks it, then SENS."""
+        """Increase the overloaded reserve, else SENS, by one step; False at the end."""
         if overload & Overload.INPUT and self._wide > _HIGH:
             self._wide -= 1
             self._link.send(f"WRSV {self._wide}")
@@ -268,7 +270,7 @@ class Sr844(Stanford):
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Take the next finer SENS if this peak amplitude [V] leaves room."""
+        """Select the next finer SENS if this peak amplitude [V] fits well."""
         if self._sensitivity == 0 or amplitude > _FINER_BELOW * self.full_scale():
             return False
         self._sensitivity -= 1

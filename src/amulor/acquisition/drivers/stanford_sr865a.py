@@ -1,4 +1,4 @@
-"""The SR865A lock-in amplifier, up to 4 MHz, as a conversation."""
+"""The SR865A lock-in amplifier of Stanford Research, up to 4 MHz."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ INPUT_RANGES = (1.0, 0.3, 0.1, 0.03, 0.01)
 OUTPUT, UNLOCKED, INPUT = 0b11, 8, 16
 _FREQUENCIES = (1e-3, 4e6)
 _POLL = 0.01
-#: Bytes of a captured point (X and Y), points that the largest buffer takes, points a
-#: time constant that are asked for at least, and questions in one packet.
+#: Bytes of a captured point (X and Y), points of the largest buffer, least points a
+#: time constant, and queries in one packet.
 _POINT, _CAPACITY, _POINTS, _PACKET = 8, 4096 * 1024 // 8, 4.0, 64
 #: Fastest capture: the buffer lasts for half a minute [1/s].
 _FASTEST = 20e3
-#: How far the clocks of instrument and computer may run apart, in parts; a computer
-#: that is set by others goes so much wrong for a while.
+#: Largest relative drift between the clocks of instrument and computer [1]; the clock
+#: of a computer under time synchronization may drift as much for a while.
 _DRIFT = 5e-4
 #: Bits of CAPTURESTAT?: points are recorded; the buffer has come to its end.
 _RECORDING, _WRAPPED = 1, 4
-#: How often points that are late are asked for.
+#: Attempts to query points that are late.
 _ATTEMPTS = 10
 #: Fraction of the full scale below which a finer one is taken; the steps are 2 and 2.5.
 _FINER_BELOW = 0.3
 
 
-class _BufferIsFull(Exception):  # noqa: N818  it is no error, and nobody sees it
-    """The capture has come to its end; it is to begin anew."""
+class _BufferIsFull(Exception):  # noqa: N818  caught inside this module
+    """The capture buffer is full and must be restarted."""
 
 
 class Sr865a(Stanford):
@@ -87,7 +87,7 @@ class Sr865a(Stanford):
         self._rate, self._stride = 0.0, 1
         #: The next point of a stream.
         self._next = 0
-        #: When the buffer began, at the earliest and the latest, as known at a moment.
+        #: Earliest and latest start of the buffer, and the time of this estimate.
         self._began_after, self._began_before, self._noted = -math.inf, math.inf, 0.0
 
     def prepare(self, *, time_constant: float) -> None:
@@ -111,7 +111,7 @@ class Sr865a(Stanford):
         self.configure(lines)
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Set the modulation frequency [Hz], wait for lock, return what is set [Hz]."""
+        """Set the modulation frequency, wait for lock, return the actual one [Hz]."""
         low, high = _FREQUENCIES
         if not low <= frequency <= high:
             raise InstrumentError(
@@ -132,7 +132,7 @@ class Sr865a(Stanford):
         return self._frequency
 
     def read(self) -> Reading:
-        """Return the outputs and the state of this instant."""
+        """Return the present outputs and state."""
         snapshot, status = self._link.ask(f"{self._snap()}\nLIAS?", answers=2)
         return self._reading(snapshot, status)
 
@@ -157,22 +157,21 @@ class Sr865a(Stanford):
         )
 
     def record(self, duration: float) -> Recorded:
-        """Return the outputs of a time [s] that begins with this call.
+        """Record the outputs for a time [s] from this call on.
 
         Notes
         -----
-        The capture buffer (manual, pages 134 to 139) runs all the time, and what is
-        wanted of it is asked for by CAPTUREVAL?, in one packet with what tells how far
-        it has come: CAPTUREGET? would need it to be stopped, which waits for a block of
-        256 points. It runs as fast as it may, and every so many points are asked for:
-        the finer its steps, the less is lost before the first of them.
+        The capture buffer (manual, pages 134 to 139) runs all the time. Points are
+        queried by CAPTUREVAL?, in one packet with the progress of the buffer:
+        CAPTUREGET? would need a stop, which waits for a block of 256 points. It runs at
+        its fastest rate, and every n-th point is queried: finer steps lose less time
+        before the first point.
 
-        A point counts only if it was taken after this call. If n points were there when
-        a question was answered, and f is the rate, the buffer began after
-        :math:`t_s - n / f`, where :math:`t_s` is when the question was sent, however
-        late the answer came. The latest of these bounds counts, less what the clocks
-        may have run apart since. That it began before the answers came tells whether
-        the instrument counts as is thought.
+        A point counts only if it was recorded after this call. With n points at the
+        answer to a query and the rate f, the buffer began after :math:`t_s - n / f`,
+        where :math:`t_s` is the time of the query, however late the answer. The latest
+        of these bounds counts, less the drift of the clocks since. Answers give an
+        upper bound, which checks that the instrument counts as assumed.
         """
         for _ in range(_ATTEMPTS):
             try:
@@ -186,32 +185,32 @@ class Sr865a(Stanford):
 
     def _record(self, duration: float) -> Recorded:
         rate = self._rate or self._start_capture()
-        asked = self._clock.now()
+        now = self._clock.now()
         count = math.ceil(duration * rate / self._stride - 1e-9) + 1
-        began = self._began_after - _DRIFT * (asked - self._noted)
-        first = max(math.ceil((asked - began) * rate), 0)
-        wanted = [first + self._stride * number for number in range(count)]
-        if wanted[-1] + self._stride > _CAPACITY:
+        began = self._began_after - _DRIFT * (now - self._noted)
+        first = max(math.ceil((now - began) * rate), 0)
+        requested = [first + self._stride * number for number in range(count)]
+        if requested[-1] + self._stride > _CAPACITY:
             raise _BufferIsFull
-        # The question then arrives just after the last one was taken.
-        self._wait(wanted[-1])
+        # The query then arrives just after the last point was recorded.
+        self._wait(requested[-1])
         points: dict[int, complex] = {}
         overload, unlocked = Overload.NONE, False
         for _ in range(_ATTEMPTS):
-            missing = [number for number in wanted if number not in points]
+            missing = [number for number in requested if number not in points]
             for start in range(0, len(missing), _PACKET):
                 part = missing[start : start + _PACKET]
                 last = self._points_and_state(part, points)
                 overload, unlocked = overload | last.overload, unlocked | last.unlocked
             if len(points) == count:
                 break
-            self._wait(wanted[-1])
+            self._wait(requested[-1])
         else:
             raise InstrumentError(
                 f"SR865A at {self._link.address} has captured {len(points)} of {count} "
                 f"points after {_ATTEMPTS} questions; switch it off and on"
             )
-        signals = [[math.sqrt(2) * points[number].conjugate()] for number in wanted]
+        signals = [[math.sqrt(2) * points[number].conjugate()] for number in requested]
         return Recorded(
             times=np.asarray(np.arange(count) * (self._stride / rate)),
             signals=np.array(signals, dtype=complex),
@@ -222,12 +221,12 @@ class Sr865a(Stanford):
         )
 
     def begin_stream(self, duration: float) -> None:
-        """Let the capture buffer run, with room for a time at least [s].
+        """Start the capture buffer, with room for at least a time [s].
 
         Notes
         -----
-        It runs on if there is room in it, else it begins anew; slower, if it takes less
-        than that time as fast as it may.
+        A buffer with enough room continues. Else it restarts, at a lower rate if its
+        fastest one would fill it earlier.
         """
         if self._room() < duration:
             self._start_capture(duration)
@@ -241,39 +240,39 @@ class Sr865a(Stanford):
         self._next = max(math.ceil((self._clock.now() - began) * self._rate), 0)
 
     def _room(self) -> float:
-        """Return how long the capture still has room [s]."""
+        """Return the remaining time of the capture buffer [s]."""
         if not self._rate:
             return 0.0
         return _CAPACITY / self._rate - (self._clock.now() - self._began_after)
 
     def fetch(self) -> Recorded:
-        """Return what has been captured since the last call.
+        """Return the points captured since the last call.
 
         Notes
         -----
-        The time of a point follows from the middle between the earliest and the latest
-        beginning of the buffer that all answers so far allow (see `record`): half of
-        the way there and back is what it may be wrong by.
+        The time of a point follows from the middle of the earliest and latest start of
+        the buffer that all answers so far allow (see `record`); its error is at most
+        half of a round trip.
         """
         points: dict[int, complex] = {}
         overload, unlocked = Overload.NONE, False
         while True:
-            there = math.floor(
+            newest = math.floor(
                 (self._clock.now() - self._began_after) * self._rate * (1 + _DRIFT)
             )
-            wanted = [*range(self._next, there + 1, self._stride)][:_PACKET]
+            requested = [*range(self._next, newest + 1, self._stride)][:_PACKET]
             try:
-                last = self._points_and_state(wanted, points)
+                last = self._points_and_state(requested, points)
             except _BufferIsFull:
                 raise InstrumentError(
                     f"the capture of SR865A at {self._link.address} came to its end "
                     "while the beam moved; see that nobody else drives it"
                 ) from None
             overload, unlocked = overload | last.overload, unlocked | last.unlocked
-            got = [number for number in wanted if number in points]
-            if got:
-                self._next = got[-1] + self._stride
-            if len(got) < _PACKET:
+            captured = [number for number in requested if number in points]
+            if captured:
+                self._next = captured[-1] + self._stride
+            if len(captured) < _PACKET:
                 break
         numbers = sorted(points)
         began = (self._began_after + self._began_before) / 2
@@ -288,15 +287,15 @@ class Sr865a(Stanford):
         )
 
     def _wait(self, number: int) -> None:
-        """Wait until a question that is sent then most likely finds a point there."""
+        """Wait until a point has most likely been captured when a query arrives."""
         moment = self._began_after + (number + 0.6) / self._rate
         self._clock.sleep(moment - self._clock.now())
 
     def _points_and_state(
-        self, wanted: Sequence[int], points: dict[int, complex]
+        self, requested: Sequence[int], points: dict[int, complex]
     ) -> Reading:
-        """Note points of the buffer, and return its state."""
-        questions = [f"CAPTUREVAL? {number}" for number in wanted]
+        """Query points of the buffer into `points`; return its state."""
+        questions = [f"CAPTUREVAL? {number}" for number in requested]
         lines = ["CAPTUREBYTES?", *questions, "CAPTURESTAT?", self._snap(), "LIAS?"]
         sent = self._clock.now()
         length, *values, running, snapshot, status = self._link.ask(
@@ -306,22 +305,22 @@ class Sr865a(Stanford):
         if not state & _RECORDING and state & _WRAPPED:
             raise _BufferIsFull
         if not state & _RECORDING:
-            # The age of a point is known by the newest one: that must be of now.
+            # The newest point dates all others, so it must be recent.
             raise InstrumentError(
                 f"the capture of SR865A at {self._link.address} has been stopped; see "
                 "that nobody else drives it"
             )
-        there = self._note(sent, length)
-        for number, line, value in zip(wanted, questions, values, strict=True):
-            if number < there:  # others are zero
+        count = self._note(sent, length)
+        for number, line, value in zip(requested, questions, values, strict=True):
+            if number < count:  # others are zero
                 points[number] = complex(*self.parsed(value, line, count=2))
         return self._reading(snapshot, status)
 
     def _note(self, sent: float, length: str) -> int:
-        """Return how many points there are, and note when the buffer began."""
-        there = int(self.parsed(length, "CAPTUREBYTES?", count=1)[0]) // _POINT
+        """Return the number of points, and bound the start time of the buffer."""
+        count = int(self.parsed(length, "CAPTUREBYTES?", count=1)[0]) // _POINT
         apart = _DRIFT * (sent - self._noted)
-        self._noted, past = sent, there / self._rate
+        self._noted, past = sent, count / self._rate
         self._began_after = max(self._began_after - apart, sent - past)
         answered = self._clock.now() - past + 1 / self._rate
         self._began_before = min(self._began_before + apart, answered)
@@ -331,12 +330,12 @@ class Sr865a(Stanford):
                 "points as they come, so that their age is not known; take "
                 'procedure.readings = "buffer" out of the devices file'
             )
-        return there
+        return count
 
     def _start_capture(self, duration: float = 0.0) -> float:
-        """Let the capture buffer run from its beginning; return its rate [1/s].
+        """Restart the capture buffer; return its rate [1/s].
 
-        As fast as it may, and as leaves room for a time [s].
+        The rate is the fastest one that leaves room for a time [s].
         """
         if self._rate:
             self._link.send("CAPTURESTOP")
@@ -354,7 +353,7 @@ class Sr865a(Stanford):
         return self._rate
 
     def relieve(self, overload: Overload) -> bool:
-        """Take one step that makes room: IRNG for the input, SCAL for the outputs."""
+        """Increase IRNG for the input or SCAL for the outputs by one step."""
         if overload & Overload.INPUT and self._range > 0:
             self._range -= 1
             self._link.send(f"IRNG {self._range}")
@@ -366,10 +365,10 @@ class Sr865a(Stanford):
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Take the next finer SCAL if this peak amplitude [V] leaves room.
+        """Select the next finer SCAL if this peak amplitude [V] fits well.
 
-        The input range is left alone, since what is beside the modulation needs it: it
-        is what the devices file says, or what an overload made of it.
+        The input range stays as the devices file or an overload has set it, since
+        signals beside the modulation need it.
         """
         if self._scale == len(SCALES) - 1:
             return False

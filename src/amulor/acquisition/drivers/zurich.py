@@ -1,4 +1,4 @@
-"""What a data server of Zurich Instruments streams, cut to the time that is wanted."""
+"""Lock-in amplifiers of Zurich Instruments, by their data server."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from amulor.acquisition.clock import Clock, Deadline
 from amulor.acquisition.protocols import Overload, Reading, Recorded
 from amulor.errors import AmulorError, InstrumentError, MissingExtraError
 
-#: Longest that one poll waits for data beyond what is recorded, and all of them [s].
+#: Longest wait of one poll beyond the recorded time, and of all polls [s].
 _ANSWER, _LATE = 0.5, 2.0
 
 
@@ -27,24 +27,24 @@ def streamed(
     interval: float,
     clock: Clock,
 ) -> list[dict[str, NDArray[Any]]]:
-    """Return what nodes stream over a time that begins with this call.
+    """Return the stream of nodes over a time from this call on.
 
-    Data come late. What counts is the instrument's clock at the time of the call, which
-    is asked for first, and the timestamps of the samples.
+    Data arrive late. The clock of the instrument, queried first, and the timestamps of
+    the samples select the time.
     """
     clockbase = float(device.clockbase())
     begin = _ticks(device, clockbase)
     end = begin + math.ceil(duration * clockbase)
-    whole = _polled(device, nodes, end, duration, interval, clock)
-    starts = [int(np.searchsorted(part["timestamp"], begin)) for part in whole]
+    streams = _polled(device, nodes, end, duration, interval, clock)
+    starts = [int(np.searchsorted(part["timestamp"], begin)) for part in streams]
     counts = [
         int(np.searchsorted(part["timestamp"], end, side="right")) - start
-        for part, start in zip(whole, starts, strict=True)
+        for part, start in zip(streams, starts, strict=True)
     ]
     count = max(min(counts), 1)
     parts = [
         {name: values[start : start + count] for name, values in part.items()}
-        for part, start in zip(whole, starts, strict=True)
+        for part, start in zip(streams, starts, strict=True)
     ]
     for part in parts:
         ticks = part["timestamp"]
@@ -59,10 +59,9 @@ def streamed(
 
 
 def _ticks(device: Any, clockbase: float) -> int:
-    """Return the time of the instrument in steps of its clock.
+    """Return the time of the instrument in ticks of its clock.
 
-    A UHFLI tells them, an HF2LI seconds (the maker's list of its nodes). Taken for
-    steps, seconds would lie before all that was ever streamed.
+    A UHFLI answers in ticks, an HF2LI in seconds (the maker's list of its nodes).
     """
     time = device.status.time()
     if str(device.device_type).startswith("HF2"):
@@ -78,16 +77,16 @@ def _polled(
     interval: float,
     clock: Clock,
 ) -> list[dict[str, NDArray[Any]]]:
-    """Return what was streamed of each node until a tick of the instrument."""
+    """Return the stream of each node up to a tick of the instrument."""
     parts: list[list[dict[str, Any]]] = [[] for _ in nodes]
     limit = Deadline(clock, duration + _LATE + 20 * interval)
     wait = duration + 2 * interval
     while True:
-        found = device.session.poll(recording_time=wait, timeout=_ANSWER)
-        for node, got in zip(nodes, parts, strict=True):
-            if node in found:
-                got.append(found[node])
-        if all(got and got[-1]["timestamp"][-1] >= end for got in parts):
+        data = device.session.poll(recording_time=wait, timeout=_ANSWER)
+        for node, chunks in zip(nodes, parts, strict=True):
+            if node in data:
+                chunks.append(data[node])
+        if all(chunks and chunks[-1]["timestamp"][-1] >= end for chunks in parts):
             break
         if limit.passed():
             raise InstrumentError(
@@ -97,10 +96,10 @@ def _polled(
         wait = interval
     return [
         {
-            name: np.concatenate([np.asarray(one[name]) for one in got])
-            for name in got[0]
+            name: np.concatenate([np.asarray(chunk[name]) for chunk in chunks])
+            for name in chunks[0]
         }
-        for got in parts
+        for chunks in parts
     ]
 
 
@@ -113,29 +112,29 @@ _OUTPUT_RANGES = {"UHF": (0.15, 1.5), "HF2": (0.01, 0.1, 1.0, 10.0)}
 _MIXER_CHANNEL = {"UHF": 3, "HF2": 6}
 #: Oscillators, and as many demodulators and mixer channels, with the option MF.
 _OSCILLATORS = {"UHF": 8, "HF2": 6}
-#: What an address of a device behind the data server of HF2 instruments begins with.
+#: Prefix of the address of a device behind the data server of HF2 instruments.
 _HF2 = "hf2:"
-#: How long what an auxiliary output puts out may take to be reported, in steps [s], and
-#: how near it must come [V].
+#: Longest wait for the read-back of an auxiliary output, time between queries [s], and
+#: its tolerance [V].
 _FOLLOWS, _POLL, _NEAR = 1.0, 0.01, 0.05
-#: Readings per time constant that the instrument is asked to make.
+#: Sample rate of the demodulators in 1 / time constant [1].
 _RATE = 10.0
 _FINER_BELOW = 0.2
 #: Fraction of the input range that counts as an overload, and a full converter.
 _FULL, _CONVERTER = 0.99, 127
-#: Largest relative difference of the time constant that is set and the one meant.
+#: Largest relative difference of the read-back time constant [1].
 _SAME_CONSTANT = 0.01
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 def _explained(method: _Method) -> _Method:
-    """Turn what the toolkit raises into an error that says what to do."""
+    """Turn exceptions of the toolkit into an InstrumentError."""
 
     @functools.wraps(method)
-    def called(self: ZurichLockIn, *args: Any, **named: Any) -> Any:
+    def called(self: ZurichLockIn, *args: Any, **options: Any) -> Any:
         try:
-            return method(self, *args, **named)
+            return method(self, *args, **options)
         except AmulorError:
             raise
         except Exception as error:  # the toolkit raises many kinds
@@ -148,13 +147,12 @@ def _explained(method: _Method) -> _Method:
 
 
 class ZurichLockIn:
-    """The first input and output of a UHFLI, and as many oscillators as are asked for.
+    """First input and output of a UHFLI or HF2LI, with one or more oscillators.
 
     Its demodulators count in volts rms, and their phase falls with delay. Several
     frequencies at once need the option MF: oscillator, demodulator and mixer channel n
-    belong together. A record comes from the data server, which streams what it
-    subscribes to; it begins after the moment that the instrument's clock showed when it
-    was asked for, however late the data come.
+    belong together. A record comes from the stream of the data server. It begins at
+    the time of the instrument's clock at the request, however late the data arrive.
     """
 
     def __init__(
@@ -238,7 +236,7 @@ class ZurichLockIn:
         self._frequencies = (math.nan,)
 
     def _demodulate(self, place: int) -> None:
-        """Let a demodulator follow the oscillator of its own number."""
+        """Configure a demodulator for the oscillator of the same number."""
         demodulator = self._device.demods[place]
         demodulator.adcselect(0)
         demodulator.oscselect(place)
@@ -254,7 +252,7 @@ class ZurichLockIn:
         return "MF" in str(self._device.features.options()).split()
 
     def _drive(self, count: int) -> None:
-        """Let the modulation out: so many oscillators at the stated level, no other."""
+        """Output a number of oscillators at the set level, and no other."""
         output, family = self._device.sigouts[0], self._family
         peak = math.sqrt(2) * self._amplitude
         ranges = _OUTPUT_RANGES.get(family, _OUTPUT_RANGES["UHF"])
@@ -274,8 +272,8 @@ class ZurichLockIn:
         output.range(wide[0])
         level = peak / wide[0] if family == "HF2" else peak
         if multiple:
-            for other in range(count, _OSCILLATORS.get(family, 8)):
-                output.enables[other](0)
+            for unused in range(count, _OSCILLATORS.get(family, 8)):
+                output.enables[unused](0)
         for place in range(count):
             output.amplitudes[channel + place](level)
             output.enables[channel + place](1)
@@ -283,7 +281,7 @@ class ZurichLockIn:
 
     @_explained
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Set the modulation frequency [Hz] and return what is set [Hz].
+        """Set the modulation frequency [Hz]; return the actual one [Hz].
 
         The oscillator is the reference itself: there is nothing to lock to.
         """
@@ -293,19 +291,19 @@ class ZurichLockIn:
     def set_frequencies(
         self, frequencies: Sequence[float], *, timeout: float
     ) -> list[float]:
-        """Modulate by several frequencies at once [Hz], return what is set [Hz]."""
+        """Modulate at several frequencies at once [Hz]; return the actual ones [Hz]."""
         count = len(frequencies)
-        there = _OSCILLATORS.get(self._family, 8) if self._multiple() else 1
-        if count > there:
+        available = _OSCILLATORS.get(self._family, 8) if self._multiple() else 1
+        if count > available:
             raise InstrumentError(
-                f"{self.identity()} modulates by {there} frequencies at once, asked "
-                f"for are {count}; lower procedure.frequencies_at_once"
-                + ("" if there > 1 else ", or have the option MF installed")
+                f"{self.identity()} modulates by {available} frequencies at once, "
+                f"asked for are {count}; lower procedure.frequencies_at_once"
+                + ("" if available > 1 else ", or have the option MF installed")
             )
         if count != len(self._frequencies):
             for place in range(count):
                 self._demodulate(place)
-            for place in range(count, there):
+            for place in range(count, available):
                 self._device.demods[place].enable(0)
             self._drive(count)
             self._subscribed = False  # of others, from now on
@@ -316,12 +314,12 @@ class ZurichLockIn:
         return set_to
 
     def read(self) -> Reading:
-        """Return the outputs and the state of this instant."""
+        """Return the present outputs and state."""
         return self.read_all()[0]
 
     @_explained
     def read_all(self) -> list[Reading]:
-        """Return the outputs of every frequency and the state of this instant."""
+        """Return the present outputs of every frequency and the state."""
         overload = self._overload()
         readings = []
         for place in range(max(len(self._frequencies), 1)):
@@ -341,7 +339,7 @@ class ZurichLockIn:
 
     @_explained
     def record(self, duration: float) -> Recorded:
-        """Return the outputs of a time [s] that begins with this call."""
+        """Record the outputs for a time [s] from this call on."""
         nodes = [
             self._device.demods[place].sample for place in range(len(self._frequencies))
         ]
@@ -377,8 +375,8 @@ class ZurichLockIn:
             largest = max(abs(float(status.adc0max())), abs(float(status.adc0min())))
             reached = largest / _CONVERTER
         else:
-            own = self._device.sigins[0]
-            reached = max(abs(float(own.max())), abs(float(own.min())))
+            node = self._device.sigins[0]
+            reached = max(abs(float(node.max())), abs(float(node.min())))
         return Overload.INPUT if reached >= _FULL else Overload.NONE
 
     def _set_range(self, number: int) -> None:
@@ -389,7 +387,7 @@ class ZurichLockIn:
 
     @_explained
     def relieve(self, overload: Overload) -> bool:
-        """Take the next larger input range, if there is one."""
+        """Select the next larger input range; False if there is none."""
         if self._range == len(INPUT_RANGES) - 1:
             return False
         self._set_range(self._range + 1)
@@ -397,7 +395,7 @@ class ZurichLockIn:
 
     @_explained
     def sharpen(self, amplitude: float) -> bool:
-        """Take the next smaller input range if this peak amplitude [V] leaves room."""
+        """Select the next smaller input range if this peak amplitude [V] fits well."""
         if self._range == 0 or amplitude > _FINER_BELOW * self.full_scale():
             return False
         self._set_range(self._range - 1)
@@ -409,9 +407,9 @@ class ZurichLockIn:
 
     @_explained
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 [V]; return what is read back [V]."""
+        """Set an auxiliary output, counted from 1 [V]; return its read-back [V]."""
         output = self._device.auxouts[number - 1]
-        # The value first: manual mode must not put out what stood there before.
+        # The value first: manual mode must not output the previous one.
         output.offset(voltage)
         output.outputselect(-1)
         end = Deadline(self._clock, _FOLLOWS)
@@ -420,7 +418,7 @@ class ZurichLockIn:
         return float(output.value())
 
     def reconnect(self) -> None:
-        """Do nothing: the data server holds the link."""
+        """Do nothing: the link belongs to the data server."""
 
     @_explained
     def make_safe(self) -> None:
@@ -428,4 +426,4 @@ class ZurichLockIn:
         self._device.sigouts[0].on(0)
 
     def close(self) -> None:
-        """Do nothing: the data server holds the link."""
+        """Do nothing: the link belongs to the data server."""
