@@ -72,7 +72,7 @@ class Octets:
         self._head, self._cutter, self._left = head, head.cutter(), b""
 
     def send(self, content: bytes) -> None:
-        for one in self._cutter.taken(content):
+        for one in self._cutter.split(content):
             self._left += b"".join(self._head.answer(one))
 
     def receive(self, most: int) -> bytes:

@@ -221,7 +221,7 @@ def test_light_goes_out_while_nobody_asks_for_a_sample(tiny, folder, few):
     assert device.stage().exception(timeout=240) is None
     assert device.set(10).exception(timeout=240) is None
     with device._changed:
-        assert device._changed.wait_for(lambda: device._rests, timeout=240)
+        assert device._changed.wait_for(lambda: device._paused, timeout=240)
     # It was on for the last of them, and nothing but the wait put it out.
     assert [*devices.laser.log][-2:] == ["on", "off"]
     assert not devices.laser.bench.laser_on

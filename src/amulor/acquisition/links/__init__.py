@@ -1,1 +1,1 @@
-"""Lines of text to and from an instrument, by VISA or by network."""
+"""Links to instruments by VISA, serial port or network."""

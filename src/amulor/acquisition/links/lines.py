@@ -1,4 +1,4 @@
-"""Lines of text and octets to and from an instrument: VISA, serial port, network."""
+"""Links for lines of text and for bytes: VISA, serial port, network."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from typing import Any, Protocol
 from amulor.acquisition.settings.parts import Linked
 from amulor.errors import InstrumentError, MissingExtraError
 
-#: What the address of such a link begins with: tcp://host:port.
+#: Prefix of a socket address: tcp://host:port.
 SCHEME = "tcp://"
 _LONGEST = 4096
 
 
 def connected(address: str, timeout: float, *, port: str) -> socket.socket:
-    """Return a socket that is connected to an instrument."""
-    host, _, stated = address.removeprefix(SCHEME).rpartition(":")
-    if not host or not stated.isdigit():
+    """Connect a socket to an instrument."""
+    host, _, number = address.removeprefix(SCHEME).rpartition(":")
+    if not host or not number.isdigit():
         raise InstrumentError(
             f"{address!r} is no address of a link over TCP; needed is "
             f"tcp://host:port, such as tcp://10.0.0.5:{port}"
         )
     try:
-        link = socket.create_connection((host, int(stated)), timeout=timeout)
+        link = socket.create_connection((host, int(number)), timeout=timeout)
     except OSError as error:
         raise InstrumentError(
             f"nothing can be reached at {address}: {error}; check address, "
@@ -39,8 +39,8 @@ def connected(address: str, timeout: float, *, port: str) -> socket.socket:
 class DirectLink:
     """Lines over TCP, each ended by a line feed.
 
-    Against the same link through PyVISA-py it takes a third of the time per question,
-    and sees at once that the other end is gone.
+    A query takes a third of the time through PyVISA-py, and a closed connection is
+    detected at once.
     """
 
     def __init__(self, address: str, *, timeout: float) -> None:
@@ -51,12 +51,12 @@ class DirectLink:
         self._open()
 
     def send(self, line: str) -> None:
-        """Send one line that has no answer."""
+        """Send a line without an answer."""
         with self._explained(line) as link:
             link.sendall(line.encode("ascii") + b"\n")
 
     def ask(self, line: str, *, answers: int = 1) -> list[str]:
-        """Send one line, or several with line feeds between, and return the answers."""
+        """Send lines, separated by line feeds, and return the answers."""
         with self._explained(line) as link:
             link.sendall(line.encode("ascii") + b"\n")
             result = self._rest
@@ -99,19 +99,19 @@ class DirectLink:
 
 
 class Conversation(Protocol):
-    """What a driver needs of a link; a test can be one, too."""
+    """Link of a driver that exchanges lines of text."""
 
     address: str
-    """How messages name the other end."""
+    """Address in messages."""
 
     def send(self, line: str) -> None:
-        """Send one line that has no answer."""
+        """Send a line without an answer."""
 
     def ask(self, line: str, *, answers: int = 1) -> list[str]:
-        """Send one line, or several with line feeds between, and return the answers."""
+        """Send lines, separated by line feeds, and return the answers."""
 
     def reopen(self) -> None:
-        """Close the link and open it again, for a last attempt to make safe."""
+        """Close the link and open it again."""
 
     def close(self) -> None:
         """Close the link."""
@@ -119,14 +119,14 @@ class Conversation(Protocol):
 
 @dataclass(frozen=True)
 class SerialPort:
-    """How characters go over a serial port; a link that is none takes no notice."""
+    """Settings of a serial port; ignored by other links."""
 
     end: str = "\n"
-    """What a line ends with: a line feed, or a carriage return."""
+    """End of a line: a line feed, or a carriage return."""
     baud_rate: int | None = None
-    """Bits per second; that of the VISA library if None [1/s]."""
+    """Bits per second; default of the VISA library if None [1/s]."""
     flow_control: str | None = None
-    """none, xon_xoff, rts_cts or dtr_dsr; that of the VISA library if None."""
+    """none, xon_xoff, rts_cts or dtr_dsr; default of the VISA library if None."""
 
 
 class Link:
@@ -176,16 +176,16 @@ class Link:
 
     @property
     def resource(self) -> Any:
-        """What PyVISA talks through, for devices that know no lines."""
+        """Resource of PyVISA, for devices without lines."""
         return self._resource
 
     def send(self, line: str) -> None:
-        """Send one line that has no answer."""
+        """Send a line without an answer."""
         with self._explained(line):
             self._resource.write(line)
 
     def ask(self, line: str, *, answers: int = 1) -> list[str]:
-        """Send one line, or several with line feeds between, and return the answers."""
+        """Send lines, separated by line feeds, and return the answers."""
         with self._explained(line):
             self._resource.write(line)
             return [self._line() for _ in range(answers)]
@@ -195,7 +195,7 @@ class Link:
         self.close()
         self._open()
         if self._lock:
-            # That of the old link may still stand: to be heard matters more.
+            # The lock of the old link may persist: a working link matters more.
             with contextlib.suppress(Exception):
                 self._resource.lock_excl(0)
 
@@ -225,7 +225,7 @@ class Link:
             ) from error
 
     def _take_lock(self) -> None:
-        """Take the lock that the instrument has, which ends with the link."""
+        """Take the lock of the instrument, which ends with the link."""
         try:
             self._resource.lock_excl(0)
         except Exception as error:  # as above
@@ -237,7 +237,7 @@ class Link:
             ) from error
 
     def _port_settings(self) -> dict[str, Any]:
-        """Return what PyVISA is to set on a serial port."""
+        """Return the settings of a serial port for PyVISA."""
         settings: dict[str, Any] = {}
         if self._serial is not None and self._serial.baud_rate is not None:
             settings["baud_rate"] = self._serial.baud_rate
@@ -276,7 +276,7 @@ def _reason(error: Exception) -> str:
 
 
 class OctetLink:
-    """A link over TCP (such as a serial server) or, through PyVISA, a serial port."""
+    """Link for bytes, over TCP or, through PyVISA, over a serial port."""
 
     def __init__(
         self,
@@ -292,7 +292,7 @@ class OctetLink:
         self._open()
 
     def send(self, content: bytes) -> None:
-        """Send bytes that have no answer, or whose answer nobody waits for."""
+        """Send bytes, without waiting for an answer."""
         with self._explained():
             if self._socket is not None:
                 self._socket.sendall(content)
@@ -300,7 +300,7 @@ class OctetLink:
                 self._port().write_raw(content)
 
     def receive(self, most: int) -> bytes:
-        """Return what has come, at least one byte and at most so many."""
+        """Return received bytes, at least one and at most `most`."""
         with self._explained():
             if self._socket is None:
                 return bytes(self._port().read_bytes(1))
@@ -310,7 +310,7 @@ class OctetLink:
             return content
 
     def forget(self) -> None:
-        """Throw away what has come and was not asked for."""
+        """Discard received bytes."""
         with self._explained():
             if self._socket is None:
                 port = self._port()
@@ -372,16 +372,18 @@ def open_link(
     serial: SerialPort = SerialPort(),
     lock: bool = False,
 ) -> Conversation:
-    """Open the link that an address names."""
+    """Open the link to an address."""
     if address.startswith(SCHEME):
         return DirectLink(address, timeout=timeout)
     return Link.open(address, timeout=timeout, serial=serial, lock=lock)
 
 
-def linked(own: Linked, *, serial_end: str = "\n") -> Conversation:
-    """Open the link that a part of the devices file states."""
-    assert own.address is not None
+def linked(part: Linked, *, serial_end: str = "\n") -> Conversation:
+    """Open the link of a part of the devices file."""
+    assert part.address is not None
     port = SerialPort(
-        end=serial_end, baud_rate=own.baud_rate, flow_control=own.flow_control
+        end=serial_end, baud_rate=part.baud_rate, flow_control=part.flow_control
     )
-    return open_link(own.address, timeout=own.timeout, serial=port, lock=bool(own.lock))
+    return open_link(
+        part.address, timeout=part.timeout, serial=port, lock=bool(part.lock)
+    )

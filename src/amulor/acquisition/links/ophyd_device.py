@@ -1,4 +1,4 @@
-"""Devices whose calls are coroutines: an event loop that others call from outside."""
+"""Devices of ophyd-async, called from outside of their event loop."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from typing import Any
 from amulor.acquisition.plugins import Wiring
 from amulor.errors import InstrumentError, MissingExtraError
 
-#: How much later than the event loop itself a caller gives up [s].
+#: Additional timeout of the caller beyond that of the event loop [s].
 _GRACE = 5.0
 
 
 class AsyncLoop:
-    """An event loop in another thread."""
+    """Event loop in a separate thread."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         self._thread: threading.Thread | None = None
@@ -30,12 +30,12 @@ class AsyncLoop:
         self._loop = loop
 
     def run(self, call: Callable[[], Any], *, timeout: float) -> Any:
-        """Call something in the loop, and wait for it if it is to be waited for."""
+        """Call a function in the loop, and await its result if it is awaitable."""
 
         async def awaited() -> Any:
             async with asyncio.timeout(timeout):
-                found = call()
-                return await found if inspect.isawaitable(found) else found
+                result = call()
+                return await result if inspect.isawaitable(result) else result
 
         future = asyncio.run_coroutine_threadsafe(awaited(), self._loop)
         try:
@@ -47,7 +47,7 @@ class AsyncLoop:
             raise
 
     def close(self) -> None:
-        """Stop the loop if it is our own; it may be called twice."""
+        """Stop the loop if it runs in its own thread; it may be called twice."""
         thread, self._thread = self._thread, None
         if thread is None:
             return
@@ -59,19 +59,19 @@ class AsyncLoop:
 
 
 async def _end_others() -> None:
-    """Cancel what still runs in this loop."""
-    others = asyncio.all_tasks() - {asyncio.current_task()}
-    for task in others:
+    """Cancel all other tasks of this loop."""
+    tasks = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in tasks:
         task.cancel()
-    await asyncio.gather(*others, return_exceptions=True)
+    await asyncio.gather(*tasks, return_exceptions=True)
 
 
-#: What the options of every such device may say.
+#: Options of every such device.
 _EVERY = ("class", "arguments", "identity", "prepare")
 
 
 class OphydDevice:
-    """A device of ophyd-async and its parts, called from outside of its event loop."""
+    """Device of ophyd-async and its parts, called from outside of its event loop."""
 
     def __init__(
         self,
@@ -84,66 +84,69 @@ class OphydDevice:
         self.device, self._loop, self._timeout = device, loop, timeout
         kind = type(device)
         self._name = f"{kind.__module__}:{kind.__qualname__} {device.name}".strip()
-        self._said = "" if identity is None else f", {self.value(identity)}"
+        self._model = "" if identity is None else f", {self.value(identity)}"
 
     @classmethod
     def made(
         cls, part: str, wiring: Wiring, *, needed: Sequence[str], more: Sequence[str]
     ) -> OphydDevice:
-        """Make and connect the device that a part of the devices file names."""
-        own = wiring.options
-        missing = [name for name in ("class", *needed) if name not in own]
-        unknown = [name for name in own if name not in (*_EVERY, *needed, *more)]
+        """Connect the device of a part of the devices file."""
+        options = wiring.options
+        missing = [name for name in ("class", *needed) if name not in options]
+        unknown = [name for name in options if name not in (*_EVERY, *needed, *more)]
         if missing or unknown:
             raise InstrumentError(
                 f"{part}.options lacks {', '.join(missing) or 'nothing'} and has "
                 f"{', '.join(unknown) or 'nothing'} that is not known; needed are "
                 f"class, {', '.join(needed)}"
             )
-        kind = _imported(part, str(own["class"]))
+        kind = _imported(part, str(options["class"]))
         loop = AsyncLoop()
         try:
             device = loop.run(
-                lambda: _connected(kind, own.get("arguments", {}), part, wiring),
+                lambda: _connected(kind, options.get("arguments", {}), part, wiring),
                 timeout=wiring.timeout,
             )
-            found = cls(
-                device, loop=loop, timeout=wiring.timeout, identity=own.get("identity")
+            connected = cls(
+                device,
+                loop=loop,
+                timeout=wiring.timeout,
+                identity=options.get("identity"),
             )
-            for name, value in own.get("prepare", {}).items():
-                found.set(name, value)
-            return found
+            for name, value in options.get("prepare", {}).items():
+                connected.set(name, value)
+            return connected
         except InstrumentError:
             loop.close()
             raise
         except Exception as error:  # a program of others
             loop.close()
             raise InstrumentError(
-                f"the {part} {own['class']} cannot be connected: "
+                f"the {part} {options['class']} cannot be connected: "
                 f"{type(error).__name__}: {error}; check {part}.options and power"
             ) from error
 
     def identity(self) -> str:
-        """Return the class, the name, and what one of its parts says."""
-        return f"ophyd-async {self._name}{self._said}"
+        """Return class and name of the device, and its model, if a part tells it."""
+        return f"ophyd-async {self._name}{self._model}"
 
     def part(self, path: str) -> Any:
         """Return a part of the device by its path, such as "stage.pan" or "out.1"."""
-        found = self.device
+        node = self.device
         for name in filter(None, path.split(".")):
             try:
-                found = found[int(name)] if name.isdigit() else getattr(found, name)
+                node = node[int(name)] if name.isdigit() else getattr(node, name)
             except (AttributeError, LookupError):
                 raise InstrumentError(
                     f"{self._name} has no {path!r}; see the options of this device in "
                     "the devices file"
                 ) from None
-        return found
+        return node
 
     def call(
-        self, what: str, call: Callable[[], Any], *, timeout: float | None = None
+        self, action: str, call: Callable[[], Any], *, timeout: float | None = None
     ) -> Any:
-        """Do something in the event loop, and say what failed."""
+        """Run an action in the event loop; name it in the error if it fails."""
         limit = self._timeout if timeout is None else timeout
         try:
             return self._loop.run(call, timeout=limit)
@@ -153,12 +156,12 @@ class OphydDevice:
             text = " ".join(str(error).split())
             late = f"not done within {limit:g} s"
             raise InstrumentError(
-                f"{self._name} has failed to {what}: {type(error).__name__}: "
+                f"{self._name} has failed to {action}: {type(error).__name__}: "
                 f"{text or late}; check device, power and network"
             ) from error
 
     def value(self, path: str) -> Any:
-        """Return what a part says."""
+        """Return the value of a part."""
         part = self.part(path)
         return self.call(f"tell its {path}", lambda: value_of(part))
 
@@ -168,17 +171,17 @@ class OphydDevice:
         self.call(f"set {path} to {value}", lambda: part.set(value), timeout=timeout)
 
     def close(self) -> None:
-        """Let go of the event loop; it may be called twice."""
+        """Stop the event loop; it may be called twice."""
         self._loop.close()
 
 
 @contextlib.contextmanager
-def closed_if_it_fails(own: OphydDevice) -> Iterator[None]:
-    """Let go of a device unless all goes well."""
+def closed_if_it_fails(device: OphydDevice) -> Iterator[None]:
+    """Close a device after an exception."""
     try:
         yield
     except BaseException:
-        own.close()
+        device.close()
         raise
 
 
@@ -212,12 +215,12 @@ async def _connected(
 
 
 async def done(awaitable: Any) -> Any:
-    """Wait for a coroutine, or for a status, which is no coroutine."""
+    """Await a coroutine or a status."""
     return await awaitable
 
 
 async def value_of(part: Any) -> Any:
-    """Return what a signal, or a device with one value, says."""
+    """Return the value of a signal, or of a device with one value."""
     if hasattr(part, "get_value"):
         return await part.get_value()
     if hasattr(part, "locate"):

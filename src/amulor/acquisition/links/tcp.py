@@ -12,20 +12,20 @@ from typing import Any, Protocol
 
 
 class LinkLostError(Exception):
-    """What a simulated device raises to break its link off."""
+    """Broken link of a simulated device."""
 
 
 class Speaker(Protocol):
-    """What a simulated device says."""
+    """Simulated device that answers lines."""
 
     def answer(self, line: str) -> Sequence[str | bytes]:
-        """Return the answers to one line, none to one that has none.
+        """Return the answers to one line, if any.
 
         Text is ended by a line feed; bytes, such as a binary block, by nothing.
 
-        A device with an attribute `at_once` (bytes) is handed each of these characters
-        without the end of a line. One with a method `cutter`, which returns an object
-        like `_Lines`, is handed what that makes of the bytes of one link.
+        A device with an attribute `at_once` (bytes) receives each of these characters
+        without the end of a line. A method `cutter` returns an object like `_Lines`,
+        which splits the bytes of one link.
         """
 
 
@@ -34,14 +34,14 @@ def _sent(answer: str | bytes) -> bytes:
 
 
 class _Lines:
-    """Cuts what comes in into lines, and into characters that are commands alone."""
+    """Splitter of received bytes into lines and one-character commands."""
 
     def __init__(self, at_once: bytes) -> None:
         self._at_once = at_once
         self._rest = b""
 
-    def taken(self, received: bytes) -> Iterator[str]:
-        """Yield lines and characters in the order in which they came."""
+    def split(self, received: bytes) -> Iterator[str]:
+        """Yield lines and one-character commands in order."""
         for number in received:
             byte = bytes([number])
             if byte in self._at_once and not self._rest:
@@ -54,7 +54,7 @@ class _Lines:
 
 
 class _Server(socketserver.ThreadingTCPServer):
-    """TCP server of one simulated device, which can break its links off."""
+    """TCP server of one simulated device, which can break its links."""
 
     allow_reuse_address = True
     daemon_threads = True
@@ -92,7 +92,7 @@ class _Conversation(socketserver.StreamRequestHandler):
             while received := self.connection.recv(4096):
                 answers = [
                     answer
-                    for line in lines.taken(received)
+                    for line in lines.split(received)
                     for answer in speaker.answer(line)
                 ]
                 if answers:
@@ -100,7 +100,7 @@ class _Conversation(socketserver.StreamRequestHandler):
 
 
 class DeviceServer:
-    """Serves one simulated device to any number of links, each in a thread."""
+    """Server of one simulated device, with a thread for each link."""
 
     def __init__(
         self, speaker: Speaker, *, host: str = "127.0.0.1", port: int = 0
@@ -136,7 +136,7 @@ class DeviceServer:
         self.close()
 
     def close(self) -> None:
-        """Stop listening and break all links off."""
+        """Stop listening, and break all links."""
         self._server.shutdown()
         self._server.server_close()
         for link in [*self._server.links]:

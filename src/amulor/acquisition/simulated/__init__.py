@@ -1,1 +1,1 @@
-"""Instruments that are not there: a bench before a scene, and devices on it."""
+"""Simulated instruments: a bench in front of a scene, and devices on it."""

@@ -1,4 +1,4 @@
-"""Faults that simulated devices show on purpose, timed by the number of a reading."""
+"""Simulated bench: laser, water, target, detector and lock-in filter, with faults."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from amulor.survey.counting import background_rate
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong."""
+    """Fault of a simulated device over some readings."""
 
     kind: str
-    """overload, saturation, unlock, lost-link, timeout, stuck, darkness (the light is
-    blocked behind the laser) or interlock (it is open)."""
+    """Kind: overload, saturation, unlock, lost-link, timeout, stuck, darkness (blocked
+    light) or interlock (open)."""
     first: int
-    """Number of the reading that it begins at, counted from 1 [1]."""
+    """Number of the first reading, counted from 1 [1]."""
     count: int
-    """How many readings it lasts [1]."""
+    """Number of readings [1]."""
 
 
 @dataclass(frozen=True)
 class Faults:
-    """All faults of a simulated instrument."""
+    """Faults of a simulated instrument."""
 
     planned: tuple[Fault, ...] = ()
-    """In any order."""
+    """Faults in any order."""
 
     @classmethod
     def parse(cls, texts: Iterable[str]) -> Faults:
-        """Return the faults that texts such as "unlock@500x3" stand for.
+        """Parse faults from texts such as "unlock@500x3".
 
         Examples
         --------
@@ -57,7 +57,7 @@ class Faults:
         return cls(tuple(result))
 
     def active(self, kind: str, reading: int) -> bool:
-        """Return whether a fault of a kind shows at a reading."""
+        """Return whether a fault of a kind is active at a reading."""
         return any(
             fault.kind == kind and fault.first <= reading < fault.first + fault.count
             for fault in self.planned
@@ -75,7 +75,7 @@ def in_steps(
     settings: SimulationSettings,
     rng: np.random.Generator,
 ) -> list[list[complex]]:
-    """Let the filters of tones run on over evenly spaced moments."""
+    """Advance the filters of tones over evenly spaced times; return the outputs [V]."""
     from scipy.signal import lfilter
 
     keep = math.exp(-interval / time_constant)
@@ -90,42 +90,41 @@ def in_steps(
             ("level", (1 - keep) * aim),
             ("noise", fresh * (drawn[0] + 1j * drawn[1])),
         ):
-            held = [keep * getattr(tone, name)]
-            left, _ = lfilter([1.0], [1.0, -keep], enters, zi=held)
-            setattr(tone, name, complex(left[-1]))
-            columns.append(left)
+            state = [keep * getattr(tone, name)]
+            filtered, _ = lfilter([1.0], [1.0, -keep], enters, zi=state)
+            setattr(tone, name, complex(filtered[-1]))
+            columns.append(filtered)
     shown = np.stack(columns[::2], axis=1) + np.stack(columns[1::2], axis=1)
     rows: list[list[complex]] = shown.tolist()
     return rows
 
 
-#: How fast the beam turns [rad/s].
+#: Speed of the beam [rad/s].
 SCAN_SPEED = 5.0
-#: How fast mounts turn [rad/s].
+#: Speed of mounts [rad/s].
 MOUNT_SPEED = 10.0
-#: How fast the target moves [m/s].
+#: Speed of the target [m/s].
 TARGET_SPEED = 0.2
-#: How long the oscillator takes to lock to a new frequency [s].
+#: Time to lock to a new frequency [s].
 LOCK_TIME = 0.05
-#: Frequencies beside the planned ones whose light is kept.
+#: Cached frequencies beside those of the survey.
 _MOST_OTHERS = 16
-#: What turns the beam, and how far the target is away when it is out of it [m].
+#: Axes of the beam, and the target position beyond which it is out [m].
 _BEAM, _OUT = ("azimuth", "elevation"), 0.05
-#: The arrival of what does not move.
-_STANDS = -math.inf
+#: Arrival time of an axis at rest.
+_AT_REST = -math.inf
 
 
 def _or_never(arrival: float) -> float:
-    return math.inf if arrival == _STANDS else arrival
+    return math.inf if arrival == _AT_REST else arrival
 
 
 class Bench:
     """Laser, water, target, detector and lock-in filter of a survey, run by a clock.
 
-    Simulated devices and device simulators turn its knobs and read its output. A
-    direction between the pixels sees what the nearest pixel or shot sees, also while
-    the beam is on its way: the filter remembers all that it has passed. Safe to use
-    from several threads.
+    Simulated devices set its inputs and read its output. A direction between pixels has
+    the light of the nearest pixel or shot, also while the beam moves: the filter
+    integrates all of the path. Safe to use from several threads.
     """
 
     def __init__(
@@ -148,7 +147,7 @@ class Bench:
         self._rng = np.random.default_rng(settings.seed)
         self._lock = threading.RLock()
         self._scene = scene
-        # Light of all planned frequencies, and of each other one that was ever set.
+        # Light of all frequencies of the survey, and of others that were set.
         light = scene(survey)
         self._planned = (Places(light.with_target), Places(light.open_water))
         self._others: dict[float, tuple[Places, Places]] = {}
@@ -157,29 +156,29 @@ class Bench:
         self._daylight = background_rate(survey)
         self._locked_at = -math.inf
         self._filter(survey.instrument.lock_in.time_constant)
-        # Where each thing stands, where it goes, and when it arrives.
+        # Position, goal and arrival time of each axis.
         self._place = {"azimuth": 0.0, "elevation": 0.0, "target": 0.0}
         self._place |= {"launch": 0.0, "analyser": 0.0}
         self._goal = dict(self._place)
-        self._arrival = dict.fromkeys(self._place, _STANDS)
+        self._arrival = dict.fromkeys(self._place, _AT_REST)
         self._next_arrival = math.inf
-        # Where and when what moves has set out; when the beam comes to see another
-        # place on its way, and which; the place that it sees while it moves.
+        # Start and start time of moving axes; times and places on the path of the beam;
+        # the present place while it moves.
         self._start: dict[str, tuple[float, float]] = {}
         self._ahead: deque[tuple[float, int]] = deque()
-        self._seen: int | None = None
+        self._beam_place: int | None = None
         self._time = self._begun = clock.now()
         self._spread = 0.0
         self._mean = 0.0
-        # Outputs that are kept, when they begin, how far apart and how many they are.
+        # Trace of outputs, with its start, interval and number.
         self._trace: list[list[complex]] = []
         self._trace_start, self._trace_interval, self._trace_most = 0.0, 1.0, 0
         self._renew()
 
-    # -- knobs ---------------------------------------------------------------------
+    # -- inputs --------------------------------------------------------------------
 
     def set_laser(self, on: bool) -> None:
-        """Let light out, or none."""
+        """Switch the laser on or off."""
         with self._lock:
             self._advance()
             self.laser_on = on
@@ -193,13 +192,13 @@ class Bench:
             self._renew()
 
     def set_frequency(self, frequency: float) -> None:
-        """Set the modulation frequency [Hz]; the reference is lost for a moment."""
+        """Set the modulation frequency [Hz]; the reference unlocks for a moment."""
         self.set_frequencies([frequency])
 
     def set_frequencies(self, frequencies: Sequence[float]) -> None:
-        """Modulate by several frequencies [Hz], each as deep as the survey says.
+        """Modulate at several frequencies [Hz], each with the depth of the survey.
 
-        The filters keep what they hold, the first that of the first.
+        The filters keep their outputs, in order.
         """
         with self._lock:
             self._advance()
@@ -211,7 +210,7 @@ class Bench:
             self._renew()
 
     def send(self, goals: Mapping[str, float], *, speed: float) -> None:
-        """Start to move things to places at a speed, in SI units; they arrive together.
+        """Start to move axes to positions at a speed, with one arrival time.
 
         The names are azimuth, elevation, launch, analyser and target.
         """
@@ -219,9 +218,11 @@ class Bench:
             now = self._arrive()
             stuck = self.faults.active("stuck", self.readings)
             for name in goals:
-                self._place[name] = self._stands(name, now)
-            way = max(abs(goal - self._place[name]) for name, goal in goals.items())
-            arrival = math.inf if stuck else now + way / speed
+                self._place[name] = self._position_at(name, now)
+            distance = max(
+                abs(goal - self._place[name]) for name, goal in goals.items()
+            )
+            arrival = math.inf if stuck else now + distance / speed
             for name, goal in goals.items():
                 self._goal[name] = goal
                 self._start[name] = (self._place[name], now)
@@ -237,38 +238,38 @@ class Bench:
             self._advance()
             now = self._time
             for name in self._place:
-                self._place[name] = self._stands(name, now)
+                self._place[name] = self._position_at(name, now)
             for name in self._place:
                 self._goal[name] = self._place[name]
-                self._arrival[name] = _STANDS
+                self._arrival[name] = _AT_REST
             self._ahead.clear()
             self._next_arrival = math.inf
 
-    # -- what can be seen ----------------------------------------------------------
+    # -- outputs -------------------------------------------------------------------
 
     def arrived(self, name: str) -> bool:
-        """Return whether one thing has come to where it was sent."""
+        """Return whether an axis has arrived."""
         with self._lock:
             return self._arrival[name] <= self._arrive()
 
     def arrival(self, name: str) -> float:
-        """Return when one thing comes to where it was sent, by the clock [s]."""
+        """Return the arrival time of an axis by the clock [s]."""
         with self._lock:
             return self._arrival[name]
 
     def place(self, name: str) -> float:
-        """Return where one thing is, also on its way."""
+        """Return the present position of an axis, also while it moves."""
         with self._lock:
-            return self._stands(name, self._arrive())
+            return self._position_at(name, self._arrive())
 
     def goal(self, name: str) -> float:
-        """Return where one thing was sent."""
+        """Return the goal of an axis."""
         with self._lock:
             return self._goal[name]
 
     @property
     def frequency(self) -> float:
-        """The modulation frequency, of several the first [Hz]."""
+        """First modulation frequency [Hz]."""
         return self._tones[0].frequency
 
     @property
@@ -278,7 +279,7 @@ class Bench:
 
     @property
     def interlock_is_closed(self) -> bool:
-        """Whether the interlock lets the laser have its light."""
+        """Whether the interlock is closed."""
         return not self.faults.active("interlock", max(self.readings, 1))
 
     @property
@@ -313,18 +314,18 @@ class Bench:
                 return output, 2 * self.survey.instrument.detector.saturation
             return output, self._mean
 
-    # -- the inside ----------------------------------------------------------------
+    # -- internals ----------------------------------------------------------------
 
     def _advance(self) -> None:
-        """Let everything happen that has happened by now."""
+        """Advance motion and filter to the present time."""
         self._relax(self._arrive())
 
     def _arrive(self) -> float:
-        """Let things come to where they were sent; return the time [s]."""
+        """Complete motions up to the present time; return it [s]."""
         now = self.clock.now()
         while min(self._next_arrival, self._next_border) <= now:
             if self._next_border <= self._next_arrival:
-                moment, self._seen = self._ahead.popleft()
+                moment, self._beam_place = self._ahead.popleft()
                 self._relax(moment)
                 self._renew()
                 continue
@@ -333,11 +334,11 @@ class Bench:
             for name in [*self._arrival]:
                 if self._arrival[name] == moment:
                     self._place[name] = self._goal[name] + self._missed_by(name)
-                    self._arrival[name] = _STANDS
+                    self._arrival[name] = _AT_REST
                     if name in ("azimuth", "elevation", "target"):
-                        self._seen = None
+                        self._beam_place = None
             self._next_arrival = min(self._arrival.values(), key=_or_never)
-            if self._next_arrival == _STANDS:
+            if self._next_arrival == _AT_REST:
                 self._next_arrival = math.inf
             self._renew()
         return now
@@ -346,8 +347,8 @@ class Bench:
     def _next_border(self) -> float:
         return self._ahead[0][0] if self._ahead else math.inf
 
-    def _stands(self, name: str, now: float) -> float:
-        """Return where one thing is at a moment of its way."""
+    def _position_at(self, name: str, now: float) -> float:
+        """Return the position of an axis at a time of its motion."""
         arrival = self._arrival[name]
         if not math.isfinite(arrival):
             return self._place[name]
@@ -358,10 +359,10 @@ class Bench:
         return begin + part * (self._goal[name] - begin)
 
     def _look_ahead(self, now: float) -> None:
-        """Work out when the moving beam comes to see another place."""
+        """Compute the times at which the moving beam reaches another place."""
         self._ahead.clear()
         arrival = max(self._arrival["azimuth"], self._arrival["elevation"])
-        start = complex(*(self._stands(name, now) for name in _BEAM))
+        start = complex(*(self._position_at(name, now) for name in _BEAM))
         end = complex(*(self._goal[name] for name in _BEAM))
         if not now < arrival < math.inf or start == end:
             return
@@ -379,11 +380,11 @@ class Bench:
 
     @property
     def time_constant(self) -> float:
-        """Of the output filter [s]."""
+        """Time constant of the output filter [s]."""
         return self._time_constant
 
     def instant(self) -> tuple[list[complex], float]:
-        """Return what enters the filters now [V], and the mean output [V].
+        """Return the present inputs of the filters [V], and the mean output [V].
 
         It counts as a reading.
         """
@@ -396,7 +397,7 @@ class Bench:
     def start_trace(
         self, interval: float, *, most: int, start: float | None = None
     ) -> None:
-        """Begin to keep the outputs of every interval [s], from now or a moment on."""
+        """Start a trace of the outputs at an interval [s], now or at a start time."""
         # Loaded before time counts.
         importlib.import_module("scipy.signal")
         with self._lock:
@@ -407,17 +408,17 @@ class Bench:
 
     @property
     def trace_start(self) -> float:
-        """When what is kept begins [s]."""
+        """Start time of the trace [s]."""
         return self._trace_start
 
     def trace(self) -> list[list[complex]]:
-        """Return what was kept so far: rows of the outputs of every frequency [V]."""
+        """Return the trace so far: rows of the outputs of every frequency [V]."""
         with self._lock:
             self._advance()
             return self._trace
 
     def _relax(self, until: float) -> None:
-        """Let time run on, and keep the outputs of moments that are to be kept."""
+        """Advance the filter to a time [s], and record the trace."""
         while len(self._trace) < self._trace_most:
             moment = self._trace_start + len(self._trace) * self._trace_interval
             if moment > until:
@@ -440,11 +441,11 @@ class Bench:
         self._settle(until)
 
     def _settle(self, until: float) -> None:
-        """Let the one-pole filter and its noise run on to a time [s]."""
+        """Advance the one-pole filter and its noise to a time [s]."""
         passed = until - self._time
         if passed <= 0:
             return
-        # Far beyond the filter's memory nothing is left of the past.
+        # The exponent is limited: the filter has forgotten its past by then.
         keep = math.exp(-min(passed / self._time_constant, 700.0))
         turn = cmath.exp(1j * self._settings.phase_drift * until)
         fresh = math.sqrt(max(1 - keep**2, 0.0)) * self._spread
@@ -463,7 +464,7 @@ class Bench:
         return Tone(frequency, *self._light_at(frequency), 0)
 
     def _light_at(self, frequency: float) -> tuple[Places, Places]:
-        """Return the light at a frequency that is not planned [Hz]."""
+        """Return the light at a frequency [Hz] that is not in the survey."""
         if frequency not in self._others:
             path = "instrument.modulation_frequencies"
             light = self._scene(self.survey.with_({path: [frequency]}))
@@ -477,7 +478,7 @@ class Bench:
         return self._others[frequency]
 
     def _renew(self) -> None:
-        """Work out what enters the filter from how all knobs stand now."""
+        """Compute the inputs of the filters, the mean output and the noise."""
         rate = 0.0
         lit = self.laser_on and not self._blocked
         if lit:
@@ -492,8 +493,10 @@ class Bench:
             if not lit:
                 continue
             places = tone.open_water if out else tone.scan
-            seen = places.nearest(*where) if self._seen is None else self._seen
-            light, index = places.light, (tone.channel, pair, seen)
+            place = (
+                places.nearest(*where) if self._beam_place is None else self._beam_place
+            )
+            light, index = places.light, (tone.channel, pair, place)
             level = complex(light.target[index] + change * light.water[index])
             phase = self._phase_error(abs(level), tone.frequency)
             tone.input = level * cmath.exp(1j * phase)
@@ -518,7 +521,7 @@ class Bench:
         self._variance_per_rate = float(light - dark)
 
     def _polarization(self) -> int:
-        """Return the number of the pair that the mounts stand nearest to."""
+        """Return the number of the polarization pair nearest to the mounts."""
         now = complex(self._place["launch"], self._place["analyser"])
         return min(
             range(len(self._pairs)), key=lambda pair: abs(self._pairs[pair] - now)

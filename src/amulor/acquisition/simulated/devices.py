@@ -1,4 +1,4 @@
-"""Simulated devices behind the protocols, all of them in front of one scene."""
+"""Simulated devices with the protocols of a scan, on one bench."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ class _Simulated:
         self.log: list[str] = []
 
     def identity(self) -> str:
-        """Return that it is no device of this world."""
+        """Return the identity of a simulated device."""
         return f"amulor,{self._kind},0,{SIMULATOR}"
 
     def make_safe(self) -> None:
-        """Note that the device was made safe."""
+        """Log that the device was made safe."""
         self.log.append("safe")
 
     def close(self) -> None:
-        """Note that the device was let go."""
+        """Log that the device was closed."""
         self.log.append("close")
 
 
@@ -70,7 +70,7 @@ class SimulatedLockIn(_Simulated):
     def set_frequencies(
         self, frequencies: Sequence[float], *, timeout: float
     ) -> list[float]:
-        """Modulate by several frequencies [Hz] at once, wait for lock, return them."""
+        """Modulate at several frequencies [Hz], wait for lock, return them [Hz]."""
         self.bench.set_frequencies(frequencies)
         end = self.bench.clock.now() + timeout
         while not self.bench.locked():
@@ -82,11 +82,11 @@ class SimulatedLockIn(_Simulated):
         return [*frequencies]
 
     def read(self) -> Reading:
-        """Return the outputs and the state of this instant."""
+        """Return the present outputs and state."""
         return self.read_all()[0]
 
     def read_all(self) -> list[Reading]:
-        """Return the outputs of every frequency and the state of this instant."""
+        """Return the present outputs of every frequency and the state."""
         signals, mean = self.bench.outputs()
         number = self.bench.readings
         faults = self.bench.faults
@@ -134,13 +134,15 @@ class SimulatedLockIn(_Simulated):
             times=np.asarray(np.arange(count) * interval, dtype=float),
             signals=rows,
             mean=last[0].mean,
-            modulation_frequencies=tuple(one.modulation_frequency for one in last),
+            modulation_frequencies=tuple(
+                reading.modulation_frequency for reading in last
+            ),
             overload=overload,
             unlocked=last[0].unlocked,
         )
 
     def begin_stream(self, duration: float) -> None:
-        """Begin to record, for a time at least [s]."""
+        """Start to record, for at least a time [s]."""
         interval = self._constant / 10
         self.bench.start_trace(interval, most=2 + math.ceil(duration / interval))
         self._fetched = 0
@@ -159,20 +161,22 @@ class SimulatedLockIn(_Simulated):
             times=np.asarray(start + self._constant / 10 * numbers, dtype=float),
             signals=signals,
             mean=last[0].mean,
-            modulation_frequencies=tuple(one.modulation_frequency for one in last),
+            modulation_frequencies=tuple(
+                reading.modulation_frequency for reading in last
+            ),
             overload=overload,
             unlocked=last[0].unlocked,
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Take a coarser scale, if there is one."""
+        """Select the next coarser scale; False if there is none."""
         if self._scale == len(FULL_SCALES) - 1:
             return False
         self._scale += 1
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Take a finer scale if this peak amplitude [V] leaves room."""
+        """Select the next finer scale if this peak amplitude [V] fits well."""
         finer = max(self._scale - 1, 0)
         if finer == self._scale or amplitude > _FINER_BELOW * self.full_scale():
             return False
@@ -185,22 +189,22 @@ class SimulatedLockIn(_Simulated):
 
 
 class SimulatedScanner(_Simulated):
-    """What turns the beam of a bench."""
+    """The scanner of a bench."""
 
     _kind = "scanner"
 
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
-        """Turn to a direction [rad]; return where it stands [rad]."""
+        """Turn to a direction [rad]; return the read-back [rad]."""
         self.log.append("move")
         goals = {"azimuth": azimuth, "elevation": elevation}
         self.bench.send(goals, speed=SCAN_SPEED)
-        wait_for(self.bench, "azimuth", what="the simulated scanner", timeout=timeout)
+        wait_for(self.bench, "azimuth", device="the simulated scanner", timeout=timeout)
         return self.where()
 
     def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
-        """Set out for a direction [rad], to be there after a time [s]."""
+        """Start to move to a direction [rad], reached after a time [s]."""
         self.log.append("sweep")
         away = abs(azimuth - self.bench.place("azimuth"))
         away = max(away, abs(elevation - self.bench.place("elevation")))
@@ -208,7 +212,7 @@ class SimulatedScanner(_Simulated):
         self.bench.send(goals, speed=away / duration)
 
     def where(self) -> tuple[float, float]:
-        """Return where it is now [rad]."""
+        """Return the present direction [rad]."""
         return self.bench.place("azimuth"), self.bench.place("elevation")
 
     def make_safe(self) -> None:
@@ -227,9 +231,9 @@ class SimulatedMount(_Simulated):
         self._name = name
 
     def rotate(self, angle: float, *, timeout: float) -> float:
-        """Turn to an angle [rad]; return where it stands [rad]."""
+        """Turn to an angle [rad]; return the read-back [rad]."""
         self.bench.send({self._name: angle}, speed=MOUNT_SPEED)
-        wait_for(self.bench, self._name, what="the simulated mount", timeout=timeout)
+        wait_for(self.bench, self._name, device="the simulated mount", timeout=timeout)
         return self.bench.place(self._name)
 
 
@@ -239,7 +243,7 @@ class SimulatedLaser(_Simulated):
     _kind = "laser"
 
     def on(self) -> None:
-        """Let light out."""
+        """Switch the laser on."""
         self.log.append("on")
         self.bench.set_laser(True)
 
@@ -252,42 +256,42 @@ class SimulatedLaser(_Simulated):
             )
 
     def off(self) -> None:
-        """Let no light out."""
+        """Switch the laser off."""
         self.log.append("off")
         self.bench.set_laser(False)
 
     def make_safe(self) -> None:
-        """Let no light out."""
+        """Switch the laser off."""
         self.off()
 
 
 class SimulatedTargetStage(_Simulated):
-    """What takes the target of a bench out of the beam."""
+    """The target stage of a bench."""
 
     _kind = "target stage"
 
     def bring_in(self, *, timeout: float) -> float:
-        """Put the target where it is scanned; return where that is [m]."""
+        """Put the target into the beam; return its position [m]."""
         return self._go(0.0, timeout=timeout)
 
     def take_out(self, *, timeout: float) -> float:
-        """Leave open water in every beam; return where the target is [m]."""
+        """Take the target out of the beam; return its position [m]."""
         return self._go(0.2, timeout=timeout)
 
     def _go(self, place: float, *, timeout: float) -> float:
         self.bench.send({"target": place}, speed=TARGET_SPEED)
-        wait_for(self.bench, "target", what="the simulated target", timeout=timeout)
+        wait_for(self.bench, "target", device="the simulated target", timeout=timeout)
         return self.bench.place("target")
 
 
-def wait_for(bench: Bench, name: str, *, what: str, timeout: float) -> None:
-    """Wait until one thing of a bench has arrived."""
+def wait_for(bench: Bench, name: str, *, device: str, timeout: float) -> None:
+    """Wait for the arrival of an axis of a bench."""
     start = bench.clock.now()
     bench.clock.sleep(min(bench.arrival(name) - start, timeout))
     while not bench.arrived(name):
         if bench.clock.now() - start > timeout:
             raise InstrumentError(
-                f"{what} has not come to where it was sent within {timeout:g} s; see "
+                f"{device} has not come to where it was sent within {timeout:g} s; see "
                 "what holds it"
             )
         bench.clock.sleep(timeout / 100)
@@ -298,7 +302,7 @@ _REFERENCE, _REFERENCE_NOISE = 0.1, 1e-4
 
 
 class SimulatedDigitiser:
-    """Records the photodiode of a bench, and what modulates its laser."""
+    """Digitizer of the photodiode and of the modulation of a bench."""
 
     ranges: tuple[float, ...] = (0.01, 0.1, 1.0, 10.0)
     shows_mean = True
@@ -321,27 +325,27 @@ class SimulatedDigitiser:
         self.puts_out = False
 
     def identity(self) -> str:
-        """Return that it is no device of this world."""
+        """Return the identity of a simulated device."""
         return f"amulor,digitiser,0,{SIMULATOR}"
 
     def prepare(self) -> None:
-        """Put no modulation out yet."""
+        """Switch the modulation off until frequencies are set."""
         self.puts_out = False
 
     def set_range(self, number: int) -> None:
-        """Take one of the ranges."""
+        """Select a range by its number."""
         self._range = number
 
     def set_frequencies(
         self, frequencies: Sequence[float], *, timeout: float
     ) -> list[float]:
-        """Modulate by all of them at once [Hz]."""
+        """Modulate at several frequencies at once [Hz]."""
         self.bench.set_frequencies(frequencies)
         self.puts_out = True
         return [*frequencies]
 
     def acquire(self, duration: float) -> Waveform:
-        """Return a record of a time [s], no longer than the memory."""
+        """Return a record of a time [s], at most that of the memory."""
         faults, number = self.bench.faults, self.bench.readings + 1
         if faults.active("timeout", number) or faults.active("lost-link", number):
             self.bench.readings += 1
@@ -355,11 +359,11 @@ class SimulatedDigitiser:
         )
         signal = mean + spread * self._rng.standard_normal(count)
         reference = _REFERENCE_NOISE * self._rng.standard_normal(count)
-        lost = faults.active("unlock", number) or not self.puts_out
+        unlocked = faults.active("unlock", number) or not self.puts_out
         for frequency, tone in zip(self.bench.frequencies, tones, strict=True):
             turn = np.exp(-2j * np.pi * (frequency * times % 1.0))
             signal += (tone * turn).real
-            reference += _REFERENCE * turn.real * (not lost)
+            reference += _REFERENCE * turn.real * (not unlocked)
         if faults.active("overload", number):
             signal *= 100 * self.ranges[-1] / max(np.max(np.abs(signal)), 1e-12)
         limit = self.ranges[self._range]
@@ -375,21 +379,21 @@ class SimulatedDigitiser:
         )
 
     def make_safe(self) -> None:
-        """Put no modulation out."""
+        """Switch the modulation off."""
         self.puts_out = False
 
     def close(self) -> None:
         """Do nothing."""
 
 
-#: Current and temperature after *RST [A], [degC], and how fast the current comes [A/s].
+#: Current [A] and temperature [degC] after *RST.
 _CURRENT, _TEMPERATURE = 0.08, 25.0
-#: How much warmer the diode is with light, and how fast it becomes so [K], [s].
+#: Rise of the diode temperature with light [K], and its time [s].
 _WARMER, _WARMING = 0.5, 10.0
 
 
 class SimulatedLaserDriver:
-    """Current source and temperature controller; an open interlock switches off."""
+    """Laser diode driver, with temperature control and an interlock."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -419,8 +423,8 @@ class SimulatedLaserDriver:
         elif line in ("OUTP ON", "OUTP OFF"):
             self._on, self._since = line == "OUTP ON", self.bench.clock.now()
             self.bench.set_laser(self._on)
-        elif found := re.fullmatch(r"SOUR:CURR ([0-9.eE+-]+)", line):
-            self._set = float(found[1])
+        elif match := re.fullmatch(r"SOUR:CURR ([0-9.eE+-]+)", line):
+            self._set = float(match[1])
         else:
             self._errors.append('-113,"Undefined header"')
         return []

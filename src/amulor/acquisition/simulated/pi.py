@@ -1,4 +1,4 @@
-"""A simulated stage controller that speaks the General Command Set 2.0."""
+"""Simulated stage controller by the General Command Set 2.0."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from amulor.acquisition.simulated.bench import (
     Bench,
 )
 
-#: Answers of ERR?: nothing, what is no number, unknown command, servo off, position out
-#: of limits, stopped on purpose, unknown axis, value out of range (chapter "Error
+#: Answers of ERR?: no error, parameter syntax, unknown command, servo off, position
+#: out of limits, commanded stop, unknown axis, value out of range (chapter "Error
 #: codes" of the manuals).
 _GOOD, _SYNTAX, _UNKNOWN, _SERVO_OFF, _LIMITS = 0, 1, 2, 5, 7
 _STOPPED, _NO_AXIS, _BAD_VALUE = 10, 15, 17
 #: Commands of one character, without the end of a line: which axes move, whether the
 #: controller is ready, stop all.
 _MOTION, _READY, _STOP_ALL = "\x05", "\x07", "\x18"
-#: What #7 is answered with by a controller that is ready.
+#: Answer to #7 of a controller that is ready.
 _IS_READY = "\xb1"
-#: Largest velocity that can be set, in those that are set at the start [1].
+#: Largest velocity relative to the one at the start [1].
 _FASTEST = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Axis:
     name: str
-    """What of the bench it moves."""
+    """Name of the axis on the bench."""
     unit: float
     """SI units per unit of the axis."""
     zero: float
-    """Position of the axis where the bench is at zero."""
+    """Position of the axis at zero of the bench."""
     speed: float
-    """In SI units [1/s]."""
+    """Speed in SI units [1/s]."""
     limit: float
     """Largest position either way, in the unit of the axis."""
 
 
 class _RefusedError(Exception):
-    """A command that is not carried out."""
+    """Refusal of a command, with the code for ERR?."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -53,7 +53,7 @@ class _RefusedError(Exception):
 
 
 class SimulatedPiController:
-    """Five axes: azimuth, elevation, launch, analyser and target."""
+    """Stage controller of azimuth, elevation, launch, analyser and target."""
 
     def __init__(self, bench: Bench, settings: Settings) -> None:
         self.bench = bench
@@ -89,14 +89,15 @@ class SimulatedPiController:
         }
         self._servo = dict.fromkeys(self._axes, True)
         self._velocity = {
-            axis: own.speed / abs(own.unit) for axis, own in self._axes.items()
+            axis: definition.speed / abs(definition.unit)
+            for axis, definition in self._axes.items()
         }
         self._error = _GOOD
         listed = self._listed
         bench = self.bench
         self._questions: dict[str, Callable[[list[str]], list[str]]] = {
             "*IDN?": lambda _: [f"(c) Physik Instrumente, C-884, 0, {SIMULATOR}"],
-            "ERR?": lambda _: [str(self._taken_error())],
+            "ERR?": lambda _: [str(self._pop_error())],
             "CSV?": lambda _: ["2.0"],
             "VER?": lambda _: [f"FW: {SIMULATOR}"],
             "SAI?": lambda _: (
@@ -131,11 +132,11 @@ class SimulatedPiController:
             "STP": self._halt,
         }
 
-    #: Characters that are taken without the end of a line.
+    #: Commands of one character, without the end of a line.
     at_once = (_MOTION + _READY + _STOP_ALL).encode()
 
     def answer(self, line: str) -> list[str]:
-        """Return the answer to one line, or to one character that is a command."""
+        """Return the answers to one line, or to a one-character command."""
         with self._lock:
             if not line:
                 return []
@@ -163,20 +164,20 @@ class SimulatedPiController:
             self._error = _UNKNOWN
             return []
 
-    def _taken_error(self) -> int:
+    def _pop_error(self) -> int:
         result, self._error = self._error, _GOOD
         return result
 
     def _moving(self) -> int:
         moving = [not self.bench.arrived(axis.name) for axis in self._axes.values()]
-        return sum(1 << place for place, one in enumerate(moving) if one)
+        return sum(1 << place for place, is_moving in enumerate(moving) if is_moving)
 
-    def _known(self, axes: list[str]) -> None:
+    def _refuse_unknown(self, axes: list[str]) -> None:
         if not all(axis in self._axes for axis in axes):
             raise _RefusedError(_NO_AXIS)
 
     def _pairs(self, words: list[str]) -> dict[str, float]:
-        """Return the numbers that a command names for its axes."""
+        """Return the number for each axis of a command."""
         axes = words[::2]
         try:
             values = [float(word) for word in words[1::2]]
@@ -184,19 +185,19 @@ class SimulatedPiController:
             raise _RefusedError(_SYNTAX) from None
         if not axes or len(values) != len(axes):
             raise _RefusedError(_SYNTAX)
-        self._known(axes)
+        self._refuse_unknown(axes)
         return dict(zip(axes, values, strict=True))
 
     def _move(self, words: list[str], *, relative: bool) -> None:
         goals = self._pairs(words)
         # A line is carried out as a whole or not at all.
         for axis in goals:
-            own = self._axes[axis]
+            definition = self._axes[axis]
             if not self._servo[axis]:
                 raise _RefusedError(_SERVO_OFF)
             if relative:
                 goals[axis] += float(self._position(axis, self.bench.goal))
-            if not abs(goals[axis] - own.zero) <= own.limit:
+            if not abs(goals[axis] - definition.zero) <= definition.limit:
                 raise _RefusedError(_LIMITS)
         moved = {
             self._axes[axis].name: (goal - self._axes[axis].zero)
@@ -220,20 +221,20 @@ class SimulatedPiController:
         self._velocity |= values
 
     def _reference(self, axes: list[str]) -> None:
-        self._known(axes)
+        self._refuse_unknown(axes)
 
     def _halt(self, axes: list[str]) -> None:
-        self._known(axes)
+        self._refuse_unknown(axes)
         self.bench.stop()
         self._error = _STOPPED
 
     def _position(self, axis: str, of: Callable[[str], float]) -> str:
-        own = self._axes[axis]
-        return f"{of(own.name) / own.unit + own.zero:.7f}"
+        definition = self._axes[axis]
+        return f"{of(definition.name) / definition.unit + definition.zero:.7f}"
 
     def _end(self, axis: str, sign: int) -> str:
-        own = self._axes[axis]
-        return f"{own.zero + sign * own.limit:.7f}"
+        definition = self._axes[axis]
+        return f"{definition.zero + sign * definition.limit:.7f}"
 
     def _help(self) -> list[str]:
         words = ["#5 ", "#7 ", "#24 ", *self._questions, *self._commands]
@@ -241,6 +242,6 @@ class SimulatedPiController:
         return [f"{line.strip()} " for line in lines[:-1]] + lines[-1:]
 
     def _listed(self, axes: list[str], value: Callable[[str], str]) -> list[str]:
-        self._known(axes)
+        self._refuse_unknown(axes)
         lines = [f"{axis}={value(axis)}" for axis in axes or self._axes]
         return [f"{line} " for line in lines[:-1]] + lines[-1:]

@@ -1,4 +1,4 @@
-"""What a simulated instrument looks at: light that somebody else has worked out."""
+"""Light in front of a simulated instrument, by direction."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from amulor.survey import Survey
 
 
 class LightByDirection(Protocol):
-    """Noiseless light in known directions, without the detector's dark counts."""
+    """Noiseless light by direction, without dark counts of the detector."""
 
     @property
     def azimuth(self) -> NDArray[np.float64]:
@@ -34,28 +34,27 @@ class LightByDirection(Protocol):
 
     @property
     def target_rate(self) -> NDArray[np.float64]:
-        """Photoelectrons by the target's light, of the same shape [1/s]."""
+        """Photoelectron rate of the target, of the same shape [1/s]."""
 
     @property
     def water_rate(self) -> NDArray[np.float64]:
-        """Photoelectrons by the water's light, of the same shape [1/s]."""
+        """Photoelectron rate of the water, of the same shape [1/s]."""
 
 
 class SceneLight(Protocol):
-    """What an instrument sees with the target in the beam, and without."""
+    """Light with the target in the beam and in open water."""
 
     @property
     def with_target(self) -> LightByDirection:
-        """In the directions of the scan."""
+        """Light with the target, in the directions of the scan."""
 
     @property
     def open_water(self) -> LightByDirection:
-        """In the directions of the open-water shots and of the scan."""
+        """Light without the target, in the directions of shots and scan."""
 
 
-#: Works out the light of a survey; `amulor.simulation.scene_light` is one. Simulated
-#: devices are given it from outside: nothing of `amulor.acquisition` knows how light
-#: is simulated.
+#: Function for the light of a survey, such as `amulor.simulation.scene_light`; passed
+#: in from outside, since `amulor.acquisition` does not import the simulation.
 Scene = Callable[[Survey], SceneLight]
 
 
@@ -65,63 +64,63 @@ _SAME = 1e-5
 
 @dataclass
 class Tone:
-    """One modulation frequency: the light at it, and the filter behind its mixer."""
+    """Light and filter state of one modulation frequency."""
 
     frequency: float
     scan: Places
     open_water: Places
     channel: int
-    """Its place in that light [1]."""
+    """Index of the frequency in the light [1]."""
     level: complex = 0j
     noise: complex = 0j
     input: complex = 0j
 
 
 class Places:
-    """Light of one arrangement, and the place that is nearest to a direction."""
+    """Light with or without the target, with a search of the nearest place."""
 
     def __init__(self, light: LightByDirection) -> None:
         self.light = light
         self._direction = light.azimuth + 1j * light.elevation
         # Places looked up before, by the direction in steps of `_SAME`.
-        self._known: dict[tuple[int, int], int] = {}
+        self._cache: dict[tuple[int, int], int] = {}
 
     def nearest(self, azimuth: float, elevation: float) -> int:
         """Return the number of the place nearest to a direction [rad]."""
         key = (round(azimuth / _SAME), round(elevation / _SAME))
-        number = self._known.get(key)
+        number = self._cache.get(key)
         if number is None:
             away = np.abs(self._direction - complex(azimuth, elevation))
-            number = self._known[key] = int(np.argmin(away))
+            number = self._cache[key] = int(np.argmin(away))
         return number
 
     def passed(self, start: complex, end: complex) -> list[tuple[float, int]]:
-        """Return what is seen along a straight way, after what is seen at its start."""
-        towards, here = self._direction - start, end - start
+        """Return the places along a straight path, and the fraction of it at each."""
+        towards, path = self._direction - start, end - start
         level = np.abs(towards) ** 2
-        slope = -2 * (towards.real * here.real + towards.imag * here.imag)
+        slope = -2 * (towards.real * path.real + towards.imag * path.imag)
         least = 1e-12 * max(float(np.abs(slope).max(initial=0.0)), 1e-300)
         part, number = 0.0, int(np.argmin(level))
-        found: list[tuple[float, int]] = []
+        crossings: list[tuple[float, int]] = []
         while True:
             fall = slope[number] - slope
             nearer = np.flatnonzero(fall > least)
             if nearer.size == 0:
-                return found
+                return crossings
             when = (level[nearer] - level[number]) / fall[nearer]
             first = float(when.min())
             if first >= 1:
-                return found
+                return crossings
             together = nearer[when <= first + 1e-12]
             part = max(part, first)
             number = int(together[np.argmin(slope[together])])
-            found.append((part, number))
+            crossings.append((part, number))
 
 
 def mount_angles(
     survey: Survey, launch: Mapping[str, float], analyser: Mapping[str, float]
 ) -> list[complex]:
-    """Return launch + 1j * analyser angle of each pair, far off if not stated [rad]."""
+    """Return launch + 1j * analyser angle of each pair, far off if not set [rad]."""
     pairs = []
     for pair in survey.instrument.polarizations:
         launched, analysed = stokes.pair_states(pair)

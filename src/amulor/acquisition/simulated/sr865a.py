@@ -1,4 +1,4 @@
-"""The capture buffer of a simulated SR865A (manual, pages 134 to 139)."""
+"""Simulated SR865A, with its capture buffer (manual, pages 134 to 139)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Answer = list[str] | list[bytes]
 
 
 class Capture:
-    """What the commands CAPTURE... do."""
+    """Capture buffer, with the commands CAPTURE...."""
 
     def __init__(
         self,
@@ -44,16 +44,16 @@ class Capture:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, as *RST does."""
+        """Reset the buffer, as *RST does."""
         self._length, self._columns, self._divisor = _BLOCK, 0, 0
         self._state = 0
         self._capacity = 0
         self._stopped: list[list[complex]] = []
-        #: What was captured when it was last looked at.
+        #: Captured rows at the last query.
         self._seen: list[list[complex]] = []
 
     def commands(self) -> dict[str, Callable[[str], Answer]]:
-        """Return what answers each command."""
+        """Return the handler of each command."""
         return {
             "CAPTURELEN": self._set_length,
             "CAPTURELEN?": lambda _: [str(self._length // 1024)],
@@ -135,8 +135,10 @@ class Capture:
         return [str(-(-size // _BLOCK) * _BLOCK // 1024)]
 
     def _numbers(self, row: list[complex]) -> tuple[float, ...]:
-        all_of = self._shown(row[0])
-        return (all_of[:1], all_of[:2], all_of[2:], all_of)[self._columns]
+        components = self._shown(row[0])
+        return (components[:1], components[:2], components[2:], components)[
+            self._columns
+        ]
 
     def _value(self, argument: str) -> Answer:
         number = int(argument)
@@ -178,9 +180,9 @@ _INPUT_RANGES = (1.0, 0.3, 0.1, 0.03, 0.01)
 _BANDWIDTHS = (1 / 4, 1 / 8, 3 / 32, 5 / 64)
 #: Bits of LIAS?: scale of channel 1, reference unlocked, input range.
 _CHANNEL_1, _UNLOCKED, _INPUT = 1, 8, 16
-#: Those of them that CUROVLDSTAT? knows.
+#: Bits of CUROVLDSTAT?.
 _OVERLOADS = 0xF1B
-#: What SNAP?, OUTP? and CDSP call the values, by their code; capitals are needed.
+#: Names of values in SNAP?, OUTP? and CDSP by code; capitals are required.
 _PARAMETERS = (
     "X", "Y", "R", "THeta", "IN1", "IN2", "IN3", "IN4", "XNOise", "YNOise", "OUT1",
     "OUT2", "PHAse", "SAMp", "LEVel", "FInt", "FExt",
@@ -191,7 +193,7 @@ _DATA = 4
 
 
 class SimulatedSr865a(SimulatedStanford):
-    """An SR865A: its outputs in numbers do not end at the scale, its input does."""
+    """SR865A: its numeric outputs have no limit at the scale, its input range has."""
 
     model = "SR865A"
     unlocked_bit = _UNLOCKED
@@ -223,29 +225,36 @@ class SimulatedSr865a(SimulatedStanford):
         super().__init__(bench)
         self._capture = Capture(
             bench,
-            shown=self._four,
+            shown=self._components,
             time_constant=lambda: self._time_constant(self._set["OFLT"]),
         )
-        own = self._handlers
-        own.update(self._capture.commands())
-        own["AUXV"], own["AUXV?"] = own.pop("AUXO"), own.pop("AUXO?")
-        own["OUTP?"] = lambda text: [self._shown(self._values()[self._parameter(text)])]
-        own["FREQINT"], own["FREQINT?"] = own["FREQ"], own["FREQ?"]
-        own["FREQDET?"] = own["FREQ?"]
-        own["FREQEXT?"] = lambda _: [self._shown(0.0)]  # nothing is connected to it
-        own["OAUX?"] = lambda code: [self._shown(self._auxiliary(int(code)))]
-        own["OUTR?"] = lambda code: [self._shown(self._channels()[int(code)])]
-        own["SNAPD?"] = lambda _: [",".join(map(self._shown, self._channels()))]
-        own["CDSP"], own["CDSP?"] = self._set_channel, self._channel
-        own["ILVL?"] = lambda _: [str(self._strength())]
-        own["ENBW?"] = lambda _: [self._shown(self._bandwidth())]
-        own["CUROVLDSTAT?"] = lambda _: [str(self._overloads_now())]
-        own["APHS"] = self._auto_phase
+        handlers = self._handlers
+        handlers.update(self._capture.commands())
+        handlers["AUXV"], handlers["AUXV?"] = (
+            handlers.pop("AUXO"),
+            handlers.pop("AUXO?"),
+        )
+        handlers["OUTP?"] = lambda text: [
+            self._shown(self._values()[self._parameter(text)])
+        ]
+        handlers["FREQINT"], handlers["FREQINT?"] = handlers["FREQ"], handlers["FREQ?"]
+        handlers["FREQDET?"] = handlers["FREQ?"]
+        handlers["FREQEXT?"] = lambda _: [
+            self._shown(0.0)
+        ]  # nothing is connected to it
+        handlers["OAUX?"] = lambda code: [self._shown(self._auxiliary(int(code)))]
+        handlers["OUTR?"] = lambda code: [self._shown(self._channels()[int(code)])]
+        handlers["SNAPD?"] = lambda _: [",".join(map(self._shown, self._channels()))]
+        handlers["CDSP"], handlers["CDSP?"] = self._set_channel, self._channel
+        handlers["ILVL?"] = lambda _: [str(self._strength())]
+        handlers["ENBW?"] = lambda _: [self._shown(self._bandwidth())]
+        handlers["CUROVLDSTAT?"] = lambda _: [str(self._overloads_now())]
+        handlers["APHS"] = self._auto_phase
         for name in self.numbers:
-            own[name] = functools.partial(self._set_number, name)
-            own[f"{name}?"] = functools.partial(self._number, name)
+            handlers[name] = functools.partial(self._set_number, name)
+            handlers[f"{name}?"] = functools.partial(self._number, name)
 
-    def _four(self, output: complex) -> tuple[float, float, float, float]:
+    def _components(self, output: complex) -> tuple[float, float, float, float]:
         """Return X, Y, R [V rms] and theta [deg] of an output of the bench."""
         turned = output.conjugate() / math.sqrt(2)
         turned *= cmath.exp(-1j * math.radians(self._numbers["PHAS"][0]))
@@ -256,18 +265,18 @@ class SimulatedSr865a(SimulatedStanford):
         if self._capture is not None:
             self._capture.reset()
         self._numbers = {
-            name: [own.after_reset] * max(own.channels, 1)
-            for name, own in self.numbers.items()
+            name: [number.after_reset] * max(number.channels, 1)
+            for name, number in self.numbers.items()
         }
         self._shows = list(range(_DATA))
         return super()._reset(argument)
 
     def _set_number(self, name: str, argument: str) -> list[str]:
-        own, channel = self.numbers[name], 0
-        if own.channels:
+        number, channel = self.numbers[name], 0
+        if number.channels:
             place, argument = argument.split(",")
             channel = int(place)
-        if not own.low <= float(argument) <= own.high:
+        if not number.low <= float(argument) <= number.high:
             raise ValueError(argument)
         self._numbers[name][channel] = float(argument)
         return []
@@ -309,8 +318,8 @@ class SimulatedSr865a(SimulatedStanford):
         return [values[code] for code in self._shows]
 
     def _set_channel(self, argument: str) -> list[str]:
-        place, what = argument.split(",")
-        code = self._parameter(what.strip())
+        place, parameter = argument.split(",")
+        code = self._parameter(parameter.strip())
         if not 0 <= code < len(_PARAMETERS):
             raise ValueError(argument)
         self._shows[int(place)] = code
@@ -320,7 +329,7 @@ class SimulatedSr865a(SimulatedStanford):
         return [str(self._shows[int(argument)])]
 
     def _strength(self) -> int:
-        """Return the signal strength, from 0 to 4 for an overload."""
+        """Return the signal strength, from 0 to 4 (overload)."""
         values = self._values()
         part = math.sqrt(2) * values[2] / _INPUT_RANGES[self._set["IRNG"]]
         return min(int(4 * part), 4)
@@ -329,7 +338,7 @@ class SimulatedSr865a(SimulatedStanford):
         return _BANDWIDTHS[self._set["OFSL"]] / _TIME_CONSTANTS[self._set["OFLT"]]
 
     def _overloads_now(self) -> int:
-        """Return the overloads of this moment; what latched stays latched."""
+        """Return the present overloads; latched bits stay."""
         latched = self._bits["LIAS"]
         self._bits["LIAS"] = 0
         self._measured()

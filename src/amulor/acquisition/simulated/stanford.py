@@ -1,4 +1,4 @@
-"""What simulated Stanford lock-ins share: settings by code, latching status, gate."""
+"""Simulated lock-ins of Stanford Research: their common commands, and the SR844."""
 
 from __future__ import annotations
 
@@ -18,48 +18,48 @@ from amulor.acquisition.simulated.bench import Bench
 #: that it is wired to.
 INTERLOCK = 5.0
 INTERLOCK_INPUT = 2
-#: Voltage of the laser's gate from which on light is let out [V].
+#: Threshold voltage of the laser gate [V].
 _GATE = 2.0
-#: Bits of *ESR?: a command that is not known, a value that is not allowed.
+#: Bits of *ESR?: unknown command, refused value.
 _COMMAND_ERROR, _EXECUTION_ERROR = 32, 16
-#: Bits of *STB?: an error, a state of the lock-in, an event that is waited for.
+#: Bits of *STB?: error, lock-in status, standard event.
 _ERRORS, _LOCK_IN, _EVENTS = 4, 8, 32
-#: Most lines from clients that are remembered.
-_KEPT = 1000
+#: Lines from clients in memory.
+_MOST_LINES = 1000
 _COMMAND = re.compile(r"(?P<word>[*A-Z]+)\s*(?P<query>\?)?\s*(?P<rest>.*)")
 
 
 class Setting(NamedTuple):
-    """One of a few numbered choices, or a number."""
+    """Setting with numbered choices."""
 
     last: int = 0
     """Highest code of a choice."""
     words: tuple[str, ...] = ()
-    """What each code can be called, capitals being needed: "DIFference"."""
+    """Name of each code, capitals required, such as "DIFference"."""
     first: int = 0
     """Lowest code, which *RST sets."""
 
 
 class Number(NamedTuple):
-    """A number that is set and asked for, once or for several channels."""
+    """Setting with a number, for one or several channels."""
 
     low: float
     high: float
     after_reset: float = 0.0
     channels: int = 0
-    """How many there are, counted from 0; 0 if there is one without a number."""
+    """Number of channels, counted from 0; 0 for a setting without channels."""
 
 
 class SimulatedStanford:
-    """What both models share: settings by code, the status that latches, the gate."""
+    """Common commands of both models: settings by code, latching status, laser gate."""
 
     model = ""
     unlocked_bit = 0
-    #: What commands call the auxiliary outputs, in the order of the panel, and how far
-    #: they go either way [V].
+    #: Numbers of the auxiliary outputs in commands, in the order of the panel, and
+    #: their largest voltage either way [V].
     outputs: tuple[int, ...] = ()
     largest_output = 10.5
-    #: What is set by a code.
+    #: Settings by code.
     settings: dict[str, Setting] = {}  # noqa: RUF012  replaced as a whole by each model
 
     def __init__(self, bench: Bench) -> None:
@@ -74,9 +74,9 @@ class SimulatedStanford:
             "*CLS": lambda _: self._clear(),
             "*OPC?": lambda _: ["1"],
             "*TST?": lambda _: ["0"],
-            "*STB?": lambda bit: [_of(self._status_byte(), bit)],
-            "*ESR?": lambda bit: self._taken("*ESR", bit),
-            "ERRS?": lambda bit: self._taken("ERRS", bit),
+            "*STB?": lambda bit: [_register_text(self._status_byte(), bit)],
+            "*ESR?": lambda bit: self._pop("*ESR", bit),
+            "ERRS?": lambda bit: self._pop("ERRS", bit),
             "LIAS?": lambda bit: self._lock_in_status(bit),
             "FREQ": self._set_frequency,
             "FREQ?": lambda _: [f"{self.bench.frequency:.6E}"],
@@ -94,21 +94,21 @@ class SimulatedStanford:
         """Return the answers to one line, which may hold several commands."""
         with self._lock:
             self.lines.append(line)
-            del self.lines[:-_KEPT]
+            del self.lines[:-_MOST_LINES]
             result: list[str | bytes] = []
             for command in line.split(";"):
-                answers = self._one(command.strip())
+                answers = self._answer_command(command.strip())
                 if answers is None:  # silent from here on: it "does not answer"
                     return []
                 result += answers
             return result
 
-    def _one(self, command: str) -> Sequence[str | bytes] | None:
+    def _answer_command(self, command: str) -> Sequence[str | bytes] | None:
         parsed = _COMMAND.fullmatch(command.upper())
         if parsed is None:
             self._bits["*ESR"] |= _COMMAND_ERROR * bool(command)
             return []
-        word, rest = parsed["word"] + (parsed["query"] or ""), parsed["rest"]
+        word, argument = parsed["word"] + (parsed["query"] or ""), parsed["rest"]
         number = self.bench.readings + 1
         if word == "SNAP?" and self.bench.faults.active("lost-link", number):
             self.bench.readings += 1
@@ -118,26 +118,28 @@ class SimulatedStanford:
             return None
         try:
             if word in self._handlers:
-                return self._handlers[word](rest)
+                return self._handlers[word](argument)
             if parsed["word"] in self.settings:
-                return self._choice(parsed["word"], rest, asked=bool(parsed["query"]))
+                return self._choice(
+                    parsed["word"], argument, query=bool(parsed["query"])
+                )
         except (ValueError, LookupError):
             self._bits["*ESR"] |= _EXECUTION_ERROR
             return []
         self._bits["*ESR"] |= _COMMAND_ERROR
         return []
 
-    def _choice(self, name: str, argument: str, *, asked: bool) -> list[str]:
-        """Answer or set what is set by a code."""
-        if asked:
+    def _choice(self, name: str, argument: str, *, query: bool) -> list[str]:
+        """Query or set a setting by code."""
+        if query:
             return [str(self._set[name])]
-        own = self.settings[name]
-        for code, word in enumerate(own.words, start=own.first):
+        setting = self.settings[name]
+        for code, word in enumerate(setting.words, start=setting.first):
             needed = "".join(letter for letter in word if not letter.islower())
             if argument.startswith(needed) and word.upper().startswith(argument):
                 argument = str(code)
         code = int(argument)
-        if not own.first <= code <= own.last:
+        if not setting.first <= code <= setting.last:
             raise ValueError(argument)
         self._set[name] = code
         if name == "OFLT":
@@ -145,7 +147,7 @@ class SimulatedStanford:
         return []
 
     def _reset(self, _: str) -> list[str]:
-        self._set = {name: own.first for name, own in self.settings.items()}
+        self._set = {name: setting.first for name, setting in self.settings.items()}
         self._outputs = dict.fromkeys(self.outputs, 0.0)
         self._bits = {"*ESR": 0, "ERRS": 0, "LIAS": 0}
         self._enabled = {"*SRE": 0, "*ESE": 0, "ERRE": 0, "LIAE": 0}
@@ -157,18 +159,18 @@ class SimulatedStanford:
         return []
 
     def _enable(self, word: str, argument: str) -> list[str]:
-        """Set all bits of an enable register, or one."""
+        """Set an enable register, or one bit of it."""
         place, _, value = argument.partition(",")
         if value:
             bit = 1 << int(place)
-            kept = self._enabled[word] & ~bit
-            self._enabled[word] = kept | bit * bool(int(value))
+            others = self._enabled[word] & ~bit
+            self._enabled[word] = others | bit * bool(int(value))
         else:
             self._enabled[word] = int(place)
         return []
 
     def _is_enabled(self, word: str, bit: str) -> list[str]:
-        return [_of(self._enabled[word], bit)]
+        return [_register_text(self._enabled[word], bit)]
 
     def _status_byte(self) -> int:
         self._note_unlocked()
@@ -178,15 +180,15 @@ class SimulatedStanford:
             | _EVENTS * bool(self._bits["*ESR"] & self._enabled["*ESE"])
         )
 
-    def _taken(self, word: str, bit: str) -> list[str]:
-        """Return a register or one bit of it, which is cleared by that."""
-        result = _of(self._bits[word], bit)
+    def _pop(self, word: str, bit: str) -> list[str]:
+        """Return and clear a register, or one bit of it."""
+        result = _register_text(self._bits[word], bit)
         self._bits[word] &= ~(1 << int(bit)) if bit else 0
         return [result]
 
     def _lock_in_status(self, bit: str) -> list[str]:
         self._note_unlocked()
-        return self._taken("LIAS", bit)
+        return self._pop("LIAS", bit)
 
     def _note_unlocked(self) -> None:
         if not self.bench.locked():
@@ -211,11 +213,11 @@ class SimulatedStanford:
         return [f"{self._outputs[int(argument)]:.3f}"]
 
     def _monitor(self) -> float:
-        """Return what the monitor of the interlock puts out [V]."""
+        """Return the voltage of the interlock monitor [V]."""
         return INTERLOCK * self.bench.interlock_is_closed
 
     def _measured(self) -> tuple[float, float, float]:
-        """Return X and Y [V rms] and the mean output [V], and latch what is wrong."""
+        """Return X, Y [V rms] and the mean output [V], and latch status bits."""
         signal, mean = self.bench.output()
         faults, number = self.bench.faults, self.bench.readings
         if faults.active("unlock", number):
@@ -238,7 +240,7 @@ class SimulatedStanford:
         return int(text)
 
     def _values(self) -> dict[int, float]:
-        """Return what the instrument measures now, by the code of SNAP?."""
+        """Return the present values by the code of SNAP?."""
         raise NotImplementedError
 
     def _shown(self, value: float) -> str:
@@ -254,8 +256,8 @@ class SimulatedStanford:
         raise NotImplementedError
 
 
-def _of(register: int, bit: str) -> str:
-    """Return a register, or one bit of it if that is asked for."""
+def _register_text(register: int, bit: str) -> str:
+    """Return a register, or one bit of it, as text."""
     return str(register >> int(bit) & 1 if bit else register)
 
 
@@ -269,14 +271,14 @@ _SENSITIVITIES = (
     1e-7, 3e-7, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3,
     1.0,
 )  # fmt: skip
-#: What R in dBm is relative to: 1 mW in this resistance [ohm].
+#: Reference of R in dBm: 1 mW in this resistance [ohm].
 _LOAD = 50.0
 #: Bits of LIAS? (manual, page 4-32).
 _UNLOCKED, _INPUT, _FILTER, _CHANNEL_1, _CHANNEL_2 = 1, 16, 64, 256, 512
 
 
 class SimulatedSr844(SimulatedStanford):
-    """An SR844: its oscillator has three digits, its outputs end at the full scale."""
+    """SR844: its oscillator has three digits, its outputs end at the full scale."""
 
     model = "SR844"
     unlocked_bit = _UNLOCKED

@@ -1,4 +1,4 @@
-"""A simulated UHFLI behind a data server, as the toolkit's nodes, from the manual."""
+"""Simulated UHFLI with the nodes of its data server (from the manual)."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _FASTEST = CLOCKBASE / 128
 #: Input and output ranges, peak [V].
 _INPUT_RANGES = tuple(0.01 * step for step in range(1, 151))
 _OUTPUT_RANGES = (0.15, 1.5)
-#: Voltage of the laser's gate from which on light is let out [V].
+#: Threshold voltage of the laser gate [V].
 _GATE = 2.0
-#: Most rows that the data server keeps for a client that does not poll.
-_KEPT = 200_000
-#: Nodes that can be set, with what they are after power on.
+#: Rows in the buffer of a client that does not poll.
+_MOST_ROWS = 200_000
+#: Nodes that can be set, with their values after power on.
 _NODES: tuple[tuple[str, Any], ...] = (
     (r"oscs/[0-7]/freq", 10e6),
     (r"demods/[0-7]/(adcselect|oscselect|sinc|enable)", 0),
@@ -42,21 +42,21 @@ _NODES: tuple[tuple[str, Any], ...] = (
 
 
 class SimulatedNode:
-    """One node: with a value it is set, without one it is read."""
+    """Node of the data server: a call with a value sets it, without one reads it."""
 
     def __init__(self, device: SimulatedUhfli, path: str) -> None:
         self._device, self._path = device, path
 
     def __getattr__(self, name: str) -> SimulatedNode:
-        """Return a node below."""
+        """Return a child node."""
         return SimulatedNode(self._device, f"{self._path}/{name}")
 
     def __getitem__(self, number: int) -> SimulatedNode:
-        """Return a numbered node below."""
+        """Return a numbered child node."""
         return SimulatedNode(self._device, f"{self._path}/{number}")
 
     def __str__(self) -> str:
-        """Return the whole path."""
+        """Return the full path."""
         return f"/{self._device.serial}/{self._path}"
 
     def __call__(self, *value: Any) -> Any:
@@ -64,12 +64,12 @@ class SimulatedNode:
         return self._device.handle(self._path, *value)
 
     def subscribe(self) -> None:
-        """Let the data server stream the node."""
+        """Subscribe to the node."""
         self._device.subscribe(self._path)
 
 
 class _Polled(Mapping[Any, dict[str, Any]]):
-    """What a poll brought, by path or by node."""
+    """Data of a poll, by path or by node."""
 
     def __init__(self, content: dict[str, dict[str, Any]]) -> None:
         self._content = content
@@ -85,11 +85,11 @@ class _Polled(Mapping[Any, dict[str, Any]]):
 
 
 class SimulatedUhfli:
-    """A UHFLI in front of a bench; the laser's gate is its first auxiliary output.
+    """UHFLI on a bench; its first auxiliary output is the gate of the laser.
 
-    A node that there is not raises, as the data server does. The bench modulates by
-    each oscillator that the first output's mixer lets through, as deep as its survey
-    says, whatever the amplitude; input 1 sees all of them.
+    An unknown node raises, as in the data server. Each enabled oscillator of the first
+    output modulates the laser with the depth of the survey, at any amplitude; input 1
+    sees all of them.
     """
 
     device_type = "UHFLI"
@@ -124,10 +124,10 @@ class SimulatedUhfli:
         }
         if path in special:
             return special[path]()
-        if found := re.fullmatch(r"demods/([0-7])/sample", path):
-            return self._sample(int(found[1]))
-        if found := re.fullmatch(r"auxouts/([0-3])/value", path):
-            return self._auxiliary(int(found[1]))
+        if match := re.fullmatch(r"demods/([0-7])/sample", path):
+            return self._sample(int(match[1]))
+        if match := re.fullmatch(r"auxouts/([0-3])/value", path):
+            return self._auxiliary(int(match[1]))
         return self._get(path)
 
     def subscribe(self, path: str) -> None:
@@ -138,7 +138,7 @@ class SimulatedUhfli:
         self._restart()
 
     def poll(self, recording_time: float = 0.1, *, timeout: float = 0.5) -> _Polled:
-        """Return what was streamed since the last poll, after a time [s]."""
+        """Wait for a time [s], and return the stream since the last poll."""
         self.bench.clock.sleep(recording_time)
         rows = self.bench.trace()
         start, interval = self._trace_start, self._trace_interval
@@ -150,7 +150,7 @@ class SimulatedUhfli:
             place = int(path.split("/")[1])
             if not self._get(f"demods/{place}/enable") or not rows:
                 continue
-            signal = np.array([self._of(row, place) for row in rows])
+            signal = np.array([self._demodulated(row, place) for row in rows])
             result[f"/{self.serial}/{path}"] = {
                 "timestamp": np.array([self._ticks(time) for time in times]),
                 "x": signal.real / math.sqrt(2),
@@ -170,9 +170,9 @@ class SimulatedUhfli:
     def _set(self, path: str, value: Any) -> None:
         self._get(path)
         if path.startswith("sigins") and path.endswith("range"):
-            value = min(_INPUT_RANGES, key=lambda own: (own < value - 1e-9, own))
+            value = min(_INPUT_RANGES, key=lambda limit: (limit < value - 1e-9, limit))
         elif path.endswith("/range"):
-            value = min(_OUTPUT_RANGES, key=lambda own: (own < value - 1e-9, own))
+            value = min(_OUTPUT_RANGES, key=lambda limit: (limit < value - 1e-9, limit))
         elif path.endswith("/rate"):
             value = _FASTEST / 2 ** max(0, round(math.log2(_FASTEST / value)))
         self._values[path] = value
@@ -186,7 +186,7 @@ class SimulatedUhfli:
             self._restart()
 
     def _drive(self) -> None:
-        """Let the bench modulate by what the mixer of the first output lets through."""
+        """Modulate the bench by the enabled oscillators of the first output."""
         channels = range(8) if "MF" in self._options.split() else (3,)
         enabled = [
             n
@@ -195,20 +195,23 @@ class SimulatedUhfli:
         ]
         # Without the option all go by the first oscillator.
         driven = enabled if len(channels) > 1 else [0] * bool(enabled)
-        wanted = [self._get(f"oscs/{n}/freq") for n in driven]
-        if wanted and (driven, wanted) != (self._driven, self.bench.frequencies):
-            self.bench.set_frequencies(wanted)
+        frequencies = [self._get(f"oscs/{n}/freq") for n in driven]
+        if frequencies and (driven, frequencies) != (
+            self._driven,
+            self.bench.frequencies,
+        ):
+            self.bench.set_frequencies(frequencies)
         self._driven = driven
 
     def _restart(self, start: float | None = None) -> None:
-        """Stream from now on, or on from a moment [s]."""
+        """Restart the stream now, or at a time [s]."""
         interval = 1 / self._get("demods/0/rate")
         now = self.bench.clock.now() if start is None else start
-        self.bench.start_trace(interval, most=_KEPT, start=now)
+        self.bench.start_trace(interval, most=_MOST_ROWS, start=now)
         self._trace_start, self._trace_interval = now, interval
 
-    def _of(self, row: list[complex], place: int) -> complex:
-        """Return what a demodulator shows of the outputs of the bench [V]."""
+    def _demodulated(self, row: list[complex], place: int) -> complex:
+        """Return the output of a demodulator [V]."""
         oscillator = int(self._get(f"demods/{place}/oscselect"))
         if oscillator not in self._driven:
             return 0j
@@ -220,7 +223,7 @@ class SimulatedUhfli:
 
     def _sample(self, place: int) -> dict[str, Any]:
         self._row, mean = self.bench.outputs()
-        signal = self._of(self._row, place) / math.sqrt(2)
+        signal = self._demodulated(self._row, place) / math.sqrt(2)
         return {
             "timestamp": np.array([self._ticks(self.bench.clock.now())]),
             "x": np.array([signal.real]),
@@ -231,7 +234,7 @@ class SimulatedUhfli:
         }
 
     def _reached(self) -> float:
-        """Return the largest input of late, as a part of the range."""
+        """Return the largest recent input relative to the range [1]."""
         if self.bench.faults.active("overload", self.bench.readings):
             return 1.0
         return float(sum(map(abs, self._row)) / self._get("sigins/0/range"))

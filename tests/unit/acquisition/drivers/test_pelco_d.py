@@ -41,7 +41,7 @@ class Wire:
             raise InstrumentError("the link is lost")
         self.sent.append(content)
         if self.head:
-            for one in self.cutter.taken(content):
+            for one in self.cutter.split(content):
                 answers = b"".join(self.head.answer(one))
                 self.left += self.before * bool(answers) + answers
 
@@ -209,7 +209,7 @@ def test_a_head_on_a_serial_port(bench, clock) -> None:
         cutter = simulated.cutter()
         try:
             while part := os.read(far, 100):
-                for one in cutter.taken(part):
+                for one in cutter.split(part):
                     os.write(far, b"".join(simulated.answer(one)))
         except OSError:
             pass
