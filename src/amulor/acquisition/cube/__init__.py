@@ -1,1 +1,1 @@
-"""From the journal of a scan to its measurement cube."""
+"""Measurement cube of a scan, built from its journal."""

@@ -1,4 +1,4 @@
-"""From the journal of a scan to its measurement cube."""
+"""Measurement cube of a scan, built from its journal."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def recover(
     told: Callable[[str], None] = lambda line: None,
     damaged: Callable[[str], None] | None = None,
 ) -> Path:
-    """Make the cube of a scan from its journal, finished or not.
+    """Build the cube of a scan, finished or not, from its journal.
 
     Parameters
     ----------
@@ -64,19 +64,18 @@ def recover(
     output : pathlib.Path, optional
         File to write; `cube.nc` in the folder by default.
     calibration : Calibration, optional
-        Delays of the instrument, which are taken off the phases.
+        Delays of the instrument, which are subtracted from the phases.
     overwrite : bool
         Whether an existing file is replaced.
     told : callable
-        Told in a line about each row of the journal that is damaged and left out.
+        Called with a line for each damaged row of the journal, which is left out.
     damaged : callable, optional
-        Told about what is damaged in place of `told`.
+        Called with these lines in place of `told`.
 
     Returns
     -------
     pathlib.Path
-        The file, read back and found equal to what the journal says. The journal
-        stays where it is.
+        The file, read back and compared with the journal. The journal stays in place.
 
     Raises
     ------
@@ -129,14 +128,14 @@ def _same(first: NDArray[Any], second: NDArray[Any]) -> bool:
 
 
 def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dataset:
-    """Return the cube of the samples in a journal.
+    """Build the cube of the samples in a journal.
 
     Parameters
     ----------
     journal : Journal
         Of a scan, finished or not; samples that it lacks are not numbers.
     calibration : Calibration, optional
-        Delays of the instrument, which are taken off the phases.
+        Delays of the instrument, which are subtracted from the phases.
 
     Returns
     -------
@@ -152,12 +151,12 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
 
     Notes
     -----
-    The mean of the dark readings of a channel is taken off its samples. The stated
-    variance is that of counting, of the phase floor of the survey and of that mean;
-    counting follows from the mean output of the detector, or, where that is not wired,
+    The mean of the dark readings of a channel is subtracted from its samples. The
+    variance is the sum of counting, of the phase floor of the survey and of that mean.
+    Counting follows from the mean output of the detector, or, where that is not wired,
     from the amplitude, which is a lower limit. The modulation frequencies are those
-    that the instrument said it used, since ranges follow from them; what the survey
-    asked for is in the survey.
+    that the instrument reads back, since ranges follow from them; the commanded ones
+    are in the survey.
 
     Examples
     --------
@@ -243,7 +242,7 @@ def _outputs(
 
 
 def _directions(samples: Samples, survey: Survey) -> dict[str, Floats]:
-    """Return where the beam stood; where nothing was measured, where it was to go."""
+    """Return directions read back, or planned ones where none were measured [rad]."""
     azimuth, elevation, _ = scan_directions(survey)
     return {
         "azimuth": _mean(samples["azimuth"], otherwise=azimuth),
@@ -252,9 +251,9 @@ def _directions(samples: Samples, survey: Survey) -> dict[str, Floats]:
 
 
 def _mean(values: Floats, *, otherwise: Floats) -> Floats:
-    there = np.isfinite(values)
-    count = there.sum(axis=(0, 1))
-    total = np.where(there, values, 0.0).sum(axis=(0, 1))
+    valid = np.isfinite(values)
+    count = valid.sum(axis=(0, 1))
+    total = np.where(valid, values, 0.0).sum(axis=(0, 1))
     return np.where(count > 0, total / np.maximum(count, 1), otherwise)
 
 
@@ -270,20 +269,20 @@ def _open_water(
     frequency: Floats,
     calibration: Calibration | None,
 ) -> xr.Dataset | None:
-    taken = [*journal.samples(plan.OPEN_WATER)]
-    if not taken:
+    recorded = [*journal.samples(plan.OPEN_WATER)]
+    if not recorded:
         return None
     shots = {
         shot: number
         for number, shot in enumerate(
-            dict.fromkeys((key.repeat, key.row, key.column) for key, _ in taken)
+            dict.fromkeys((key.repeat, key.row, key.column) for key, _ in recorded)
         )
     }
     samples = Samples(survey, 1, len(shots))
-    for key, record in taken:
+    for key, record in recorded:
         samples.put(key, record, 0, shots[key.repeat, key.row, key.column])
     correct(samples, dark, modulation_frequency=frequency, calibration=calibration)
-    # A shot that overloaded, or without light, says nothing about the water.
+    # A shot with an overload, or without light, is no measurement of the water.
     spoiled = SampleFlag.OVERLOAD | SampleFlag.NO_LIGHT
     samples["signal"][samples["flags"] & spoiled != 0] = MISSING
     outputs = {
@@ -298,24 +297,24 @@ def _open_water(
             0
         ],
     }
-    # Shots of one direction are known by what was asked for: read-backs never repeat.
-    asked = {
+    # Commanded directions tell shots apart: read-back ones never repeat.
+    commanded = {
         f"user_{name}": values.squeeze("row").rename({"column": "shot"})
         for name, values in _commanded(samples).items()
     }
-    return cubes.open_water({**outputs, **where}).assign(asked)
+    return cubes.open_water({**outputs, **where}).assign(commanded)
 
 
 def _commanded(samples: Samples) -> dict[str, xr.DataArray]:
-    """Return the quantities that the cube has for each pixel, by their names."""
+    """Return the quantities of each pixel by their names in the cube."""
     return {
-        own.cube: xr.DataArray(
+        quantity.cube: xr.DataArray(
             _mean(samples[name], otherwise=np.full((1, 1), np.nan)),
             dims=_PIXEL,
-            attrs={"long_name": own.text, "units": own.unit},
+            attrs={"long_name": quantity.text, "units": quantity.unit},
         )
-        for name, own in QUANTITIES.items()
-        if own.cube is not None and own.per_pixel
+        for name, quantity in QUANTITIES.items()
+        if quantity.cube is not None and quantity.per_pixel
     }
 
 
@@ -346,9 +345,11 @@ def _user_variables(
             samples["takes"], "1",
         ),
         **{
-            f"user_{own.cube}": variable(own.text, samples[name], own.unit)
-            for name, own in QUANTITIES.items()
-            if own.cube is not None and not own.per_pixel
+            f"user_{quantity.cube}": variable(
+                quantity.text, samples[name], quantity.unit
+            )
+            for name, quantity in QUANTITIES.items()
+            if quantity.cube is not None and not quantity.per_pixel
             and (name not in EXTRA or np.isfinite(samples[name]).any())
         },
     }  # fmt: skip
@@ -389,8 +390,8 @@ def _attributes(
 def _identities(journal: Journal) -> dict[str, str]:
     text = entry(journal, "identities")
     try:
-        found = json.loads(text)
-        return {str(name): str(what) for name, what in found.items()}
+        identities = json.loads(text)
+        return {str(name): str(identity) for name, identity in identities.items()}
     except (ValueError, AttributeError) as error:
         raise FormatError(
             f"the identities of the devices in the journal of {journal.folder} are "
@@ -399,7 +400,7 @@ def _identities(journal: Journal) -> dict[str, str]:
 
 
 def _last_end(parts: list[dict[str, Any]]) -> str | None:
-    """Return when the last part ended; when it began, where power was lost."""
+    """Return the end of the last segment; its start, where power was lost."""
     if not parts:
         return None
     return str(parts[-1]["ended"] or parts[-1]["started"])

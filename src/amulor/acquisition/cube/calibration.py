@@ -20,24 +20,24 @@ from amulor.optics import rays
 from amulor.survey import toml_file
 from amulor.survey.quantity import Angle, Description, Frequency, Voltage
 
-#: Relative difference up to which two frequencies are one: what is read back moves in
+#: Relative difference up to which two frequencies are equal: a read-back one varies in
 #: its last digits, and a delay of 5 ns changes by 1.2 mrad at 39 MHz for this much [1].
 _SAME_FREQUENCY = 1e-3
-#: Fraction of the rows and columns in the middle that the plate is looked at in.
+#: Fraction of the rows and columns, in the middle, that show the plate.
 _MIDDLE = 0.5
 
 
 class FrequencyCalibration(Description):
-    """What one modulation frequency is delayed by beside the light's way."""
+    """Instrument delay at one modulation frequency."""
 
     modulation_frequency: Annotated[Frequency, Field(gt=0)]
-    """Which one [Hz]."""
+    """Modulation frequency [Hz]."""
     amplitudes: Annotated[
         tuple[Annotated[Voltage, Field(gt=0)], ...], Field(min_length=1)
     ]
-    """Peak amplitudes that it was measured at, increasing [V]."""
+    """Peak amplitudes of the calibration, increasing [V]."""
     phases: tuple[Angle, ...]
-    """Delay at each of them [rad]."""
+    """Delay at each amplitude [rad]."""
 
     @model_validator(mode="after")
     def _lists_fit(self) -> Self:
@@ -52,7 +52,7 @@ class FrequencyCalibration(Description):
 
 
 class Calibration(Description):
-    """Delays of the instrument itself, by modulation frequency and amplitude.
+    """Instrument delays by modulation frequency and amplitude.
 
     Examples
     --------
@@ -70,7 +70,7 @@ class Calibration(Description):
     """
 
     frequencies: Annotated[tuple[FrequencyCalibration, ...], Field(min_length=1)]
-    """One for each modulation frequency of a scan, in any order."""
+    """Delays at each modulation frequency of a scan, in any order."""
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
@@ -103,7 +103,7 @@ class Calibration(Description):
         text : str
             TOML, also that of the attribute `calibration` of a cube.
         name : str
-            What messages call it.
+            Name of the calibration in messages.
 
         Returns
         -------
@@ -138,28 +138,30 @@ def phase_correction(
     *,
     modulation_frequency: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return what is to be taken off the phase of samples of one frequency."""
-    one = min(
+    """Return the phase correction of samples [rad], and where it is calibrated."""
+    nearest = min(
         calibration.frequencies,
-        key=lambda known: abs(known.modulation_frequency - modulation_frequency),
+        key=lambda entry: abs(entry.modulation_frequency - modulation_frequency),
     )
     if not math.isclose(
-        one.modulation_frequency, modulation_frequency, rel_tol=_SAME_FREQUENCY
+        nearest.modulation_frequency, modulation_frequency, rel_tol=_SAME_FREQUENCY
     ):
         raise FormatError(
             f"the calibration has no {modulation_frequency / 1e6:g} MHz; record the "
             "plate at the frequencies of the scan"
         )
-    at = np.asarray(one.amplitudes)
+    at = np.asarray(nearest.amplitudes)
     with np.errstate(divide="ignore", invalid="ignore"):
-        correction = np.interp(np.log(amplitude), np.log(at), np.asarray(one.phases))
+        correction = np.interp(
+            np.log(amplitude), np.log(at), np.asarray(nearest.phases)
+        )
     if at.size == 1:
         return correction, np.isfinite(amplitude)
     return correction, (amplitude >= at[0]) & (amplitude <= at[-1])
 
 
 def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration:
-    """Work out the delays of an instrument from a plate, through one or more filters.
+    """Calibrate the delays of an instrument with a plate at a known distance.
 
     Parameters
     ----------
@@ -184,9 +186,9 @@ def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration
 
     Notes
     -----
-    The delay is the phase of the sum of all samples, each turned back by the phase of
-    its own way: 2 pi f / c times the group index times the length, out to the plate
-    and back to the receiver.
+    The delay is the phase of the sum of all samples, each without the phase of its
+    path: 2 pi f / c times the group index times the length, out to the plate and back
+    to the receiver.
 
     Examples
     --------
@@ -215,8 +217,9 @@ def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration
     ...     )
     ...     with acquisition.Journal.read(Path(folder) / "scan") as journal:
     ...         plate = rejection.keep_water(acquisition.build(journal))
-    >>> found = acquisition.from_plates([plate], distance=1.5)
-    >>> print(f"{found.frequencies[0].phases[0]:.2f} rad")  # 2 pi f times 1 ns: 0.25
+    >>> calibration = acquisition.from_plates([plate], distance=1.5)
+    >>> delay = calibration.frequencies[0].phases[0]
+    >>> print(f"{delay:.2f} rad")  # 2 pi f times 1 ns: 0.25
     0.25 rad
     """
     if not distance > 0:
@@ -231,10 +234,10 @@ def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration
         strongest = int(np.nanargmax(np.nanmean(np.abs(signal), axis=(0, 2, 3))))
         path = _optical_path(middle, distance)
         for number, frequency in enumerate(cube["modulation_frequency"].values):
-            way = 2 * np.pi * frequency * path / speed_of_light
+            phase = 2 * np.pi * frequency * path / speed_of_light
             flag = middle["quality_flag"].values[number, strongest]
             usable = (flag & cubes.UNUSABLE) == 0
-            turned = (signal[number, strongest] * np.exp(-1j * way))[usable]
+            turned = (signal[number, strongest] * np.exp(-1j * phase))[usable]
             if turned.size == 0:
                 raise CubeError(
                     f"no pixel in the middle of the scan shows a target at "
@@ -248,7 +251,7 @@ def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration
             FrequencyCalibration(
                 modulation_frequency=frequency,
                 amplitudes=tuple(sorted(table)),
-                phases=_unwrapped([table[one] for one in sorted(table)]),
+                phases=_unwrapped([table[amplitude] for amplitude in sorted(table)]),
             )
             for frequency, table in sorted(tables.items())
         )
@@ -256,12 +259,12 @@ def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration
 
 
 def _plate_signal(cube: xr.Dataset) -> NDArray[np.complex128]:
-    """Return the target signal, less the water signal that is estimated to be left."""
+    """Return the target signal less the estimate of residual water."""
     signal = np.asarray(cube.amulor.signal.values)
     if "residual_in_phase" not in cube:
         return signal
-    left = cube["residual_in_phase"] + 1j * cube["residual_quadrature"]
-    return np.asarray(signal - np.nan_to_num(left.values))
+    residual = cube["residual_in_phase"] + 1j * cube["residual_quadrature"]
+    return np.asarray(signal - np.nan_to_num(residual.values))
 
 
 def _refuse(cube: xr.Dataset) -> None:

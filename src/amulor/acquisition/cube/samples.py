@@ -1,4 +1,4 @@
-"""Samples of a journal as arrays, dark output and the instrument's delay taken off."""
+"""Samples of a journal as arrays, corrected for dark output and instrument delay."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
 
-#: Stands where nothing was measured; both of its parts are not numbers.
+#: Signal where nothing was measured: both parts are NaN.
 MISSING = complex(np.nan, np.nan)
 
 
-#: One sample: the recorded quantities, signal and amplitude before any correction, how
-#: often it was taken and the number of the newest take.
+#: One sample: recorded quantities, signal and amplitude before any correction, number
+#: of takes and number of the newest take.
 _SAMPLE = np.dtype(
     [
-        *((name, own.kind) for name, own in QUANTITIES.items()),
+        *((name, quantity.kind) for name, quantity in QUANTITIES.items()),
         ("signal", np.complex128),
         ("raw_amplitude", np.float64),
         ("takes", np.int32),
@@ -44,11 +44,17 @@ _SAMPLE = np.dtype(
 )
 _NAMES = tuple(QUANTITIES)
 _RECORDED = operator.attrgetter(*_NAMES)
-_EMPTY = (*(own.absent for own in QUANTITIES.values()), MISSING, np.nan, 0, -1)
+_EMPTY = (
+    *(quantity.absent for quantity in QUANTITIES.values()),
+    MISSING,
+    np.nan,
+    0,
+    -1,
+)
 
 
 class Samples:
-    """Samples of one kind as one array over frequency, polarization and two places."""
+    """Samples of one kind, over frequency, polarization and two more axes."""
 
     def __init__(self, survey: Survey, first: int, second: int) -> None:
         instrument = survey.instrument
@@ -63,7 +69,7 @@ class Samples:
         self.values = np.full(shape, np.array(_EMPTY, dtype=_SAMPLE))
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return one quantity of all samples; it can be changed in place."""
+        """Return one quantity of all samples, as a view that can be written."""
         return self.values[name]
 
     def fill(self, journal: Journal, kind: str) -> None:
@@ -72,7 +78,7 @@ class Samples:
             self.put(key, record, key.row, key.column)
 
     def put(self, key: Key, record: Record, first: int, second: int) -> None:
-        """Insert one sample; the last take of a place stays."""
+        """Insert one sample; the last take of an element wins."""
         at = (
             self._frequency[key.frequency],
             self._pair[key.polarization],
@@ -90,18 +96,18 @@ class Samples:
 
 
 def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
-    """Return the frequencies that the instrument said it used."""
-    asked = np.array(survey.instrument.modulation_frequencies)
-    frequency = asked.copy()
+    """Return the modulation frequencies that the instrument reads back [Hz]."""
+    commanded = np.array(survey.instrument.modulation_frequencies)
+    frequency = commanded.copy()
     for number, values in enumerate(samples["modulation_frequency"]):
-        known = values[np.isfinite(values)]
-        if known.size:
-            frequency[number] = np.median(known)
-    return frequency if np.all(np.diff(frequency) > 0) else asked
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            frequency[number] = np.median(finite)
+    return frequency if np.all(np.diff(frequency) > 0) else commanded
 
 
 def procedure_of(journal: Journal) -> Procedure:
-    """Return how the samples of a journal were taken."""
+    """Return the procedure of a journal."""
     try:
         content = tomllib.loads(entry(journal, "devices")).get("procedure", {})
         # Not the whole file: devices of other packages need not be there any more.
@@ -114,7 +120,7 @@ def procedure_of(journal: Journal) -> Procedure:
 
 
 def entry(journal: Journal, name: str) -> str:
-    """Return an entry of what a journal says about its scan."""
+    """Return an entry of the description of a scan in its journal."""
     entries = journal.meta()
     if name not in entries:
         raise FormatError(
@@ -127,12 +133,12 @@ def entry(journal: Journal, name: str) -> str:
 def dark_output(
     survey: Survey, journal: Journal
 ) -> tuple[NDArray[np.complex128], Floats]:
-    """Return what the instrument puts out without light, channel by channel."""
-    taken = [*journal.samples(plan.DARK)]
-    # By how many there are, not by their numbers: those of a short scan can be high.
+    """Return the output without light, and its variance, of each channel."""
+    recorded = [*journal.samples(plan.DARK)]
+    # Place by count, not by number: numbers of a short scan can be high.
     numbers: dict[tuple[float, str], int] = {}
     places = []
-    for key, _ in taken:
+    for key, _ in recorded:
         channel = key.frequency, key.polarization
         places.append(numbers.setdefault(channel, 0))
         numbers[channel] += 1
@@ -144,15 +150,15 @@ def dark_output(
     if number == 0:
         return np.zeros(channels, dtype=complex), np.zeros(channels)
     samples = Samples(survey, 1, number)
-    for (key, record), place in zip(taken, places, strict=True):
+    for (key, record), place in zip(recorded, places, strict=True):
         if not record.flags & SampleFlag.OVERLOAD:
             samples.put(key, record, 0, place)
-    there = np.isfinite(samples["signal"]).sum(axis=(2, 3))
-    some = np.maximum(there, 1)
-    mean = np.nansum(samples["signal"], axis=(2, 3)) / some
+    count = np.isfinite(samples["signal"]).sum(axis=(2, 3))
+    divisor = np.maximum(count, 1)
+    mean = np.nansum(samples["signal"], axis=(2, 3)) / divisor
     variance = counting_variance(samples, survey, procedure_of(journal))
-    one = np.nanmean(variance) if there.any() else 0.0
-    return mean, np.where(there > 0, one / some, 0.0)
+    mean_variance = np.nanmean(variance) if count.any() else 0.0
+    return mean, np.where(count > 0, mean_variance / divisor, 0.0)
 
 
 def correct(
@@ -162,35 +168,35 @@ def correct(
     modulation_frequency: Floats,
     calibration: Calibration | None,
 ) -> NDArray[np.bool_]:
-    """Take off dark output and delay of the instrument."""
+    """Subtract dark output and instrument delay; return where it is uncalibrated."""
     samples["signal"][...] -= dark[0][:, :, None, None]
     outside = np.zeros(samples["signal"].shape, dtype=bool)
     if calibration is None:
         return outside
     for number, frequency in enumerate(modulation_frequency):
         amplitude = np.abs(samples["signal"][number])
-        delay, known = phase_correction(
+        delay, calibrated = phase_correction(
             calibration, amplitude, modulation_frequency=float(frequency)
         )
-        there = np.isfinite(amplitude)
-        samples["signal"][number][there] *= np.exp(-1j * delay[there])
-        outside[number] = there & ~known
+        valid = np.isfinite(amplitude)
+        samples["signal"][number][valid] *= np.exp(-1j * delay[valid])
+        outside[number] = valid & ~calibrated
     return outside
 
 
 def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) -> Floats:
-    """Return the variance of each sample by counting photoelectrons."""
+    """Return the variance of each sample by photoelectron counting [V^2]."""
     detector = survey.instrument.detector
     volt = detector.volt_per_photoelectron_rate
     lower = samples["raw_amplitude"] / (survey.instrument.modulation_depth * volt)
     # A mean output below that of dark counts is noise about no light at all.
-    seen = np.maximum(samples["mean"] / volt - detector.dark_rate, 0.0)
-    rate = np.where(np.isfinite(samples["mean"]), seen, lower)
+    from_mean = np.maximum(samples["mean"] / volt - detector.dark_rate, 0.0)
+    rate = np.where(np.isfinite(samples["mean"]), from_mean, lower)
     if procedure.mode == "continuous":
-        # Looked at once or twice in a pixel, which may have seen the other side of an
-        # edge: there was at least the light that was modulated.
+        # The mean output is read once or twice a pixel, maybe across an edge: the light
+        # is at least the modulated part.
         rate = np.fmax(rate, lower)
-    one = reading_variance(
+    variance = reading_variance(
         survey,
         rate=np.nan_to_num(rate),
         time_constant=survey.instrument.lock_in.time_constant,
@@ -198,16 +204,16 @@ def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) ->
     constant = survey.instrument.lock_in.time_constant
     if procedure.output_filter == "known":
         length = survey.scan.dwell / samples["readings"] / constant
-        own = samples["interval"] / constant
-        length = np.where(np.isfinite(own), own, length)
+        recorded_length = samples["interval"] / constant
+        length = np.where(np.isfinite(recorded_length), recorded_length, length)
         ratio = input_variance_ratio(samples["readings"], spacing=length)
     else:
         length = np.where(
             np.isfinite(samples["interval"]), samples["interval"] / constant, 1
         )
         ratio = variance_ratio(samples["readings"], spacing=length)
-    # What a record tells about its own noise is better than what counting expects.
+    # The noise that a record shows is better than the one expected by counting.
     noise = np.where(
-        np.isfinite(samples["spread"]), samples["spread"] ** 2, one * ratio
+        np.isfinite(samples["spread"]), samples["spread"] ** 2, variance * ratio
     )
     return np.asarray(noise + np.nan_to_num(samples["edge"]) ** 2)

@@ -1,1 +1,1 @@
-"""The journal of a scan: nothing that was measured is lost."""
+"""The journal of a scan, an append-only file of its samples."""

@@ -1,4 +1,4 @@
-"""A scan as documents of the event model, which bluesky and databroker understand."""
+"""A scan as documents of the event model of bluesky and databroker."""
 
 from __future__ import annotations
 
@@ -14,19 +14,23 @@ from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Key
 
 #: Streams, in the order in which their descriptors come.
 _STREAMS = (DARK, OPEN_WATER, SCAN)
-#: Names of event documents and of the identifiers in them come from here.
+#: Name space of the identifiers of documents.
 _SPACE = uuid.UUID("5f0c1f7e-6f0a-4f6f-9d0e-2f1c7a2d9b13")
 _UNITS = {
     "frequency": "Hz",
-    **{name: own.unit for name, own in QUANTITIES.items() if own.unit != "1"},
+    **{
+        name: quantity.unit
+        for name, quantity in QUANTITIES.items()
+        if quantity.unit != "1"
+    },
 }
 
 
 def documents(journal: Journal) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield a scan as documents: start, descriptors, an event a sample, and stop.
 
-    The time of an event is that of the start of its part of the scan and what the clock
-    of the scan has counted since.
+    The time of an event is the start of its segment plus the time since then by the
+    clock of the scan.
     """
     meta, parts = journal.meta(), journal.segments()
     start = str(uuid.uuid5(_SPACE, meta["survey_digest"] + parts[0]["started"]))
@@ -100,7 +104,7 @@ def _descriptor(uid: str, start: str, kind: str, moment: float) -> dict[str, Any
 
 
 def data_keys() -> dict[str, dict[str, Any]]:
-    """Return what a sample consists of, as descriptors of the event model say it."""
+    """Return the quantities of a sample for descriptors of the event model."""
     names = [*Key._fields[1:], *QUANTITIES]
     return {
         name: {
@@ -114,7 +118,7 @@ def data_keys() -> dict[str, dict[str, Any]]:
 
 
 def data_of(key: Key, record: Record) -> dict[str, Any]:
-    """Return what a sample holds, the kind apart, which is the stream."""
+    """Return the quantities of a sample, without its kind, which is the stream."""
     content = {**key._asdict(), **vars(record)}
     del content["kind"]
     return {

@@ -1,4 +1,4 @@
-"""What a journal says about its scan, and whether it still says what was written."""
+"""The file of a journal: description of the scan, checksums, locks and access."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from amulor import cube
 from amulor.errors import FormatError
 from amulor.io.files import synchronise_folder
 
-#: Where the checksums of all other entries stand.
+#: Entry with the checksums of all others.
 CHECKSUMS = "checksums"
-#: Copies beside a journal, by the entry that they are copies of.
+#: Copies beside a journal, by entry.
 _COPIES = {"survey": "survey.toml", "devices": "devices.toml"}
 
 
 def with_checksums(meta: Mapping[str, str]) -> dict[str, str]:
-    """Return entries with the checksums of all of them."""
-    own = {name: text for name, text in meta.items() if name != CHECKSUMS}
-    sums = {name: _sum(text) for name, text in own.items()}
-    return {**own, CHECKSUMS: json.dumps(sums, sort_keys=True)}
+    """Return the entries with their checksums."""
+    entries = {name: text for name, text in meta.items() if name != CHECKSUMS}
+    sums = {name: _sum(text) for name, text in entries.items()}
+    return {**entries, CHECKSUMS: json.dumps(sums, sort_keys=True)}
 
 
 def _sum(text: str) -> int:
@@ -34,7 +34,7 @@ def _sum(text: str) -> int:
 def checked(
     meta: Mapping[str, str], folder: Path, damaged: Callable[[str], None]
 ) -> dict[str, str]:
-    """Return entries, damaged ones from their copies in the folder."""
+    """Return the entries; replace damaged ones by copies in the folder."""
     sums = _sums(meta, damaged)
     result = dict(meta)
     for name in sorted({*sums, *_digests(meta)}):
@@ -59,8 +59,8 @@ def _sums(meta: Mapping[str, str], damaged: Callable[[str], None]) -> dict[str, 
     if CHECKSUMS not in meta:
         return {}
     try:
-        found = json.loads(meta[CHECKSUMS])
-        return {str(name): int(value) for name, value in found.items()}
+        content = json.loads(meta[CHECKSUMS])
+        return {str(name): int(value) for name, value in content.items()}
     except (ValueError, TypeError, AttributeError):
         damaged("the checksums of the description are damaged")
         return {}
@@ -89,15 +89,14 @@ def _copy(folder: Path, name: str) -> str | None:
 
 FILE_NAME = "journal.sqlite"
 _LOCK_NAME = "writer.lock"
-#: How long a lock of another program is waited for [s].
+#: Longest wait for the lock of another program [s].
 _PATIENCE = 10.0
-#: Two that ask for the right at the same moment get in each other's way; within this
-#: time one of them has it [s].
+#: Longest wait between two programs that lock at the same moment [s].
 _AT_ONCE = 0.25
 
 
 def claimed(folder: Path) -> sqlite3.Connection:
-    """Return the right to write to the journal of a folder."""
+    """Lock the journal of a folder for writing."""
     path = folder / _LOCK_NAME
     lock = None
     try:
@@ -118,7 +117,7 @@ def claimed(folder: Path) -> sqlite3.Connection:
 
 
 def in_use(folder: Path) -> bool:
-    """Return whether a program has the right to write to the journal of a folder."""
+    """Return whether a program has the journal of a folder locked for writing."""
     path = folder / _LOCK_NAME
     if not path.exists():
         return False
@@ -133,7 +132,7 @@ def in_use(folder: Path) -> bool:
 
 
 def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
-    """Make the file, so that one that exists under its name is whole."""
+    """Create the file under a draft name, and rename it when it is complete."""
     draft = path.with_name(f".{path.name}.new")
     with explained(path):
         try:
@@ -157,7 +156,7 @@ def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
 
 
 def writer(path: Path) -> sqlite3.Connection:
-    """Open the file so that what is committed survives a loss of power."""
+    """Open the file for writing; commits survive a loss of power."""
     with explained(path):
         # One thread at a time writes: that of the scan, or one that commits for it.
         connection = sqlite3.connect(
@@ -178,7 +177,7 @@ def writer(path: Path) -> sqlite3.Connection:
 
 
 def text_of(content: bytes) -> str:
-    """Return a text of a journal; what is damaged in it becomes a mark that shows."""
+    """Decode a text of a journal; damaged characters become replacement marks."""
     return content.decode("utf-8", "replace")
 
 
@@ -196,7 +195,7 @@ def reader(path: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Turn errors of SQLite and the operating system into one that names the remedy."""
+    """Turn errors of SQLite and the operating system into a FormatError with advice."""
     try:
         yield
     except sqlite3.IntegrityError as error:

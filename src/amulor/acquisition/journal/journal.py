@@ -1,4 +1,4 @@
-"""The journal of a scan: what has been committed to it survives a loss of power."""
+"""The journal of a scan, whose committed samples survive a loss of power."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ class Journal:
         self._connection = connection
         self._claim = claim
         self._rows = Rows(connection, self._damaged)
-        #: Lines about what is damaged, in the order in which it was found.
+        #: Lines about damage, in the order of detection.
         self._damage: dict[str, None] = {}
 
     @staticmethod
     def claim(folder: Path) -> sqlite3.Connection:
-        """Make sure, before any device is touched, that a scan can begin here.
+        """Lock a folder for a new scan, before any device receives a command.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class Journal:
         Returns
         -------
         sqlite3.Connection
-            The right to write, for `create`; closed, others may write.
+            The lock, for `create`; closing it releases the folder.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class Journal:
             write one.
         """
         claim = journal_file.claimed(folder)
-        # Asked for under the claim: nobody else can make one in between.
+        # Checked under the claim: no other program can create one in between.
         path = folder / FILE_NAME
         if path.exists():
             claim.close()
@@ -89,11 +89,11 @@ class Journal:
                 f"{folder} holds a scan already; go on with it by --resume, make its "
                 f"cube with 'amulor recover {folder}', or name another folder"
             )
-        left = path.with_name(f"{FILE_NAME}-wal")
-        if left.exists():
+        wal = path.with_name(f"{FILE_NAME}-wal")
+        if wal.exists():
             claim.close()
             raise FormatError(
-                f"{folder} holds {left.name}, the newest samples of a journal, and no "
+                f"{folder} holds {wal.name}, the newest samples of a journal, and no "
                 f"{FILE_NAME}; put that back beside it, or name another folder"
             )
         return claim
@@ -113,9 +113,9 @@ class Journal:
         folder : pathlib.Path
             An existing folder without a journal.
         meta : mapping
-            What the scan is of; see `refuse_another` for the keys that are compared.
+            Description of the scan; `refuse_another` lists the keys that it compares.
         claim : sqlite3.Connection, optional
-            What `claim` returned; asked for if left out.
+            Lock from `claim`; taken now if left out.
 
         Returns
         -------
@@ -142,14 +142,14 @@ class Journal:
 
     @classmethod
     def resume(cls, folder: Path, *, meta: Mapping[str, str]) -> Journal:
-        """Open the journal of a scan that was broken off.
+        """Open the journal of an interrupted scan for writing.
 
         Parameters
         ----------
         folder : pathlib.Path
             Folder of the scan.
         meta : mapping
-            What is known of the scan now, as for `refuse_another`.
+            Present description of the scan, as for `refuse_another`.
 
         Returns
         -------
@@ -234,12 +234,12 @@ class Journal:
             self._claim = None
 
     def meta(self) -> dict[str, str]:
-        """Return what the scan is of, as it was written when it was begun.
+        """Return the description of the scan, as written at its start.
 
         Raises
         ------
         FormatError
-            If the survey or the devices in it are not those, and there is no copy.
+            If the survey or the devices in it are damaged, and there is no copy.
         """
         return checked(self._entries(), self.folder, self._damaged)
 
@@ -249,7 +249,7 @@ class Journal:
             return {str(name): str(text) for name, text in rows}
 
     def note(self, key: str, value: str) -> None:
-        """Write one more thing about the scan, or change one."""
+        """Add or replace an entry of the description."""
         entries = {**self._entries(), key: value}
         with explained(self._path):
             self._connection.execute("BEGIN IMMEDIATE")
@@ -266,10 +266,10 @@ class Journal:
                 raise
 
     def damage(self) -> list[str]:
-        """Return what is damaged, in a line each; empty if all is as it was written.
+        """Return a line for each damaged part; empty for a sound journal.
 
-        All rows are looked at: their checksums, what range each number must be in, and
-        whether the survey plans such a sample; the description of the scan, too.
+        All rows are checked: checksum, range of each number, and whether the survey
+        plans such a sample. The description of the scan is checked, too.
         """
         self._damage.clear()
         entries = self.meta()
@@ -281,27 +281,27 @@ class Journal:
         self._damage[line] = None
 
     def commit(self, key: Key, record: Record) -> None:
-        """Write one sample; when this returns, it survives a loss of power.
+        """Write one sample; on return, it survives a loss of power.
 
         Parameters
         ----------
         key : Key
             Must be new.
         record : Record
-            What was measured.
+            Measured quantities.
 
         Raises
         ------
         FormatError
-            If it could not be written, for example on a full disk; then it is not
-            in the journal. Also if the key is there already.
+            If it cannot be written, for example on a full disk; then it is not in the
+            journal. Also if the key exists already.
         """
         with explained(self._path):
             # Without an open transaction the statement is one of its own.
             self._connection.execute(INSERT, row_of(key, record))
 
     def commit_together(self, samples: Sequence[tuple[Key, Record]]) -> None:
-        """Write the samples of one dwell; all of them survive, or none.
+        """Write the samples of one dwell in one transaction.
 
         Parameters
         ----------
@@ -335,7 +335,7 @@ class Journal:
             return {Key(*row) for row in rows}
 
     def samples(self, kind: str) -> Iterator[tuple[Key, Record]]:
-        """Yield the samples of one kind in the order in which they were taken."""
+        """Yield the samples of one kind in the order of acquisition."""
         entries = self.meta()
         with explained(self._path):
             # The sign keeps it from an index, which may be damaged itself.
@@ -343,29 +343,29 @@ class Journal:
                 yield key, record
 
     def newer(self, than: int) -> list[tuple[int, Key, Record]]:
-        """Return samples of all kinds that came after one, with their numbers.
+        """Return samples of all kinds after a number, with their numbers.
 
         Parameters
         ----------
         than : int
-            Number of the last sample that is known, 0 for all [1].
+            Number of the last sample read before, 0 for all [1].
 
         Returns
         -------
         list of tuple
-            Number, key and record, in the order in which they were taken; read at
-            once, so that no reader is left in the way of the writer.
+            Number, key and record, in the order of acquisition; read at once, so that
+            no reader blocks the writer.
         """
         entries = self.meta()
         with explained(self._path):
             return [*self._rows.sound(entries, "number > ?", than)]
 
     def _add_columns(self) -> None:
-        """Add the columns of quantities that were not recorded when it was begun."""
+        """Add columns for quantities that are newer than the journal."""
         with explained(self._path):
-            there = columns_of(self._connection)
+            columns = columns_of(self._connection)
             for name in EXTRA:
-                if name not in there:
+                if name not in columns:
                     self._connection.execute(
                         f"ALTER TABLE samples ADD COLUMN {name} REAL"
                     )
@@ -377,13 +377,13 @@ class Journal:
         return int(result[0])
 
     def last_elapsed(self) -> float:
-        """Return the time of the last sample, 0 without one [s]."""
+        """Return the elapsed time of the last sample, 0 without one [s]."""
         with explained(self._path):
             (result,) = self._connection.execute("SELECT MAX(elapsed) FROM samples")
         return float(result[0] or 0.0)
 
     def begin_segment(self) -> int:
-        """Note that the scan goes on, and that a part without an end was broken off."""
+        """Begin a segment; close one without an end as interrupted."""
         now = _now()
         with explained(self._path):
             self._connection.execute("BEGIN IMMEDIATE")
@@ -403,7 +403,7 @@ class Journal:
         return cursor.lastrowid
 
     def end_segment(self, number: int, reason: str) -> None:
-        """Note when and why a part of the scan ended."""
+        """Record the end of a segment and its reason."""
         with explained(self._path):
             self._connection.execute(
                 "UPDATE segments SET ended = ?, reason = ? WHERE number = ?",
@@ -411,7 +411,7 @@ class Journal:
             )
 
     def segments(self) -> list[dict[str, Any]]:
-        """Return number, started, ended and reason of every part of the scan."""
+        """Return number, start, end and reason of every segment."""
         with explained(self._path):
             rows = self._connection.execute(
                 "SELECT number, started, ended, reason FROM segments ORDER BY number"
@@ -430,13 +430,13 @@ class Journal:
         return self.folder / FILE_NAME
 
     def refuse_another(self, meta: Mapping[str, str]) -> None:
-        """Raise unless the journal is of this schema, and of the scan that is meant.
+        """Raise unless schema, survey and instrument of the journal agree.
 
         Parameters
         ----------
         meta : mapping
-            `survey_digest`, and `instrument_digest` with `identities`; what is left
-            out is not compared.
+            `survey_digest`, and `instrument_digest` with `identities`; keys that are
+            left out are not compared.
 
         Raises
         ------
@@ -448,7 +448,7 @@ class Journal:
         refuse_another(self.folder, self._path, self.meta(), meta)
 
     def _refuse_damaged(self) -> None:
-        """Raise if something is damaged: what would be taken again has keys there."""
+        """Raise if the journal is damaged: damaged rows cannot be acquired again."""
         damage = self.damage()
         if damage:
             more = f", and {len(damage) - 3} more" if len(damage) > 3 else ""

@@ -1,4 +1,4 @@
-"""The quantities that are recorded in each sample: one table for all that uses them.
+"""The table of recorded quantities of a sample.
 
 The columns of the journal, the checks of its rows, the documents of the event model and
 the variables of the cube follow from the annotations of `Record`. A new quantity is one
@@ -13,23 +13,23 @@ from typing import Annotated, get_args, get_type_hints
 
 import numpy as np
 
-#: Volts that no instrument has, turns beyond one.
+#: Limits of voltages [V] and of directions [rad].
 _VOLT, _TURN = 1e6, 2 * math.pi
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A recorded quantity: its unit, its range, and its variable in the cube."""
+    """Unit, range and cube variable of a recorded quantity."""
 
     text: str
     """Long name."""
     unit: str
     """Unit, 1 without one."""
     within: tuple[float, float]
-    """Smallest and largest value that can be true, both included."""
+    """Smallest and largest possible value, both included."""
     cube: str | None = None
-    """Name of its variable in the cube, without `user_`; None without a variable. One
-    that may be None is left out of the cube where it is so in all samples."""
+    """Name of its variable in the cube, without `user_`; None without a variable. An
+    optional quantity is left out of the cube where no sample has it."""
     per_pixel: bool = False
     """Whether the cube has its mean over the channels of a pixel."""
     kind: type[np.generic] = np.float64
@@ -54,7 +54,7 @@ def _mount(text: str, *, cube: str) -> Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """One sample, apart from its key; what no device measures is None."""
+    """Quantities of one sample; None where no device measures it."""
 
     in_phase: Annotated[float, _volt("in-phase part, mean of the readings")]
     quadrature: Annotated[float, _volt("quadrature, mean of the readings")]

@@ -1,4 +1,4 @@
-"""Whether a row of a journal is what was written: its checksum, types and ranges."""
+"""Rows of a journal: schema, and checks of checksum, type and range."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 def _pattern(
     names: tuple[str, ...], kinds: tuple[type, ...]
 ) -> tuple[int, struct.Struct, list[int], list[int]]:
-    """Return the checksum of the names of numbers, what packs them, and places."""
+    """Return checksum of the names, packing of numbers, places of numbers and texts."""
     texts = [place for place, kind in enumerate(kinds) if kind is str]
     numbers = [
         place for place, kind in enumerate(kinds) if kind not in (str, type(None))
@@ -50,18 +50,18 @@ def checksum(names: Sequence[str], values: Sequence[Any]) -> int:
     """Return the CRC-32 of a row."""
     kinds = tuple(map(type, values))
     start, packed, numbers, texts = _pattern(tuple(names), kinds)
-    found = [values[place] + 0.0 for place in numbers]
-    if math.isnan(sum(found)):
-        there = [None if value != value else value for value in values]
-        if there != [*values]:  # not the difference of two infinite ones
-            return checksum(names, there)
-    after = zlib.crc32(packed.pack(*found), start)
+    floats = [values[place] + 0.0 for place in numbers]
+    if math.isnan(sum(floats)):
+        nulled = [None if value != value else value for value in values]
+        if nulled != [*values]:  # not the difference of two infinite ones
+            return checksum(names, nulled)
+    after = zlib.crc32(packed.pack(*floats), start)
     text = "\0".join([f"{values[place]}\0{names[place]}" for place in texts])
     return zlib.crc32(text.encode("utf-8", "replace"), after)
 
 
 def refuse_infinite(key: Key, record: Record) -> None:
-    """Raise if something infinite is to be written, which no instrument measures."""
+    """Raise if a quantity of a sample is infinite."""
     for name, value in (*key._asdict().items(), *vars(record).items()):
         if value in (math.inf, -math.inf):
             raise FormatError(
@@ -71,7 +71,7 @@ def refuse_infinite(key: Key, record: Record) -> None:
 
 
 class RowCheck:
-    """Says what is wrong with rows of one journal."""
+    """Check of the rows of one journal."""
 
     def __init__(self, survey: Survey | None, columns: Sequence[str]) -> None:
         self._columns = tuple(columns)
@@ -141,7 +141,7 @@ class RowCheck:
         return None
 
 
-#: Raised when an older amulor must not write to a journal.
+#: Version of the schema; increased when an older amulor must not write to a journal.
 SCHEMA_VERSION = "2"
 
 _KEY_COLUMNS = (
@@ -177,7 +177,7 @@ TABLES = (
 
 
 def row_of(key: Key, record: Record) -> tuple[Any, ...]:
-    """Return what `INSERT` takes."""
+    """Return the values of `INSERT` for a sample."""
     values = (*key, *_VALUES(record))
     if math.inf in values or -math.inf in values:
         refuse_infinite(key, record)
@@ -187,32 +187,32 @@ def row_of(key: Key, record: Record) -> tuple[Any, ...]:
 def refuse_another(
     folder: Path, path: Path, result: Mapping[str, str], meta: Mapping[str, str]
 ) -> None:
-    """Raise unless a journal is of this schema, and of the scan that is meant."""
+    """Raise unless schema, survey and instrument of a journal agree."""
     version = result.get("journal_schema")
     if version != SCHEMA_VERSION:
         raise FormatError(
             f"{path}: the journal has schema {version!r}, this amulor knows "
             f"{SCHEMA_VERSION!r}; use the amulor that began the scan"
         )
-    same = {"survey_digest": "", "instrument_digest": "", **result, **meta}
-    if result.get("survey_digest", "") != same["survey_digest"]:
+    expected = {"survey_digest": "", "instrument_digest": "", **result, **meta}
+    if result.get("survey_digest", "") != expected["survey_digest"]:
         raise SurveyError(
             f"{folder} holds a scan of another survey "
             f"({result['survey_digest'][:15]}..., now "
             f"{meta['survey_digest'][:15]}...); go on with the survey.toml in that "
             "folder, or name a new folder"
         )
-    if result.get("instrument_digest", "") != same["instrument_digest"]:
-        other = _differences(result["identities"], meta["identities"])
+    if result.get("instrument_digest", "") != expected["instrument_digest"]:
+        changes = _differences(result["identities"], meta["identities"])
         raise InstrumentError(
             f"{folder} holds a scan by other devices or another procedure: "
-            f"{other}; go on with the devices.toml in that folder, or name a new "
+            f"{changes}; go on with the devices.toml in that folder, or name a new "
             "folder"
         )
 
 
 def _differences(before: str, now: str) -> str:
-    """Say which device of a scan is another one than before."""
+    """List the devices of a scan that have changed."""
     old, new = json.loads(before), json.loads(now)
     changed = [
         f"{name} was {old.get(name, 'not there')}, is {new.get(name, 'not there')}"
@@ -222,7 +222,7 @@ def _differences(before: str, now: str) -> str:
     return "; ".join(changed) or "each device is the same, what it is told is not"
 
 
-#: Rows that are tried behind a page that cannot be read, if nobody knows how many are.
+#: Rows tried behind an unreadable page if their number is unknown.
 _SEARCHED = 100_000
 
 
@@ -233,81 +233,81 @@ def columns_of(connection: sqlite3.Connection) -> list[str]:
 
 
 class Rows:
-    """Reads rows of one journal."""
+    """Rows of one journal, read and checked."""
 
     def __init__(
         self, connection: sqlite3.Connection, damaged: Callable[[str], None]
     ) -> None:
         self._connection, self._damaged = connection, damaged
-        #: What says whether rows are sound, and by which survey and columns.
+        #: Check of rows, with its survey and columns.
         self._check: tuple[str | None, list[str], RowCheck] | None = None
 
     def sound(
-        self, entries: Mapping[str, str], which: str, value: object
+        self, entries: Mapping[str, str], condition: str, value: object
     ) -> Iterator[tuple[int, Key, Record]]:
         """Yield number, key and record of sound rows."""
-        columns, check = self._checked_by(entries)
+        columns, check = self._row_check(entries)
         places = {name: place for place, name in enumerate(columns)}
         keys = [places[name] for name in Key._fields]
-        known = [(name, places[name]) for name in RECORD_FIELDS if name in places]
+        recorded = [(name, places[name]) for name in RECORD_FIELDS if name in places]
         for number, values, wrong in self._judged(
-            entries, columns, check, which, value
+            entries, columns, check, condition, value
         ):
             if wrong is None:
-                content = {name: values[place] for name, place in known}
+                content = {name: values[place] for name, place in recorded}
                 key = Key(*(values[place] for place in keys))
                 yield number, key, Record(**content)
 
     def look_through(self, entries: Mapping[str, str]) -> None:
-        """Look at every row, and tell what is damaged or gone."""
-        columns, check = self._checked_by(entries)
+        """Check every row, and report damaged and missing ones."""
+        columns, check = self._row_check(entries)
         unread: set[int] = set()
         before = 0
         for number, *_ in self._judged(
             entries, columns, check, "number > ?", 0, unread=unread
         ):
-            gone = [*range(before + 1, min(number, before + _SEARCHED))]
-            for one in gone:
+            missing = [*range(before + 1, min(number, before + _SEARCHED))]
+            for absent in missing:
                 # Rows are inserted and never deleted: their numbers leave none out.
-                if one not in unread:
-                    self._damaged(f"row {one}: not there")
+                if absent not in unread:
+                    self._damaged(f"row {absent}: not there")
             before = number
 
-    def _checked_by(self, entries: Mapping[str, str]) -> tuple[list[str], RowCheck]:
+    def _row_check(self, entries: Mapping[str, str]) -> tuple[list[str], RowCheck]:
         text = entries.get("survey")
         if self._check is None or self._check[0] != text:
-            there = columns_of(self._connection)
-            columns = [name for name in there if name not in ("number", CHECKSUM)]
+            all_columns = columns_of(self._connection)
+            columns = [name for name in all_columns if name not in ("number", CHECKSUM)]
             survey = None
             if text is not None:
                 survey = Survey.from_text(text, name="the survey of the journal")
-            self._check = (text, there, RowCheck(survey, columns))
-        _, there, check = self._check
-        return [name for name in there if name not in ("number", CHECKSUM)], check
+            self._check = (text, all_columns, RowCheck(survey, columns))
+        _, all_columns, check = self._check
+        return [name for name in all_columns if name not in ("number", CHECKSUM)], check
 
     def _judged(
         self,
         entries: Mapping[str, str],
         columns: list[str],
         check: RowCheck,
-        which: str,
+        condition: str,
         value: object,
         *,
         unread: set[int] | None = None,
     ) -> Iterator[tuple[int, list[Any], str | None]]:
-        """Yield number, values and what is wrong with them, if anything is."""
+        """Yield number, values and damage of each row, None if sound."""
         names = ", ".join(["number", CHECKSUM, *columns])
-        for number, stored, *values in self._read(names, which, value, unread):
+        for number, stored, *values in self._read(names, condition, value, unread):
             wrong = check.wrong_with(values, stored)
             if wrong is not None:
                 self._damaged(f"row {number}: {wrong}")
             yield number, values, wrong
 
     def _read(
-        self, names: str, which: str, value: object, unread: set[int] | None
+        self, names: str, condition: str, value: object, unread: set[int] | None
     ) -> Iterator[Any]:
-        """Yield rows in order, one by one behind a page that cannot be read."""
-        read = f"SELECT {names} FROM samples WHERE ({which}) AND number"
+        """Yield rows in order; row by row behind an unreadable page."""
+        read = f"SELECT {names} FROM samples WHERE ({condition}) AND number"
         last = 0
         try:
             for row in self._connection.execute(
@@ -321,8 +321,10 @@ class Rows:
                 raise
         most = last + _SEARCHED
         with contextlib.suppress(sqlite3.DatabaseError):
-            ((found,),) = self._connection.execute("SELECT MAX(number) FROM samples")
-            most = min(int(found or 0), most)
+            ((last_number,),) = self._connection.execute(
+                "SELECT MAX(number) FROM samples"
+            )
+            most = min(int(last_number or 0), most)
         for number in range(last + 1, most + 1):
             try:
                 yield from self._connection.execute(
