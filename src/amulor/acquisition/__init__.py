@@ -1,4 +1,4 @@
-"""From an instrument, real or simulated, to the measurement cube of a survey."""
+"""Acquisition of a measurement cube with an instrument, real or simulated."""
 
 from amulor.acquisition.cube.build import build, recover
 from amulor.acquisition.cube.calibration import Calibration, from_plates

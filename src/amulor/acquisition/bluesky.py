@@ -1,4 +1,4 @@
-"""A scan as a plan of bluesky: a RunEngine runs it, and documents come with samples."""
+"""A scan as a bluesky plan, run by a RunEngine, with one event document a sample."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from amulor.acquisition.simulated.scene import Scene
 from amulor.errors import InstrumentError, MissingExtraError
 from amulor.survey import Survey
 
-#: How long light stays on while nobody asks for the next sample [s].
+#: Time without a request after which the laser is switched off [s].
 _PATIENCE = 10.0
 
 
@@ -41,12 +41,12 @@ def scan(
     ask: Callable[[str], None] | None = None,
     md: Mapping[str, Any] | None = None,
 ) -> Generator[Any, Any, int]:
-    """Run a scan as a plan of bluesky, into the journal of a folder and as documents.
+    """Run a scan as a bluesky plan; write its samples to a journal and to documents.
 
     Notes
     -----
     A sample is in the journal before its event is emitted. A pause of the RunEngine
-    makes all devices safe, and whatever way the plan ends they are safe then. After a
+    makes all devices safe, and so does every end of the plan. After a
     pause the reference is taken again, as after any break. The streams are `dark`,
     `open_water` and `scan`.
 
@@ -81,25 +81,25 @@ def scan(
     def staged() -> Generator[Any, Any, int]:
         yield from stubs.stage(device, wait=True)
         about = {**device.about(), **(md or {})}
-        found: int = yield from preprocessors.run_wrapper(events(), md=about)
-        return found
+        count: int = yield from preprocessors.run_wrapper(events(), md=about)
+        return count
 
     def unstaged() -> Generator[Any, Any, None]:
         yield from stubs.unstage(device, wait=True)
 
-    found: int = yield from preprocessors.finalize_wrapper(staged(), unstaged)
-    return found
+    count: int = yield from preprocessors.finalize_wrapper(staged(), unstaged)
+    return count
 
 
 class ScanDevice:
-    """A scan behind the protocols of bluesky: set to n, it has taken n samples.
+    """Bluesky device of a scan: set to n, it has acquired n samples.
 
     It is staged (devices are connected), set and read sample by sample, stopped (light
     off, all safe; the next set goes on) and unstaged (the scan ends where it is).
 
-    The scan is `acquire`, in a thread of its own that waits between two dwells. What is
-    read is what the journal holds. To be set to a number twice, as a RunEngine does
-    after a pause, takes nothing twice.
+    The scan is `acquire`, in a separate thread that waits between two dwells. Values
+    read are those of the journal. Setting the same number twice, as a RunEngine does
+    after a pause, acquires nothing twice.
     """
 
     name = "amulor"
@@ -130,25 +130,25 @@ class ScanDevice:
         self._run: Callable[[], Outcome] = lambda: acquire(
             survey, folder, settings=settings, resume=resume,
             retake_flagged=retake_flagged, devices=devices, scene=scene, ask=ask,
-            control=self, progress=self._taken_one,
+            control=self, progress=self._note_samples,
         )  # fmt: skip
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
-        self._wanted = self._taken = self._current = 0
+        self._requested = self._acquired = self._current = 0
         self._samples: dict[int, tuple[Key, Record, float]] = {}
         self._waiting: list[tuple[int, _Status]] = []
         self._ready, self._over = _Status(), _Status()
-        #: Whether somebody wants it to rest or to end, and whether it rests or has.
-        self._to_rest = self._to_end = self._rests = self._ended = False
+        #: Whether a pause or the end is requested, and whether it has come.
+        self._pause_requested = self._end_requested = self._paused = self._ended = False
         self._error: BaseException | None = None
         self._outcome: Outcome | None = None
         self._journal: Journal | None = None
         self._last = 0
 
-    # -- what a RunEngine calls --------------------------------------------------------
+    # -- called by a RunEngine ---------------------------------------------------------
 
     def stage(self) -> Any:
-        """Connect the devices; done when the first sample can be taken."""
+        """Connect the devices; done when the first sample can be acquired."""
         if self._thread is not None:
             raise InstrumentError(
                 "this scan was staged before; make another one, with resume=True"
@@ -160,21 +160,21 @@ class ScanDevice:
         return self._ready
 
     def set(self, number: int) -> Any:
-        """Take samples until there are so many in this run [1]."""
+        """Acquire samples up to this number in this run [1]."""
         status = _Status()
         with self._changed:
-            self._to_rest = False
-            self._wanted = max(self._wanted, number)
+            self._pause_requested = False
+            self._requested = max(self._requested, number)
             self._current = number
             for old in [old for old in self._samples if old < number]:
                 del self._samples[old]
             self._waiting.append((number, status))
             self._changed.notify_all()
-        self._settle()
+        self._resolve_waiting()
         return status
 
     def read(self) -> dict[str, Any]:
-        """Return the sample that it was set to."""
+        """Return the current sample."""
         key, record, moment = self._samples[self._current]
         return {
             name: {"value": value, "timestamp": moment}
@@ -182,42 +182,42 @@ class ScanDevice:
         }
 
     def describe(self) -> dict[str, Any]:
-        """Return what a sample consists of."""
+        """Return the description of each quantity of a sample."""
         return data_keys()
 
     @property
     def hints(self) -> dict[str, Any]:
-        """What is worth a plot."""
+        """Names of the quantities to plot."""
         return {"fields": ["in_phase", "quadrature"]}
 
     @property
     def stream(self) -> str:
-        """Stream of the sample that it was set to: dark, open_water or scan."""
+        """Stream of the current sample: dark, open_water or scan."""
         return self._samples[self._current][0].kind
 
     def finished_before(self, number: int) -> bool:
-        """Return whether the scan has ended with fewer samples than these [1]."""
-        return self._ended and self._taken < number
+        """Return whether the scan has ended with fewer samples than this number [1]."""
+        return self._ended and self._acquired < number
 
     async def stop(self, success: bool = True) -> None:
-        """Make all devices safe after the dwell that is taken now."""
+        """Make all devices safe after the present dwell."""
         with self._changed:
-            self._to_rest = True
+            self._pause_requested = True
             self._changed.notify_all()
         if self._thread is not None:
-            await asyncio.get_running_loop().run_in_executor(None, self._wait_for_rest)
+            await asyncio.get_running_loop().run_in_executor(None, self._wait_for_pause)
 
     def unstage(self) -> Any:
-        """End the scan where it is; done when all devices are safe and let go of."""
+        """End the scan; done when all devices are safe and released."""
         with self._changed:
-            self._to_end = True
+            self._end_requested = True
             self._changed.notify_all()
         if self._thread is None:
             self._over.resolve(None)
         return self._over
 
     def about(self) -> dict[str, Any]:
-        """Return what the start document is to say of the scan."""
+        """Return the metadata of the scan for the start document."""
         with Journal.read(self._folder) as journal:
             meta = journal.meta()
         return {
@@ -230,43 +230,48 @@ class ScanDevice:
             "resumed": self._resume,
         }
 
-    # -- what the scan calls, in its thread --------------------------------------------
+    # -- called by the scan, in its thread ---------------------------------------------
 
     def pause_wanted(self) -> bool:
-        """Wait until a sample is asked for; True if none is for a while."""
+        """Wait until a sample is requested; True after a time without a request."""
         self._ready.resolve(None)
         with self._changed:
-            asked = self._changed.wait_for(
-                lambda: self._to_end or self._to_rest or self._wanted > self._taken,
+            requested = self._changed.wait_for(
+                lambda: (
+                    self._end_requested
+                    or self._pause_requested
+                    or self._requested > self._acquired
+                ),
                 timeout=self._patience,
             )
-            return not asked or self._to_end or self._to_rest
+            return not requested or self._end_requested or self._pause_requested
 
     def go_on(self) -> bool:
-        """Wait, with all devices safe, until a sample is asked for, or for the end."""
+        """Wait, with all devices safe, until a sample or the end is requested."""
         with self._changed:
-            self._rests = True
+            self._paused = True
             self._changed.notify_all()
             self._changed.wait_for(
                 lambda: (
-                    self._to_end or (not self._to_rest and self._wanted > self._taken)
+                    self._end_requested
+                    or (not self._pause_requested and self._requested > self._acquired)
                 )
             )
-            self._rests = False
-            return not self._to_end
+            self._paused = False
+            return not self._end_requested
 
-    def _taken_one(self, _: Progress) -> None:
-        """Note the samples of the dwell that was committed last."""
+    def _note_samples(self, _: Progress) -> None:
+        """Record the samples of the dwell that was committed last."""
         if self._journal is None:
             self._journal = Journal.read(self._folder)
         moment = time.time()
         new = self._journal.newer(self._last)
         with self._changed:
             for number, key, record in new:
-                self._taken += 1
-                self._samples[self._taken] = (key, record, moment)
+                self._acquired += 1
+                self._samples[self._acquired] = (key, record, moment)
                 self._last = number
-        self._settle()
+        self._resolve_waiting()
 
     def _work(self) -> None:
         try:
@@ -282,33 +287,35 @@ class ScanDevice:
             with self._changed:
                 self._ended = True
                 self._changed.notify_all()
-            self._settle()
+            self._resolve_waiting()
             self._ready.resolve(self._error)
-            self._over.resolve(self._left_unsafe())
+            self._over.resolve(self._unsafe_error())
             with contextlib.suppress(RuntimeError):  # a program that ends
                 atexit.unregister(self._end)
 
     # -- between the two ---------------------------------------------------------------
 
-    def _settle(self) -> None:
-        """Tell those that wait for samples which are there now, or never will be."""
+    def _resolve_waiting(self) -> None:
+        """Resolve the statuses whose sample is in the journal, or will never be."""
         with self._changed:
-            done = [
-                pair for pair in self._waiting if self._ended or pair[0] <= self._taken
+            due = [
+                pair
+                for pair in self._waiting
+                if self._ended or pair[0] <= self._acquired
             ]
-            self._waiting = [pair for pair in self._waiting if pair not in done]
-        for number, status in done:
-            status.resolve(None if number <= self._taken else self._error)
+            self._waiting = [pair for pair in self._waiting if pair not in due]
+        for number, status in due:
+            status.resolve(None if number <= self._acquired else self._error)
 
-    def _left_unsafe(self) -> InstrumentError | None:
-        """Return what is to be said of devices that could not be made safe."""
+    def _unsafe_error(self) -> InstrumentError | None:
+        """Return an error that names devices that could not be made safe, if any."""
         unsafe = [] if self._outcome is None else self._outcome.unsafe
         return InstrumentError("; ".join(unsafe)) if unsafe else None
 
-    def _wait_for_rest(self) -> None:
+    def _wait_for_pause(self) -> None:
         with self._changed:
             self._changed.wait_for(
-                lambda: self._rests or self._ended or not self._to_rest
+                lambda: self._paused or self._ended or not self._pause_requested
             )
 
     def _end(self) -> None:
@@ -318,7 +325,7 @@ class ScanDevice:
 
 
 class _Status:
-    """Whether something is done, as bluesky asks for it; from any thread."""
+    """Status of an action for bluesky; may be resolved from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -327,7 +334,7 @@ class _Status:
         self._error: BaseException | None = None
 
     def resolve(self, error: BaseException | None) -> None:
-        """Be done, unless it was so before."""
+        """Mark the action as done, unless it is already."""
         with self._lock:
             if self._over.is_set():
                 return
@@ -338,7 +345,7 @@ class _Status:
             callback(self)
 
     def add_callback(self, callback: Callable[[Any], None]) -> None:
-        """Call something when it is done, or now."""
+        """Call a function when the action is done, or now if it is."""
         with self._lock:
             if not self._over.is_set():
                 self._callbacks.append(callback)
@@ -346,16 +353,16 @@ class _Status:
         callback(self)
 
     def exception(self, timeout: float | None = 0.0) -> BaseException | None:
-        """Return what went wrong, None if nothing did or it is not done [s]."""
+        """Return the exception of the action, if any, after a wait of `timeout` [s]."""
         self._over.wait(timeout)
         return self._error
 
     @property
     def done(self) -> bool:
-        """Whether it is done."""
+        """Whether the action is done."""
         return self._over.is_set()
 
     @property
     def success(self) -> bool:
-        """Whether it is done, and nothing went wrong."""
+        """Whether the action is done without an exception."""
         return self._over.is_set() and self._error is None

@@ -1,4 +1,4 @@
-"""The time that a scan and its devices go by: real, faster, or only counted."""
+"""Clocks of a scan: real time, scaled real time, or virtual time."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Where the time comes from, so that a rehearsal can be faster than a scan."""
+    """Clock of a scan and its devices; that of a rehearsal may run faster."""
 
     def now(self) -> float:
-        """Return the time since some fixed moment [s]."""
+        """Return the time since a fixed origin [s]."""
 
     def sleep(self, duration: float) -> None:
         """Wait for a time [s]."""
 
 
-#: Shortest wait for an instrument on the wall, however fast a rehearsal goes [s].
+#: Shortest wait for an instrument in real time, at any speed of a rehearsal [s].
 _LEAST = 2.0
 
 
 class Deadline:
-    """The end of a wait for an instrument.
+    """Timeout of a wait for an instrument.
 
-    Over when the time has passed by the clock of the scan, and at least a part of it on
-    the wall: answers take their time on the wire, also where the clock runs faster.
+    It ends when the time has passed by the clock of the scan and, where that clock runs
+    faster, at least a part of it in real time: answers take real time on the wire.
 
     Parameters
     ----------
     clock : Clock
-        What the devices go by.
+        Clock of the devices.
     timeout : float
-        How long the wait may be [s].
+        Longest wait [s].
     """
 
     def __init__(self, clock: Clock, timeout: float) -> None:
@@ -52,12 +52,12 @@ SLOWEST, FASTEST = 1e-3, 1e6
 
 
 class RealClock:
-    """The time on the wall, or a multiple of it.
+    """Real time, or a multiple of it.
 
     Parameters
     ----------
     speed : float
-        How many seconds of this clock pass in one second, 0.001 to a million [1].
+        Seconds of this clock in one second of real time, 0.001 to a million [1].
         Anything but 1 is for simulated devices.
     """
 
@@ -70,7 +70,7 @@ class RealClock:
         self._speed = speed
 
     def now(self) -> float:
-        """Return the time since some fixed moment [s]."""
+        """Return the time since a fixed origin [s]."""
         return time.monotonic() * self._speed
 
     def sleep(self, duration: float) -> None:
@@ -80,15 +80,15 @@ class RealClock:
 
 
 class VirtualClock:
-    """A clock that jumps instead of waiting, for devices in the same program."""
+    """Virtual time, which jumps instead of waiting, for devices in this program."""
 
     def __init__(self) -> None:
         self._now = 0.0
 
     def now(self) -> float:
-        """Return the time that has been slept so far [s]."""
+        """Return the sum of all waits [s]."""
         return self._now
 
     def sleep(self, duration: float) -> None:
-        """Let a time [s] pass at once."""
+        """Advance the clock by a time [s] at once."""
         self._now += max(duration, 0.0)

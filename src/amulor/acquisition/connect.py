@@ -1,4 +1,4 @@
-"""A laser whose enable input is wired to an auxiliary output of the lock-in."""
+"""Connection of the devices that a devices file names."""
 
 from __future__ import annotations
 
@@ -48,45 +48,45 @@ class _HasOutputs(Protocol):
 
 
 class LockInGate:
-    """The laser behind an auxiliary output."""
+    """Laser whose enable input is wired to an auxiliary output of the lock-in."""
 
     def __init__(self, lock_in: _HasOutputs, settings: LaserSettings) -> None:
         self._lock_in = lock_in
         self._settings = settings
 
     def identity(self) -> str:
-        """Return which output of which lock-in it is."""
+        """Return the output and the lock-in."""
         return f"output {self._settings.output} of {self._lock_in.identity()}"
 
     def on(self) -> None:
-        """Let light out, if the interlock is closed."""
+        """Switch the laser on, if the interlock is closed."""
         self.check()
         self._lock_in.set_output(self._settings.output, self._settings.on_voltage)
 
     def off(self) -> None:
-        """Let no light out, and read back that it is so."""
-        left = self._lock_in.set_output(self._settings.output, 0.0)
-        if abs(left) > _OFF:
+        """Switch the laser off, and read the output back."""
+        voltage = self._lock_in.set_output(self._settings.output, 0.0)
+        if abs(voltage) > _OFF:
             raise InstrumentError(
-                f"output {self._settings.output} of the lock-in stands at {left:g} V "
-                "and not at 0 V: the laser may be on; switch it off by hand"
+                f"output {self._settings.output} of the lock-in stands at {voltage:g} "
+                "V and not at 0 V: the laser may be on; switch it off by hand"
             )
 
     def check(self) -> None:
         """Raise if the interlock is open."""
-        own = self._settings
-        if own.interlock_input is None:
+        settings = self._settings
+        if settings.interlock_input is None:
             return
-        voltage = self._lock_in.input(own.interlock_input)
-        if not voltage >= own.interlock_voltage:
+        voltage = self._lock_in.input(settings.interlock_input)
+        if not voltage >= settings.interlock_voltage:
             raise InstrumentError(
-                f"the interlock of the laser is open: input {own.interlock_input} of "
-                f"the lock-in stands at {voltage:g} V, closed it has at least "
-                f"{own.interlock_voltage:g} V; see who opened it, and close it"
+                f"the interlock of the laser is open: input {settings.interlock_input} "
+                f"of the lock-in stands at {voltage:g} V, closed it has at least "
+                f"{settings.interlock_voltage:g} V; see who opened it, and close it"
             )
 
     def make_safe(self) -> None:
-        """Let no light out, over a new link if the old one is lost."""
+        """Switch the laser off, over a new link if the old one is lost."""
         try:
             self.off()
         except InstrumentError:
@@ -94,25 +94,25 @@ class LockInGate:
             self.off()
 
     def close(self) -> None:
-        """Do nothing: the link is the lock-in's."""
+        """Do nothing: the link belongs to the lock-in."""
 
 
 class OperatorTargetStage:
-    """Asks for what a motor would do."""
+    """Target stage without a motor: an operator moves the target."""
 
     def __init__(self, ask: Callable[[str], None] | None) -> None:
         self._ask = ask
 
     def identity(self) -> str:
-        """Return that it is an operator."""
+        """Return "operator"."""
         return "operator"
 
     def bring_in(self, *, timeout: float) -> None:
-        """Ask for the target."""
+        """Ask the operator to put the target in."""
         self._request("The laser is off. Put the target into the beam")
 
     def take_out(self, *, timeout: float) -> None:
-        """Ask for open water."""
+        """Ask the operator to take the target out."""
         self._request(
             "The laser is off. Take the target out: only water is to be in the beam"
         )
@@ -193,10 +193,10 @@ def _simulated(
 def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
     clock = RealClock(settings.procedure.clock_speed)
     with contextlib.ExitStack() as opened:
-        # Nothing is said to a device that another scan drives.
-        held = opened.enter_context(contextlib.ExitStack())
+        # A device that another scan drives receives no command.
+        locks = opened.enter_context(contextlib.ExitStack())
         for address in _addresses(settings):
-            held.callback(hold(address).release)
+            locks.callback(hold(address).release)
         lock_in = chosen.lock_in_of(settings, clock)
         opened.callback(lock_in.close)
         stages = chosen.Stages(clock, opened)
@@ -214,14 +214,14 @@ def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
             analyser=chosen.mount_of(settings.analyser, stages),
             target=_target(settings.target, stages, ask),
             clock=clock,
-            release=held.close,
+            release=locks.close,
         )
         opened.pop_all()
     return devices
 
 
 def _addresses(settings: Settings) -> list[str]:
-    """Return where devices are reached, each address once."""
+    """Return the distinct addresses of all devices."""
     parts = (
         settings.lock_in,
         settings.scanner,
@@ -232,47 +232,47 @@ def _addresses(settings: Settings) -> list[str]:
         settings.source,
         settings.digitiser,
     )
-    stated = {
+    addresses = {
         part.address
         for part in parts
         if part.address is not None and part.driver not in ("none", "operator")
     }
-    # What has none is known by what it is made of.
-    made = {
+    # A device without an address is identified by its class and arguments.
+    definitions = {
         json.dumps([options.get("class"), options.get("arguments")], sort_keys=True)
         for part in parts
         if part.driver == "ophyd_async" and part.address is None
         for options in [getattr(part, "options", None) or {}]
     }
-    return sorted(stated | made)
+    return sorted(addresses | definitions)
 
 
 def _laser(settings: Settings, lock_in: LockIn, clock: Clock) -> Laser:
-    own = settings.laser
-    if own.driver == "scpi":
-        link = linked(own)
+    part = settings.laser
+    if part.driver == "scpi":
+        link = linked(part)
         try:
-            return ScpiLaser(link, own)
+            return ScpiLaser(link, part)
         except BaseException:
             link.close()
             raise
-    if own.driver == "ophyd_async":
+    if part.driver == "ophyd_async":
         return OphydLaser.made(chosen.wiring("laser", settings, clock))
-    if own.driver != "lock_in_output":
+    if part.driver != "lock_in_output":
         return cast(Laser, chosen.other("laser", settings, clock))
-    for word in ("set_output", "reconnect", *["input"] * bool(own.interlock_input)):
+    for word in ("set_output", "reconnect", *["input"] * bool(part.interlock_input)):
         if not hasattr(lock_in, word):
             raise InstrumentError(
                 f"the lock-in {settings.lock_in.driver!r} has no {word!r} to drive and "
                 "watch the laser by; choose another laser.driver, or take "
                 "laser.interlock_input out"
             )
-    return LockInGate(cast(Any, lock_in), own)
+    return LockInGate(cast(Any, lock_in), part)
 
 
 def _target(
-    own: TargetSettings, stages: chosen.Stages, ask: Callable[[str], None] | None
+    part: TargetSettings, stages: chosen.Stages, ask: Callable[[str], None] | None
 ) -> TargetStage:
-    if own.driver == "operator":
+    if part.driver == "operator":
         return OperatorTargetStage(ask)
-    return PiTargetStage(stages.at(own), own)
+    return PiTargetStage(stages.at(part), part)

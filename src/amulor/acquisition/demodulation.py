@@ -1,4 +1,4 @@
-"""Amplitude and phase of all frequencies in one record of a digitiser, with errors."""
+"""Demodulation of a digitizer record: amplitude and phase of each frequency."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
-#: Samples that are worked on at once.
+#: Samples of a block.
 _BLOCK = 65_536
-#: Bins beside a tone that its noise is taken from: from the first to the last on either
-#: side. The nearest ones hold what the fit of the tone has taken away.
+#: First and last bin, on either side of a tone, that its noise is estimated from. The
+#: fit has taken noise away from nearer ones.
 _NEAREST, _FARTHEST = 2, 17
-#: Largest relative error of a clock that is looked for [1].
+#: Largest relative clock offset of the search [1].
 _CLOCK = 1e-4
-#: Condition of the normal equations from which on tones cannot be told apart [1].
+#: Condition of the normal equations beyond which tones cannot be separated [1].
 _SINGULAR = 1e8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tones:
-    """What a record holds at each frequency."""
+    """Amplitude, phase and noise of each frequency of a record."""
 
     signals: NDArray[np.complex128]
     """Peak amplitude, delay as a positive phase, of shape (frequency,) [V]."""
@@ -36,7 +36,7 @@ class Tones:
 def demodulate(
     record: ArrayLike, *, sample_rate: float, frequencies: Sequence[float]
 ) -> Tones:
-    r"""Fit all frequencies of a comb to a record at once.
+    r"""Fit all frequencies of a comb to a record by linear least squares.
 
     Notes
     -----
@@ -47,8 +47,8 @@ def demodulate(
 
     so that an echo :math:`A \cos(\omega t - \varphi)` has :math:`S = A e^{i \varphi}`,
     and no tone leaks into another one, whatever part of a period the record ends in.
-    The noise of a tone is that of the 32 bins of the spectrum of what is left beside
-    it, so that it need not be white; the standard deviation is known to 12 %.
+    The noise of a tone is that of 32 bins of the spectrum of the residual beside it,
+    which need not be white; the standard deviation has an error of 12 %.
 
     Examples
     --------
@@ -78,35 +78,35 @@ def demodulate(
             f"{', '.join(f'{f / 1e6:.6g}' for f in frequencies)} MHz apart: they lie "
             "too close, or alias onto one another; take a longer record or another rate"
         )
-    found = np.linalg.solve(normal, right)
-    left = values.copy()
+    coefficients = np.linalg.solve(normal, right)
+    residual = values.copy()
     for start in range(0, values.size, _BLOCK):
-        part = left[start : start + _BLOCK]
-        part -= found @ _columns(cycles, start, part.size)
-    signals = found[1 : 1 + cycles.size] + 1j * found[1 + cycles.size :]
-    spreads = _noise_beside(left, cycles)
-    return Tones(signals=signals, spreads=spreads, offset=float(found[0]))
+        part = residual[start : start + _BLOCK]
+        part -= coefficients @ _columns(cycles, start, part.size)
+    signals = coefficients[1 : 1 + cycles.size] + 1j * coefficients[1 + cycles.size :]
+    spreads = _noise_beside(residual, cycles)
+    return Tones(signals=signals, spreads=spreads, offset=float(coefficients[0]))
 
 
 def clock_offset(
     reference: ArrayLike, *, sample_rate: float, frequencies: Sequence[float]
 ) -> float:
-    r"""Return by how much the frequencies in a record are higher than stated.
+    r"""Return the relative clock offset of a record from its reference tones [1].
 
     From one half of a stretch to the other the phase falls by
     :math:`\omega \epsilon T / 2`. The first stretch is so short that this is below half
-    a turn for the largest offset; each further one is four times as long, with what was
-    found before taken out. Tones count by amplitude and frequency squared.
+    a turn for the largest offset; each further one is four times as long, corrected by
+    the offset found before. Tones count by amplitude and frequency squared.
     """
     values = np.asarray(reference, dtype=float)
-    asked = np.asarray(frequencies, dtype=float)
-    least = 16 * (1 + 2 * asked.size)
-    length = max(least, int(0.5 * sample_rate / (np.max(asked) * _CLOCK)))
+    nominal = np.asarray(frequencies, dtype=float)
+    least = 16 * (1 + 2 * nominal.size)
+    length = max(least, int(0.5 * sample_rate / (np.max(nominal) * _CLOCK)))
     offset = 0.0
     while True:
         length = min(length, values.size)
         half = length // 2
-        used = asked * (1 + offset)
+        used = nominal * (1 + offset)
         first, second = (
             demodulate(part, sample_rate=sample_rate, frequencies=[*used]).signals
             for part in (values[:half], values[half : 2 * half])
@@ -123,19 +123,19 @@ def clock_offset(
 
 
 def _columns(cycles: Floats, start: int, count: int) -> Floats:
-    """Return 1, all cosines and all sines of a block, of shape (unknown, sample)."""
-    # Whole turns are taken off before they grow: they cost digits of the phase.
+    """Return the design matrix of a block, of shape (unknown, sample)."""
+    # Whole turns are subtracted early: they cost digits of the phase.
     turns = np.outer(cycles, np.arange(count)) + (cycles * start % 1.0)[:, None]
     phase = 2 * np.pi * (turns % 1.0)
     return np.concatenate([np.ones((1, count)), np.cos(phase), np.sin(phase)])
 
 
-def _noise_beside(left: Floats, cycles: Floats) -> Floats:
-    """Return the standard deviation of either output of each tone."""
-    power = np.abs(np.fft.rfft(left)) ** 2 * (2 / left.size) ** 2 / 2
-    folded = np.abs(cycles - np.round(cycles)) * left.size
+def _noise_beside(residual: Floats, cycles: Floats) -> Floats:
+    """Return the standard deviation of either output of each tone [V]."""
+    power = np.abs(np.fft.rfft(residual)) ** 2 * (2 / residual.size) ** 2 / 2
+    folded = np.abs(cycles - np.round(cycles)) * residual.size
     bins = np.arange(power.size)
-    usable = (bins > 0) & (bins < left.size / 2)
+    usable = (bins > 0) & (bins < residual.size / 2)
     for place in folded:
         usable &= np.abs(bins - place) >= _NEAREST
     result = np.empty(cycles.size)

@@ -1,4 +1,4 @@
-"""The devices of a scan together: who they are, and how all of them are made safe."""
+"""The devices of a scan: their identities, their safe state and their release."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ class Devices:
     """All devices of a scan, connected."""
 
     laser: Laser
-    """What lets light out."""
+    """Laser."""
     lock_in: LockIn
-    """What measures."""
+    """Lock-in amplifier."""
     scanner: Scanner
-    """What turns the beam."""
+    """Scanner, which turns the beam."""
     launch: RotationMount | None
-    """What sets the launched polarization, None if nothing turns."""
+    """Mount of the launched polarization; None without a motor."""
     analyser: RotationMount | None
-    """What sets the analysed polarization, None if nothing turns."""
+    """Mount of the analyzed polarization; None without a motor."""
     target: TargetStage
-    """What takes the target out of the beam."""
+    """Target stage."""
     clock: Clock
-    """What the devices go by."""
+    """Clock of the devices."""
     source: Source | None = None
-    """What modulates the laser, None if the lock-in does."""
+    """Generator that modulates the laser; None if the lock-in does."""
     release: Callable[[], None] = lambda: None
-    """Lets other scans have the devices, once they are closed."""
+    """Unlock the devices for other scans, once they are closed."""
 
     def all(self) -> Iterator[tuple[str, Device]]:
         """Yield name and device; the laser first, since it is made safe first."""
@@ -67,11 +67,11 @@ class Devices:
                 yield name, device
 
     def identities(self) -> dict[str, str]:
-        """Return what each device says it is."""
+        """Return the identity of each device."""
         return {name: device.identity() for name, device in self.all()}
 
     def make_safe(self) -> list[str]:
-        """Make every device safe, whatever the others do."""
+        """Make every device safe, also if others fail; return the failures."""
         wrong = []
         for name, device in self.all():
             try:
@@ -83,7 +83,7 @@ class Devices:
         return wrong
 
     def close(self) -> None:
-        """Let go of every device."""
+        """Close every device."""
         for _, device in self.all():
             with contextlib.suppress(Exception):
                 device.close()
@@ -91,18 +91,18 @@ class Devices:
 
 
 def digest(settings: Settings, identities: dict[str, str]) -> str:
-    """Return what changes when the instrument or the procedure is another one."""
-    # What says nothing does not count: a later amulor knows more settings.
+    """Return a digest of instrument and procedure."""
+    # Settings that are left out do not count: a later amulor has more of them.
     content = settings.model_dump(
         mode="json", exclude={"simulation": True}, exclude_none=True
     )
-    for own in content.values():
-        for name in [*own]:
+    for part in content.values():
+        for name in [*part]:
             if name in _NO_PART_OF_IT or name.endswith("timeout"):
-                del own[name]
+                del part[name]
     return cube.digest(json.dumps([content, identities], sort_keys=True))
 
 
 def is_simulated(identities: dict[str, str]) -> bool:
-    """Return whether any device says that it is simulated."""
+    """Return whether the identity of any device is that of a simulator."""
     return any(SIMULATOR in identity for identity in identities.values())

@@ -1,4 +1,4 @@
-"""When a lock-in has settled after a move, judged from what it reads."""
+"""One dwell: settling of the lock-in after a move, and its readings."""
 
 from __future__ import annotations
 
@@ -30,30 +30,29 @@ from amulor.acquisition.uncertainty import (
 from amulor.errors import InstrumentError
 from amulor.survey import Survey
 
-#: Shortest wait after a move, in time constants: before that the step response says
-#: more about the last direction than about this one.
+#: Shortest wait after a move, in time constants: earlier readings depend more on the
+#: last direction than on this one.
 FLOOR = 2.0
-#: What the step response may leave of the last direction, in standard errors of one
-#: reading: less than a tenth of that of a mean over ten.
-_LEFT = 0.25
+#: Largest remainder of the last direction, in standard errors of one reading: less than
+#: a tenth of that of a mean over ten.
+_RESIDUAL = 0.25
 #: Squared distance of two readings, in variances of one of its parts, that noise passes
 #: once in a hundred times.
 _AGREE = 9.21
-#: Longest wait, in times of `procedure.settling`; weight of the newest dwell in what
-#: is known of the noise.
+#: Longest wait, in units of `procedure.settling`; weight of the newest dwell in the
+#: estimate of the noise.
 _MOST, _WEIGHT = 4.0, 0.1
 
 
 class Settling:
-    r"""Waits until successive readings agree within their noise.
+    r"""Wait until successive readings agree within their noise.
 
-    A one-pole filter that held :math:`y_0` on arrival and shows y after a time t still
-    holds :math:`(y - y_0) / (e^{t / T} - 1)` of its last direction: the step response
-    is known, and so is how much longer it takes until this is a quarter of the noise of
-    a reading. Then two readings a time constant apart must agree, since a stage that
-    rings or light that comes up follows no step response. The noise is that of
-    counting, or what the readings of dwells before have shown, whichever is more:
-    water that moves is no unsettled filter.
+    A one-pole filter with the output :math:`y_0` on arrival and y after a time t has a
+    remainder :math:`(y - y_0) / (e^{t / T} - 1)` of the last direction. This gives the
+    further wait until the remainder is a quarter of the noise of a reading. Then two
+    readings a time constant apart must agree, since a stage that rings or light that
+    rises follows no step response. The noise is that of counting, or of the readings of
+    earlier dwells, whichever is larger: moving water is no unsettled filter.
     """
 
     def __init__(
@@ -74,11 +73,11 @@ class Settling:
             survey, rate=np.array([0.0, 1.0]), time_constant=self._constant
         )
         self._variances = float(dark), float(light - dark)
-        #: Variance that dwells have shown over that of counting, at least 1.
+        #: Variance of earlier dwells over that of counting, at least 1.
         self._excess = 1.0
 
     def wait(self, *, changed: bool) -> bool:
-        """Wait after a move; return whether readings came to agree."""
+        """Wait after a move; return whether readings agree."""
         start = self._clock.now()
         end = start + _MOST * self._settling * self._constant
         if changed:
@@ -89,23 +88,23 @@ class Settling:
             self._clock.sleep(FLOOR * self._constant)
             before = self._ask()
             passed = (self._clock.now() - start) / self._constant
-            left = max(
-                abs(one.signal - held.signal) / math.sqrt(self._variance(one))
-                for one, held in zip(before, first, strict=True)
+            remainder = max(
+                abs(later.signal - earlier.signal) / math.sqrt(self._variance(later))
+                for later, earlier in zip(before, first, strict=True)
             ) / math.expm1(passed)
-            if left > _LEFT:
-                longer = self._constant * math.log(left / _LEFT)
+            if remainder > _RESIDUAL:
+                longer = self._constant * math.log(remainder / _RESIDUAL)
                 self._clock.sleep(min(longer, end - self._clock.now()))
                 before = self._ask()
         while True:
             since = self._clock.now()
             self._clock.sleep(self._constant)
             after = self._ask()
-            kept = math.exp(-(self._clock.now() - since) / self._constant)
+            decay = math.exp(-(self._clock.now() - since) / self._constant)
             if all(
                 not new.unlocked
                 and abs(new.signal - old.signal) ** 2
-                <= _AGREE * 2 * (1 - kept) * self._variance(new)
+                <= _AGREE * 2 * (1 - decay) * self._variance(new)
                 for new, old in zip(after, before, strict=True)
             ):
                 return True
@@ -116,22 +115,24 @@ class Settling:
     def unsettled_parts(
         self, entered: NDArray[np.complex128], mean: float, spacing: float
     ) -> int | None:
-        """Return how many of the first inputs of a known filter are not yet settled."""
-        many = max(round(self._constant / spacing), 1)
-        blocks = [entered[at : at + many] for at in range(0, entered.size, many)]
-        if len(blocks) > 1 and blocks[-1].size < many:
+        """Return the number of unsettled inputs at the start, None above half."""
+        size = max(round(self._constant / spacing), 1)
+        blocks = [entered[at : at + size] for at in range(0, entered.size, size)]
+        if len(blocks) > 1 and blocks[-1].size < size:
             blocks[-2:] = [np.concatenate(blocks[-2:])]
         level = complex(np.mean(entered[entered.size // 2 :]))
-        one = self._counted(level, mean) / math.tanh(0.5 * spacing / self._constant)
+        variance = self._counting_variance(level, mean) / math.tanh(
+            0.5 * spacing / self._constant
+        )
         wrong = [
             number
             for number in range(len(blocks) - 1)
-            if not self._agree(blocks[number], blocks[number + 1 :], one)
+            if not self._agree(blocks[number], blocks[number + 1 :], variance)
         ]
         if not wrong:
             if len(blocks) > 2:
                 means = np.array([block.mean() for block in blocks])
-                self._learn(float(means.var(ddof=1)) / (2 * one / many))
+                self._learn(float(means.var(ddof=1)) / (2 * variance / size))
             return 0
         unsettled = sum(block.size for block in blocks[: wrong[-1] + 1])
         return unsettled if unsettled <= entered.size // 2 else None
@@ -139,30 +140,30 @@ class Settling:
     def _agree(
         self,
         block: NDArray[np.complex128],
-        rest: Sequence[NDArray[np.complex128]],
+        later_blocks: Sequence[NDArray[np.complex128]],
         variance: float,
     ) -> bool:
-        later = np.concatenate(rest)
+        later = np.concatenate(later_blocks)
         expected = variance * self._excess * (1 / block.size + 1 / later.size)
         # A scan has many dwells, and a dwell many blocks: once in a thousand each.
         return bool(abs(block.mean() - later.mean()) ** 2 <= 1.5 * _AGREE * expected)
 
     def learn(self, signals: Sequence[complex], mean: float) -> None:
-        """Take note of readings of a settled dwell, a time constant apart [V]."""
+        """Update the noise by settled readings, a time constant apart [V]."""
         if len(signals) < 3:
             return
         steps = np.abs(np.diff(np.asarray(signals))) ** 2
-        one = self._counted(complex(np.mean(signals)), mean)
-        self._learn(float(steps.mean()) / (4 * (1 - math.exp(-1)) * one))
+        variance = self._counting_variance(complex(np.mean(signals)), mean)
+        self._learn(float(steps.mean()) / (4 * (1 - math.exp(-1)) * variance))
 
     def _learn(self, ratio: float) -> None:
         self._excess = max(self._excess + _WEIGHT * (ratio - self._excess), 1.0)
 
     def _variance(self, reading: Reading) -> float:
         """Return the variance of either output of a reading [V^2]."""
-        return self._counted(reading.signal, reading.mean) * self._excess
+        return self._counting_variance(reading.signal, reading.mean) * self._excess
 
-    def _counted(self, signal: complex, mean: float) -> float:
+    def _counting_variance(self, signal: complex, mean: float) -> float:
         lower = abs(signal) / (self._depth * self._volt)
         rate = lower if math.isnan(mean) else mean / self._volt - self._dark_rate
         dark, light = self._variances
@@ -171,7 +172,7 @@ class Settling:
 
 
 def refuse_for_records(records: bool, lock_in: str) -> None:
-    """Raise if what is read has no output filter that could settle."""
+    """Raise if the lock-in records the detector, without an output filter."""
     if records:
         raise InstrumentError(
             f"{lock_in} records the detector itself, which has nothing to settle; take "
@@ -181,38 +182,38 @@ def refuse_for_records(records: bool, lock_in: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Dwell:
-    """What one dwell has brought."""
+    """Signals and state of one dwell."""
 
     signals: list[complex]
-    """One for each frequency [V]."""
+    """Signal at each frequency [V]."""
     modulation_frequencies: list[float]
-    """What the instrument says it used [Hz]."""
+    """Modulation frequencies read back [Hz]."""
     means: list[float]
-    """Mean output of the detector at some moments, empty where not wired [V]."""
+    """Mean outputs of the detector, empty where it is not wired [V]."""
     readings: int
-    """Of how many readings or intervals the signals are means [1]."""
+    """Number of readings or intervals in the mean [1]."""
     interval: float | None
-    """Time between them by the instrument's own clock, None without one [s]."""
+    """Time between them by the clock of the instrument, None without one [s]."""
     spreads: list[float | None]
-    """Standard deviation of either output where the record itself tells it [V]."""
+    """Standard deviation of either output from the record; None without one [V]."""
     overload: Overload
-    """What has overloaded."""
+    """Overloads during the dwell."""
     unlocked: bool
     """Whether the reference was lost."""
     settled: bool = True
-    """Whether what was judged to be settled came to be so."""
+    """Whether the readings agreed within the longest wait."""
     edges: list[float] | None = None
     """Standard deviation of either output by edges inside an interval, for each
     frequency, if the beam has moved [V]."""
 
 
 def lacking(device: Device, *words: str) -> list[str]:
-    """Return the methods that a device does not have."""
+    """Return those of these methods that a device lacks."""
     return [word for word in words if not hasattr(device, word)]
 
 
 def refuse_lacking(device: Device, setting: str, *words: str) -> None:
-    """Raise if a device lacks what a setting of the procedure asks of it."""
+    """Raise if a device lacks methods that a setting of the procedure needs."""
     missing = lacking(device, *words)
     if missing:
         raise InstrumentError(
@@ -222,7 +223,7 @@ def refuse_lacking(device: Device, setting: str, *words: str) -> None:
 
 
 class DwellReader:
-    """Reads dwells, after what must settle has settled."""
+    """Read dwells, each after settling."""
 
     def __init__(
         self, survey: Survey, procedure: Procedure, lock_in: LockIn, clock: Clock
@@ -230,14 +231,14 @@ class DwellReader:
         self._constant = survey.instrument.lock_in.time_constant
         self._dwell = survey.scan.dwell
         self._settling = procedure.settling
-        self._known = procedure.output_filter == "known"
+        self._filter_is_known = procedure.output_filter == "known"
         self._lock_in, self._clock = lock_in, clock
-        #: What a lock-in says that waits, integrates and knows its error by itself.
+        #: Whether the lock-in integrates and estimates its errors by itself.
         self._records = getattr(lock_in, "records", False)
         self._buffer = procedure.readings == "buffer" or self._records
-        self._known = self._known and not self._records
-        if self._known:
-            # One more: what the filter holds at the start is to be known.
+        self._filter_is_known = self._filter_is_known and not self._records
+        if self._filter_is_known:
+            # One more: the filter's output at the start is needed.
             intervals = intervals_of(survey)
             self._number, self._spacing = intervals + 1, self._dwell / intervals
         else:
@@ -246,38 +247,38 @@ class DwellReader:
         self._judge: Settling | None = None
         if procedure.settled_by == "samples":
             refuse_for_records(self._records, lock_in.identity())
-            self._judge = Settling(survey, procedure, self._asked, clock)
+            self._judge = Settling(survey, procedure, self._read_once, clock)
         self._several = False
         if self._buffer:
             refuse_lacking(lock_in, 'procedure.readings = "buffer"', "record")
 
     def take(self, *, several: bool, changed: bool) -> Dwell:
-        """Return what a dwell brings."""
+        """Wait for settling, and read one dwell."""
         if self._records:
             return self._recorded()
         self._several, settled = several, True
-        if self._judge is not None and not self._known:
+        if self._judge is not None and not self._filter_is_known:
             settled = self._judge.wait(changed=changed)
-        elif changed or not self._known:
+        elif changed or not self._filter_is_known:
             self._clock.sleep(self._settling * self._constant)
         dwell = self._recorded() if self._buffer else self._read(waited=settled)
         return dwell if settled else replace(dwell, settled=False)
 
-    def _asked(self) -> list[Reading]:
+    def _read_once(self) -> list[Reading]:
         if self._several:
             return cast(CombLockIn, self._lock_in).read_all()
         return [self._lock_in.read()]
 
     def _read(self, *, waited: bool) -> Dwell:
-        """Return a dwell by questions; noise is learnt where it was waited for."""
+        """Read a dwell query by query; update the noise if it had settled."""
         readings: list[list[Reading]] = []
         moments: list[float] = []
         for place in range(self._number):
             if place:
                 self._clock.sleep(self._spacing)
-            asked = self._clock.now()
-            readings.append(self._asked())
-            moments.append((asked + self._clock.now()) / 2)
+            start = self._clock.now()
+            readings.append(self._read_once())
+            moments.append((start + self._clock.now()) / 2)
         overload, unlocked = Overload.NONE, False
         for reading in itertools.chain.from_iterable(readings):
             overload |= reading.overload
@@ -287,8 +288,8 @@ class DwellReader:
             for column in zip(*readings, strict=True)
         ]
         means = [row[0].mean for row in readings if not math.isnan(row[0].mean)]
-        signals, left_out, settled = self._signals(columns, moments, means)
-        if self._judge is not None and not self._known and waited:
+        signals, skipped, settled = self._signals(columns, moments, means)
+        if self._judge is not None and not self._filter_is_known and waited:
             for column in columns:
                 self._judge.learn(
                     column, sum(means) / len(means) if means else math.nan
@@ -296,10 +297,12 @@ class DwellReader:
         return Dwell(
             signals=signals,
             settled=settled,
-            modulation_frequencies=[one.modulation_frequency for one in readings[-1]],
+            modulation_frequencies=[
+                reading.modulation_frequency for reading in readings[-1]
+            ],
             means=means,
-            readings=self._number - self._known - left_out,
-            interval=self._spacing if left_out else None,
+            readings=self._number - self._filter_is_known - skipped,
+            interval=self._spacing if skipped else None,
             spreads=[None] * len(signals),
             overload=overload,
             unlocked=unlocked,
@@ -308,25 +311,26 @@ class DwellReader:
     def _recorded(self) -> Dwell:
         lock_in = cast(BufferedLockIn, self._lock_in)
         duration = self._dwell
-        if not (self._known or self._records):
+        if not (self._filter_is_known or self._records):
             duration = (self._number - 1) * self._constant
-        found = lock_in.record(duration)
-        means = [] if math.isnan(found.mean) else [found.mean]
-        signals, left_out, settled = self._signals(
-            [*found.signals.T], found.times, means
+        recorded = lock_in.record(duration)
+        means = [] if math.isnan(recorded.mean) else [recorded.mean]
+        signals, skipped, settled = self._signals(
+            [*recorded.signals.T], recorded.times, means
         )
-        count = len(found.times) - self._known - left_out
-        length = float(found.times[-1] - found.times[0])
+        count = len(recorded.times) - self._filter_is_known - skipped
+        length = float(recorded.times[-1] - recorded.times[0])
+        steps = len(recorded.times) - 1
         return Dwell(
             signals=signals,
             settled=settled,
-            modulation_frequencies=[*found.modulation_frequencies],
+            modulation_frequencies=[*recorded.modulation_frequencies],
             means=means,
             readings=count,
-            interval=length / (len(found.times) - 1) if len(found.times) > 1 else None,
-            spreads=[*(found.spreads or [None] * len(signals))],
-            overload=found.overload,
-            unlocked=found.unlocked,
+            interval=length / steps if steps else None,
+            spreads=[*(recorded.spreads or [None] * len(signals))],
+            overload=recorded.overload,
+            unlocked=recorded.unlocked,
         )
 
     def _signals(
@@ -335,25 +339,25 @@ class DwellReader:
         times: ArrayLike,
         means: Sequence[float],
     ) -> tuple[list[complex], int, bool]:
-        """Return signals, what is left out at the start, whether the rest agrees."""
+        """Return signals, the number of skipped readings, and whether others agree."""
         mean = sum(means) / len(means) if means else math.nan
-        left_out, settled = 0, True
-        if self._judge is not None and self._known and len(columns[0]) > 2:
+        skipped, settled = 0, True
+        if self._judge is not None and self._filter_is_known and len(columns[0]) > 2:
             moments = np.asarray(times, dtype=float)
             spacing = float(moments[-1] - moments[0]) / (moments.size - 1)
             for column in columns:
-                kept = np.exp(-np.diff(moments) / self._constant)
+                decay = np.exp(-np.diff(moments) / self._constant)
                 output = np.asarray(column, dtype=complex)
-                entered = (output[1:] - kept * output[:-1]) / (1 - kept)
+                entered = (output[1:] - decay * output[:-1]) / (1 - decay)
                 wrong = self._judge.unsettled_parts(entered, mean, spacing)
                 settled = settled and wrong is not None
-                left_out = max(left_out, wrong or 0)
-        moments = np.asarray(times, dtype=float)[left_out:]
-        signals = [self._signal(column[left_out:], moments) for column in columns]
-        return signals, left_out, settled
+                skipped = max(skipped, wrong or 0)
+        moments = np.asarray(times, dtype=float)[skipped:]
+        signals = [self._signal(column[skipped:], moments) for column in columns]
+        return signals, skipped, settled
 
     def _signal(self, outputs: Sequence[complex] | Any, times: ArrayLike) -> complex:
-        """Return what entered the filter, or the mean of what came out of it."""
-        if self._known and len(outputs) > 1:
+        """Return the mean input of a known filter, or the mean of its outputs."""
+        if self._filter_is_known and len(outputs) > 1:
             return filtered_input(outputs, times, time_constant=self._constant)
         return complex(np.mean(outputs))

@@ -13,38 +13,38 @@ from amulor.survey import Survey, water_properties
 
 LaserClass = Literal["1", "2", "3R", "3B", "4"]
 
-#: Wavelengths for which the limits below hold [m].
+#: Wavelengths of the limits below [m].
 _VISIBLE = (400e-9, 700e-9)
-#: Exposures for which they hold [s].
+#: Exposures of the limits below [s].
 _EXPOSURES = (18e-6, 3e4)
-#: Pupil that light is collected by [m].
+#: Diameter of the pupil [m].
 APERTURE = 7e-3
-#: Light that comes and goes faster than this counts by its mean [s].
+#: Longest modulation period that counts by its mean [s].
 _ONE_PULSE = 5e-6
 #: Powers that a class allows of a continuous visible point source, above class 1 [W].
 _CLASS_POWERS = {"2": 1e-3, "3R": 5e-3, "3B": 0.5, "4": math.inf}
-#: Class 1 is judged over this time [s].
+#: Exposure of class 1 [s].
 _CLASS_1_EXPOSURE = 3e4
-#: How exact a distance is [m], and beyond which it is called infinite [m].
+#: Accuracy of a distance, and the distance beyond which it is infinite [m].
 _EXACT, _FARTHEST = 1e-4, 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hazard:
-    """What a beam can do to an eye in it."""
+    """Hazard of a beam to an eye in it."""
 
     permissible_irradiance: float
-    """Maximum permissible exposure at the cornea, its mean over the time [W/m2]."""
+    """Maximum permissible exposure at the cornea, as a mean over the time [W/m2]."""
     irradiance: float
-    """Mean over the pupil, at the instrument [W/m2]."""
+    """Irradiance at the instrument, as a mean over the pupil [W/m2]."""
     distance_in_air: float
-    """From where on an eye in the beam gets less than is permissible, in air [m]."""
+    """Hazard distance in air, beyond which the exposure is permissible [m]."""
     distance_in_water: float
-    """The same in the water of the survey, by absorption and divergence alone [m]."""
+    """Hazard distance in the survey's water, by absorption and divergence [m]."""
     class_power: float
-    """Largest power that the stated class allows [W]."""
+    """Largest power of the laser class [W]."""
     exceeds_class: bool
-    """Whether the survey's power is larger."""
+    """Whether the power of the survey is larger."""
 
 
 def permissible_irradiance(wavelength: float, *, exposure: float) -> float:
@@ -83,14 +83,14 @@ def permissible_irradiance(wavelength: float, *, exposure: float) -> float:
 
 
 def pupil_irradiance(power: float, *, diameter: float) -> float:
-    r"""Irradiance of a Gaussian beam, as a mean over a pupil in its middle."""
+    """Return the irradiance of a Gaussian beam, as a mean over a centered pupil."""
     if not (power >= 0 and diameter > 0):
         raise ValueError(
             f"power must not be negative and diameter above 0, got {power:g} W and "
             f"{diameter:g} m"
         )
-    seen = -math.expm1(-((APERTURE / diameter) ** 2))
-    return power * seen / (math.pi / 4 * APERTURE**2)
+    fraction = -math.expm1(-((APERTURE / diameter) ** 2))
+    return power * fraction / (math.pi / 4 * APERTURE**2)
 
 
 def hazard(
@@ -101,7 +101,7 @@ def hazard(
     laser_class: LaserClass,
     exposure: float = 0.25,
 ) -> Hazard:
-    """Return how near to the instrument an eye in its beam is in danger.
+    """Return the hazard of the beam of a survey to an eye in it.
 
     The beam grows by its divergence, in water by that over the refractive index; water
     absorbs. What it scatters forward may still reach the eye, so scattering counts as
@@ -124,22 +124,22 @@ def hazard(
     water = water_properties(survey)
 
     def distance(growth: float, absorption: float) -> float:
-        def seen(way: float) -> float:
+        def irradiance(length: float) -> float:
             return pupil_irradiance(
-                power * math.exp(-absorption * way),
-                diameter=beam_diameter + growth * way,
+                power * math.exp(-absorption * length),
+                diameter=beam_diameter + growth * length,
             )
 
         near, far = 0.0, 1.0
-        if seen(near) <= limit:
+        if irradiance(near) <= limit:
             return 0.0
-        while seen(far) > limit:
+        while irradiance(far) > limit:
             near, far = far, 2 * far
             if far > _FARTHEST:
                 return math.inf
         while far - near > _EXACT:
             middle = (near + far) / 2
-            near, far = (middle, far) if seen(middle) > limit else (near, middle)
+            near, far = (middle, far) if irradiance(middle) > limit else (near, middle)
         return far
 
     allowed = _CLASS_POWERS.get(laser_class)

@@ -1,4 +1,4 @@
-"""Every sample of a scan, in the order in which it is taken."""
+"""The plan of a scan: all samples in the order of acquisition."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from amulor.errors import SurveyError
 from amulor.survey import Survey
 from amulor.survey.directions import open_water_directions, scan_directions
 
-#: What a sample is of.
+#: Kinds of samples.
 SCAN, OPEN_WATER, DARK = "scan", "open_water", "dark"
 
 
 class Key(NamedTuple):
-    """What tells one sample from every other one of a scan."""
+    """Unique key of a sample of a scan."""
 
     kind: str
     """SCAN, OPEN_WATER or DARK."""
@@ -38,51 +38,55 @@ class Key(NamedTuple):
     polarization: str
     """Launched and analysed state, or "none"."""
     repeat: int
-    """Number of the sample among those of the same place and channel; of the scan
-    itself 0, more if it was taken again [1]."""
+    """Number of the sample among those of the same place and channel; 0 in the scan,
+    more for a retake [1]."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One dwell: the samples that it brings and the direction that it is taken in."""
+    """One dwell: its direction and the samples acquired in it."""
 
     key: Key
-    """Of its first sample."""
+    """Key of its first sample."""
     azimuth: float
-    """To the right [rad]."""
+    """Azimuth, to the right [rad]."""
     elevation: float
-    """Upwards [rad]."""
+    """Elevation, upwards [rad]."""
     others: tuple[Key, ...] = ()
-    """Of samples at other frequencies that the same dwell brings."""
+    """Keys of its samples at other frequencies."""
     together: tuple[float, ...] = ()
-    """All frequencies that modulate the laser in this dwell, if there are several; also
-    those whose samples are not wanted any more [Hz]."""
+    """All modulation frequencies of this dwell, if several, including those whose
+    samples exist already [Hz]."""
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """Of all samples of the dwell."""
+        """Keys of all samples of the dwell."""
         return (self.key, *self.others)
 
     @property
     def frequencies(self) -> tuple[float, ...]:
-        """All frequencies that modulate the laser in this dwell [Hz]."""
+        """All modulation frequencies of this dwell [Hz]."""
         return self.together or (self.key.frequency,)
 
     def without(self, done: Container[Key]) -> Step | None:
-        """Return the same dwell for what is not done; None if all of it is.
+        """Return the dwell for its missing samples; None if there are none.
 
-        What modulates the laser stays: the light of one frequency is not to depend on
-        whether the sample of another one was lost.
+        All modulation frequencies stay: light at one frequency must not depend on
+        whether the sample at another one is missing.
         """
-        left = [key for key in self.keys if key not in done]
-        return replace(self, key=left[0], others=tuple(left[1:])) if left else None
+        remaining = [key for key in self.keys if key not in done]
+        return (
+            replace(self, key=remaining[0], others=tuple(remaining[1:]))
+            if remaining
+            else None
+        )
 
 
 class Comb(NamedTuple):
-    """What is measured in one dwell."""
+    """Frequencies and polarization of one dwell."""
 
     frequencies: tuple[float, ...]
-    """At once [Hz]."""
+    """Modulation frequencies at once [Hz]."""
     polarization: str
     """Launched and analysed state, or "none"."""
 
@@ -99,7 +103,7 @@ class Comb(NamedTuple):
 
 
 def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
-    """Yield every planned sample."""
+    """Yield all dwells of a scan."""
     count = procedure.references
     rows = [
         (comb, row) for comb in combs(survey, procedure) for row in range(_rows(survey))
@@ -118,7 +122,7 @@ def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
 
 
 def strips(steps: Iterable[Step], *, longest: int) -> Iterator[list[Step]]:
-    """Yield steps together that one motion along a row can take."""
+    """Group steps into strips that one motion along a row can acquire."""
     strip: list[Step] = []
     for step in steps:
         if strip and not (len(strip) < longest and _goes_on(strip, step)):
@@ -137,13 +141,13 @@ def _goes_on(strip: list[Step], step: Step) -> bool:
         return False
     if step.key.polarization != last.key.polarization:
         return False
-    way = step.key.column - last.key.column
-    before = last.key.column - strip[-2].key.column if len(strip) > 1 else way
-    return abs(way) == 1 and way == before
+    direction = step.key.column - last.key.column
+    before = last.key.column - strip[-2].key.column if len(strip) > 1 else direction
+    return abs(direction) == 1 and direction == before
 
 
 def together(steps: Sequence[Step]) -> Step:
-    """Return several steps as one, for what is done with all of their keys."""
+    """Join several steps into one with all of their keys."""
     first, *others = (key for step in steps for key in step.keys)
     return replace(steps[0], key=first, others=tuple(others))
 
@@ -151,7 +155,7 @@ def together(steps: Sequence[Step]) -> Step:
 def extra_reference(
     survey: Survey, procedure: Procedure, *, number: int
 ) -> Iterator[Step]:
-    """Yield the reference that is taken once more after a break."""
+    """Yield the reference measurement after a break."""
     plan = survey.scan.open_water
     dark = procedure.references * procedure.dark_readings
     first = 0 if plan is None else plan.repeats
@@ -171,7 +175,7 @@ def extra_reference(
 def retakes(
     survey: Survey, procedure: Procedure, *, spoiled: Collection[Key]
 ) -> Iterator[Step]:
-    """Yield once more the samples of the scan that were spoiled."""
+    """Yield retakes of spoiled samples of the scan."""
     repeats = {key._replace(repeat=0): key.repeat for key in spoiled}
     for step in steps(survey, procedure):
         again = [
@@ -205,13 +209,13 @@ def channels(survey: Survey) -> list[tuple[float, str]]:
 
 
 def combs(survey: Survey, procedure: Procedure) -> list[Comb]:
-    """Return what is measured dwell by dwell: frequencies at once, one polarization."""
-    many = procedure.frequencies_at_once or 1
+    """Return the frequencies and the polarization of each dwell of a pixel."""
+    size = procedure.frequencies_at_once or 1
     frequencies = survey.instrument.modulation_frequencies
-    depth = survey.instrument.modulation_depth * min(many, len(frequencies))
-    if many > 1 and depth > 1 + 1e-9:
+    depth = survey.instrument.modulation_depth * min(size, len(frequencies))
+    if size > 1 and depth > 1 + 1e-9:
         raise SurveyError(
-            f"{min(many, len(frequencies))} frequencies at once, each with a "
+            f"{min(size, len(frequencies))} frequencies at once, each with a "
             f"modulation depth of {survey.instrument.modulation_depth:g}, would "
             f"modulate {depth:.3g} of the light; state the depth that each of them "
             f"has then (instrument.modulation_depth), at most "
@@ -219,14 +223,14 @@ def combs(survey: Survey, procedure: Procedure) -> list[Comb]:
             "procedure.frequencies_at_once"
         )
     return [
-        Comb(tuple(frequencies[first : first + many]), pair)
+        Comb(tuple(frequencies[first : first + size]), pair)
         for pair in survey.instrument.polarizations
-        for first in range(0, len(frequencies), many)
+        for first in range(0, len(frequencies), size)
     ]
 
 
 def count(survey: Survey, procedure: Procedure) -> int:
-    """Return how many samples a scan has, references included."""
+    """Return the number of samples of a scan, references included [1]."""
     plan = survey.scan.open_water
     shots = 0 if plan is None else plan.rows * plan.columns * plan.repeats
     dark = procedure.references * procedure.dark_readings

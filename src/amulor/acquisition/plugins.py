@@ -1,4 +1,4 @@
-"""Devices of other packages, found by the entry points that they declare."""
+"""Devices of other packages, by their entry points."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ GROUPS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Wiring:
-    """What a device of another package is made from."""
+    """Arguments of the factory of a device."""
 
     address: str | None
-    """Where it is reached, as the devices file says."""
+    """Address in the devices file."""
     timeout: float
-    """How long one answer may take [s]."""
+    """Longest wait for one answer [s]."""
     clock: Clock
-    """What waits go by: `clock.sleep`, never `time.sleep`."""
+    """Clock of all waits: use `clock.sleep`, never `time.sleep`."""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """What the part `options` of the devices file says."""
+    """Table `options` of the part in the devices file."""
 
 
-#: Makes a device; entry points name one of these.
+#: Factory of a device, named by an entry point.
 Factory = Callable[[Wiring], Any]
 
 
 def names(part: str) -> list[str]:
-    """Return the devices that installed packages offer.
+    """Return the names of devices that installed packages offer.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def names(part: str) -> list[str]:
 
 
 def make(part: str, name: str, wiring: Wiring) -> Any:
-    """Return a device of another package.
+    """Make a device of another package.
 
     Parameters
     ----------
@@ -65,18 +65,18 @@ def make(part: str, name: str, wiring: Wiring) -> Any:
     name : str
         Name of its entry point.
     wiring : Wiring
-        What it is made from.
+        Arguments of its factory.
 
     Returns
     -------
     object
-        Behind the protocol of its part, see `amulor.acquisition.protocols`.
+        Device with the protocol of its part, see `amulor.acquisition.protocols`.
 
     Raises
     ------
     InstrumentError
-        If there is no such device, it cannot be imported, refuses what it was given, or
-        lacks what a scan will ask of it.
+        If there is no such device, if it cannot be imported or made, or if it lacks a
+        method that a scan needs.
     """
     entries = metadata.entry_points(group=GROUPS[part], name=name)
     if not entries:

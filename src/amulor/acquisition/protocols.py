@@ -1,4 +1,4 @@
-"""What a device must offer to a scan: SI units, blocking calls, a safe state."""
+"""Protocols of the devices of a scan: SI units, blocking calls, a safe state."""
 
 from __future__ import annotations
 
@@ -10,240 +10,240 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-#: What the identity of every simulated device holds, wherever it runs.
+#: Part of the identity of every simulated device.
 SIMULATOR = "amulor simulator"
 
 
 class Overload(enum.IntFlag):
-    """Where a lock-in ran out of room; bits that add up."""
+    """Overloaded stages of a lock-in, as bits that add up."""
 
     NONE = 0
     INPUT = 1
-    """The signal input, before any mixing."""
+    """Signal input, before the mixer."""
     RESERVE = 2
-    """An amplifier between the mixer and the filter."""
+    """Amplifier between mixer and filter."""
     OUTPUT = 4
-    """The output filter: the signal itself is larger than the full scale."""
+    """Output filter: the signal is larger than the full scale."""
     MEAN = 8
-    """An auxiliary input: the mean output of the detector is larger than it takes."""
+    """Auxiliary input of the mean output of the detector."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """One look at a lock-in amplifier, all values of one instant."""
+    """One reading of a lock-in amplifier, all values of one instant."""
 
     signal: complex
     """Peak amplitude of the modulation, delayed echo with positive phase [V]."""
     mean: float
-    """Mean output of the detector, not a number where it is not wired [V]."""
+    """Mean output of the detector, NaN where it is not wired [V]."""
     modulation_frequency: float
-    """Frequency that the instrument says it detects at [Hz]."""
+    """Modulation frequency read back from the instrument [Hz]."""
     overload: Overload = Overload.NONE
-    """What has overloaded since the reading before."""
+    """Overloads since the last reading."""
     unlocked: bool = False
-    """Whether the reference was lost at any time since the reading before."""
+    """Whether the reference was lost since the last reading."""
 
 
 class Device(Protocol):
-    """What every device can do."""
+    """Methods of every device."""
 
     def identity(self) -> str:
-        """Return maker, model, serial number and firmware as the device says them."""
+        """Return maker, model, serial number and firmware from the device."""
 
     def make_safe(self) -> None:
-        """Bring the device into the state that it may be left alone in.
+        """Bring the device into its safe state.
 
         It can be called at any time, twice, and after an error.
         """
 
     def close(self) -> None:
-        """Let go of the link to the device; it may be called twice."""
+        """Close the link to the device; it may be called twice."""
 
 
 class LockIn(Device, Protocol):
-    """A lock-in amplifier that makes its own reference."""
+    """Lock-in amplifier with its oscillator as the reference."""
 
     def prepare(self, *, time_constant: float) -> None:
         """Set internal reference, one-pole output filter and time constant [s]."""
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Set the modulation frequency [Hz], wait for lock, return what is set [Hz]."""
+        """Set the modulation frequency, wait for lock, return the actual one [Hz]."""
 
     def read(self) -> Reading:
-        """Return the outputs and the state of this instant."""
+        """Return the present outputs and state."""
 
     def relieve(self, overload: Overload) -> bool:
-        """Take one step that makes room for an overload; False if there is none."""
+        """Increase range or reserve by one step; False if at the maximum."""
 
     def sharpen(self, amplitude: float) -> bool:
-        """Take one step to a finer scale if this peak amplitude [V] leaves room."""
+        """Select the next finer scale if this peak amplitude [V] fits well."""
 
     def full_scale(self) -> float:
         """Return the largest peak amplitude of the present setting [V]."""
 
 
 class CombLockIn(LockIn, Protocol):
-    """A lock-in amplifier that measures several frequencies at once."""
+    """Lock-in amplifier for several frequencies at once."""
 
     def set_frequencies(
         self, frequencies: Sequence[float], *, timeout: float
     ) -> list[float]:
-        """Modulate by all of them and nothing else [Hz]; return what is set [Hz].
+        """Modulate at these frequencies only [Hz]; return the actual ones [Hz].
 
         `set_frequency` does the same for one.
         """
 
     def read_all(self) -> list[Reading]:
-        """Return the outputs of one instant, in the order of the frequencies."""
+        """Return the present outputs, in the order of the frequencies."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """What a lock-in has recorded during a dwell, by its own clock."""
+    """Record of a dwell by the clock of the lock-in."""
 
     times: NDArray[np.float64]
-    """Moments, rising, of shape (n,) [s]."""
+    """Times, rising, of shape (n,) [s]."""
     signals: NDArray[np.complex128]
-    """Peak amplitude at each of them, of shape (n, frequency), delay as a positive
-    phase [V]."""
+    """Peak amplitude at each time, of shape (n, frequency), delay as a positive phase
+    [V]."""
     mean: float
-    """Mean output of the detector, not a number where it is not wired [V]."""
+    """Mean output of the detector, NaN where it is not wired [V]."""
     modulation_frequencies: tuple[float, ...]
-    """Frequencies that the instrument says it used [Hz]."""
+    """Modulation frequencies read back from the instrument [Hz]."""
     overload: Overload = Overload.NONE
-    """What has overloaded meanwhile."""
+    """Overloads during the record."""
     unlocked: bool = False
-    """Whether the reference was lost meanwhile."""
+    """Whether the reference was lost during the record."""
     spreads: tuple[float, ...] | None = None
     """Standard deviation of either output of the mean signal, for each frequency, if
-    the record tells it [V]."""
+    estimated from the record [V]."""
 
 
 class BufferedLockIn(LockIn, Protocol):
-    """A lock-in amplifier that records its outputs by its own clock."""
+    """Lock-in amplifier with a buffer that records its outputs."""
 
     def record(self, duration: float) -> Recorded:
-        """Return the outputs of a time [s] that begins with this call.
+        """Record the outputs for a time [s] from this call on.
 
-        Of all frequencies that are set, at least one moment; the first not before the
-        call, and as many as the instrument makes in that time.
+        The record has all frequencies that are set and at least one time, none of them
+        before the call.
         """
 
 
 class StreamingLockIn(BufferedLockIn, Protocol):
-    """A lock-in amplifier that records on and on while it is asked for what it has."""
+    """Lock-in amplifier that streams its outputs without a gap."""
 
     def begin_stream(self, duration: float) -> None:
-        """Begin to record at once, without a gap, for a time at least [s]."""
+        """Start to record at once, without a gap, for at least a time [s]."""
 
     def fetch(self) -> Recorded:
-        """Return what has been recorded since the last call, oldest first.
+        """Return the record since the last call, oldest first.
 
-        Its times are by the clock of the scan, evenly spaced over all calls, without a
-        gap between two of them; there may be none yet. Mean and state are of now.
+        Its times are by the clock of the scan, evenly spaced over all calls without a
+        gap; there may be none yet. Mean and state are the present ones.
         """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Waveform:
-    """One record of a digitiser, all inputs at the same moments."""
+    """One record of a digitizer, all inputs at the same times."""
 
     signal: NDArray[np.float64]
-    """The detector, of shape (n,) [V]."""
+    """Output of the detector, of shape (n,) [V]."""
     reference: NDArray[np.float64] | None
-    """What modulates the laser, of the same shape; None if every record starts in phase
+    """Modulation of the laser, of the same shape; None if every record starts in phase
     with it."""
     sample_rate: float
-    """As the digitiser counts it [1/s]."""
+    """Sample rate by the clock of the digitizer [1/s]."""
     clipped: bool = False
-    """Whether the converter came to its end."""
+    """Whether the converter clipped."""
     shows_mean: bool = False
     """Whether the mean of the record is the mean output of the detector."""
 
 
 class Digitiser(Device, Protocol):
-    """What records the detector directly; no modulation is its safe state."""
+    """Digitizer that records the detector; its safe state is no modulation."""
 
     ranges: tuple[float, ...]
-    """Largest voltages that it takes, rising [V]."""
+    """Input ranges, peak, rising [V]."""
     shows_mean: bool
-    """Whether the detector's mean output passes its input."""
+    """Whether its input is coupled to the mean output of the detector."""
 
     def prepare(self) -> None:
-        """Set all that a scan needs."""
+        """Configure the digitizer for a scan."""
 
     def set_range(self, number: int) -> None:
-        """Take one of the ranges, by its number."""
+        """Select a range by its number."""
 
     def set_frequencies(
         self, frequencies: Sequence[float], *, timeout: float
     ) -> list[float]:
-        """Modulate by all of them at once [Hz]; return what is put out [Hz]."""
+        """Modulate at several frequencies at once [Hz]; return the actual ones [Hz]."""
 
     def acquire(self, duration: float) -> Waveform:
-        """Return a record of a time [s], or of what the memory takes."""
+        """Return a record of a time [s], at most that of the memory."""
 
 
 class Source(Device, Protocol):
-    """A generator that modulates the laser; no output is its safe state.
+    """Generator that modulates the laser; its safe state is no output.
 
     The lock-in then takes its reference from the generator.
     """
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Put out a frequency [Hz] within a time [s]; return what it is [Hz]."""
+        """Output a frequency [Hz] within a time [s]; return the actual one [Hz]."""
 
 
 class Scanner(Device, Protocol):
-    """What turns the beam, or the instrument with it."""
+    """Scanner, which turns the beam or the whole instrument."""
 
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
-        """Turn to a direction [rad] within a time [s]; return where it stands [rad]."""
+        """Turn to a direction [rad] within a time [s]; return the read-back [rad]."""
 
 
 class SweepingScanner(Scanner, Protocol):
-    """A scanner that moves at a steady rate and says meanwhile where it is."""
+    """Scanner that moves at a steady rate and can be read meanwhile."""
 
     def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
-        """Set out for a direction [rad], to be there after a time [s]; do not wait."""
+        """Start to move to a direction [rad], reached after a time [s]; do not wait."""
 
     def where(self) -> tuple[float, float]:
-        """Return where it is now, also while it moves [rad]."""
+        """Return the present direction, also while it moves [rad]."""
 
 
 class RotationMount(Device, Protocol):
-    """A polarizer or a retarder that turns about the beam."""
+    """Rotation mount of a polarizer or a retarder."""
 
     def rotate(self, angle: float, *, timeout: float) -> float:
-        """Turn to an angle [rad] within a time [s]; return where it stands [rad]."""
+        """Turn to an angle [rad] within a time [s]; return the read-back [rad]."""
 
 
 class Laser(Device, Protocol):
-    """The light source; off is its safe state.
+    """Laser; its safe state is off.
 
-    One that also has a method ``check()`` is asked in every sample with light; it
-    raises an `InstrumentError` if the interlock is open, which ends the scan. One with
-    a method ``readings()`` is asked in every sample; it returns what it knows of
-    ``laser_current`` [A] and ``laser_temperature`` [degC].
+    An optional method ``check()`` is called in every sample with light; it raises an
+    `InstrumentError` if the interlock is open, which ends the scan. An optional method
+    ``readings()`` is called in every sample; it returns ``laser_current`` [A] and
+    ``laser_temperature`` [degC], or one of them.
     """
 
     def on(self) -> None:
-        """Let light out."""
+        """Switch the laser on."""
 
     def off(self) -> None:
-        """Let no light out."""
+        """Switch the laser off."""
 
 
 class TargetStage(Device, Protocol):
-    """What takes the target out of the beam, so that only water is seen."""
+    """Stage that takes the target out of the beam for open-water references."""
 
     def bring_in(self, *, timeout: float) -> float | None:
-        """Put the target where it is scanned, within a time [s]; return where [m]."""
+        """Put the target into the beam within a time [s]; return its position [m]."""
 
     def take_out(self, *, timeout: float) -> float | None:
-        """Leave open water in every beam, within a time [s]; return where it is [m].
+        """Take the target out within a time [s]; return its position [m].
 
-        None says that nobody can tell.
+        None means that the position is not measured.
         """

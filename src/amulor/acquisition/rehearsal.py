@@ -1,4 +1,4 @@
-"""A whole simulated instrument on network ports, and the devices file that finds it."""
+"""Simulated instrument on network ports, with its devices file."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from amulor.acquisition.simulated.stanford import (
 )
 from amulor.survey import Survey
 
-#: What the simulated lock-in is wired to, by the model.
+#: Models of simulated lock-ins.
 Model = Literal["sr844", "sr865a"]
 _LAST_PORT = 65535
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rehearsal:
-    """Simulated devices that listen."""
+    """Simulated devices on network ports."""
 
     settings: Settings
-    """Devices file that finds them."""
+    """Devices file with their addresses."""
     bench: Bench
-    """What they stand in front of."""
+    """Bench of the devices."""
     lock_in: SimulatedStanford
-    """What answers at the lock-in's port."""
+    """Lock-in at the first port."""
     stages: SimulatedPiController
-    """What answers at the stages' port."""
+    """Stage controller at the second port."""
 
 
 @contextlib.contextmanager
@@ -52,7 +52,7 @@ def rehearse(
     host: str = "127.0.0.1",
     ports: tuple[int, int] = (0, 0),
 ) -> Iterator[Rehearsal]:
-    """Serve a simulated lock-in and stages for as long as a `with` block lasts."""
+    """Serve a simulated lock-in and stages within a `with` block."""
     if any(not 0 <= port <= _LAST_PORT for port in ports):
         raise ValueError(
             f"ports must be from 1 to {_LAST_PORT}, or 0 for any free one, got "
@@ -93,8 +93,10 @@ def _addressed(
         "procedure": {"clock_speed": speed},
     }
     if model == "sr865a":
-        stated = base.lock_in.modulation_amplitude
-        parts["lock_in"]["modulation_amplitude"] = 0.5 if stated is None else stated
+        amplitude = base.lock_in.modulation_amplitude
+        parts["lock_in"]["modulation_amplitude"] = (
+            0.5 if amplitude is None else amplitude
+        )
     for name, part in parts.items():
         content[name] = {**content.get(name, {}), **part}
     return Settings.model_validate(content)

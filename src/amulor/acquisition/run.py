@@ -1,4 +1,4 @@
-"""Commits a sample while the next one is taken, where a disk takes its time."""
+"""Acquisition run: devices, journal, progress, pauses and resuming."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from amulor.optics.polarization import stokes
 from amulor.survey import Survey
 from amulor.survey.directions import open_water_directions, scan_directions
 
-#: Commits that take longer, on the average of late, are not waited for at once [s].
+#: Running mean of the commit time beyond which commits run in a thread [s].
 SLOW = 0.3e-3
 #: Weight of the newest commit in that average [1].
 _WEIGHT = 0.1
 
 
 class Keeper:
-    """Keeps samples in the order in which they were taken, one commit at a time."""
+    """Writer of samples to a journal, in a thread where the disk is slow."""
 
     def __init__(
-        self, journal: Journal, told: Callable[[Step, int], None], *, at_once: bool
+        self, journal: Journal, notify: Callable[[Step, int], None], *, at_once: bool
     ) -> None:
-        self._journal, self._told, self._at_once = journal, told, at_once
+        self._journal, self._notify, self._at_once = journal, notify, at_once
         self._thread: ThreadPoolExecutor | None = None
         self._pending: tuple[Future[None], Step, int] | None = None
         self._took = 0.0
@@ -53,17 +53,17 @@ class Keeper:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Wait for what is written now."""
+        """Wait for the present commit."""
         if self._thread is not None:
             self._thread.shutdown()
 
     def keep(self, step: Step, records: Sequence[Record]) -> None:
-        """Write the samples of a dwell, after all that were kept before."""
+        """Write the samples of a dwell, after all earlier ones."""
         samples = [*zip(step.keys, records, strict=True)]
         self.settle()
         if self._at_once or self._took < SLOW:
             self._commit(samples)
-            self._told(step, len(samples))
+            self._notify(step, len(samples))
             return
         if self._thread is None:
             self._thread = ThreadPoolExecutor(1, "journal")
@@ -71,7 +71,7 @@ class Keeper:
         self._pending = (future, step, len(samples))
 
     def settle(self) -> None:
-        """Wait until all that was kept is written, and tell it."""
+        """Wait until all samples are written, and report them."""
         if self._pending is None:
             return
         future, step, count = self._pending
@@ -81,7 +81,7 @@ class Keeper:
             # An interrupted wait is not over; it goes on with the next call.
             if future.done():
                 self._pending = None
-        self._told(step, count)
+        self._notify(step, count)
 
     def _commit(self, samples: list[tuple[Key, Record]]) -> None:
         start = time.perf_counter()
@@ -91,7 +91,7 @@ class Keeper:
 
 
 def refuse_beyond_reach(survey: Survey, settings: Settings, devices: Devices) -> None:
-    """Raise if a stage that knows its travel cannot go where the scan needs it."""
+    """Raise if the scan is beyond the travel range of a stage."""
     azimuth, elevation = (angle.ravel() for angle in scan_directions(survey)[:2])
     if survey.scan.open_water is not None:
         shots = open_water_directions(survey)
@@ -115,7 +115,7 @@ def refuse_beyond_reach(survey: Survey, settings: Settings, devices: Devices) ->
         ask()
 
 
-#: Longest row that is taken, and lost with the power, at once [s]; its fewest pixels.
+#: Longest strip of a row, all lost with the power [s]; its fewest pixels.
 _LONGEST_ROW, _SHORTEST_ROW = 20.0, 4
 SURVEY_NAME = "survey.toml"
 DEVICES_NAME = "devices.toml"
@@ -123,7 +123,7 @@ DEVICES_NAME = "devices.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """How far a scan has come.
+    """Progress of a scan.
 
     Examples
     --------
@@ -138,19 +138,19 @@ class Progress:
     done: int
     """Samples in the journal [1]."""
     total: int
-    """Samples that it will have, references included [1]."""
+    """Samples of the finished scan, references included [1]."""
     rate: float
-    """Samples per second since it began or went on, by the wall clock [1/s]."""
+    """Samples per second of real time since the start or the last pause [1/s]."""
     left: float
-    """Time that is left at this rate [s]."""
+    """Remaining time at this rate [s]."""
     flagged: int
     """Samples of this run with a flag [1]."""
     kind: str
-    """What is taken now."""
+    """Kind of the present samples."""
 
 
 class Control(Protocol):
-    """Who can interrupt a scan between two samples.
+    """Interruption of a scan between two samples.
 
     Examples
     --------
@@ -167,10 +167,10 @@ class Control(Protocol):
     """
 
     def pause_wanted(self) -> bool:
-        """Return whether the scan is to stop here for a question."""
+        """Return whether the scan pauses now."""
 
     def go_on(self) -> bool:
-        """Ask, with all devices safe, whether the scan goes on; False ends it."""
+        """Wait in a pause, with all devices safe; False ends the scan."""
 
 
 class _Unattended:
@@ -183,7 +183,7 @@ class _Unattended:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a run of a scan came to.
+    """Result of an acquisition run.
 
     Examples
     --------
@@ -219,36 +219,35 @@ def acquire(
     acknowledged: Callable[[Key], None] = lambda key: None,
     ask: Callable[[str], None] | None = None,
 ) -> Outcome:
-    """Run a scan, or what is left of one, into the journal of a folder.
+    """Acquire a scan, or the rest of one, into the journal of a folder.
 
     Parameters
     ----------
     survey : Survey
-        What is measured.
+        Description of the scan.
     folder : pathlib.Path
-        Folder of the scan; made if it is not there.
+        Folder of the scan; created if it does not exist.
     settings : Settings, optional
         Devices and procedure; the embedded simulated ones by default.
     resume : bool
         Go on with the scan in the folder instead of beginning one.
     retake_flagged : bool
-        Take samples that are overloaded or off their place, as the journal has them
-        before this run, once more after all that is missing. Each take has a key of
-        its own; the last one goes into the cube.
+        Acquire overloaded and misplaced samples of earlier runs once more, after all
+        missing ones. Each take has a separate key; the last one goes into the cube.
     devices : Devices, optional
         Connected devices, instead of those that the settings name. They are made safe
         but not closed.
     scene : callable, optional
-        Works out what embedded simulated devices see; they need it, others do not.
-        `amulor.simulation.scene_light` does.
+        Light of embedded simulated devices, such as `amulor.simulation.scene_light`;
+        other devices do not need it.
     control : Control, optional
-        Who can interrupt; nobody by default.
+        Interruption; none by default.
     progress : callable
-        Is told how far it has come, after each sample.
+        Called after each sample.
     acknowledged : callable
-        Is told the key of each sample that survives a loss of power from now on.
+        Called with the key of each sample once it survives a loss of power.
     ask : callable, optional
-        Asks an operator to do something and returns when it is done.
+        Shows a request to an operator and returns when it is fulfilled.
 
     Returns
     -------
@@ -324,19 +323,19 @@ def acquire(
 
 
 def _in_step(control: Control) -> bool:
-    """Return whether somebody waits for each sample before the next is asked for."""
+    """Return whether a control waits for each sample before the next one."""
     return bool(getattr(control, "in_step", False))
 
 
 def resume_command(folder: Path) -> str:
-    """Return the command that goes on with the scan of a folder."""
+    """Return the command that resumes the scan of a folder."""
     words = ["amulor", "acquire", str(folder / SURVEY_NAME), "-o", str(folder)]
     return shlex.join([*words, "--resume"])
 
 
 @contextlib.contextmanager
 def _left_safe(devices: Devices) -> Iterator[None]:
-    """Make devices safe after any exception, and say in it which of them are not."""
+    """Make devices safe after an exception, and name in it those that are not."""
     try:
         yield
     except BaseException as error:
@@ -401,17 +400,17 @@ class _Run:
         progress: Callable[[Progress], None],
         acknowledged: Callable[[Key], None],
     ) -> list[str]:
-        """Take what is missing until a pause, and say which devices are not safe."""
+        """Acquire missing samples until a pause; return devices that are not safe."""
         reason, total = "stopped", 0
 
-        def told(step: Step, count: int) -> None:
+        def note(step: Step, count: int) -> None:
             self._done.update(step.keys)
             self._taken += count
             for key in step.keys:
                 acknowledged(key)
             progress(self._progress(step, total))
 
-        with Keeper(self._journal, told, at_once=_in_step(control)) as keeper:
+        with Keeper(self._journal, note, at_once=_in_step(control)) as keeper:
             try:
                 try:
                     steps = [*self._again(segment), *missing]
@@ -439,11 +438,13 @@ class _Run:
 
     def _missing(self) -> list[Step]:
         planned = plan.steps(self._survey, self._settings.procedure)
-        wanted = itertools.chain(planned, self._retakes)
-        return [left for step in wanted if (left := step.without(self._done))]
+        all_steps = itertools.chain(planned, self._retakes)
+        return [
+            remaining for step in all_steps if (remaining := step.without(self._done))
+        ]
 
     def _to_be_retaken(self) -> Iterator[Step]:
-        """Return the samples whose newest take was spoiled, to be taken once more."""
+        """Return retakes of the samples whose newest take was spoiled."""
         newest = {
             key._replace(repeat=0): (key, record.flags)
             for key, record in self._journal.samples(plan.SCAN)
@@ -455,19 +456,19 @@ class _Run:
         )
 
     def _begin_to_count(self) -> None:
-        """Let rate and time left not count the time of a question."""
+        """Restart the rate, so that it excludes the time of a pause."""
         self._started = time.monotonic()
         self._taken = 0
 
     def _again(self, segment: int) -> Iterator[Step]:
-        """Yield the reference that a scan needs that was broken off in the middle."""
+        """Yield the reference measurement that an interrupted scan needs."""
         if any(key.kind == plan.SCAN for key in self._done):
             yield from plan.extra_reference(
                 self._survey, self._settings.procedure, number=segment - 2
             )
 
     def _strips(self, steps: list[Step]) -> Iterator[list[Step]]:
-        """Yield what is taken at once: a dwell, or a row that the beam moves along."""
+        """Yield single dwells, or strips of a row in continuous mode."""
         longest = 1
         if self._settings.procedure.mode == "continuous":
             longest = max(int(_LONGEST_ROW / self._survey.scan.dwell), _SHORTEST_ROW)
@@ -477,25 +478,25 @@ class _Run:
         elapsed = self._elapsed + self._devices.clock.now() - self._clock_start
         kind = strip[0].key.kind
         if self._settings.procedure.mode == "continuous" and kind == plan.SCAN:
-            taken = self._sampler.sweep(strip, elapsed=elapsed, segment=segment)
+            dwells = self._sampler.sweep(strip, elapsed=elapsed, segment=segment)
         else:
             (step,) = strip
-            taken = [self._sampler.take(step, elapsed=elapsed, segment=segment)]
-        records = [record for part in taken for record in part]
+            dwells = [self._sampler.take(step, elapsed=elapsed, segment=segment)]
+        records = [record for part in dwells for record in part]
         keeper.keep(plan.together(strip), records)
         self._flagged += sum(bool(record.flags) for record in records)
-        for part in taken:
+        for part in dwells:
             self._sampler.refuse_darkness(kind, part[0].flags)
 
     def _progress(self, step: Step, total: int) -> Progress:
         rate = self._taken / max(time.monotonic() - self._started, 1e-9)
         done = len(self._done)
-        left = (total - done) / rate
+        remaining = (total - done) / rate
         return Progress(
             done=done,
             total=total,
             rate=rate,
-            left=left,
+            left=remaining,
             flagged=self._flagged,
             kind=step.key.kind,
         )
@@ -518,7 +519,7 @@ class _Run:
 
 
 def _keep_copies(journal: Journal) -> None:
-    """Lay survey and devices file beside a journal, unless they are there."""
+    """Write survey and devices file beside a journal, unless they exist."""
     meta = journal.meta()
     for name, key in ((SURVEY_NAME, "survey"), (DEVICES_NAME, "devices")):
         path = journal.folder / name

@@ -1,4 +1,4 @@
-"""Tells light from darkness by the mean output of the detector."""
+"""Acquisition of samples: configure devices, read, auto-range and flag."""
 
 from __future__ import annotations
 
@@ -20,26 +20,25 @@ from amulor.errors import InstrumentError
 from amulor.optics.polarization import stokes
 from amulor.survey import Survey
 
-#: Newest dark readings that are kept for each polarization: the room changes.
-_KEPT = 100
-#: How far above the dark level light must be, in standard errors [1].
+#: Newest dark readings in the level of each polarization, since stray light varies.
+_DARK_READINGS = 100
+#: Least difference of light and dark level, in standard errors [1].
 _SIGNIFICANT = 5.0
 
 
 class DarkLevel:
-    """The mean output without light, by polarization, from dark readings of this run.
+    """Mean output without light, by polarization, from dark readings of this run.
 
-    What leaks in from the room passes the analyser, so each polarization has a level of
-    its own. Of one that was not measured nothing is said.
+    Stray light passes the analyzer, so each polarization has a separate level.
     """
 
     def __init__(self) -> None:
         self._readings: dict[str, deque[float]] = {}
 
     def add(self, polarization: str, means: Sequence[float]) -> None:
-        """Take note of dark readings."""
-        kept = self._readings.setdefault(polarization, deque(maxlen=_KEPT))
-        kept.extend(means)
+        """Add dark readings of a polarization."""
+        readings = self._readings.setdefault(polarization, deque(maxlen=_DARK_READINGS))
+        readings.extend(means)
 
     def is_dark(self, polarization: str, means: Sequence[float]) -> bool:
         r"""Return whether readings with the laser on show no light.
@@ -56,36 +55,35 @@ class DarkLevel:
         return statistics.fmean(means) <= limit
 
 
-#: How far a mount may stand from where it was sent [rad].
+#: Largest difference of commanded and read-back angle of a mount [rad].
 _MOUNT_OFF = math.radians(0.5)
-#: Samples in a row that leave room before a finer scale is taken.
+#: Samples since the last change of scale before a finer one is selected.
 _CALM = 20
 
 
 class SampleFlag(enum.IntFlag):
-    """What stood in the way of a sample; bits that add up."""
+    """Problems of a sample, as bits that add up."""
 
     NONE = 0
     OVERLOAD = 1
-    """The lock-in or the detector overloaded, and there was no more room to make."""
+    """Lock-in or detector overloaded at the coarsest setting."""
     REPEATED = 2
-    """The reference was lost, and the sample taken again."""
+    """The reference was lost, and the sample acquired again."""
     RESCALED = 4
-    """Room was made in the lock-in before the sample was taken again."""
+    """The lock-in changed its range, and the sample was acquired again."""
     OFF_POSITION = 8
-    """The beam came to stand off the commanded direction by more than the tolerance."""
+    """The beam is off the commanded direction by more than the tolerance."""
     OFF_FREQUENCY = 16
-    """The lock-in detects at another frequency than the commanded one."""
+    """The read-back frequency differs from the commanded one."""
     # 32 is `UNCALIBRATED` of the cube.
     NO_LIGHT = 64
-    """The laser was to be on, and the mean output of the detector was that of the
-    dark readings."""
+    """The laser was on, and the mean output of the detector was that of dark
+    readings."""
     UNSETTLED = 128
-    """Readings still differed by more than their noise when they were taken."""
+    """Readings differed by more than their noise."""
 
 
-#: A sample with one of these can be taken again on request. Of the others, two were
-#: taken again at once and are good, and a frequency would come out as it did before.
+#: Samples with one of these flags can be acquired again on request.
 SPOILED = (
     SampleFlag.OVERLOAD
     | SampleFlag.OFF_POSITION
@@ -99,7 +97,7 @@ _FREQUENCY_TOLERANCE = 1e-3
 
 
 class Sampler:
-    """Takes samples one after the other and remembers how the devices stand."""
+    """Acquire samples, with the state of all devices in memory."""
 
     def __init__(self, survey: Survey, settings: Settings, devices: Devices) -> None:
         self._settings = settings
@@ -126,23 +124,23 @@ class Sampler:
         self.forget()
 
     def prepare(self) -> None:
-        """Bring the lock-in into the state that a scan needs."""
+        """Configure the lock-in for a scan."""
         self._devices.lock_in.prepare(time_constant=self._constant)
         self.forget()
 
     def forget(self) -> None:
-        """Take nothing for granted any more, after devices were made safe."""
+        """Forget the state of all devices, after they were made safe."""
         #: Whether more than the direction has changed since the last reading.
         self._new = True
-        #: Where mounts and target stand, as they said when they were last moved.
-        self._stands: dict[str, float | None] = {}
+        #: Read-back of mounts and target after their last move.
+        self._positions: dict[str, float | None] = {}
         self._frequencies: tuple[float, ...] = ()
         self._polarization: str | None = None
         self._laser: bool | None = None
         self._target_is_in: bool | None = None
 
     def take(self, step: Step, *, elapsed: float, segment: int) -> list[Record]:
-        """Take the samples of one dwell."""
+        """Acquire one dwell: configure, settle, read, auto-range, flag problems."""
         self._arrange(step)
         azimuth, elevation = self._devices.scanner.move(
             step.azimuth, step.elevation, timeout=self._settings.scanner.move_timeout
@@ -153,35 +151,37 @@ class Sampler:
         flags |= self._misplaced(step, azimuth, elevation)
         if not dwell.settled:
             flags |= SampleFlag.UNSETTLED
-        taken = self._records(
+        records = self._records(
             step, dwell, flags, (azimuth, elevation), elapsed, segment
         )
-        if step.key.kind != DARK and not taken[0].flags & SampleFlag.NO_LIGHT:
+        if step.key.kind != DARK and not records[0].flags & SampleFlag.NO_LIGHT:
             # All frequencies share the input.
             self._sharpen(sum(map(abs, dwell.signals)), flags)
-        return taken
+        return records
 
     def sweep(
         self, steps: Sequence[Step], *, elapsed: float, segment: int
     ) -> list[list[Record]]:
-        """Take the samples of neighbours in a row while the beam moves along them."""
+        """Acquire neighboring pixels of a row while the beam moves along them."""
         assert self._sweeper is not None
         self._arrange(steps[0])
         start = self._devices.clock.now()
         pixels, flags = self._swept(self._sweeper, steps)
         records, brightest = [], 0.0
         for step, pixel in zip(steps, pixels, strict=True):
-            own = flags | self._misplaced(step, pixel.azimuth, pixel.elevation)
+            pixel_flags = flags | self._misplaced(step, pixel.azimuth, pixel.elevation)
             if pixel.dwell.overload:
-                own |= SampleFlag.OVERLOAD
+                pixel_flags |= SampleFlag.OVERLOAD
             if pixel.off > self._procedure.position_tolerance:
-                own |= SampleFlag.OFF_POSITION
+                pixel_flags |= SampleFlag.OFF_POSITION
             where, late = (pixel.azimuth, pixel.elevation), pixel.begin - start
             records.append(
-                self._records(step, pixel.dwell, own, where, elapsed + late, segment)
+                self._records(
+                    step, pixel.dwell, pixel_flags, where, elapsed + late, segment
+                )
             )
             brightest = max(brightest, sum(map(abs, pixel.dwell.signals)))
-            self._sharpen_by(own)
+            self._sharpen_by(pixel_flags)
         if not any(part[0].flags & SampleFlag.NO_LIGHT for part in records):
             self._take_finer_scale(brightest)
         return records
@@ -189,8 +189,8 @@ class Sampler:
     def _swept(
         self, sweeper: SweepReader, steps: Sequence[Step]
     ) -> tuple[list[Swept], SampleFlag]:
-        """Return the pixels of a row, taken again where that helps."""
-        flags, lost = SampleFlag.NONE, 0
+        """Return the pixels of a row; repeat after loss of lock or an overload."""
+        flags, losses = SampleFlag.NONE, 0
         timeout = self._settings.scanner.move_timeout
         while True:
             self._devices.scanner.move(
@@ -207,8 +207,8 @@ class Sampler:
                 overload |= pixel.dwell.overload
             if any(pixel.dwell.unlocked for pixel in pixels):
                 flags |= SampleFlag.REPEATED
-                lost += 1
-                self._refuse_lost(lost)
+                losses += 1
+                self._refuse_lost(losses)
             elif overload and self._devices.lock_in.relieve(overload):
                 flags |= SampleFlag.RESCALED
                 self._new = True
@@ -224,7 +224,7 @@ class Sampler:
         elapsed: float,
         segment: int,
     ) -> list[Record]:
-        """Return what one dwell has brought, for each key of its step."""
+        """Return the record of one dwell for each key of its step."""
         azimuth, elevation = where
         means = dwell.means
         mean = statistics.fmean(means) if means else None
@@ -236,7 +236,9 @@ class Sampler:
         elif self._dark_level.is_dark(step.key.polarization, means):
             flags |= SampleFlag.NO_LIGHT
         self._count_overloads(flags)
-        told: dict[str, float] = getattr(self._devices.laser, "readings", dict)()
+        laser_readings: dict[str, float] = getattr(
+            self._devices.laser, "readings", dict
+        )()
         scale = self._devices.lock_in.full_scale()
         records = []
         for key in step.keys:
@@ -259,14 +261,14 @@ class Sampler:
                 modulation_frequency=used,
                 elapsed=elapsed,
                 segment=segment,
-                **self._stands,
-                **told,
+                **self._positions,
+                **laser_readings,
             )
             records.append(record)
         return records
 
     def _arrange(self, step: Step) -> None:
-        """Set all but the direction."""
+        """Set frequency, polarization, target and laser."""
         if step.frequencies != self._frequencies:
             self._set_frequencies(step.frequencies)
         if step.key.polarization != self._polarization:
@@ -278,33 +280,33 @@ class Sampler:
         devices, settings = self._devices, self._settings
         timeout = settings.lock_in.lock_timeout
         if len(frequencies) == 1:
-            (one,) = frequencies
+            (frequency,) = frequencies
             if devices.source is not None:
-                devices.source.set_frequency(one, timeout=settings.source.timeout)
-            set_to = [devices.lock_in.set_frequency(one, timeout=timeout)]
+                devices.source.set_frequency(frequency, timeout=settings.source.timeout)
+            set_to = [devices.lock_in.set_frequency(frequency, timeout=timeout)]
         else:
             lock_in = devices.lock_in
             words = ("set_frequencies", "read_all")
             refuse_lacking(lock_in, "procedure.frequencies_at_once", *words)
             comb = cast(CombLockIn, lock_in)
             set_to = comb.set_frequencies(frequencies, timeout=timeout)
-        for asked, its in zip(frequencies, set_to, strict=True):
-            self._refuse_one_for_two(asked, its)
+        for commanded, actual in zip(frequencies, set_to, strict=True):
+            self._refuse_merged_frequencies(commanded, actual)
         self._frequencies = frequencies
         self._new = True
 
     def _refuse_open_interlock(self) -> None:
-        """Raise if the laser knows that its interlock is open."""
+        """Raise if the interlock of the laser is open."""
         check = getattr(self._devices.laser, "check", None)
         if check is not None:
             check()
 
-    def _refuse_one_for_two(self, asked: float, set_to: float) -> None:
-        """Raise if the instrument makes the same frequency of two of the survey."""
-        self._set_to[asked] = set_to
-        for other, its in self._set_to.items():
-            if other != asked and its == set_to:
-                low, high = sorted((asked, other))
+    def _refuse_merged_frequencies(self, commanded: float, set_to: float) -> None:
+        """Raise if the instrument rounds two frequencies of the survey to one."""
+        self._set_to[commanded] = set_to
+        for earlier, earlier_actual in self._set_to.items():
+            if earlier != commanded and earlier_actual == set_to:
+                low, high = sorted((commanded, earlier))
                 raise InstrumentError(
                     f"the lock-in makes {set_to / 1e6:.10g} MHz of both "
                     f"{low / 1e6:.10g} and {high / 1e6:.10g} MHz; move the modulation "
@@ -315,22 +317,23 @@ class Sampler:
         launched, analysed = stokes.pair_states(pair)
         for name, state in (("launch", launched), ("analyser", analysed)):
             mount = getattr(self._devices, name)
-            own = getattr(self._settings, name)
+            mount_settings = getattr(self._settings, name)
             if mount is None or state == "none":
                 continue
-            if state not in own.angles:
+            if state not in mount_settings.angles:
                 raise InstrumentError(
                     f"the devices file states no angle of the {name} mount for the "
                     f"state {state}; add {name}.angles.{state}"
                 )
-            stands = mount.rotate(own.angles[state], timeout=own.move_timeout)
-            if not abs(stands - own.angles[state]) <= _MOUNT_OFF:
+            goal = mount_settings.angles[state]
+            angle = mount.rotate(goal, timeout=mount_settings.move_timeout)
+            if not abs(angle - goal) <= _MOUNT_OFF:
                 raise InstrumentError(
-                    f"the {name} mount stands at {math.degrees(stands):.2f} degrees "
-                    f"and was sent to {math.degrees(own.angles[state]):.2f}; see what "
-                    "holds it, and reference it"
+                    f"the {name} mount stands at {math.degrees(angle):.2f} degrees "
+                    f"and was sent to {math.degrees(goal):.2f}; see what holds it, and "
+                    "reference it"
                 )
-            self._stands[name] = stands
+            self._positions[name] = angle
         self._polarization = pair
         self._new = True
 
@@ -350,18 +353,18 @@ class Sampler:
             return
         timeout = self._settings.target.move_timeout
         if self._settings.target.driver == "operator":
-            # Somebody will reach into the beam.
+            # The operator will reach into the beam.
             self._switch_laser(False)
         if kind == OPEN_WATER:
-            stands = self._devices.target.take_out(timeout=timeout)
+            position = self._devices.target.take_out(timeout=timeout)
         else:
-            stands = self._devices.target.bring_in(timeout=timeout)
-        self._stands["target"] = stands
+            position = self._devices.target.bring_in(timeout=timeout)
+        self._positions["target"] = position
         self._target_is_in = kind == SCAN
         self._new = True
 
     def _read(self) -> tuple[Dwell, SampleFlag]:
-        lock_in, flags, lost, tries = self._devices.lock_in, SampleFlag.NONE, 0, 0
+        lock_in, flags, losses, tries = self._devices.lock_in, SampleFlag.NONE, 0, 0
         while True:
             several = len(self._frequencies) > 1
             dwell = self._reader.take(several=several, changed=self._new)
@@ -372,10 +375,10 @@ class Sampler:
             tries += 1
             if dwell.unlocked:
                 flags |= SampleFlag.REPEATED
-                lost += 1
-                self._refuse_lost(lost)
+                losses += 1
+                self._refuse_lost(losses)
             elif tries == 1:
-                # Status bits hold what happened on the way here; look once more.
+                # Status bits may date from the move; read once more.
                 continue
             elif lock_in.relieve(overload):
                 flags |= SampleFlag.RESCALED
@@ -383,11 +386,11 @@ class Sampler:
             else:
                 return dwell, flags | SampleFlag.OVERLOAD
 
-    def _refuse_lost(self, lost: int) -> None:
-        if lost > self._procedure.attempts:
+    def _refuse_lost(self, losses: int) -> None:
+        if losses > self._procedure.attempts:
             raise InstrumentError(
-                f"the lock-in has lost its reference in {lost} samples in a row; check "
-                "the reference and the modulation frequency"
+                f"the lock-in has lost its reference in {losses} samples in a row; "
+                "check the reference and the modulation frequency"
             )
 
     def _misplaced(self, step: Step, azimuth: float, elevation: float) -> SampleFlag:
@@ -407,7 +410,7 @@ class Sampler:
             )
 
     def refuse_darkness(self, kind: str, flags: int) -> None:
-        """Raise if too many samples one after the other show no light."""
+        """Raise after too many samples in a row without light."""
         if kind == DARK:
             return
         if not flags & SampleFlag.NO_LIGHT:
@@ -429,17 +432,17 @@ class Sampler:
         self._take_finer_scale(amplitude)
 
     def _sharpen_by(self, flags: SampleFlag) -> None:
-        """Count samples since the last change of scale."""
+        """Count the samples since the last change of scale."""
         self._calm = 0 if flags & SampleFlag.RESCALED else self._calm + 1
 
     def _take_finer_scale(self, amplitude: float) -> None:
-        # Only after a calm while: every change of scale costs settling, and some
-        # instruments a little phase.
+        # Only rarely: every change of scale costs settling, and shifts the phase of
+        # some instruments a little.
         if self._calm >= _CALM and self._devices.lock_in.sharpen(amplitude):
             self._calm = 0
             self._new = True
 
 
-def _off_frequency(asked: float, used: float) -> SampleFlag:
-    off = abs(used - asked) > _FREQUENCY_TOLERANCE * asked
+def _off_frequency(commanded: float, used: float) -> SampleFlag:
+    off = abs(used - commanded) > _FREQUENCY_TOLERANCE * commanded
     return SampleFlag.OFF_FREQUENCY if off else SampleFlag.NONE

@@ -1,4 +1,4 @@
-"""A row of a scan without stops: the lock-in records while the beam moves at a rate."""
+"""Continuous mode: the lock-in records while the beam moves along a row."""
 
 from __future__ import annotations
 
@@ -28,60 +28,60 @@ from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
 
-#: Way before the first pixel and after the last one, as a time, if none is stated [s].
+#: Default time before the first pixel and after the last one [s].
 RUN_UP = 10e-3
-#: Fewest looks at the scanner that a row has, and that its motion is known by.
+#: Fewest readings of the scanner in a row, and in the fit of its motion.
 _LOOKS, _KNOWN_BY = 8, 3
-#: How much the rate of the beam may differ from the one that was asked for [1].
+#: Largest relative difference of actual and commanded rate of the beam [1].
 _RATE = 0.2
-#: Part of a dwell that is waited before it is asked once more for the last points.
+#: Wait before the last points are queried again, as a fraction of a dwell [1].
 _AGAIN = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class Swept:
-    """What one pixel of a row has brought."""
+    """Dwell and direction of one pixel of a row."""
 
     dwell: Dwell
     """Signals, mean output and state."""
     azimuth: float
-    """Mean direction of the beam over the dwell [rad]."""
+    """Mean azimuth of the beam over the dwell [rad]."""
     elevation: float
-    """The same, upwards [rad]."""
+    """Mean elevation of the beam over the dwell [rad]."""
     begin: float
-    """When its dwell began, by the clock of the scan [s]."""
+    """Start of the dwell by the clock of the scan [s]."""
     off: float
-    """Largest distance of a look at the scanner from a steady motion, among those of
-    this pixel and the next ones to it [rad]."""
+    """Largest deviation of the scanner from a steady motion, over this pixel and its
+    neighbors [rad]."""
 
 
 @dataclass
 class _Row:
-    """What was recorded along a row."""
+    """Record of a row."""
 
     times: list[Floats] = field(default_factory=list)
     signals: list[NDArray[np.complex128]] = field(default_factory=list)
-    asked: list[float] = field(default_factory=list)
-    """When the lock-in was asked [s]."""
+    fetched: list[float] = field(default_factory=list)
+    """Times at which the lock-in was read [s]."""
     states: list[Recorded] = field(default_factory=list)
-    looked: list[float] = field(default_factory=list)
-    """When the scanner was looked at [s]."""
+    located: list[float] = field(default_factory=list)
+    """Times at which the scanner was read [s]."""
     azimuth: list[float] = field(default_factory=list)
     elevation: list[float] = field(default_factory=list)
 
     def last_point(self) -> float:
-        """Return when the newest point was taken [s]."""
+        """Return the time of the newest point [s]."""
         return max((float(part[-1]) for part in self.times if part.size), default=-1e99)
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """A steady motion, fitted to looks at the scanner."""
+    """Steady motion, fitted to readings of the scanner."""
 
     begin: float
     rate: float
     off: Floats
-    """Distance of each look from it, rising in time [rad]."""
+    """Deviation of each reading from it, in order of time [rad]."""
 
     def at(self, time: float) -> float:
         return self.begin + self.rate * time
@@ -91,7 +91,7 @@ class _Motion:
 
 
 def pitch_of(survey: Survey) -> float:
-    """Return the angle between two columns of a scan, which must have some."""
+    """Return the angle between two columns; raise if there is only one [rad]."""
     scan = survey.scan
     if scan.columns < 2 or scan.azimuth_span == 0:
         raise SurveyError(
@@ -103,17 +103,16 @@ def pitch_of(survey: Survey) -> float:
 
 
 class SweepReader:
-    r"""Reads rows while the beam moves along them.
+    r"""Read rows while the beam moves along them.
 
     The beam moves by one column in one dwell, so that a sample is the mean over its
-    pixel. The lock-in records without a gap; points of the record are told apart by
-    where the beam was, known by a straight line through looks at the scanner in the
-    middle of each question, and a sample has the direction of the middle of its points,
-    as many for each. What the filter held when a pixel began is known from the
-    point on its edge and taken off (`amulor.acquisition.uncertainty.filtered_input`):
-    no light of one pixel stays in the next one, and noise of neighbours is independent.
-    What an edge of the scene inside one interval is wrong by is told as an error of its
-    own (`amulor.acquisition.uncertainty.edge_error`).
+    pixel. The lock-in records without a gap. A straight line through readings of the
+    scanner assigns points of the record to pixels, as many to each; a sample has the
+    direction of the middle of its points. The output of the filter at the start of a
+    pixel is subtracted (`amulor.acquisition.uncertainty.filtered_input`): no light of
+    one pixel enters the next one, and the noise of neighbors is independent. The error
+    by an edge of the scene inside one interval is a separate term
+    (`amulor.acquisition.uncertainty.edge_error`).
     """
 
     def __init__(
@@ -136,17 +135,17 @@ class SweepReader:
         self._run_up = RUN_UP if procedure.run_up is None else procedure.run_up
 
     def start_of(self, steps: Sequence[Step]) -> float:
-        """Return the azimuth that a row is begun at, before its first pixel [rad]."""
+        """Return the start azimuth of a row, before its first pixel [rad]."""
         return self._ends(steps)[0]
 
     def take(
         self, steps: Sequence[Step], *, timeout: float, watch: Callable[[], None]
     ) -> list[Swept]:
-        """Move along pixels that are neighbours, and return what they have brought."""
+        """Move along neighboring pixels, and return their dwells."""
         start, end = self._ends(steps)
         duration = len(steps) * self._dwell + 2 * self._run_up
         self._lock_in.begin_stream(duration + timeout)
-        self._lock_in.fetch()  # status bits hold what happened on the way here
+        self._lock_in.fetch()  # clears status bits of the move
         row = _Row()
         self._scanner.begin_sweep(end, steps[0].elevation, duration=duration)
         begun = self._clock.now()
@@ -170,54 +169,56 @@ class SweepReader:
             now = self._clock.now()
             if motion is not None:
                 planned = motion.when(last_edge) - len(steps) * self._dwell
-            done = planned + len(steps) * self._dwell
+            last_end = planned + len(steps) * self._dwell
             passed = max(now - planned, -gap) / gap
             following = planned + gap * (math.floor(passed + 1e-6) + 1)
             again = now + _AGAIN * self._dwell
-            self._clock.sleep((again if now >= done else min(following, done)) - now)
+            self._clock.sleep(
+                (again if now >= last_end else min(following, last_end)) - now
+            )
 
     def _ends(self, steps: Sequence[Step]) -> tuple[float, float]:
         first, last = steps[0].azimuth, steps[-1].azimuth
-        way = math.copysign(
+        margin = math.copysign(
             self._pitch * (0.5 + self._run_up / self._dwell), last - first
         )
-        return first - way, last + way
+        return first - margin, last + margin
 
     def _look(self, row: _Row) -> None:
-        """Ask lock-in and scanner for what is new."""
+        """Read lock-in and scanner into the record of a row."""
         before = self._clock.now()
-        found = self._lock_in.fetch()
+        recorded = self._lock_in.fetch()
         between = self._clock.now()
         azimuth, elevation = self._scanner.where()
-        row.asked.append((before + between) / 2)
-        row.states.append(found)
-        row.times.append(found.times)
-        row.signals.append(found.signals)
-        row.looked.append((between + self._clock.now()) / 2)
+        row.fetched.append((before + between) / 2)
+        row.states.append(recorded)
+        row.times.append(recorded.times)
+        row.signals.append(recorded.signals)
+        row.located.append((between + self._clock.now()) / 2)
         row.azimuth.append(azimuth)
         row.elevation.append(elevation)
 
     def _motion(self, row: _Row, steps: Sequence[Step]) -> _Motion | None:
-        """Return the steady motion along the pixels, once it is known."""
+        """Fit the steady motion along the pixels; None with too few readings."""
         first, last = sorted((steps[0].azimuth, steps[-1].azimuth))
         azimuth = np.array(row.azimuth)
         near = 0.5 * self._pitch * (1 + min(self._run_up / self._dwell, 1.0))
         among = (azimuth > first - near) & (azimuth < last + near)
         if among.sum() < _KNOWN_BY:
             return None
-        looked = np.array(row.looked)
-        rate, begin = np.polyfit(looked[among] - looked[0], azimuth[among], 1)
-        begin -= rate * looked[0]
-        asked = math.copysign(
+        located = np.array(row.located)
+        rate, begin = np.polyfit(located[among] - located[0], azimuth[among], 1)
+        begin -= rate * located[0]
+        commanded = math.copysign(
             self._pitch / self._dwell, self._ends(steps)[1] - self._ends(steps)[0]
         )
-        if not abs(rate - asked) <= _RATE * abs(asked):
+        if not abs(rate - commanded) <= _RATE * abs(commanded):
             raise InstrumentError(
                 f"the scanner moves by {rate:.4g} rad/s along row {steps[0].key.row} "
-                f"and was asked for {asked:.4g}; take a longer dwell, or a longer "
+                f"and was asked for {commanded:.4g}; take a longer dwell, or a longer "
                 "procedure.run_up"
             )
-        off = np.where(among, np.abs(azimuth - begin - rate * looked), 0.0)
+        off = np.where(among, np.abs(azimuth - begin - rate * located), 0.0)
         return _Motion(float(begin), float(rate), off)
 
     def _pixels(self, row: _Row, steps: Sequence[Step], motion: _Motion) -> list[Swept]:
@@ -225,7 +226,7 @@ class SweepReader:
         times, interval = self._even(np.concatenate(row.times))
         elevation = float(np.mean(row.elevation))
         forwards = math.copysign(0.5 * self._pitch, motion.rate)
-        # As many of each, so that all pixels are equally wide.
+        # The same number of points for each pixel, so that all are equally wide.
         count = max(round(abs(self._pitch / motion.rate) / interval), 1)
         result = []
         for step in steps:
@@ -240,7 +241,7 @@ class SweepReader:
             part = slice(first, first + count + 1)
             begin, end = float(times[part][0]), float(times[part][-1])
             dwell = self._dwell_of(row, times[part], signals[part], interval)
-            near = np.abs(np.array(row.looked) - (begin + end) / 2) <= self._dwell
+            near = np.abs(np.array(row.located) - (begin + end) / 2) <= self._dwell
             result.append(
                 Swept(
                     dwell=dwell,
@@ -253,9 +254,9 @@ class SweepReader:
         return result
 
     def _even(self, times: Floats) -> tuple[Floats, float]:
-        """Return evenly spaced moments, and their spacing, by all questions [s].
+        """Return evenly spaced times, and their spacing, fitted to all readings [s].
 
-        Spacing is known by the instrument, where they begin as well as by a question.
+        The spacing is that of the instrument; the start is as accurate as one reading.
         """
         interval = float(np.median(np.diff(times)))
         even = interval * np.arange(times.size)
@@ -277,21 +278,21 @@ class SweepReader:
         begin, end = times[0], times[-1]
         overload, unlocked = Overload.NONE, False
         means = []
-        # Looks stand on the borders of pixels, about: those of both count.
+        # Readings lie near the borders of pixels: those at both borders count.
         before, near = -math.inf, 0.3 * self._dwell
-        for asked, state in zip(row.asked, row.states, strict=True):
-            # Status bits tell what was between two questions.
-            if before <= end and asked >= begin:
+        for moment, state in zip(row.fetched, row.states, strict=True):
+            # Status bits cover the time between two readings.
+            if before <= end and moment >= begin:
                 overload, unlocked = (
                     overload | state.overload,
                     unlocked | state.unlocked,
                 )
-            if begin - near <= asked <= end + near:
+            if begin - near <= moment <= end + near:
                 means.append(state.mean)
-            before = asked
+            before = moment
         if not means:
             every = [state.mean for state in row.states]
-            means = [float(np.interp((begin + end) / 2, row.asked, every))]
+            means = [float(np.interp((begin + end) / 2, row.fetched, every))]
         count = len(row.states[-1].modulation_frequencies)
         return Dwell(
             signals=[

@@ -1,4 +1,4 @@
-"""How well a sample is known: counting noise through a filter, averaged readings."""
+"""Uncertainty of a sample: counting noise behind a filter, averaged readings."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from amulor.survey.counting import counting_variance
 def reading_variance(
     survey: Survey, *, rate: ArrayLike, time_constant: float
 ) -> NDArray[np.float64]:
-    """Return the counting variance of one settled reading of either output."""
+    """Return the counting variance of one settled reading of either output [V^2]."""
     time = detection.effective_integration_time(0.0, time_constant=time_constant)
     return counting_variance(survey, rate=rate, integration_time=float(time))
 
 
 def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the variance of a mean of readings over that of one of them.
+    r"""Return the variance of a mean of readings over that of one reading [1].
 
     Notes
     -----
@@ -43,16 +43,16 @@ def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.flo
         raise ValueError(
             f"spacing must be above 0 time constants, got {np.min(length):g}"
         )
-    kept = np.exp(-length)
-    left = -np.expm1(-length)
-    slow = (1 + kept) / left
-    ends = 2 * kept * (1 - kept**number) / (number * left**2)
+    decay = np.exp(-length)
+    gain = -np.expm1(-length)
+    slow = (1 + decay) / gain
+    ends = 2 * decay * (1 - decay**number) / (number * gain**2)
     fraction: NDArray[np.float64] = np.asarray((slow - ends) / number)
     return fraction
 
 
 def intervals_of(survey: Survey) -> int:
-    """Return into how many parts a dwell is cut, none longer than a time constant."""
+    """Return the number of parts of a dwell, none longer than a time constant."""
     parts = survey.scan.dwell / survey.instrument.lock_in.time_constant
     return max(1, int(np.ceil(parts - 1e-9)))
 
@@ -60,7 +60,7 @@ def intervals_of(survey: Survey) -> int:
 def filtered_input(
     outputs: ArrayLike, times: ArrayLike, *, time_constant: float
 ) -> complex:
-    r"""Return the mean of what entered a one-pole filter, from what came out of it.
+    r"""Return the mean input of a one-pole filter from its outputs.
 
     Notes
     -----
@@ -73,7 +73,7 @@ def filtered_input(
 
     Examples
     --------
-    A filter that still forgets 5 V while 1 V enters it:
+    A filter that decays from 5 V to an input of 1 V:
 
     >>> import numpy as np
     >>> t = np.array([0.0, 0.4, 1.0])
@@ -88,8 +88,8 @@ def filtered_input(
             f"needed are outputs at two rising moments at least, got {output.size} "
             f"outputs and steps of {passed.tolist()} s"
         )
-    kept = np.exp(-passed / time_constant)
-    return complex(np.mean((output[1:] - kept * output[:-1]) / (1 - kept)))
+    decay = np.exp(-passed / time_constant)
+    return complex(np.mean((output[1:] - decay * output[:-1]) / (1 - decay)))
 
 
 def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) -> float:
@@ -97,8 +97,8 @@ def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) ->
 
     Notes
     -----
-    A filter weighs what entered late in an interval :math:`\Delta t` more than what
-    entered early. An input that steps by :math:`\delta` after a part x of it comes out
+    A filter weights late input in an interval :math:`\Delta t` more than early input.
+    An input that steps by :math:`\delta` after a part x of it comes out
     wrong by :math:`\delta \, x (1 - x) \, \Delta t / 2 T` of that interval; over all
     x, :math:`x (1 - x)` is :math:`1 / \sqrt{30}`. The step of an interval is taken from
     the inputs of the one before and the one after it. Good for
@@ -106,7 +106,7 @@ def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) ->
 
     Examples
     --------
-    A filter of 1 s that is looked at every 0.1 s, and 2 V from 0.3 s on:
+    A filter of 1 s, read every 0.1 s, with an input of 2 V from 0.3 s on:
 
     >>> import numpy as np
     >>> t = np.linspace(0, 1, 11)
@@ -119,8 +119,8 @@ def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) ->
     if output.size < 4:
         return 0.0
     spacing = float(moments[-1] - moments[0]) / (moments.size - 1)
-    kept = np.exp(-spacing / time_constant)
-    entered = (output[1:] - kept * output[:-1]) / (1 - kept)
+    decay = np.exp(-spacing / time_constant)
+    entered = (output[1:] - decay * output[:-1]) / (1 - decay)
     change = np.abs(entered[2:] - entered[:-2])
     weight = spacing / (2 * time_constant) / np.sqrt(30) / entered.size
     return float(weight * np.sqrt(np.sum(change**2)))
@@ -129,7 +129,7 @@ def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) ->
 def input_variance_ratio(
     intervals: ArrayLike, *, spacing: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the variance of `filtered_input` over that of one settled output.
+    r"""Return the variance of `filtered_input` over that of one settled output [1].
 
     Notes
     -----
@@ -152,8 +152,8 @@ def input_variance_ratio(
 
 
 def readings_of(survey: Survey, *, settling: float) -> int:
-    """How many readings, one a time constant, fit into a dwell after settling."""
+    """Return the number of readings, one a time constant, in a dwell after settling."""
     constant = survey.instrument.lock_in.time_constant
     # A dwell of exactly so many time constants must not lose one to rounding.
-    left = survey.scan.dwell / constant - settling
-    return max(1, 1 + int(np.floor(left + 1e-9)))
+    remaining = survey.scan.dwell / constant - settling
+    return max(1, 1 + int(np.floor(remaining + 1e-9)))

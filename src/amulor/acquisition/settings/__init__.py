@@ -1,4 +1,4 @@
-"""The devices file: one TOML that says which devices take a scan, and how."""
+"""The devices file: devices and procedure of a scan in TOML."""
 
 from amulor.acquisition.settings.devices_file import (
     MountSettings,

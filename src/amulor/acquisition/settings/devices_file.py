@@ -1,4 +1,4 @@
-"""The file that says which devices take a scan and how: one TOML, strictly checked."""
+"""The devices file: scanner, mounts, target, procedure and simulation in TOML."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from amulor.acquisition.settings.parts import (
     PanTiltSettings,
     Patience,
     SourceSettings,
-    known,
+    driver_check,
     need,
 )
 from amulor.errors import InstrumentError
@@ -32,11 +32,11 @@ from amulor.survey.quantity import (
     Voltage,
 )
 
-#: Drivers that can stand in one file with devices that are not simulated.
+#: Drivers that may be combined with devices that are not simulated.
 _ANYWHERE = ("simulated", "none", "operator")
 #: Auxiliary outputs of each lock-in, counted from 1.
 _OUTPUTS = {"simulated": 4, "sr844": 2, "sr865a": 4, "zurich": 4}
-#: Angle of a linear polarizer for the states that it makes or passes [rad].
+#: Angle of a linear polarizer for each state of polarization [rad].
 _LINEAR_POLARIZER = {
     "V": 0.0,
     "H": math.pi / 2,
@@ -45,45 +45,45 @@ _LINEAR_POLARIZER = {
 }
 
 
-#: Least turn of a beam by one unit of an axis that any stage has [rad].
+#: Least turn of the beam by one unit of an axis [rad].
 _LEAST_TURN = 1e-9
 
 ScannerDriver = Annotated[
-    str, known("scanner", "simulated", "pi_gcs", "analog", "pelco_d", "ophyd_async")
+    str,
+    driver_check("scanner", "simulated", "pi_gcs", "analog", "pelco_d", "ophyd_async"),
 ]
 
 
 class ScannerSettings(Linked):
-    """What turns the beam."""
+    """Scanner, which turns the beam."""
 
     driver: ScannerDriver = "simulated"
-    """Which controller it is: simulated, pi_gcs, analog (mirrors on voltages, stated in
-    `analog`), pelco_d (a pan-tilt head, stated in `pan_tilt`), ophyd_async (two axes,
-    stated in `options`), or the name of one that an installed package offers (entry
-    point amulor.scanners)."""
+    """Driver: simulated, pi_gcs, analog (mirrors on voltages, see `analog`), pelco_d (a
+    pan-tilt head, see `pan_tilt`), ophyd_async (two axes, see `options`), or a scanner
+    of an installed package (entry point amulor.scanners)."""
     analog: AnalogSettings | None = None
     """Mirrors on analog outputs; needed by "analog"."""
     pan_tilt: PanTiltSettings | None = None
-    """How a pan-tilt head counts; by default as most do."""
+    """Counting directions and limits of a pan-tilt head; by default the usual ones."""
     options: Options = None
-    """What a scanner of another package wants to be told."""
+    """Options of a scanner of another package."""
     azimuth_axis: Axis = "1"
     """Axis of the controller that turns to the right."""
     elevation_axis: Axis = "2"
     """Axis of the controller that turns upwards."""
     angle_per_unit: Annotated[Angle, Field(ge=-10, le=10)] = math.radians(1.0)
     """Turn of the beam per unit of the axis; twice the turn of a mirror. Negative if
-    the axis counts the other way [rad]."""
+    the axis counts in the other direction [rad]."""
     azimuth_zero: float = 0.0
     """Position of the axis where the azimuth is zero, in its unit."""
     elevation_zero: float = 0.0
     """Position of the axis where the elevation is zero, in its unit."""
     park_azimuth: Angle | None = None
-    """Direction to be left in; where it stands, if left out [rad]."""
+    """Azimuth of the parking direction; no parking if left out [rad]."""
     park_elevation: Angle | None = None
-    """Direction to be left in; where it stands, if left out [rad]."""
+    """Elevation of the parking direction; no parking if left out [rad]."""
     move_timeout: Patience = 30.0
-    """How long one move may take [s]."""
+    """Longest time of one move [s]."""
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
@@ -103,19 +103,19 @@ class ScannerSettings(Linked):
 
 
 class MountSettings(Linked):
-    """A rotation mount with a polarizer or a retarder."""
+    """Rotation mount of a polarizer or a retarder."""
 
     driver: Literal["simulated", "pi_gcs", "none"] = "simulated"
-    """Which controller it is; "none" for a polarizer that stays as it is."""
+    """Driver: simulated, pi_gcs, or none for a fixed polarizer."""
     axis: Axis = "3"
     """Axis of the controller, in degrees."""
     angles: dict[Annotated[str, Field(pattern="^[VHPMRL]$")], Angle] = Field(
         default_factory=lambda: dict(_LINEAR_POLARIZER)
     )
-    """Angle of the mount for each state of polarization that it makes or passes; by
-    default those of a linear polarizer [rad]."""
+    """Angle of the mount for each state of polarization; by default those of a linear
+    polarizer [rad]."""
     move_timeout: Patience = 30.0
-    """How long one turn may take [s]."""
+    """Longest time of one turn [s]."""
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
@@ -124,18 +124,18 @@ class MountSettings(Linked):
 
 
 class TargetSettings(Linked):
-    """What takes the target out of the beam for open-water shots."""
+    """Stage that takes the target out of the beam for open-water shots."""
 
     driver: Literal["simulated", "pi_gcs", "operator"] = "simulated"
-    """"operator": somebody is asked to do it."""
+    """Driver: simulated, pi_gcs, or operator, who moves the target on request."""
     axis: Axis = "5"
-    """Axis of the controller, in millimetres."""
+    """Axis of the controller, in millimeters."""
     position_in: Length = 0.0
-    """Where the target is scanned [m]."""
+    """Position of the target in the scan [m]."""
     position_out: Length = 0.2
-    """Where it is out of every beam [m]."""
+    """Position of the target outside of every beam [m]."""
     move_timeout: Patience = 60.0
-    """How long the way may take [s]."""
+    """Longest time of one move [s]."""
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
@@ -144,52 +144,49 @@ class TargetSettings(Linked):
 
 
 class Procedure(Description):
-    """How each sample is taken."""
+    """Procedure of a sample: settling, readings, references, tolerances."""
 
     settling: Annotated[float, Field(ge=3, le=50)] = 5.0
     """Wait after each change, in time constants of the lock-in [1]."""
     settled_by: Literal["samples"] | None = None
-    """"samples": after a move it is waited until successive readings agree within their
-    noise, at least for two time constants and at most for four times `settling`; what
-    does not settle by then is flagged. With output_filter = "known" the first parts of
-    a dwell that do not agree with the rest are left out. If left out, `settling` is
-    taken for granted."""
+    """"samples": the wait after a move ends when successive readings agree within their
+    noise, after at least two time constants and at most four times `settling`; else the
+    sample is flagged. With output_filter = "known" the first parts of a dwell that do
+    not agree with the rest are left out. Left out: the wait is `settling`."""
     output_filter: Literal["known"] | None = None
-    """"known": the lock-in's filter is a single pole of the survey's time constant, and
-    what it still holds of the last direction is taken off: nothing is waited for after
-    a move, and the dwell is filled with readings. Left out: readings are taken after
+    """"known": the filter of the lock-in is a single pole with the time constant of the
+    survey, and its remainder of the last direction is subtracted. There is no wait
+    after a move, and readings fill the dwell. Left out: readings start after
     `settling`."""
     readings: Literal["buffer"] | None = None
-    """"buffer": the lock-in records its outputs by its own clock and hands them over
-    after each dwell (sr865a, zurich, digitiser); one question a reading if left out."""
+    """"buffer": the lock-in records its outputs by its own clock and transfers them
+    after each dwell (sr865a, zurich, digitiser). Left out: one query a reading."""
     mode: Literal["continuous"] | None = None
     """"continuous": the beam moves along each row without a stop, by one column in a
-    dwell, and the buffer of the lock-in is divided by where the beam was; it needs
-    output_filter = "known" and readings = "buffer". Left out: it stands still for each
+    dwell, and its direction assigns the buffer of the lock-in to pixels. It needs
+    output_filter = "known" and readings = "buffer". Left out: the beam stops for each
     sample."""
     run_up: Annotated[Time, Field(gt=0, le=60)] | None = None
-    """How long before the first pixel of a row the beam is set moving, and how much
-    further than the last one it is sent; 10 ms if left out [s]."""
+    """Time of the motion before the first pixel of a row and after the last one; 10 ms
+    if left out [s]."""
     frequencies_at_once: Annotated[int, Field(ge=2, le=64)] | None = None
-    """How many modulation frequencies are measured in one dwell, by a lock-in with as
-    many oscillators and demodulators; one after the other if left out [1]."""
+    """Number of modulation frequencies in one dwell, for a lock-in with as many
+    oscillators and demodulators; one after the other if left out [1]."""
     references: Annotated[int, Field(ge=1, le=10_000)] = 2
-    """Times at which dark readings and open-water shots are taken, spread evenly from
-    before the scan to after it; the repeats are dealt out among them [1]."""
+    """Number of times at which dark readings and open-water shots are acquired, spread
+    evenly from before the scan to after it; the repeats are divided among them [1]."""
     dark_readings: Annotated[int, Field(ge=0, le=100_000)] = 5
     """Samples with the laser off, per channel, at each of these times [1]."""
     attempts: Annotated[int, Field(ge=1, le=100)] = 3
-    """How often a sample is taken again after the reference was lost in it [1]."""
+    """Number of attempts for a sample after loss of the reference [1]."""
     patience: Annotated[int, Field(ge=1, le=1_000_000)] = 50
-    """Overloaded samples one after the other before the scan stops [1]."""
+    """Overloaded samples in a row before the scan stops [1]."""
     darkness_patience: Annotated[int, Field(ge=0, le=1_000_000)] = 3
-    """Samples without light one after the other before the scan stops [1]."""
+    """Samples without light in a row before the scan stops [1]."""
     position_tolerance: Annotated[Angle, Field(gt=0)] = 1e-4
-    """Largest difference of commanded and read-back direction that is not flagged
-    [rad]."""
+    """Largest difference of commanded and read-back direction without a flag [rad]."""
     clock_speed: Annotated[float, Field(ge=1e-3, le=1e6)] = 1.0
-    """How much faster than real the clock of simulators on the network runs; 1 for
-    devices that are real [1]."""
+    """Speed of the clock of simulators on the network; 1 for real devices [1]."""
 
     @model_validator(mode="after")
     def _continuous_needs_filter_and_buffer(self) -> Self:
@@ -213,25 +210,24 @@ class Procedure(Description):
 
 
 class SimulationSettings(Description):
-    """What embedded simulated devices do that ideal ones would not."""
+    """Errors and faults of embedded simulated devices."""
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Seed of the noise [1]."""
     speed: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
-    """How much faster than real; as fast as the computer can if left out [1]."""
+    """Speed relative to real time; the fastest possible one if left out [1]."""
     cable_delay: Annotated[Time, Field(ge=-1e-3, le=1e-3)] = 0.0
-    """Delay of the signal path, which calibration of phase zero finds [s]."""
+    """Delay of the signal path, for the calibration of phase zero [s]."""
     pickup: Annotated[Voltage, Field(ge=-100, le=100)] = 0.0
-    """In-phase output without light, which dark readings find [V]."""
+    """In-phase output without light, for dark readings [V]."""
     phase_drift: Annotated[Angle, Field(ge=-1e3, le=1e3)] = 0.0
     """Change of the phase in one second [rad]."""
     phase_walk: Annotated[Angle, Field(ge=-10, le=10)] = 0.0
-    """Change of the phase when the amplitude is ten times as large [rad]."""
+    """Change of the phase for a tenfold amplitude [rad]."""
     water_drift: Annotated[float, Field(gt=-1, lt=1)] = 0.0
-    """Change of the water signal in one second, in parts of what it was at the start
-    [1/s]."""
+    """Relative change of the water signal in one second [1/s]."""
     position_error: Annotated[Angle, Field(ge=0, le=0.1)] = 2e-6
-    """Random error of where the scanner comes to stand [rad]."""
+    """Random error of the position of the scanner [rad]."""
     faults: tuple[
         Annotated[
             str,
@@ -242,8 +238,8 @@ class SimulationSettings(Description):
         ],
         ...,
     ] = ()
-    """Faults by the number of the reading that they begin at and, if more than one, how
-    many readings they last: "unlock@500x3"."""
+    """Faults with the number of the first reading and the number of readings, such as
+    "unlock@500x3"."""
 
 
 class Settings(Description):
@@ -259,23 +255,23 @@ class Settings(Description):
     lock_in: LockInSettings = LockInSettings()
     """The lock-in amplifier."""
     scanner: ScannerSettings = ScannerSettings()
-    """What turns the beam."""
+    """The scanner, which turns the beam."""
     launch: MountSettings = MountSettings()
-    """What sets the launched polarization."""
+    """The mount of the launched polarization."""
     analyser: MountSettings = MountSettings(axis="4")
-    """What sets the analysed polarization."""
+    """The mount of the analyzed polarization."""
     laser: LaserSettings = LaserSettings()
-    """What lets light out."""
+    """The laser."""
     target: TargetSettings = TargetSettings()
-    """What takes the target out of the beam."""
+    """The target stage."""
     digitiser: DigitiserSettings = DigitiserSettings()
-    """What records the detector directly, if no lock-in does."""
+    """The digitizer, in place of a lock-in."""
     source: SourceSettings = SourceSettings()
-    """What modulates the laser, if the lock-in does not."""
+    """The modulation source, in place of the lock-in."""
     procedure: Procedure = Procedure()
-    """How each sample is taken."""
+    """The procedure of a sample."""
     simulation: SimulationSettings = SimulationSettings()
-    """What embedded simulated devices do."""
+    """Errors and faults of embedded simulated devices."""
 
     @model_validator(mode="after")
     def _simulated_devices_stay_among_themselves(self) -> Self:
@@ -310,18 +306,22 @@ class Settings(Description):
 
     @model_validator(mode="after")
     def _mirrors_have_outputs_of_their_own(self) -> Self:
-        own = self.scanner.analog
-        if self.scanner.driver != "analog" or own is None or own.outputs != "lock_in":
+        analog = self.scanner.analog
+        if (
+            self.scanner.driver != "analog"
+            or analog is None
+            or analog.outputs != "lock_in"
+        ):
             return self
-        taken = [own.azimuth.output, own.elevation.output]
+        used = [analog.azimuth.output, analog.elevation.output]
         if self.laser.driver == "lock_in_output":
-            taken.append(str(self.laser.output))
+            used.append(str(self.laser.output))
         last = _OUTPUTS.get(self.lock_in.driver, 4)
-        there = [str(number) for number in range(1, last + 1)]
-        if len({*taken}) < len(taken) or not {*taken} <= {*there}:
+        available = [str(number) for number in range(1, last + 1)]
+        if len({*used}) < len(used) or not {*used} <= {*available}:
             raise ValueError(
                 f"mirrors and laser need outputs of their own among "
-                f"{', '.join(there)} of the lock-in, stated are {', '.join(taken)}"
+                f"{', '.join(available)} of the lock-in, stated are {', '.join(used)}"
             )
         return self
 
@@ -346,8 +346,8 @@ class Settings(Description):
                 'lock_in.reference is "external", but nothing says what makes the '
                 "frequency; add the part source"
             )
-        own = self.lock_in.driver in ("sr844", "sr865a")
-        if self.source.driver != "none" and own and not external:
+        stanford = self.lock_in.driver in ("sr844", "sr865a")
+        if self.source.driver != "none" and stanford and not external:
             raise ValueError(
                 "the part source makes the frequency, but the lock-in takes its own; "
                 'set lock_in.reference = "external"'

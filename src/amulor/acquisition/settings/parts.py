@@ -14,24 +14,25 @@ from amulor.survey.quantity import Angle, Description, Time, Voltage
 Address = Annotated[str, Field(min_length=1, max_length=200)]
 Axis = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]{1,16}$")]
 Patience = Annotated[Time, Field(gt=0, le=3600)]
-#: What a device of another package wants to be told.
+#: Options of a device of another package.
 Options = dict[str, Any] | None
 
 
-def need(there: bool, what: str) -> None:
-    """Raise unless something is there."""
-    if not there:
-        raise ValueError(f"{what} is needed; state it")
+def need(condition: bool, setting: str) -> None:
+    """Raise unless the condition for a required setting holds."""
+    if not condition:
+        raise ValueError(f"{setting} is needed; state it")
 
 
-def known(part: str, *own: str) -> AfterValidator:
-    """Return what refuses drivers that are neither ours nor of an installed package."""
+def driver_check(part: str, *builtin: str) -> AfterValidator:
+    """Return a validator of drivers: built in, or of an installed package."""
 
     def check(name: str) -> str:
-        if name not in own and name not in (others := plugins.names(part)):
+        if name not in builtin and name not in (installed := plugins.names(part)):
             raise ValueError(
-                f"there is no {part} {name!r}; there are {', '.join([*own, *others])}, "
-                f"and others by the entry point {plugins.GROUPS[part]} of a package"
+                f"there is no {part} {name!r}; there are "
+                f"{', '.join([*builtin, *installed])}, and others by the "
+                f"entry point {plugins.GROUPS[part]} of a package"
             )
         return name
 
@@ -39,24 +40,23 @@ def known(part: str, *own: str) -> AfterValidator:
 
 
 class Linked(Description):
-    """A part that is reached at an address."""
+    """Part with an address."""
 
     address: Address | None = None
     """VISA resource name, such as "GPIB0::8::INSTR" or
     "TCPIP::10.0.0.5::50000::SOCKET"; "tcp://10.0.0.5:50000" for a socket without a VISA
     library; of Zurich Instruments "server:device", such as "localhost:dev2006"."""
     timeout: Patience = 5.0
-    """How long one answer may take [s]."""
+    """Longest wait for one answer [s]."""
     baud_rate: Annotated[int, Field(ge=50, le=10_000_000)] | None = None
-    """Bits per second of a serial port; what the VISA library takes, 9600, if left
-    out [1/s]."""
+    """Bits per second of a serial port; 9600, as in VISA, if left out [1/s]."""
     flow_control: Literal["none", "xon_xoff", "rts_cts", "dtr_dsr"] | None = None
-    """Flow control of a serial port; what the VISA library takes, none, if left out."""
+    """Flow control of a serial port; none, the default of VISA, if left out."""
 
     lock: Literal[True] | None = None
-    """true: the lock of the instrument itself is taken over VXI-11 or HiSLIP (VISA
-    names such as "TCPIP::10.0.0.5::INSTR"), so that no program on any computer can
-    drive it meanwhile, nor switch it off; nobody else is kept out if left out."""
+    """true: the scan locks the instrument over VXI-11 or HiSLIP (VISA names such as
+    "TCPIP::10.0.0.5::INSTR"), so that no other program on any computer can drive it or
+    switch it off. Left out: no lock in the instrument."""
 
     @model_validator(mode="after")
     def _only_these_links_have_locks(self) -> Self:
@@ -72,15 +72,15 @@ class Linked(Description):
 
     @model_validator(mode="after")
     def _only_serial_ports_have_it(self) -> Self:
-        stated = [
+        serial_settings = [
             name
             for name in ("baud_rate", "flow_control")
             if getattr(self, name) is not None
         ]
         serial = self.address is not None and self.address.upper().startswith("ASRL")
-        if stated and not serial:
+        if serial_settings and not serial:
             raise ValueError(
-                f"{stated[0]} is that of a serial port, but the address is "
+                f"{serial_settings[0]} is that of a serial port, but the address is "
                 f"{self.address!r}; take it out, or state a port such as ASRL3::INSTR"
             )
         return self
@@ -90,16 +90,15 @@ Volts = Annotated[Voltage, Field(ge=-100, le=100)]
 
 
 class MirrorSettings(Description):
-    """One mirror: its output, and angles of the beam that were measured."""
+    """One mirror: its output, and measured angles of the beam."""
 
     output: Annotated[str, Field(min_length=1, max_length=100)]
     """Number of an auxiliary output of the lock-in, counted from 1; "Dev1/ao0" of
     nidaqmx; "DAC0" of labjack."""
     volts: Annotated[tuple[Volts, ...], Field(min_length=3)]
-    """Voltages that the angle was measured at, rising; the scan stays between them
-    [V]."""
+    """Voltages of the measured angles, rising; the scan stays between them [V]."""
     angles: tuple[Angle, ...]
-    """Angle of the beam at each of them [rad]."""
+    """Angle of the beam at each voltage [rad]."""
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -113,92 +112,92 @@ class AnalogSettings(Description):
     """Two mirrors on analog outputs."""
 
     outputs: Literal["lock_in", "nidaqmx", "labjack"]
-    """Whose outputs: the lock-in's own, a card of National Instruments, a LabJack T4 or
-    T7 (ljm)."""
+    """Device of the outputs: the lock-in, a National Instruments card, or a LabJack T4
+    or T7 (ljm)."""
     azimuth: MirrorSettings
-    """The one that turns the beam to the right."""
+    """Mirror that turns the beam to the right."""
     elevation: MirrorSettings
-    """The one that turns it upwards."""
+    """Mirror that turns the beam upwards."""
     settling: Annotated[Time, Field(gt=0, le=10)]
-    """How long a mirror takes to come to rest [s]."""
+    """Settling time of a mirror [s]."""
 
 
 LaserDriver = Annotated[
-    str, known("laser", "simulated", "lock_in_output", "scpi", "ophyd_async")
+    str, driver_check("laser", "simulated", "lock_in_output", "scpi", "ophyd_async")
 ]
-SourceDriver = Annotated[str, known("source", "none", "scpi")]
+SourceDriver = Annotated[str, driver_check("source", "none", "scpi")]
 
 
 class ScpiLaserSettings(Description):
-    """Commands of a laser driver; `{}` in a question is not replaced by anything."""
+    """Commands of a laser driver, sent as they are."""
 
     on: tuple[str, ...] = ("OUTP ON",)
-    """Sent one after the other to let light out."""
+    """Commands that switch the laser on."""
     off: tuple[str, ...] = ("OUTP OFF",)
-    """Sent one after the other to let none out."""
+    """Commands that switch the laser off."""
     state: str = "OUTP?"
-    """Asked to read back whether light is out."""
+    """Query of the state of the laser."""
     is_off: str = "0"
-    """What the answer is when none is."""
+    """Answer of a laser that is off."""
     interlock: str | None = None
-    """Asked before light is let out and at every sample; left out if there is none."""
+    """Query of the interlock, before light and at every sample; optional."""
     interlock_closed: str = "1"
-    """What the answer is while the interlock is closed."""
+    """Answer of a closed interlock."""
     current: str | None = None
-    """Asked in every sample for the current of the diode [A]; not if left out."""
+    """Query of the diode current at every sample; none if left out [A]."""
     temperature: str | None = None
-    """Asked in every sample for the temperature of the diode [degC]; or not."""
+    """Query of the diode temperature at every sample; none if left out [degC]."""
     prepare: tuple[str, ...] | None = None
-    """Sent once, before light is let out, such as "SOUR:CURR 0.08"."""
+    """Commands before the laser is switched on, such as "SOUR:CURR 0.08"."""
     error: str | None = None
-    """Asked after light was let out; left out if the driver knows no such question."""
+    """Query of errors after the laser was switched on; left out without one."""
     no_error: str | None = None
-    """What the answer begins with if there is none; "0" if left out."""
+    """Start of the answer without an error; "0" if left out."""
     lock: str | None = None
-    """Asked first, for the right to drive it, such as "SYST:LOCK:REQ?"; not if left
-    out."""
+    """Query that locks the instrument, sent first, such as "SYST:LOCK:REQ?"; none if
+    left out."""
     lock_granted: str | None = None
-    """What the answer is if that is given; "1" if left out."""
+    """Answer if the lock is granted; "1" if left out."""
     unlock: str | None = None
-    """Sent at the end, such as "SYST:LOCK:REL"."""
+    """Command that releases the lock, such as "SYST:LOCK:REL"."""
 
 
 class ScpiSourceSettings(Description):
-    """Commands of a signal generator; `{value}` stands for the number, in SI units."""
+    """Commands of a signal generator; `{value}` is the number in SI units."""
 
     prepare: tuple[str, ...] = ()
-    """Sent once, such as "FUNC SIN"."""
+    """Commands at the start, such as "FUNC SIN"."""
     amplitude: str = "VOLT {value:.6g}"
-    """Sets the root mean square of the output [V]."""
+    """Command that sets the root mean square of the output [V]."""
     frequency: str = "FREQ {value:.10g}"
-    """Sets the frequency [Hz]."""
+    """Command that sets the frequency [Hz]."""
     frequency_read: str = "FREQ?"
-    """Asked for the frequency that is put out [Hz]."""
+    """Query of the output frequency [Hz]."""
     on: tuple[str, ...] = ("OUTP ON",)
-    """Sent one after the other to put it out."""
+    """Commands that switch the output on."""
     off: tuple[str, ...] = ("OUTP OFF",)
-    """Sent one after the other to put nothing out."""
+    """Commands that switch the output off."""
     error: str | None = "SYST:ERR?"
-    """Asked after settings; left out if the generator knows no such question."""
+    """Query of errors after settings; left out without one."""
     no_error: str = "+0"
-    """What the answer begins with if there is none."""
+    """Start of the answer without an error."""
     lock: str | None = None
-    """Asked first, for the right to drive it, such as "SYST:LOCK:REQ?"; not if left
-    out."""
+    """Query that locks the instrument, sent first, such as "SYST:LOCK:REQ?"; none if
+    left out."""
     lock_granted: str | None = None
-    """What the answer is if that is given; "1" if left out."""
+    """Answer if the lock is granted; "1" if left out."""
     unlock: str | None = None
-    """Sent at the end, such as "SYST:LOCK:REL"."""
+    """Command that releases the lock, such as "SYST:LOCK:REL"."""
 
 
 class SourceSettings(Linked):
-    """What modulates the laser, if the lock-in does not."""
+    """Modulation source, in place of the lock-in."""
 
     driver: SourceDriver = "none"
-    """"none": the lock-in; "scpi": commands, stated in `scpi`; or the name of one that
-    an installed package offers (entry point amulor.sources)."""
+    """Driver: none (the lock-in modulates), scpi (commands in `scpi`), or a source of
+    an installed package (entry point amulor.sources)."""
     options: Options = None
-    """What a source of another package wants to be told."""
+    """Options of a source of another package."""
     amplitude: Annotated[Voltage, Field(gt=0, le=10)] | None = None
     """Root mean square of the output; needed by "scpi" [V]."""
     scpi: ScpiSourceSettings = ScpiSourceSettings()
@@ -215,28 +214,27 @@ class SourceSettings(Linked):
 
 
 class LaserSettings(Linked):
-    """What lets light out."""
+    """Laser, or the shutter in front of it."""
 
     driver: LaserDriver = "simulated"
-    """"lock_in_output": an auxiliary output of the lock-in is wired to the enable input
-    of the laser; "scpi": commands, stated in `scpi`; "ophyd_async": parts, stated in
-    `options`; or the name of one that an installed package offers (entry point
-    amulor.lasers)."""
+    """Driver: simulated, lock_in_output (an auxiliary output of the lock-in is wired to
+    the enable input of the laser), scpi (commands in `scpi`), ophyd_async (parts in
+    `options`), or a laser of an installed package (entry point amulor.lasers)."""
     options: Options = None
-    """What a laser of another package wants to be told."""
+    """Options of a laser of another package."""
     scpi: ScpiLaserSettings | None = None
     """Commands of a laser driver; needed by "scpi"."""
     output: Annotated[int, Field(ge=1, le=4)] = 1
-    """Which auxiliary output [1]."""
+    """Number of the auxiliary output, counted from 1 [1]."""
     on_voltage: Annotated[Voltage, Field(gt=0, le=10)] = 5.0
-    """Voltage that lets light out; 0 V lets none out [V]."""
+    """Voltage that switches the laser on; 0 V switches it off [V]."""
     interlock_input: Annotated[int, Field(ge=1, le=4)] | None = None
-    """Auxiliary input of an SR844 or SR865A that the interlock's monitor is wired to,
-    looked at in every sample with light; none if left out [1]."""
+    """Auxiliary input of an SR844 or SR865A that the monitor of the interlock is wired
+    to, read in every sample with light; none if left out [1]."""
     interlock_voltage: Annotated[Voltage, Field(gt=0, le=10)] = 2.0
     """Least voltage there while the interlock is closed [V]."""
     warm_up: Annotated[Time, Field(ge=0, le=3600)] = 0.0
-    """Wait after it was switched on [s]."""
+    """Wait after the laser was switched on [s]."""
 
     @model_validator(mode="after")
     def _commands_are_stated(self) -> Self:
@@ -253,7 +251,7 @@ _INPUTS = {"simulated": 4, "sr844": 2, "sr865a": 4, "zurich": 2, "digitiser": 0}
 _INPUT_RANGES = (1.0, 0.3, 0.1, 0.03, 0.01)
 LockInDriver = Annotated[
     str,
-    known(
+    driver_check(
         "lock_in",
         "simulated",
         "sr844",
@@ -271,49 +269,49 @@ Bits = Annotated[int, Field(ge=0, lt=2**32)]
 class ScpiLockInSettings(Description):
     """Commands of a lock-in; {value} is a number in SI units, {code} a place in a list.
 
-    Questions are answered by one line each, numbers separated by commas.
+    Each query has one line as its answer, with numbers separated by commas.
     """
 
     prepare: tuple[str, ...] = ("*RST",)
-    """Sent one after the other before a scan: reference, one-pole filter, coupling."""
+    """Commands before a scan: reference, one-pole filter, coupling."""
     time_constant: str
-    """Sets the time constant, such as "OFLT {code}" or "TC {value:.6g}"."""
+    """Command of the time constant, such as "OFLT {code}" or "TC {value:.6g}"."""
     time_constants: tuple[Annotated[Time, Field(gt=0)], ...] = ()
     """Time constants by their code, if {code} is used [s]."""
     frequency: str = "FREQ {value:.10g}"
-    """Sets the modulation frequency [Hz]; not sent if the reference is external."""
+    """Command of the modulation frequency, not sent with an external reference [Hz]."""
     frequency_read: str = "FREQ?"
-    """Asked for the frequency that is detected [Hz]."""
+    """Query of the detected frequency [Hz]."""
     read: str
-    """Asked for X and Y of one moment, such as "SNAP? 0,1"."""
+    """Query of X and Y at one moment, such as "SNAP? 0,1"."""
     counts: Literal["rms", "peak"] = "rms"
-    """What X and Y are in."""
+    """Whether X and Y are rms or peak values."""
     phase: Literal["falls", "rises"] = "falls"
-    """How the phase goes with delay; it falls in most instruments."""
+    """Sign of the phase with delay; it falls in most instruments."""
     mean: str | None = None
-    """Asked for the mean output of the detector, if that is wired [V]."""
+    """Query of the mean output of the detector, where it is wired [V]."""
     status: str | None = None
-    """Asked for a number of status bits that hold until they are asked for."""
+    """Query of the status bits, which latch until they are read."""
     input_overload: Bits = 0
-    """Bits of it that say that the input overloads [1]."""
+    """Status bits of an input overload [1]."""
     output_overload: Bits = 0
-    """Bits of it that say that an output is beyond the scale [1]."""
+    """Status bits of an output beyond the scale [1]."""
     unlocked: Bits = 0
-    """Bits of it that say that the reference is lost [1]."""
+    """Status bits of a lost reference [1]."""
     scale: str | None = None
-    """Sets the scale, such as "SCAL {code}"; the scale stays if left out."""
+    """Command of the scale, such as "SCAL {code}"; a fixed scale if left out."""
     scales: Annotated[tuple[Annotated[Voltage, Field(gt=0)], ...], Field(min_length=1)]
     """Full scales by their code, as the instrument counts them [V]."""
     output: str | None = None
-    """Sets an auxiliary output, such as "AUXV {code},{value:.3f}", for the laser."""
+    """Command of an auxiliary output, such as "AUXV {code},{value:.3f}"."""
     output_read: str | None = None
-    """Asked for the voltage that it is set to, such as "AUXV? {code}"."""
+    """Query of an auxiliary output, such as "AUXV? {code}"."""
     first_output: Annotated[int, Field(ge=0, le=1)] = 1
     """Code of the output that the panel counts as 1 [1]."""
     error: str | None = None
-    """Asked after settings."""
+    """Query of errors after settings."""
     no_error: str = "0"
-    """What the answer begins with if there is none."""
+    """Start of the answer without an error."""
 
     @model_validator(mode="after")
     def _belongs_together(self) -> Self:
@@ -330,32 +328,32 @@ class LockInSettings(Linked):
     """The lock-in amplifier."""
 
     driver: LockInDriver = "simulated"
-    """Which instrument it is: simulated, sr844, sr865a, zurich, digitiser (the one that
-    the part `digitiser` names), scpi (commands, stated in `scpi`), pymeasure
-    (attributes) and ophyd_async (parts), both stated in `options`, or the name of one
-    that an installed package offers (entry point amulor.lock_ins)."""
+    """Driver: simulated, sr844, sr865a, zurich, digitiser (see the part `digitiser`),
+    scpi (commands in `scpi`), pymeasure (attributes in `options`), ophyd_async (parts
+    in `options`), or a lock-in of an installed package (entry point
+    amulor.lock_ins)."""
     scpi: ScpiLockInSettings | None = None
     """Commands of a lock-in; needed by "scpi"."""
     options: Options = None
-    """What a lock-in of another package wants to be told."""
+    """Options of a lock-in of another package."""
     mean_output_input: Annotated[int, Field(ge=1, le=4)] | None = None
     """Auxiliary input that the mean output of the detector is wired to [1]."""
     modulation_amplitude: Annotated[Voltage, Field(gt=0, le=2)] | None = None
-    """Root mean square of the modulation output, which drives the laser; needed where
-    it can be set (sr865a, zurich) [V]."""
+    """Root mean square of the modulation output, which drives the laser; needed by
+    sr865a and zurich [V]."""
     input_range: Annotated[Voltage, Field(gt=0)] | None = None
-    """Largest peak voltage at the input of an sr865a that a scan begins with, 1 V, 300,
-    100, 30 or 10 mV; a wider one is taken when it overloads; 1 V if left out [V]."""
+    """Input range of an sr865a at the start of a scan, peak: 1 V, 300, 100, 30 or 10
+    mV; increased after an overload; 1 V if left out [V]."""
     lock_timeout: Patience = 10.0
-    """How long the reference may take to lock [s]."""
+    """Longest wait for lock of the reference [s]."""
     reference: Literal["external"] | None = None
-    """"external": the frequency comes from the part `source`; of its own oscillator if
-    left out."""
+    """"external": the part `source` is the reference. Left out: the oscillator of the
+    lock-in."""
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
-        own = self.driver in ("sr844", "sr865a", "zurich", "scpi")
-        need(self.address is not None or not own, "lock_in.address")
+        wired = self.driver in ("sr844", "sr865a", "zurich", "scpi")
+        need(self.address is not None or not wired, "lock_in.address")
         need(self.scpi is not None or self.driver != "scpi", "lock_in.scpi")
         need(bool(self.options) or self.driver != "ophyd_async", "lock_in.options")
         return self
@@ -363,13 +361,13 @@ class LockInSettings(Linked):
     @model_validator(mode="after")
     def _amplitude_is_stated(self) -> Self:
         settable = self.driver in ("sr865a", "zurich")
-        stated = self.modulation_amplitude is not None
-        if settable and not stated:
+        has_amplitude = self.modulation_amplitude is not None
+        if settable and not has_amplitude:
             raise ValueError(
                 "lock_in.modulation_amplitude is needed: what the modulation input of "
                 'the laser takes, such as "0.5 V"'
             )
-        if stated and not settable and self.driver in _INPUTS:
+        if has_amplitude and not settable and self.driver in _INPUTS:
             raise ValueError(
                 f"the driver {self.driver!r} cannot set lock_in.modulation_amplitude; "
                 "take it out"
@@ -385,7 +383,7 @@ class LockInSettings(Linked):
                 f"the driver {self.driver!r} cannot set lock_in.input_range; take it "
                 "out"
             )
-        if not any(math.isclose(self.input_range, own) for own in _INPUT_RANGES):
+        if not any(math.isclose(self.input_range, value) for value in _INPUT_RANGES):
             raise ValueError(
                 f"lock_in.input_range is {self.input_range:g} V, an SR865A has 1 V, "
                 "300 mV, 100 mV, 30 mV and 10 mV; state one of them"
@@ -409,32 +407,32 @@ class LockInSettings(Linked):
 
 
 class DigitiserSettings(Linked):
-    """What records the detector directly; lock_in.driver is "digitiser" then."""
+    """Digitizer that records the detector, with lock_in.driver = "digitiser"."""
 
-    driver: Annotated[str, known("digitiser", "none")] = "none"
-    """Name of one that an installed package offers (entry point amulor.digitisers)."""
+    driver: Annotated[str, driver_check("digitiser", "none")] = "none"
+    """Driver: none, or a digitizer of an installed package (entry point
+    amulor.digitisers)."""
     options: Options = None
-    """What it wants to be told."""
+    """Options of the digitizer."""
 
 
 class PanTiltSettings(Description):
-    """A pan-tilt head that speaks Pelco-D."""
+    """Pan-tilt head by Pelco-D: its number, directions and limits."""
 
     number: Annotated[int, Field(ge=1, le=255)] = 1
-    """Number that is set in the head (its address on the line) [1]."""
+    """Number of the head, its address on the line [1]."""
     pan_counts: Literal["right", "left"] = "right"
-    """Where the pan position grows to; clockwise from above, that is to the right, in
-    heads that stand."""
+    """Direction of increasing pan; right, clockwise from above, for an upright head."""
     tilt_counts: Literal["down", "up"] = "down"
-    """Where the tilt position grows to."""
+    """Direction of increasing tilt."""
     lowest_pan: Angle | None = None
-    """Least azimuth that the head goes to; not checked if left out [rad]."""
+    """Least azimuth of the head; not checked if left out [rad]."""
     highest_pan: Angle | None = None
-    """Largest azimuth that the head goes to; not checked if left out [rad]."""
+    """Largest azimuth of the head; not checked if left out [rad]."""
     lowest_tilt: Angle | None = None
-    """Least elevation that the head goes to; not checked if left out [rad]."""
+    """Least elevation of the head; not checked if left out [rad]."""
     highest_tilt: Angle | None = None
-    """Largest elevation that the head goes to; not checked if left out [rad]."""
+    """Largest elevation of the head; not checked if left out [rad]."""
 
     @model_validator(mode="after")
     def _ends_belong_together(self) -> Self:
