@@ -157,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _with_negative(words: Sequence[str]) -> list[str]:
-    """Tie numbers below zero to their options: "--frequency -5MHz" is no option -5."""
+    """Join negative numbers to their options: "--frequency -5MHz" is no option -5."""
     tied: list[str] = []
     for word in words:
         below = word[:1] == "-" and word[1:].lstrip(".")[:1].isdigit()
@@ -219,15 +219,17 @@ def _run(words: list[str]) -> int:
     for group in groups.values():
         app.command(group)
     for name, (target, summary) in COMMANDS.items():
-        first, _, rest = name.partition(" ")
+        first, _, subcommand = name.partition(" ")
         if name in groups:  # a command by itself that has commands below it, too
             module, _, function = target.partition(":")
             imported = import_module(f"amulor.cli.{module}")
             groups[name].default(getattr(imported, function))
             continue
-        place, own = (groups[first], rest) if rest else (app, first)
+        place, command_name = (
+            (groups[first], subcommand) if subcommand else (app, first)
+        )
         # The text is that of the function, which is not imported for the list.
-        place.command(f"amulor.cli.{target}", name=own, help=summary)
+        place.command(f"amulor.cli.{target}", name=command_name, help=summary)
     try:
         with _ended_in_order():
             app(
@@ -254,7 +256,7 @@ def _run(words: list[str]) -> int:
 
 
 class _Ended(KeyboardInterrupt):
-    """A signal asks the program to end."""
+    """Request by a signal to end the program."""
 
     def __init__(self, number: int) -> None:
         self.signal = signal.Signals(number)
@@ -262,29 +264,29 @@ class _Ended(KeyboardInterrupt):
 
 @contextmanager
 def _ended_in_order() -> Iterator[None]:
-    """Let a program that is told to end take away what it has half written.
+    """Remove half-written files if a signal ends the program.
 
     The first SIGTERM or SIGHUP does so, the next ones do not disturb it. What the
     program was started to ignore, as by nohup, stays ignored. Commands that drive
     devices have handlers of their own meanwhile.
     """
-    taken: list[int] = []
+    handled: list[int] = []
 
     def end(number: int, _: object) -> None:
-        for other in taken:
-            signal.signal(other, signal.SIG_IGN)
+        for handled_signal in handled:
+            signal.signal(handled_signal, signal.SIG_IGN)
         raise _Ended(number)
 
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-                taken.append(number)
+                handled.append(number)
                 signal.signal(number, end)
     try:
         yield
     finally:
-        for number in taken:
+        for number in handled:
             signal.signal(number, signal.SIG_DFL)
 
 

@@ -1,4 +1,4 @@
-"""Options that several commands share, and what is wrong use of them."""
+"""Options shared by several commands, and errors of their use."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ SEED = validators.Number(gte=0, lt=2**63)
 
 
 class UsageError(AmulorError):
-    """An option has a value that it cannot have, or goes without another: exit 2."""
+    """Wrong value or combination of options; exit code 2."""
 
 
 @contextmanager
-def refusing(what: str = "") -> Iterator[None]:
-    """Turn the `ValueError` of a public function into wrong use of an option.
+def refusing(option: str = "") -> Iterator[None]:
+    """Turn the `ValueError` of a public function into a usage error of an option.
 
     Parameters
     ----------
@@ -36,11 +36,11 @@ def refusing(what: str = "") -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise UsageError(f"{what}: {error}" if what else str(error)) from None
+        raise UsageError(f"{option}: {error}" if option else str(error)) from None
 
 
 def quantity_of(option: str, text: str, quantity: str) -> float:
-    """Return the number that an option states with a unit.
+    """Parse an option with a unit.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def quantity_of(option: str, text: str, quantity: str) -> float:
 
 
 def frequencies_of(option: str, text: str) -> list[float]:
-    """Return the modulation frequencies that an option states.
+    """Parse an option with modulation frequencies.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def frequencies_of(option: str, text: str) -> list[float]:
 def interval_of(
     nearest: str | None, farthest: str | None
 ) -> tuple[float, float] | None:
-    """Return the limits of the slant range that two options state.
+    """Parse two options with limits of the slant range.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def interval_of(
 
 
 def check_inputs(*paths: Path | None) -> None:
-    """Refuse a file name that is mistyped, before anything slow is imported.
+    """Raise if an input file does not exist, before slow imports.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ CUBE_ENDINGS = (".nc", ".nc4")
 
 
 def check_cube_output(path: Path, *, overwrite: bool, inputs: Sequence[Path]) -> None:
-    """Refuse a file that no cube can be written to, before the work.
+    """Raise if an output file cannot be a cube, before the work.
 
     Parameters
     ----------
@@ -184,13 +184,13 @@ def check_cube_output(path: Path, *, overwrite: bool, inputs: Sequence[Path]) ->
 
 
 def check_tile_rows(rows: int | None) -> None:
-    """Refuse a number of rows below 1."""
+    """Raise for a number of rows below 1."""
     if rows is not None and rows < 1:
         raise UsageError(f"--tile-rows must be 1 or more, got {rows}")
 
 
 def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
-    """Refuse a file name whose ending names none of some formats.
+    """Raise if the ending of a file name is none of these formats.
 
     Parameters
     ----------

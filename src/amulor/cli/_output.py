@@ -1,4 +1,4 @@
-"""How commands print: tables, JSON, and how far they are, as a bar or as lines."""
+"""Output of commands: tables, JSON and progress."""
 
 from __future__ import annotations
 
@@ -85,13 +85,13 @@ def print_table(
 
 
 def print_next(command: str) -> None:
-    """Print the usual next command; on a terminal only, where a person reads it."""
+    """Print the usual next command, on a terminal only."""
     if sys.stdout.isatty():
         print(f"next: {command}")
 
 
 def print_flags(counts: Mapping[str, int], total: int) -> None:
-    """Print the commonest flag, and what to do where nearly everything has it."""
+    """Print the most frequent flag, with advice where nearly all values have it."""
     if not counts:
         return
     from amulor.view.explanations import explanations, hint
@@ -100,13 +100,13 @@ def print_flags(counts: Mapping[str, int], total: int) -> None:
     share = counts[name] / total
     print(f"commonest flag: {name} ({share:.1%}); what it means: {hint([name])}")
     if share > _NEARLY_ALL:
-        known = explanations().get(name.upper())
-        if known is not None:
-            print(f"what to do: {known.remedy}")
+        explanation = explanations().get(name.upper())
+        if explanation is not None:
+            print(f"what to do: {explanation.remedy}")
 
 
 def announcing(name: str = "", *, browser: bool) -> Callable[[str], None]:
-    """Return what tells the address of a page, and opens it where that is asked."""
+    """Return a function that prints the address of a page, and opens it on request."""
 
     def announce(address: str) -> None:
         print(f"{name}{address}\nCtrl-C stops it.", flush=True)
@@ -120,7 +120,7 @@ def announcing(name: str = "", *, browser: bool) -> Callable[[str], None]:
 
 @contextmanager
 def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None]]:
-    """Show what `amulor._progress` is told: a bar on a terminal, lines in a pipe.
+    """Show the progress of the block: a bar on a terminal, lines in a pipe.
 
     Parameters
     ----------
@@ -148,12 +148,12 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None
 
 @contextmanager
 def _lines() -> Iterator[_progress.Listener]:
-    """Write what is done as lines, and nothing about work that is soon done."""
+    """Print progress as lines, and none for short work."""
     log = _Log(time.monotonic)
-    done = threading.Event()
+    ended = threading.Event()
 
     def write() -> None:
-        while not done.wait(0.25):
+        while not ended.wait(0.25):
             line = log.line()
             if line:
                 print(line, file=sys.stderr, flush=True)
@@ -163,12 +163,12 @@ def _lines() -> Iterator[_progress.Listener]:
     try:
         yield log.advance
     finally:
-        done.set()
+        ended.set()
         writer.join()
 
 
 class _Log:
-    """Which lines a log gets."""
+    """Selection of the lines of a log."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -178,11 +178,11 @@ class _Log:
         self._compiling_written = False
 
     def advance(self, step: str, share: float) -> None:
-        """Take what is done now."""
+        """Receive progress."""
         self._now = (step, share)
 
     def line(self) -> str:
-        """Return a line if it is time for one, else nothing."""
+        """Return a line if one is due, else None."""
         moment = self._clock()
         step, share = self._now
         # The longer it takes, the fewer lines.
@@ -201,7 +201,7 @@ class _Log:
 
 @contextmanager
 def _bar() -> Iterator[_progress.Listener]:
-    """Show a bar that goes when the work is done."""
+    """Show a bar that disappears after the work."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,

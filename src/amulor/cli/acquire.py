@@ -1,4 +1,4 @@
-"""`amulor acquire` runs a scan; `amulor recover` makes its cube from the journal."""
+"""`amulor acquire` and `amulor recover`: acquisition of a scan, and its cube."""
 
 from __future__ import annotations
 
@@ -76,9 +76,9 @@ def acquire(
     if devices is None and resume and (output / DEVICES_NAME).exists():
         devices = output / DEVICES_NAME
     settings = _settings(devices)
-    known = None if calibration is None else _calibration(calibration)
-    if known is None and resume and not overwrite:
-        known = _calibration_of(output / CUBE_NAME)
+    delays = None if calibration is None else _calibration(calibration)
+    if delays is None and resume and not overwrite:
+        delays = _calibration_of(output / CUBE_NAME)
     try:
         with _live(quiet=json) as screen, _Interrupts(screen) as control:
             outcome = acquisition.acquire(
@@ -98,7 +98,7 @@ def acquire(
         if (output / FILE_NAME).exists():
             print(f"{output}: go on with: {resume_command(output)}", file=sys.stderr)
         raise
-    found: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "finished": outcome.finished,
         "done": outcome.done,
         "total": outcome.total,
@@ -107,17 +107,17 @@ def acquire(
     }
     if outcome.finished:
         path = acquisition.recover(
-            output, calibration=known, overwrite=replace, told=_told
+            output, calibration=delays, overwrite=replace, told=_told
         )
-        found["cube"] = str(path)
+        summary["cube"] = str(path)
     if json:
-        print_json(found)
+        print_json(summary)
     elif outcome.finished:
         print(
-            f"{found['cube']}: {outcome.done} samples, {outcome.flagged} flagged in "
+            f"{summary['cube']}: {outcome.done} samples, {outcome.flagged} flagged in "
             "this run"
         )
-        print_next(f"amulor reject {found['cube']} --method auto -o target.nc")
+        print_next(f"amulor reject {summary['cube']} --method auto -o target.nc")
     else:
         print(
             f"{output}: {outcome.done} of {outcome.total} samples; go on with: "
@@ -142,7 +142,7 @@ def _calibration(path: Path) -> Any:
 
 
 def _calibration_of(path: Path) -> Any:
-    """Return the calibration that a cube was made with, if there are both."""
+    """Return the calibration in a cube, if there is one."""
     from amulor import io
     from amulor.acquisition import Calibration
 
@@ -179,9 +179,9 @@ def recover(
 
     if output is not None:
         check_ending("--output", output, CUBE_ENDINGS)
-    known = None
+    delays = None
     if calibration is not None:
-        known = acquisition.Calibration.from_toml(calibration)
+        delays = acquisition.Calibration.from_toml(calibration)
     damage: list[str] = []
 
     def damaged(line: str) -> None:
@@ -189,7 +189,7 @@ def recover(
         _told(line)
 
     path = acquisition.recover(
-        folder, output=output, calibration=known, overwrite=overwrite, told=_told,
+        folder, output=output, calibration=delays, overwrite=overwrite, told=_told,
         damaged=damaged,
     )  # fmt: skip
     missing = int(io.read_cube(path)["in_phase"].isnull().sum())
@@ -209,7 +209,7 @@ def _told(line: str) -> None:
 
 
 class _Interrupts:
-    """Ctrl-C asks between two samples; a second one, or a termination, ends at once.
+    """Signals during a scan: Ctrl-C pauses, a second one or SIGTERM ends at once.
 
     While devices are made safe after that, no signal but SIGKILL is listened to. What
     the program was started to ignore, as by nohup, stays ignored; but for SIGTERM.
@@ -226,7 +226,7 @@ class _Interrupts:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> _Interrupts:
-        """Take over the signals, where that can be done."""
+        """Install the signal handlers, in the main thread."""
         if threading.current_thread() is threading.main_thread():
             for names, handler in ((self._ASK, self._want), (self._END, self._end)):
                 for name in names:
@@ -239,7 +239,7 @@ class _Interrupts:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the signals back."""
+        """Restore the signal handlers."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -273,7 +273,7 @@ class _Interrupts:
 
 
 class _Screen:
-    """What a scan shows: nothing, unless there is a bar."""
+    """Display of a scan without a terminal: nothing."""
 
     def __init__(self, bar: Any = None) -> None:
         self._bar = bar
@@ -292,7 +292,7 @@ class _Screen:
         )
 
     def ask(self, text: str) -> str:
-        """Ask something, with the bar out of the way, and return the answer."""
+        """Ask a question, with the bar hidden, and return the answer."""
         # A live bar keeps back what does not end a line, such as a question.
         if self._bar is not None:
             self._bar.stop()
@@ -309,7 +309,7 @@ class _Screen:
                 self._bar.start()
 
     def request(self, text: str) -> None:
-        """Ask for something to be done."""
+        """Ask the operator for an action."""
         self.ask(f"{text}; then press Enter. ")
 
 
@@ -332,7 +332,7 @@ def _live(*, quiet: bool) -> Iterator[_Screen]:
 
 
 def words(now: Progress) -> str:
-    """Return rate, time left and flagged samples in one line.
+    """Return rate, remaining time and flagged samples in one line.
 
     Parameters
     ----------
@@ -346,8 +346,8 @@ def words(now: Progress) -> str:
     """
     minutes, seconds = divmod(round(now.left), 60)
     hours, minutes = divmod(minutes, 60)
-    left = f"{hours}:{minutes:02}:{seconds:02}"
+    remaining = f"{hours}:{minutes:02}:{seconds:02}"
     return (
-        f"{now.kind.replace('_', ' ')}, {now.rate:.0f}/s, {left} left, "
+        f"{now.kind.replace('_', ' ')}, {now.rate:.0f}/s, {remaining} left, "
         f"{now.flagged} flagged"
     )

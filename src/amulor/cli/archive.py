@@ -1,4 +1,4 @@
-"""`amulor archive`: the folder that heritage archives ask for, and its validator."""
+"""`amulor archive`: the archive folder of a project, and its check."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ def _look_through(folder: Path, *, json: bool) -> None:
 
     with progress_bar(quiet=json) as progress:
         progress("comparing checksums", 0.0)
-        found = missing_of(folder)
+        problems = missing_of(folder)
     if json:
-        print_json({"folder": folder, "complete": not found, "missing": found})
-    if found:
+        print_json({"folder": folder, "complete": not problems, "missing": problems})
+    if problems:
         raise FormatError(
-            "\n".join(found)
+            "\n".join(problems)
             if not json
-            else f"{folder}: {len(found)} things are missing"
+            else f"{folder}: {len(problems)} things are missing"
         )
     if not json:
         print(f"{folder}: complete, all checksums agree")

@@ -76,7 +76,7 @@ def backscatter(
     """
     from amulor.errors import SurveyError
 
-    stated = frequencies_of("--frequency", frequency)
+    listed = frequencies_of("--frequency", frequency)
     goal = quantity_of("--error", error, "fraction")
     if not goal > 0:
         raise UsageError(f"--error: needed is a relative error above 0, found {error}")
@@ -94,14 +94,14 @@ def backscatter(
     from amulor import io
     from amulor.survey import Survey
 
-    frequencies = np.array(stated)
+    frequencies = np.array(listed)
     if plot is not None:
         io.check_output(plot, overwrite=overwrite, inputs=[survey])
     described = Survey.from_toml(survey)
     try:
         if followed:
             with _spread(scheduler, batches) as spread:
-                found = _followed(
+                response = _followed(
                     described,
                     frequencies,
                     error=goal,
@@ -112,8 +112,8 @@ def backscatter(
         else:
             with warnings_as_notes(), progress_bar(quiet=json) as advance:
                 advance("light of the water", 0.0)
-                found = _formula(described, frequencies, model=model)
-        if found["power_share_unmodulated"] == 0:
+                response = _formula(described, frequencies, model=model)
+        if response["power_share_unmodulated"] == 0:
             raise ValueError(
                 "the receiver gets no light from this water; check receiver position, "
                 "axis and acceptance, and phase_function_at_180"
@@ -124,9 +124,9 @@ def backscatter(
         from amulor.view import sweep
 
         name = f"{model} model"
-        relative = found["relative_amplitude"] * np.exp(1j * found["phase_rad"])
-        errors = found.get("relative_amplitude_uncertainty")
-        half_power = found["cut_off_hz"]
+        relative = response["relative_amplitude"] * np.exp(1j * response["phase_rad"])
+        errors = response.get("relative_amplitude_uncertainty")
+        half_power = response["cut_off_hz"]
         sweep.write(
             plot,
             frequencies,
@@ -137,15 +137,15 @@ def backscatter(
             overwrite=overwrite,
         )
     if json:
-        print_json(found)
+        print_json(response)
     else:
-        _print(described.name, found)
-    if found.get("interrupted"):
+        _print(described.name, response)
+    if response.get("interrupted"):
         raise KeyboardInterrupt
 
 
 def _formula(survey: Survey, frequencies: Any, *, model: str) -> dict[str, Any]:
-    """Return what a closed model says."""
+    """Compute the water signal by an analytical model."""
     import numpy as np
 
     from amulor.optics import low_pass
@@ -158,7 +158,7 @@ def _formula(survey: Survey, frequencies: Any, *, model: str) -> dict[str, Any]:
     }[model]
     response = response_of(survey, frequencies)
     still = float(abs(response_of(survey, np.zeros(1))[0]))
-    found = {
+    result = {
         "model": model,
         "power_share_unmodulated": still,
         "cut_off_hz": math.nan,
@@ -169,18 +169,18 @@ def _formula(survey: Survey, frequencies: Any, *, model: str) -> dict[str, Any]:
         "phase_rad": np.angle(response),
     }
     if still:
-        found["cut_off_hz"] = low_pass.cut_off(lambda f: response_of(survey, f))
+        result["cut_off_hz"] = low_pass.cut_off(lambda f: response_of(survey, f))
         if len(response) > 2:
             fitted = low_pass.fit(frequencies, abs(response))
-            found["fitted_cut_off_hz"] = fitted.cut_off
-            found["fitted_cut_off_uncertainty_hz"] = fitted.cut_off_standard_error
-    return found
+            result["fitted_cut_off_hz"] = fitted.cut_off
+            result["fitted_cut_off_uncertainty_hz"] = fitted.cut_off_standard_error
+    return result
 
 
 def _spread(
     scheduler: str | None, batches: Path | None
 ) -> AbstractContextManager[Spread | None]:
-    """Return where photons are followed: None for here."""
+    """Return the function that spreads photons over a cluster; None without one."""
     if scheduler is None or batches is None:
         return nullcontext()
     from amulor.scale.batches import spread_batches
@@ -197,7 +197,7 @@ def _followed(
     quiet: bool,
     spread: Spread | None,
 ) -> dict[str, Any]:
-    """Return what photons say, with errors."""
+    """Compute the water signal by photon transport, with errors."""
     import numpy as np
 
     from amulor.optics import low_pass
@@ -252,23 +252,23 @@ def _followed(
 
 
 def _time_left(state: Any, error: float) -> str:
-    """Return the time that is left until an error, as text."""
+    """Return the remaining time to reach an error, as text."""
     if math.isinf(state.relative_error):
         return ""
-    left = state.seconds * max((state.relative_error / error) ** 2 - 1, 0.0)
-    return f"{left:.0f} s left, "
+    remaining = state.seconds * max((state.relative_error / error) ** 2 - 1, 0.0)
+    return f"{remaining:.0f} s left, "
 
 
-def _print(name: str, found: dict[str, Any]) -> None:
+def _print(name: str, response: dict[str, Any]) -> None:
     """Print a dozen of the frequencies and the summary."""
     import numpy as np
 
     frequencies, amplitude = (
-        found["modulation_frequency_hz"],
-        found["relative_amplitude"],
+        response["modulation_frequency_hz"],
+        response["relative_amplitude"],
     )
-    errors = found.get("relative_amplitude_uncertainty")
-    phase, phase_errors = found["phase_rad"], found.get("phase_uncertainty_rad")
+    errors = response.get("relative_amplitude_uncertainty")
+    phase, phase_errors = response["phase_rad"], response.get("phase_uncertainty_rad")
     rows = []
     for k in range(0, len(frequencies), max(1, len(frequencies) // 12)):
         row = [f"{frequencies[k] / 1e6:.3g}", f"{amplitude[k]:.4f}"]
@@ -278,29 +278,31 @@ def _print(name: str, found: dict[str, Any]) -> None:
             degrees += f" +- {np.degrees(phase_errors[k]):.2f}"
         rows.append([*row, degrees])
     print_table(
-        f"{name}: water signal, {found['model']} model",
+        f"{name}: water signal, {response['model']} model",
         ["MHz", "relative amplitude", "phase [deg]"],
         rows,
     )
-    still = f"{found['power_share_unmodulated']:.4g}"
-    if "power_share_unmodulated_uncertainty" in found:
-        still += f" +- {found['power_share_unmodulated_uncertainty']:.1g}"
+    still = f"{response['power_share_unmodulated']:.4g}"
+    if "power_share_unmodulated_uncertainty" in response:
+        still += f" +- {response['power_share_unmodulated_uncertainty']:.1g}"
     print(f"Received of the unmodulated light: {still}")
-    if math.isnan(found["cut_off_hz"]):
+    if math.isnan(response["cut_off_hz"]):
         print("Cut-off at 1/sqrt 2: beyond these frequencies", end="")
     else:
-        print(f"Cut-off at 1/sqrt 2: {found['cut_off_hz'] / 1e6:.2f}", end="")
-        if "cut_off_uncertainty_hz" in found:
-            print(f" +- {found['cut_off_uncertainty_hz'] / 1e6:.2f}", end="")
+        print(f"Cut-off at 1/sqrt 2: {response['cut_off_hz'] / 1e6:.2f}", end="")
+        if "cut_off_uncertainty_hz" in response:
+            print(f" +- {response['cut_off_uncertainty_hz'] / 1e6:.2f}", end="")
         print(" MHz", end="")
-    fitted = found["fitted_cut_off_hz"]
+    fitted = response["fitted_cut_off_hz"]
     print("" if fitted is None else f"; free fit: {fitted / 1e6:.2f} MHz")
-    if "histories" in found:
+    if "histories" in response:
         print(
-            f"{found['histories']:,} photons; orders of scattering 1, 2, 3, ...: "
-            + ", ".join(f"{share:.2f}" for share in found["share_by_scattering_order"])
+            f"{response['histories']:,} photons; orders of scattering 1, 2, 3, ...: "
+            + ", ".join(
+                f"{share:.2f}" for share in response["share_by_scattering_order"]
+            )
         )
-    if found.get("interrupted"):
+    if response.get("interrupted"):
         print("Interrupted before the error was reached.")
-    if found.get("heavy_tailed"):
+    if response.get("heavy_tailed"):
         print("Single photons outweigh the error stated: treat it as too small.")

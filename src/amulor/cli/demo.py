@@ -1,4 +1,4 @@
-"""`amulor demo`: the main job, end to end."""
+"""`amulor demo`: a simulated scan with its report."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def design(
 
     if output is None and not interactive:
         raise UsageError("needed is --output survey.toml, or --interactive")
-    files = [one for one in (output, runner_up) if one is not None]
+    files = [path for path in (output, runner_up) if path is not None]
     for option, file, ending in (
         ("--output", output, ".toml"),
         ("--runner-up", runner_up, ".toml"),
@@ -80,52 +80,58 @@ def design(
     from amulor.design import Goal, recommend
     from amulor.io.files import atomic_output
 
-    asked = Goal.from_toml(goal)
+    goals = Goal.from_toml(goal)
     for file in [*files, *([] if report is None else [report])]:
         io.check_output(file, overwrite=overwrite, inputs=[goal])
     more = report is not None or figures is not None or confirm
     reasons = None
     with progress_bar(quiet=json):
         with _progress.part(0.0, 0.5 if more else 1.0):
-            found = recommend(asked)
+            recommendation = recommend(goals)
         if more:
             with _progress.part(0.5, 1.0):
-                reasons = reasons_of(found, confirm=confirm)
-    for file, choice in zip(files, (found.best, found.runner_up), strict=False):
+                reasons = reasons_of(recommendation, confirm=confirm)
+    for file, choice in zip(
+        files, (recommendation.best, recommendation.runner_up), strict=False
+    ):
         if choice is not None:
             with atomic_output(file, overwrite=overwrite) as path:
                 path.write_text(choice.survey, "utf-8")
     if reasons is not None:
-        write_all(found, reasons, report, figures, overwrite=overwrite)
+        write_all(recommendation, reasons, report, figures, overwrite=overwrite)
     if json:
-        print_json(found.to_dict() if reasons is None else as_json(found, reasons))
+        print_json(
+            recommendation.to_dict()
+            if reasons is None
+            else as_json(recommendation, reasons)
+        )
     else:
-        _print(found, files)
-        print_reasons(found, reasons, report, figures)
+        _print(recommendation, files)
+        print_reasons(recommendation, reasons, report, figures)
     if interactive:
-        serve(explorer_of(asked, found), port=port, browser=browser)
+        serve(explorer_of(goals, recommendation), port=port, browser=browser)
 
 
-def _print(found: Recommendation, files: list[Path]) -> None:
-    """Print what is recommended, why, and what speaks against it."""
-    asked = found.goal
-    print(f"{asked.name}: {found.looked_at} candidates")
-    for line in found.impossible:
+def _print(recommendation: Recommendation, files: list[Path]) -> None:
+    """Print the recommendation, its reasons and its weaknesses."""
+    goal = recommendation.goal
+    print(f"{goal.name}: {recommendation.looked_at} candidates")
+    for line in recommendation.impossible:
         print(f"  impossible: {line.text}")
-    word = "nearest to the goal" if found.impossible else "best"
-    _print_choice(word, found.best, asked.accuracy.total_error)
-    for bound in found.bounds:
+    word = "nearest to the goal" if recommendation.impossible else "best"
+    _print_choice(word, recommendation.best, goal.accuracy.total_error)
+    for bound in recommendation.bounds:
         print(f"  bound: {bound.text}")
-    between = found.best.between
-    if between.error > 1.01 * max(asked.accuracy.total_error, found.best.error):
+    between = recommendation.best.between
+    if between.error > 1.01 * max(goal.accuracy.total_error, recommendation.best.error):
         print(
             f"  note: the error is {1e3 * between.error:.3g} mm at "
             f"{between.distance:.3g} m, between the distances that are asked for; name "
             "nearest and farthest in [distances] if it must be met from end to end"
         )
-    if found.runner_up is not None:
-        _print_choice("runner-up", found.runner_up, asked.accuracy.total_error)
-    for file in files[: 1 if found.runner_up is None else 2]:
+    if recommendation.runner_up is not None:
+        _print_choice("runner-up", recommendation.runner_up, goal.accuracy.total_error)
+    for file in files[: 1 if recommendation.runner_up is None else 2]:
         print(f"{file}: survey written")
     from amulor.cli._output import print_next
 
@@ -151,31 +157,36 @@ def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
             f"    dwell shared {divided} between the frequencies: "
             f"{1e3 * shares.error:.3g} mm (a survey shares it evenly)"
         )
-    for one, count in _told(choice.requirements):
-        state = "met" if one.met else "MISSED"
-        binding = f"; {one.binding.replace('_', ' ')}" if one.binding else ""
+    for requirement, count in _told(choice.requirements):
+        state = "met" if requirement.met else "MISSED"
+        binding = (
+            f"; {requirement.binding.replace('_', ' ')}" if requirement.binding else ""
+        )
         among = f"; the tightest of {count} distances" if count > 1 else ""
+        name = requirement.name
         print(
-            f"    {state}: {one.name} {quantity_text(one.name, one.value)} of "
-            f"{quantity_text(one.name, one.limit)}{binding}{among}"
+            f"    {state}: {name} {quantity_text(name, requirement.value)} of "
+            f"{quantity_text(name, requirement.limit)}{binding}{among}"
         )
 
 
 def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]]:
-    """Return what is missed, and of what is met at all distances the tightest."""
+    """Return missed requirements, and the tightest one of each kind that is met."""
     kinds: dict[str, list[Requirement]] = {}
-    for one in requirements:
-        kinds.setdefault(one.name.partition(" at ")[0], []).append(one)
-    told = []
-    for each in kinds.values():
-        if all(one.met for one in each):
-            told.append((min(each, key=lambda one: one.margin), len(each)))
+    for requirement in requirements:
+        kinds.setdefault(requirement.name.partition(" at ")[0], []).append(requirement)
+    listed = []
+    for kind in kinds.values():
+        if all(requirement.met for requirement in kind):
+            listed.append(
+                (min(kind, key=lambda requirement: requirement.margin), len(kind))
+            )
         else:
-            told += [(one, 1) for one in each if not one.met]
-    return told
+            listed += [(requirement, 1) for requirement in kind if not requirement.met]
+    return listed
 
 
-def reasons_of(found: Recommendation, *, confirm: bool) -> Reasons:
+def reasons_of(recommendation: Recommendation, *, confirm: bool) -> Reasons:
     """Compute the reasons for a recommendation: trade, sensitivity, what-if."""
     from amulor import _progress
     from amulor.design.confirm import confirm as confirmed
@@ -183,10 +194,10 @@ def reasons_of(found: Recommendation, *, confirm: bool) -> Reasons:
     from amulor.design.trade import trade, what_if
     from amulor.view.design.report import Reasons
 
-    goal, best = found.goal, found.best.parameters
+    goal, best = recommendation.goal, recommendation.best.parameters
     choices = [("recommended", best)]
-    if found.runner_up is not None:
-        choices.append(("runner-up", found.runner_up.parameters))
+    if recommendation.runner_up is not None:
+        choices.append(("runner-up", recommendation.runner_up.parameters))
     begin = 0.3 if confirm else 1.0
     with _progress.part(0.0, begin):
         _progress.tell("what time and frequency buy", 0.0)
@@ -198,61 +209,61 @@ def reasons_of(found: Recommendation, *, confirm: bool) -> Reasons:
         with _progress.part(0.4, 1.0):
             turns = (
                 ()
-                if found.runner_up is None
-                else what_if(goal, best, found.runner_up.parameters)
+                if recommendation.runner_up is None
+                else what_if(goal, best, recommendation.runner_up.parameters)
             )
-    held = []
+    fixed = []
     for number, (name, chosen) in enumerate(choices if confirm else ()):
         span = (1 - begin) / len(choices)
         with _progress.part(begin + number * span, begin + (number + 1) * span):
-            held.append(confirmed(goal, chosen, name=name))
+            fixed.append(confirmed(goal, chosen, name=name))
     return Reasons(
-        trade=bought, sensitivity=share, turns=turns, confirmations=tuple(held)
+        trade=bought, sensitivity=share, turns=turns, confirmations=tuple(fixed)
     )
 
 
-def as_json(found: Recommendation, reasons: Reasons) -> dict[str, Any]:
-    """Return all that was found as plain numbers, texts and lists."""
+def as_json(recommendation: Recommendation, reasons: Reasons) -> dict[str, Any]:
+    """Return recommendation and reasons as numbers, texts and lists."""
     from amulor.design.recommend import finite
 
     return {
-        **found.to_dict(),
+        **recommendation.to_dict(),
         "sensitivity": None
         if reasons.sensitivity is None
         else reasons.sensitivity.to_dict(),
-        "what_if": [vars(one) for one in reasons.turns],
+        "what_if": [vars(entry) for entry in reasons.turns],
         "trade": {
             name: value if isinstance(value, int) else finite(value.tolist())
             for name, value in vars(reasons.trade).items()
         },
-        "confirmation": [one.to_dict() for one in reasons.confirmations],
+        "confirmation": [entry.to_dict() for entry in reasons.confirmations],
     }
 
 
 def write_all(
-    found: Recommendation,
+    recommendation: Recommendation,
     reasons: Reasons,
     report: Path | None,
     figures: Path | None,
     *,
     overwrite: bool,
 ) -> None:
-    """Write report and figures, whichever is asked for."""
+    """Write report and figures, if requested."""
     from amulor.view.design.report import write
 
     if report is not None:
-        write(report, found, reasons, overwrite=overwrite)
+        write(report, recommendation, reasons, overwrite=overwrite)
     if figures is not None:
-        write_figures(figures, found, reasons, overwrite=overwrite)
+        write_figures(figures, recommendation, reasons, overwrite=overwrite)
 
 
 def print_reasons(
-    found: Recommendation,
+    recommendation: Recommendation,
     reasons: Reasons | None,
     report: Path | None,
     figures: Path | None,
 ) -> None:
-    """Print in a few lines what was found out, and where it was written."""
+    """Print the reasons in a few lines, and the files."""
     if reasons is None:
         return
     if reasons.sensitivity is not None:
@@ -261,19 +272,20 @@ def print_reasons(
             f"  measure first: {reasons.sensitivity.largest.label} ({share:.0%} of the "
             "variance of the error)"
         )
-    for one in reasons.turns:
-        if one.factor is not None:
+    for turn in reasons.turns:
+        if turn.factor is not None:
             print(
-                f"  the runner-up wins with {one.label} at {one.factor:.3g} times what "
-                "is stated"
+                f"  the runner-up wins with {turn.label} at {turn.factor:.3g} times "
+                "what is stated"
             )
-    for each in reasons.confirmations:
-        scans = each.scans
+    for confirmation in reasons.confirmations:
+        scans = confirmation.scans
         print(
-            f"  confirmed: {each.name}, {scans.ranges} simulated ranges scatter by "
-            f"{scans.ratio:.3f} ± {scans.ratio_error:.3f} of what is predicted"
+            f"  confirmed: {confirmation.name}, {scans.ranges} simulated ranges "
+            f"scatter by {scans.ratio:.3f} ± {scans.ratio_error:.3f} of what is "
+            "predicted"
         )
-        for line in each.said:
+        for line in confirmation.said:
             print(f"  differs: {line}")
     for path in (report, figures):
         if path is not None:
@@ -292,7 +304,7 @@ def serve(shown: Explorer, *, port: int, browser: bool) -> None:
 
 
 def write_figures(
-    folder: Path, found: Recommendation, reasons: Reasons, *, overwrite: bool
+    folder: Path, recommendation: Recommendation, reasons: Reasons, *, overwrite: bool
 ) -> list[Path]:
     """Write each figure of a recommendation into a folder, as PNG."""
     from amulor.io.files import atomic_output, make_folder
@@ -302,7 +314,7 @@ def write_figures(
     if not folder.is_dir():
         make_folder(folder)
     written = []
-    for name, figure in figures_of(found, reasons).items():
+    for name, figure in figures_of(recommendation, reasons).items():
         path = folder / f"{name}.png"
         with atomic_output(path, overwrite=overwrite) as temporary:
             temporary.write_bytes(png(figure))
@@ -310,14 +322,14 @@ def write_figures(
     return written
 
 
-def explorer_of(goal: Goal, found: Recommendation) -> Explorer:
-    """Return the page with sliders that begins at the recommended instrument."""
+def explorer_of(goal: Goal, recommendation: Recommendation) -> Explorer:
+    """Return the page with sliders, at the recommended instrument."""
     from amulor.survey import Survey
     from amulor.view.design.explorer import Asked, Explorer
     from amulor.view.design.report import waters_of
 
-    chosen = found.best.parameters
-    asked = [
+    chosen = recommendation.best.parameters
+    limits = [
         Asked(
             distance=distance,
             attenuation=water,
@@ -327,8 +339,8 @@ def explorer_of(goal: Goal, found: Recommendation) -> Explorer:
         for water in sorted(set(waters_of(goal, chosen)))
     ]
     return Explorer(
-        Survey.from_text(found.best.survey, name=goal.name),
+        Survey.from_text(recommendation.best.survey, name=goal.name),
         method=chosen.method,
-        asked=asked,
+        asked=limits,
         interval=goal.limits,
     )

@@ -91,12 +91,12 @@ def simulate(
                 speed=speed,
                 host=host,
                 ports=ports,
-            ) as found,
+            ) as rehearsal,
         ):
             with atomic_output(output, overwrite=overwrite) as temporary:
-                temporary.write_text(found.settings.to_toml(), encoding="utf-8")
-            print(f"{output}: {lock_in} at {found.settings.lock_in.address}")
-            print(f"{output}: stages at {found.settings.scanner.address}")
+                temporary.write_text(rehearsal.settings.to_toml(), encoding="utf-8")
+            print(f"{output}: {lock_in} at {rehearsal.settings.lock_in.address}")
+            print(f"{output}: stages at {rehearsal.settings.scanner.address}")
             print("Ctrl-C ends it.")
             sys.stdout.flush()
             _wait_for_the_end()
@@ -135,12 +135,12 @@ def calibrate(
     io.check_output(output, overwrite=overwrite, inputs=cubes)
     plates = [io.read_cube(path) for path in cubes]
     with refusing():
-        found = acquisition.from_plates(plates, distance=length)
+        calibration = acquisition.from_plates(plates, distance=length)
     with atomic_output(output, overwrite=overwrite) as temporary:
-        temporary.write_text(found.to_toml(), encoding="utf-8")
-    for one in found.frequencies:
-        phases = ", ".join(f"{phase:+.4f}" for phase in one.phases)
-        print(f"{output}: {one.modulation_frequency / 1e6:g} MHz: {phases} rad")
+        temporary.write_text(calibration.to_toml(), encoding="utf-8")
+    for entry in calibration.frequencies:
+        phases = ", ".join(f"{phase:+.4f}" for phase in entry.phases)
+        print(f"{output}: {entry.modulation_frequency / 1e6:g} MHz: {phases} rad")
 
 
 def _wait_for_the_end() -> None:

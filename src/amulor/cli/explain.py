@@ -1,4 +1,4 @@
-"""`amulor explain`: meaning of flags and messages, numbers behind those of a pixel."""
+"""`amulor explain`: meaning of flags and messages, and the reasons of a pixel."""
 
 from __future__ import annotations
 
@@ -39,25 +39,25 @@ def explain(
         _explain_pixel(words, pixel, json=json)
         return
     if not words:
-        known = explanations.explanations()
+        texts = explanations.explanations()
         if json:
-            print_json({name: asdict(one) for name, one in known.items()})
+            print_json({name: asdict(text) for name, text in texts.items()})
             return
-        width = max(map(len, known)) + 2
+        width = max(map(len, texts)) + 2
         kind = ""
-        for name, one in known.items():
-            if one.kind != kind:
-                kind = one.kind
+        for name, text in texts.items():
+            if text.kind != kind:
+                kind = text.kind
                 print(f"{kind}s")
-            print(f"  {name:<{width}}{one.meaning}")
+            print(f"  {name:<{width}}{text.meaning}")
         return
-    found = explanations.find(" ".join(words))
+    matches = explanations.find(" ".join(words))
     if json:
-        print_json({one.name: asdict(one) for one in found})
+        print_json({text.name: asdict(text) for text in matches})
         return
-    for one in found:
-        print(f"{one.name} ({one.kind})")
-        for line in explanations.lines_of(one):
+    for text in matches:
+        print(f"{text.name} ({text.kind})")
+        for line in explanations.lines_of(text):
             print(textwrap.fill(line, _width(), subsequent_indent=" " * 12))
 
 
@@ -84,21 +84,26 @@ def _explain_pixel(words: tuple[str, ...], pixel: str, *, json: bool) -> None:
         ) from None
     path = Path(words[0])
     check_inputs(path)
-    found = reasons(path, row, column)
-    known = explanations.explanations()
+    flags = reasons(path, row, column)
+    texts = explanations.explanations()
     flagged = dict.fromkeys(
-        one.cause or one.flag for each in found.values() for one in each
+        reason.cause or reason.flag
+        for reasons_here in flags.values()
+        for reason in reasons_here
     )
     if json:
-        remedies = {name: known[name].remedy for name in flagged}
-        channels = {name: [asdict(one) for one in each] for name, each in found.items()}
+        remedies = {name: texts[name].remedy for name in flagged}
+        channels = {
+            name: [asdict(reason) for reason in reasons_here]
+            for name, reasons_here in flags.items()
+        }
         print_json(
             {"row": row, "column": column, "channels": channels, "to_do": remedies}
         )
         return
     print(f"{path}: row {row}, column {column}")
-    for channel, each in found.items():
-        if not each:
+    for channel, reasons_here in flags.items():
+        if not reasons_here:
             print(f"channel {channel}: no flags")
             continue
         print_table(
@@ -106,19 +111,19 @@ def _explain_pixel(words: tuple[str, ...], pixel: str, *, json: bool) -> None:
             ("flag", "MHz", "quantity", "value", "flagged if", "unit"),
             [
                 (
-                    f"{one.flag} ({one.cause})" if one.cause else one.flag,
-                    ", ".join(f"{f / 1e6:g}" for f in one.modulation_frequencies)
+                    f"{reason.flag} ({reason.cause})" if reason.cause else reason.flag,
+                    ", ".join(f"{f / 1e6:g}" for f in reason.modulation_frequencies)
                     or "all",
-                    one.quantity,
-                    "" if one.value is None else f"{one.value:.3g}",
-                    one.limit,
-                    "" if one.value is None else one.unit,
+                    reason.quantity,
+                    "" if reason.value is None else f"{reason.value:.3g}",
+                    reason.limit,
+                    "" if reason.value is None else reason.unit,
                 )
-                for one in each
+                for reason in reasons_here
             ],
         )
     for name in flagged:
-        text = f"{name}, what to do: {known[name].remedy}"
+        text = f"{name}, what to do: {texts[name].remedy}"
         print(textwrap.fill(text, _width(), subsequent_indent="  "))
 
 

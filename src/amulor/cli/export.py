@@ -1,4 +1,4 @@
-"""`amulor export`: from a range image to what is handed over."""
+"""`amulor export`: products of a range image."""
 
 from __future__ import annotations
 
@@ -113,8 +113,8 @@ def export(
         Replace a file that is there.
     """
     # What is wrong with options comes first; knowing it of lengths needs more.
-    asked = line, against, cell, contours, farthest, product, largest_uncertainty
-    if output.suffix.lower() in _CLOUDS and not any(asked):
+    options = line, against, cell, contours, farthest, product, largest_uncertainty
+    if output.suffix.lower() in _CLOUDS and not any(options):
         check_inputs(image, pose)
 
     from amulor import handover, io
@@ -130,7 +130,7 @@ def export(
         product,
         lengths={"--cell": cell, "--contours": contours, "--farthest": farthest},
         line=line,
-        others={
+        options={
             "side": seen_from,
             "show": show,
             "scale": scale_of("--scale", scale),
@@ -164,8 +164,10 @@ def export(
         cube = io.read_cube(image)
         frame, cube = _chosen(cube, axes, pose, largest, good_only, without_mixed)
         progress(f"making the {product}", 0.2)
-        said = handover.hand_over(cube, output, order, frame=frame, overwrite=overwrite)
-    print(f"{output}: {said}")
+        statements = handover.hand_over(
+            cube, output, order, frame=frame, overwrite=overwrite
+        )
+    print(f"{output}: {statements}")
     if product == "cloud":
         print_next(f"amulor view {output}")
 
@@ -182,7 +184,7 @@ def _by_rows(
     *,
     overwrite: bool,
 ) -> None:
-    """Write a cloud tile by tile, and print what is in it."""
+    """Write a cloud tile by tile, and print its summary."""
     from amulor.io.netcdf import open_rows
     from amulor.pipeline import Selection, cloud_file
 
@@ -192,18 +194,18 @@ def _by_rows(
             first = source.tile(0, 1)
         frame, _ = _chosen(first, axes, pose, None, False, False)
         with refusing("--largest-uncertainty"):
-            made = cloud_file(
+            summary = cloud_file(
                 image, output, frame=frame, selection=selection, rows=rows,
                 overwrite=overwrite,
             )  # fmt: skip
-    doubt = f", {made.doubtful} of them doubtful" if made.doubtful else ""
-    doubt += f": {made.error_unknown}" if made.error_unknown else ""
-    print(f"{output}: {made.points} points{doubt}")
+    doubt = f", {summary.doubtful} of them doubtful" if summary.doubtful else ""
+    doubt += f": {summary.error_unknown}" if summary.error_unknown else ""
+    print(f"{output}: {summary.points} points{doubt}")
     print_next(f"amulor view {output}")
 
 
 def scale_of(option: str, text: str) -> float:
-    """Return the scale of a drawing that an option states.
+    """Parse the option with the scale of a drawing.
 
     Parameters
     ----------
@@ -222,18 +224,18 @@ def scale_of(option: str, text: str) -> float:
     UsageError
         If it is no such text, or the number is not above 0.
     """
-    found = re.fullmatch(r"\s*1\s*:\s*(\d+(?:\.\d+)?)\s*", text)
-    if not found or not float(found[1]) > 0:
+    match = re.fullmatch(r"\s*1\s*:\s*(\d+(?:\.\d+)?)\s*", text)
+    if not match or not float(match[1]) > 0:
         raise UsageError(f"{option} {text!r}: write a scale such as 1:20")
-    return float(found[1])
+    return float(match[1])
 
 
 def _endings(product: str | None) -> list[str]:
-    """Return the endings that may be, before anything is read."""
+    """Return the possible endings of the output, before the input is read."""
     from amulor.handover import ENDINGS
 
-    wanted = [name for name in ENDINGS if product in (None, name)]
-    return list(dict.fromkeys(ending for name in wanted for ending in ENDINGS[name]))
+    products = [name for name in ENDINGS if product in (None, name)]
+    return list(dict.fromkeys(ending for name in products for ending in ENDINGS[name]))
 
 
 def _order(
@@ -241,20 +243,20 @@ def _order(
     *,
     lengths: dict[str, str | None],
     line: str | None,
-    others: dict[str, object],
+    options: dict[str, object],
 ) -> Order:
-    """Return the order, with lengths in metres and what it needs in it."""
+    """Return the order of the options, with lengths in meters."""
     from amulor.handover import Order
 
-    found = {}
+    parsed = {}
     for option, text in lengths.items():
         value = None if text is None else quantity_of(option, text, "length")
         if value is not None and not value > 0:
             raise UsageError(f"{option} {text}: must be above 0 m")
-        found[option.removeprefix("--")] = value
+        parsed[option.removeprefix("--")] = value
     needed = {
         "section": ("--line", line),
-        "deviation": ("--against", others["against"]),
+        "deviation": ("--against", options["against"]),
         "contours": ("--contours", lengths["--contours"]),
     }
     if product in needed and needed[product][1] is None:
@@ -262,8 +264,8 @@ def _order(
     return Order(
         product=product,
         line=None if line is None else _line_of(line),
-        **found,  # type: ignore[arg-type]
-        **others,  # type: ignore[arg-type]
+        **parsed,  # type: ignore[arg-type]
+        **options,  # type: ignore[arg-type]
     )
 
 
@@ -288,14 +290,14 @@ def _chosen(
     good_only: bool,
     without_mixed: bool,
 ) -> tuple[Frame, xr.Dataset]:
-    """Return the frame, and the image without what is left out."""
+    """Return the frame, and the image without excluded pixels."""
     from amulor import cube as cubes
     from amulor import imaging, survey
 
     cube = cubes.checked(cube, "range_image")
-    stated = None if pose is None else survey.read_pose(pose)
+    external = None if pose is None else survey.read_pose(pose)
     chosen = "pose" if pose is not None else axes
-    frame = imaging.frame_of(cube, axes=chosen, pose=stated)
+    frame = imaging.frame_of(cube, axes=chosen, pose=external)
     with refusing("--largest-uncertainty"):
         cube = imaging.leave_out(
             cube,

@@ -1,4 +1,4 @@
-"""`amulor image`: from the target signal to a range image."""
+"""`amulor image`: range image of a target signal."""
 
 from __future__ import annotations
 
@@ -51,27 +51,30 @@ def image(
     from amulor.cube import error_unknown
 
     with progress_bar():
-        made = pipeline.image_file(
+        summary = pipeline.image_file(
             cube, output, rows=tile_rows, overwrite=overwrite,
             polarization=polarization, interval=interval,
         )  # fmt: skip
-    if not made.usable:
+    if not summary.usable:
         print(
             f"{output}: range image without a usable pixel; see: amulor info {output}"
         )
         return
-    if "interval_unsettled" in made.head.attrs:
-        print(_unsettled(output, made.head.attrs))
+    if "interval_unsettled" in summary.head.attrs:
+        print(_unsettled(output, summary.head.attrs))
         return
-    words = str(made.head.attrs.get("error_unknown", ""))
-    if made.whole is not None:
-        median = float(made.whole["slant_range_uncertainty"].median())
-        words = error_unknown(made.whole) or f"median uncertainty {median * 1e3:.2f} mm"
+    words = str(summary.head.attrs.get("error_unknown", ""))
+    if summary.whole is not None:
+        median = float(summary.whole["slant_range_uncertainty"].median())
+        words = (
+            error_unknown(summary.whole) or f"median uncertainty {median * 1e3:.2f} mm"
+        )
     print(
-        f"{output}: range image, {made.usable / made.count:.1%} of the pixels usable "
-        f"({made.doubtful / made.count:.1%} flagged)" + (f", {words}" if words else "")
+        f"{output}: range image, {summary.usable / summary.count:.1%} of the pixels "
+        f"usable ({summary.doubtful / summary.count:.1%} flagged)"
+        + (f", {words}" if words else "")
     )
-    print_flags(made.flags, made.count)
+    print_flags(summary.flags, summary.count)
     print_next(f"amulor view {output}")
 
 

@@ -1,4 +1,4 @@
-"""`amulor info`: what a file of amulor holds."""
+"""`amulor info`: content of a file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def info(
 
     cube = io.read_cube(file)
     level = str(cube.attrs["level"])
-    found: dict[str, Any] = {
+    content: dict[str, Any] = {
         "file": str(file),
         "level": level,
         "title": cube.attrs.get("title", ""),
@@ -53,22 +53,22 @@ def info(
         "history": str(cube.attrs.get("history", "")).splitlines(),
     }
     if json:
-        print_json(found)
+        print_json(content)
         return
-    _print(cube, found)
+    _print(cube, content)
 
 
-def _print(cube: Any, found: dict[str, Any]) -> None:
-    """Print what a person wants to know of a file, the most important first."""
+def _print(cube: Any, content: dict[str, Any]) -> None:
+    """Print the content of a file, the most important first."""
     from amulor.view.explanations import explanations, hint
 
-    title = f' "{found["title"]}"' if found["title"] else ""
-    origin = "simulated" if found["simulated"] else "measured"
-    print(f"{found['file']}: {found['level'].replace('_', ' ')}{title}, {origin}")
-    sizes = found["sizes"]
+    title = f' "{content["title"]}"' if content["title"] else ""
+    origin = "simulated" if content["simulated"] else "measured"
+    print(f"{content['file']}: {content['level'].replace('_', ' ')}{title}, {origin}")
+    sizes = content["sizes"]
     print(f"  {', '.join(f'{size} {name}s' for name, size in _counted(sizes))}")
-    channels = found["polarizations"] or [cube.attrs.get("polarization", "")]
-    frequencies = found["modulation_frequencies_hz"] or np.atleast_1d(
+    channels = content["polarizations"] or [cube.attrs.get("polarization", "")]
+    frequencies = content["modulation_frequencies_hz"] or np.atleast_1d(
         cube.attrs.get("modulation_frequencies", [])
     )
     if any(channels):
@@ -78,40 +78,40 @@ def _print(cube: Any, found: dict[str, Any]) -> None:
         print(f"  modulation: {shown} MHz")
     if "slant_range" in cube:
         _print_ranges(cube["slant_range"].values)
-    counts = found["flags"]
+    counts = content["flags"]
     if "quality_flag" in cube:
         total = cube["quality_flag"].size
-        for name, count in sorted(counts.items(), key=lambda one: -one[1]):
-            known = explanations().get(name.upper())
-            said = "" if known is None else f": {known.meaning}"
-            print(f"  flag {name}, {count} ({count / total:.1%}){said}")
-        asked = f"what to do: {hint(counts)}" if counts else "flags: none"
-        print(f"  {asked}")
-    for line in _lines(found["uncertainty"]):
+        for name, count in sorted(counts.items(), key=lambda item: -item[1]):
+            explanation = explanations().get(name.upper())
+            meaning = "" if explanation is None else f": {explanation.meaning}"
+            print(f"  flag {name}, {count} ({count / total:.1%}){meaning}")
+        advice = f"what to do: {hint(counts)}" if counts else "flags: none"
+        print(f"  {advice}")
+    for line in _lines(content["uncertainty"]):
         print(f"  uncertainty: {line}")
-    for line in found["history"]:
+    for line in content["history"]:
         print(f"  history: {line}")
 
 
 def _counted(sizes: dict[str, int]) -> list[tuple[str, int]]:
-    """Return the dimensions that are counted on a line of their own."""
-    others = ("modulation_frequency", "polarization")
+    """Return the dimensions with a separate line."""
+    listed = ("modulation_frequency", "polarization")
     words = {"shot": "open-water shot"}
     return [
         (words.get(name, name), size)
         for name, size in sizes.items()
-        if name not in others
+        if name not in listed
     ]
 
 
 def _print_ranges(values: Any) -> None:
-    """Print where the surface is, and how many pixels hold a range."""
-    known = values[np.isfinite(values)]
-    share = f"{known.size} of {values.size} hold a range"
-    if not known.size:
+    """Print the span of the ranges, and the number of pixels with a range."""
+    finite = values[np.isfinite(values)]
+    share = f"{finite.size} of {values.size} hold a range"
+    if not finite.size:
         print(f"  slant range: {share}")
         return
-    low, middle, high = np.percentile(known, [1, 50, 99])
+    low, middle, high = np.percentile(finite, [1, 50, 99])
     print(
         f"  slant range: median {middle:.4f} m, {low:.4f} to {high:.4f} m "
         f"(1 to 99 % of the pixels); {share}"
@@ -147,7 +147,7 @@ def _uncertainty(image: Any) -> dict[str, Any]:
 
 
 def _lines(budget: dict[str, Any]) -> list[str]:
-    """Return the error budget as a person reads it."""
+    """Return the error budget as lines of text."""
     if not budget:
         return []
     unknown = [budget["error_unknown"]] if budget["error_unknown"] else []
@@ -162,11 +162,11 @@ def _lines(budget: dict[str, Any]) -> list[str]:
         lines.append(f"{budget['common_m'] * 1e3:.3g} mm of it shared by all pixels")
     for name, term in budget["terms"].items():
         number = term["measurements"]
-        found = "" if number is None else f", from {number} shots"
+        origin = "" if number is None else f", from {number} shots"
         lines.append(
             f"{term['standard_uncertainty_m'] * 1e3:.3g} mm {name} "
             f"({term['share_of_variance']:.0%} of the variance, type {term['type']}"
-            f"{found})"
+            f"{origin})"
         )
     if budget["unknown"]:
         lines.append(f"not known, and not in it: {', '.join(budget['unknown'])}")

@@ -46,28 +46,28 @@ def presets(
             json=json,
         )
         return
-    found = [shipped.preset(name) for name in shipped.names()]
+    shipped_presets = [shipped.preset(name) for name in shipped.names()]
     if json:
         print_json(
             [
                 {
-                    "name": one.name,
-                    "title": one.title,
-                    "source": one.source,
-                    "doi": one.doi,
-                    "use": one.use,
-                    **one.counts,
+                    "name": entry.name,
+                    "title": entry.title,
+                    "source": entry.source,
+                    "doi": entry.doi,
+                    "use": entry.use,
+                    **entry.counts,
                 }
-                for one in found
+                for entry in shipped_presets
             ]
         )
         return
-    for one in found:
-        said = ", ".join(f"{count} {basis}" for basis, count in one.counts.items())
-        print(f"{one.name}: {one.title}")
-        print(f"  {one.use}")
-        print(f"  {one.source}, doi:{one.doi}")
-        print(f"  numbers: {said}; each line of the file says which")
+    for entry in shipped_presets:
+        bases = ", ".join(f"{count} {basis}" for basis, count in entry.counts.items())
+        print(f"{entry.name}: {entry.title}")
+        print(f"  {entry.use}")
+        print(f"  {entry.source}, doi:{entry.doi}")
+        print(f"  numbers: {bases}; each line of the file says which")
 
 
 def _print_reach(accuracy: float, reflectance: float | None, *, json: bool) -> None:
@@ -78,37 +78,39 @@ def _print_reach(accuracy: float, reflectance: float | None, *, json: bool) -> N
     from amulor.survey import Survey
     from amulor.survey import presets as shipped
 
-    found: dict[str, list[Reach]] = {}
+    reaches: dict[str, list[Reach]] = {}
     with progress_bar(quiet=json) as advance:
         rows = len(shipped.names()) * len(WATERS)
         for name in shipped.names():
-            survey, found[name] = Survey.preset(name), []
+            survey, reaches[name] = Survey.preset(name), []
             for water in WATERS:
-                done = sum(map(len, found.values()))
-                advance(f"{name}, {water}", done / rows)
-                found[name].append(
+                count = sum(map(len, reaches.values()))
+                advance(f"{name}, {water}", count / rows)
+                reaches[name].append(
                     reach(
                         survey, accuracy=accuracy, water=water, reflectance=reflectance
                     )
                 )
     if json:
-        print_json({name: [asdict(one) for one in row] for name, row in found.items()})
+        print_json(
+            {name: [asdict(entry) for entry in row] for name, row in reaches.items()}
+        )
         return
     print(f"Error of one pixel within {accuracy * 1e3:g} mm, and what ends it:")
-    for name, row in found.items():
+    for name, row in reaches.items():
         print_table(
             f"{name}: phases repeat after {row[0].repetition:.3g} m",
             ["water", "attenuation 1/m", "from m", "to m", "ends by"],
-            [[one.water, f"{one.attenuation:.2g}", *_span(one)] for one in row],
+            [[entry.water, f"{entry.attenuation:.2g}", *_span(entry)] for entry in row],
         )
 
 
-def _span(one: Reach) -> list[str]:
-    """Return the distances of one row of the table, and what ends them."""
-    if one.nearest is None or one.farthest is None:
-        return ["", "none", one.binding]
-    far = "> 60" if math.isinf(one.farthest) else f"{one.farthest:.3g}"
-    return [f"{one.nearest:.2g}", far, one.binding]
+def _span(reach: Reach) -> list[str]:
+    """Return the distances of a row of the table, and their limits."""
+    if reach.nearest is None or reach.farthest is None:
+        return ["", "none", reach.binding]
+    far = "> 60" if math.isinf(reach.farthest) else f"{reach.farthest:.3g}"
+    return [f"{reach.nearest:.2g}", far, reach.binding]
 
 
 def preset(
@@ -134,7 +136,7 @@ def preset(
     from amulor.survey import presets as shipped
 
     check_ending("--output", output, (".toml",))
-    found = shipped.preset(name)
+    chosen = shipped.preset(name)
     with atomic_output(output, overwrite=overwrite) as path:
-        path.write_text(found.text, encoding="utf-8")
-    print(f"{output}: {found.title}; next: amulor survey check {output}")
+        path.write_text(chosen.text, encoding="utf-8")
+    print(f"{output}: {chosen.title}; next: amulor survey check {output}")

@@ -1,4 +1,4 @@
-"""`amulor import recordings`: what other software recorded becomes a cube."""
+"""`amulor import recordings`: import of recordings of other software."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ def recordings(
         from amulor.scale.recorded import import_file
 
         with progress_bar():
-            made = import_file(
+            summary = import_file(
                 file, described, planned, output, temperature=temperature,
                 rows=tile_rows, overwrite=overwrite,
             )  # fmt: skip
-        sizes, counts = made.sizes, made.marked
+        sizes, counts = summary.sizes, summary.marked
     else:
         from amulor import io
 

@@ -1,4 +1,4 @@
-"""`amulor reject`: takes the water signal out."""
+"""`amulor reject`: subtraction of the water signal."""
 
 from __future__ import annotations
 
@@ -120,32 +120,32 @@ def reject(
         )
     with progress_bar(quiet=json):
         try:
-            made = pipeline.reject_file(
+            summary = pipeline.reject_file(
                 cube, output, method, rows=tile_rows, overwrite=overwrite,
                 open_water=open_water, **options,
             )  # fmt: skip
         except ValueError as error:
             # The formulas refuse their arguments; without options these come from the
             # cube.
-            stated = any(value is not None for value in options.values())
-            kind = UsageError if stated else CubeError
+            given_options = any(value is not None for value in options.values())
+            kind = UsageError if given_options else CubeError
             raise kind(str(error)) from None
-    share = made.flagged / max(made.count, 1)
+    share = summary.flagged / max(summary.count, 1)
     if json:
-        figures = _figures(output, method, made.head, made.comparison)
-        print_json(figures | {"flagged_share": share, "flags": made.flags})
+        figures = _figures(output, method, summary.head, summary.comparison)
+        print_json(figures | {"flagged_share": share, "flags": summary.flags})
         return
-    if made.comparison is not None:
-        _print_comparison(made.comparison)
+    if summary.comparison is not None:
+        _print_comparison(summary.comparison)
     else:
-        _print_choice(made.head)
-    _print_flags(output, share, made.flags, max(made.count, 1))
+        _print_choice(summary.head)
+    _print_flags(output, share, summary.flags, max(summary.count, 1))
 
 
 def _print_flags(
     output: Path, share: float, counts: Mapping[str, int], total: int
 ) -> None:
-    """Print how many samples are flagged and as what, and the next command."""
+    """Print the flags of samples, and the next command."""
     from amulor.cli._output import print_flags, print_next
 
     print(f"{output}: target signal, {share:.1%} of the samples flagged")
@@ -154,14 +154,14 @@ def _print_flags(
 
 
 def _fraction(option: str, text: str | None) -> float | None:
-    """Return the fraction that an option states, such as "5 %"."""
+    """Parse an option with a fraction, such as "5 %"."""
     from amulor.cli._arguments import quantity_of
 
     return None if text is None else quantity_of(option, text, "fraction")
 
 
 def _as_options(names: Iterable[str]) -> str:
-    """Return the options of the command line that state options of a method."""
+    """Return the command-line options for the options of a method."""
     flags = {"modulation_frequency": "--frequency", "interval": "--nearest, --farthest"}
     words = [
         flags.get(name, f"--{name.replace('_', '-')}")
@@ -172,23 +172,23 @@ def _as_options(names: Iterable[str]) -> str:
 
 
 def _stated(texts: list[str]) -> dict[str, Any]:
-    """Return options stated as "name=value"; a number where the value is one."""
+    """Parse options "name=value", with numbers as numbers."""
     from amulor.cli._arguments import UsageError
 
-    stated: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals or not name.strip().isidentifier():
             raise UsageError(f'--option must be "name=value", got {text!r}')
         try:
-            stated[name.strip()] = float(value)
+            values[name.strip()] = float(value)
         except ValueError:
-            stated[name.strip()] = value
-    return stated
+            values[name.strip()] = value
+    return values
 
 
 def _print_choice(target: xr.Dataset) -> None:
-    """Print which frequency was kept, and why."""
+    """Print the chosen frequency, and the reason."""
     if "frequency_choice" in target.attrs:
         print(target.attrs["frequency_choice"])
         for warning in filter(None, target.attrs["frequency_warnings"].split("; ")):
@@ -198,10 +198,10 @@ def _print_choice(target: xr.Dataset) -> None:
 def _figures(
     output: Path, method: str, target: xr.Dataset, comparison: Comparison | None
 ) -> dict[str, Any]:
-    """Return the figures that are not of samples."""
+    """Return the results that do not depend on samples, for JSON."""
     from dataclasses import asdict
 
-    found: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "output": str(output),
         "method": method,
         "polarizations": [str(name) for name in target["polarization"].values],
@@ -209,14 +209,14 @@ def _figures(
     }
     for name in ("frequency_choice", "frequency_warnings", "target_ratio"):
         if name in target.attrs:
-            found[name] = target.attrs[name]
+            figures[name] = target.attrs[name]
     if comparison is not None:
-        found |= {
+        figures |= {
             "method": comparison.method,
             "reason": comparison.reason,
             "comparison": [asdict(row) for row in comparison.rows],
         }
-    return found
+    return figures
 
 
 def _print_comparison(comparison: Comparison) -> None:

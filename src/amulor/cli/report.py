@@ -1,4 +1,4 @@
-"""`amulor report`: range images drawn into one HTML file, ready to be printed."""
+"""`amulor report`: range images in one HTML file, ready to print."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ def report(
     from amulor.imaging import measure
     from amulor.view import image_report
 
-    known = [_check_of(text, number) for number, text in enumerate(check)]
+    distances = [_check_of(text, number) for number, text in enumerate(check)]
     check_tile_rows(tile_rows)
     inputs = [*images, *([checks] if checks else [])]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
     check_ending("--output", output, endings)
     if checks is not None:
-        known = [*measure.read_checks(checks), *known]
+        distances = [*measure.read_checks(checks), *distances]
     stems = [path.stem for path in images]
     names = [
         path.stem
@@ -82,10 +82,10 @@ def report(
             progress(f"reading {path}", 0.5 * number / len(images))
             ends = 0.5 * number / len(images), 0.5 * (number + 1) / len(images)
             with _progress.part(*ends):
-                cubes[name], wholes[name] = _shown(path, tile_rows, known)
+                cubes[name], wholes[name] = _shown(path, tile_rows, distances)
         with _progress.part(0.5, 1.0):
             image_report.write(
-                output, cubes, checks=known, wholes=wholes, overwrite=overwrite
+                output, cubes, checks=distances, wholes=wholes, overwrite=overwrite
             )
     print(
         f"{output}: {len(cubes)} range image{'s' if len(cubes) > 1 else ''}; open it "
@@ -96,7 +96,7 @@ def report(
 def _shown(
     path: Path, rows: int | None, checks: list[Check]
 ) -> tuple[xr.Dataset, Whole]:
-    """Return an image to be drawn, thinned if it is large, and counts of all of it."""
+    """Return an image, thinned if it is large, and counts of all of its pixels."""
     from amulor import pipeline
     from amulor.imaging import thinning
     from amulor.io.netcdf import tile_rows
@@ -106,7 +106,7 @@ def _shown(
 
 
 def _check_of(text: str, number: int) -> Check:
-    """Return the check distance that an option states."""
+    """Parse an option with a check distance."""
     from amulor.imaging.measure import Check
 
     words = text.split()
@@ -114,17 +114,17 @@ def _check_of(text: str, number: int) -> Check:
         first, second = (
             tuple(int(part) for part in word.split(",")) for word in words[:2]
         )
-        length, *rest = words[2:]
+        length, *position = words[2:]
         ((row, column), (other_row, other_column)) = first, second
     except ValueError:
         raise UsageError(
             f'--check {text!r}: write "ROW,COLUMN ROW,COLUMN LENGTH [TOLERANCE]", such '
             'as "20,10 20,60 40mm 1mm"'
         ) from None
-    if len(rest) > 1 or min(row, column, other_row, other_column) < 0:
+    if len(position) > 1 or min(row, column, other_row, other_column) < 0:
         raise UsageError(f"--check {text!r}: too many words, or a negative number")
     expected = quantity_of("--check", length, "length")
-    tolerance = quantity_of("--check", rest[0], "length") if rest else None
+    tolerance = quantity_of("--check", position[0], "length") if position else None
     if expected < 0 or (tolerance is not None and not tolerance > 0):
         raise UsageError(f"--check {text!r}: lengths must be above 0 m")
     return Check(

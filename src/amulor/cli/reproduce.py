@@ -1,4 +1,4 @@
-"""`amulor reproduce`: published figures redrawn, with what the text says of them."""
+"""`amulor reproduce`: published figures redrawn, with checks of their statements."""
 
 from __future__ import annotations
 
@@ -94,11 +94,11 @@ def ricci2010(
         return
     for redrawn in outcome.figures:
         print(f"Figure {redrawn.number}. {redrawn.title}")
-        for statement, place, found, wanted, verdict in results.check_rows(
+        for statement, place, value, expected, verdict in results.check_rows(
             redrawn.checks
         ):
             print(f"  {verdict:<10}  {statement}{f' ({place})' if place else ''}")
-            print(f"              found {found}; needed {wanted}")
+            print(f"              found {value}; needed {expected}")
         print()
     if outcome.dependence is not None:
         print("Conclusions that flip when one number goes to an end of its range")
@@ -113,7 +113,7 @@ def ricci2010(
 
 
 def _interruptible(work: Callable[[], Result]) -> Result:
-    """Return what a function returns; Ctrl-C ends the program and its workers at once.
+    """Call a function; Ctrl-C ends the program and its workers at once.
 
     The work is done in a thread of its own. In the main thread an interrupt would wait
     for the end of a compiled loop, and a run of photons would take it for the wish to
@@ -143,7 +143,7 @@ def _interruptible(work: Callable[[], Result]) -> Result:
 
 
 def _leave() -> None:
-    """End the program and its workers; nothing is written before the work is done."""
+    """End the program and its workers, before any file is written."""
     import multiprocessing
     import os
     from importlib import import_module

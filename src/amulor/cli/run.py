@@ -1,4 +1,4 @@
-"""`amulor run`: all scans of a site, here or on a cluster."""
+"""`amulor run`: all scans of a site, on this computer or on a cluster."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ def run(
         raise UsageError("--workers is a number from 1 on, with --scheduler local")
     check_tile_rows(tile_rows)
     with progress_bar(quiet=json):
-        done = run_site(
+        results = run_site(
             site, output, scheduler=scheduler, workers=workers, tile_rows=tile_rows
         )
     if json:
-        print_json({"output": str(output), "scans": [asdict(one) for one in done]})
+        print_json({"output": str(output), "scans": [asdict(scan) for scan in results]})
     else:
-        for one in done:
-            kept = len(one.files) - len(one.made)
-            print(f"{one.name}: {len(one.made)} files made, {kept} were there")
-    wrong = [f"{one.name}: {one.error}" for one in done if one.error]
+        for scan in results:
+            unchanged = len(scan.files) - len(scan.made)
+            print(f"{scan.name}: {len(scan.made)} files made, {unchanged} were there")
+    wrong = [f"{scan.name}: {scan.error}" for scan in results if scan.error]
     if wrong:
         raise CubeError(
-            f"{len(wrong)} of {len(done)} scans stopped: {'; '.join(wrong)}"
+            f"{len(wrong)} of {len(results)} scans stopped: {'; '.join(wrong)}"
         )

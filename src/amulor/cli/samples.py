@@ -1,4 +1,4 @@
-"""`amulor samples`: small data to begin with, without an instrument."""
+"""`amulor samples`: sample data, to start without an instrument."""
 
 from __future__ import annotations
 
@@ -34,31 +34,32 @@ def samples(
     from amulor.cli._output import print_json
 
     if not names:
-        known = room.samples()
+        listed = room.samples()
         if json:
-            print_json({name: asdict(one) for name, one in known.items()})
+            print_json({name: asdict(entry) for name, entry in listed.items()})
             return
-        width = max(map(len, known))
-        for name, one in known.items():
-            print(f"{name:<{width}}  {one.size / 1e3:4.0f} kB  {one.title}")
-            print(f"{'':{width + 11}}shows {one.shows}")
+        width = max(map(len, listed))
+        for name, entry in listed.items():
+            print(f"{name:<{width}}  {entry.size / 1e3:4.0f} kB  {entry.title}")
+            print(f"{'':{width + 11}}shows {entry.shows}")
         print("`amulor samples NAME` writes its files here.")
         return
     try:
-        wanted = [room.sample(name) for name in dict.fromkeys(names)]
+        chosen = [room.sample(name) for name in dict.fromkeys(names)]
     except ValueError as error:
         raise UsageError(str(error)) from None
     written = {
-        one.name: room.copy(one.name, output, overwrite=overwrite) for one in wanted
+        entry.name: room.copy(entry.name, output, overwrite=overwrite)
+        for entry in chosen
     }
     if json:
         print_json(
-            {name: [str(one) for one in paths] for name, paths in written.items()}
+            {name: [str(entry) for entry in paths] for name, paths in written.items()}
         )
         return
-    for one in wanted:
-        for path in written[one.name]:
-            print(f"{path}: {one.title}")
-        print(f"  {one.origin}; {one.licence}")
-        for command in one.commands:
+    for entry in chosen:
+        for path in written[entry.name]:
+            print(f"{path}: {entry.title}")
+        print(f"  {entry.origin}; {entry.licence}")
+        for command in entry.commands:
             print(f"  $ {command}")

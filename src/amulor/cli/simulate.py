@@ -1,4 +1,4 @@
-"""`amulor simulate`: from a survey file to a measurement cube."""
+"""`amulor simulate`: simulated measurement cube of a survey."""
 
 from __future__ import annotations
 
@@ -97,11 +97,11 @@ def simulate(
                 # Loads what works by rows, which other simulations do without.
                 from amulor.scale.simulated import simulate_file
 
-                made = simulate_file(
+                summary = simulate_file(
                     described, output, rng=seed, model=chosen, rows=tile_rows,
                     overwrite=overwrite,
                 )  # fmt: skip
-                sizes, hit, overload = made.sizes, made.hit, made.saturated
+                sizes, hit, overload = summary.sizes, summary.hit, summary.saturated
             else:
                 cube = simulate_survey(described, rng=seed, model=chosen)
                 advance(f"writing {output}", 0.9)

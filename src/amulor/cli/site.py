@@ -44,14 +44,14 @@ def check(
 
     described = Site.from_toml(site)
     with progress_bar(quiet=json):
-        found = look(described)
+        content = look(described)
     if json:
-        print_json({"site": described.name, **asdict(found)})
+        print_json({"site": described.name, **asdict(content)})
     else:
-        for line in found.remarks:
+        for line in content.remarks:
             print(f"note: {line}")
-    if found.mistakes:
-        raise SurveyError("\n".join(f"{site}: {line}" for line in found.mistakes))
+    if content.mistakes:
+        raise SurveyError("\n".join(f"{site}: {line}" for line in content.mistakes))
     if not json:
         targets = len(described.target)
         print(
@@ -124,8 +124,8 @@ def register(
                     for pair in result.pairs
                 ],
                 "disagreements": result.disagreements,
-                "weaknesses": [vars(one) for one in result.weaknesses],
-                "contradictions": [vars(one) for one in result.contradictions],
+                "weaknesses": [vars(entry) for entry in result.weaknesses],
+                "contradictions": [vars(entry) for entry in result.contradictions],
                 "remarks": result.remarks,
                 "settled": result.settled,
             }
@@ -140,8 +140,8 @@ def register(
 
 
 def _not_good(result: Registration) -> str:
-    """Lines that name the contradictions of a registration."""
-    lines = [one.sentence for one in result.contradictions]
+    """Return a line for each contradiction of a registration."""
+    lines = [entry.sentence for entry in result.contradictions]
     return "the poses are not good\n" + "\n".join(lines)
 
 
@@ -173,13 +173,15 @@ def _print_poses(result: Registration) -> None:
         print(f"the frame is that of {result.fixed}: nothing ties it to the world")
     for line in result.remarks:
         print(f"warning: {line}")
-    for one in result.disagreements:
-        first, second = one["scans"]
+    for disagreement in result.disagreements:
+        first, second = disagreement["scans"]
         print(
             f"warning: {first} on {second} contradicts all others by "
-            f"{one['shift'] * 1e3:.2f} mm, {one['turn'] * 1e3:.3f} mrad (chi-square "
-            f"{one['score']:.1f} per degree of freedom); it counts {one['trust']:.0%}. "
-            "Look whether something moved, or the instrument did during a scan"
+            f"{disagreement['shift'] * 1e3:.2f} mm, "
+            f"{disagreement['turn'] * 1e3:.3f} mrad (chi-square "
+            f"{disagreement['score']:.1f} per degree of freedom); it counts "
+            f"{disagreement['trust']:.0%}. Look whether something moved, or "
+            "the instrument did during a scan"
         )
     for weak in result.weaknesses:
         shift, turn = np.array(weak.shift), np.array(weak.turn)
@@ -233,18 +235,18 @@ def merge(
     if as_e57:
         io.check_output(output, overwrite=overwrite, inputs=[site, poses])
     with progress_bar(quiet=json) as advance:
-        found = opened(site, poses)
+        merged = opened(site, poses)
         advance(f"writing {output}", 0.8)
         if as_e57:
-            clouds = scan_clouds(found.cloud, found.registration, found.images)
+            clouds = scan_clouds(merged.cloud, merged.registration, merged.images)
             io.write_e57_scans(clouds, output, overwrite=overwrite)
             files = [output]
         else:
-            files = write_tiles(found.cloud, output, size=size, overwrite=overwrite)
-    cloud = found.cloud
+            files = write_tiles(merged.cloud, output, size=size, overwrite=overwrite)
+    cloud = merged.cloud
     moving = {
-        one.name: int(cloud.moving[cloud.scan == number].sum())
-        for number, one in enumerate(found.site.scan)
+        scan.name: int(cloud.moving[cloud.scan == number].sum())
+        for number, scan in enumerate(merged.site.scan)
     }
     if json:
         print_json(
@@ -317,57 +319,58 @@ def compare(
     check_ending("--output", output, (".csv",))
     epochs = epochs_of(Site.from_toml(site), first, second)
     with progress_bar(quiet=json):
-        found = opened(site, poses)
-        change, places, motions = changes_between(found, epochs)
+        merged = opened(site, poses)
+        change, places, motions = changes_between(merged, epochs)
         write_change(change, output, overwrite=overwrite)
-    known = np.isfinite(change.value)
+    finite = np.isfinite(change.value)
     if json:
         print_json(
             {
                 "epochs": epochs,
-                "compared": int(known.sum()),
+                "compared": int(finite.sum()),
                 "significant": int(change.significant.sum()),
                 "false_alarms": change.false_alarms,
-                "median_uncertainty_m": float(np.nanmedian(change.uncertainty[known])),
+                "median_uncertainty_m": float(np.nanmedian(change.uncertainty[finite])),
                 "regions": [
-                    _region(one, number, motions) for number, one in enumerate(places)
+                    _region(region, number, motions)
+                    for number, region in enumerate(places)
                 ],
             }
         )
         return
     print(
-        f"{epochs[0]} to {epochs[1]}: {int(known.sum())} places compared, "
+        f"{epochs[0]} to {epochs[1]}: {int(finite.sum())} places compared, "
         f"{int(change.significant.sum())} changed (of these at most "
         f"{change.false_alarms:.0%} by chance); median uncertainty "
-        f"{np.nanmedian(change.uncertainty[known]) * 1e3:.2f} mm"
+        f"{np.nanmedian(change.uncertainty[finite]) * 1e3:.2f} mm"
     )
-    for number, one in enumerate(places):
-        print(_sentence(number, one, motions))
+    for number, region in enumerate(places):
+        print(_sentence(number, region, motions))
     print(f"{output}: {len(change.value)} rows")
 
 
 def _first_of(number: int, motions: dict[int, Motion]) -> int:
-    """Return the number of the first region that the body of a region made."""
+    """Return the number of the first region of the body of a region."""
     return next(k for k in sorted(motions) if motions[k] is motions[number])
 
 
-def _region(one: Region, number: int, motions: dict[int, Motion]) -> dict[str, Any]:
+def _region(region: Region, number: int, motions: dict[int, Motion]) -> dict[str, Any]:
     import numpy as np
 
-    found: dict[str, Any] = {
-        "centre_m": one.centre,
-        "area_m2": one.area,
-        "mean_m": one.mean,
-        "mean_uncertainty_m": one.mean_uncertainty,
-        "volume_m3": one.volume,
-        "volume_uncertainty_m3": one.volume_uncertainty,
-        "not_compared_m2": one.lost,
+    content: dict[str, Any] = {
+        "centre_m": region.centre,
+        "area_m2": region.area,
+        "mean_m": region.mean,
+        "mean_uncertainty_m": region.mean_uncertainty,
+        "volume_m3": region.volume,
+        "volume_uncertainty_m3": region.volume_uncertainty,
+        "not_compared_m2": region.lost,
     }
     motion = motions.get(number)
     if motion is not None and _first_of(number, motions) != number:
-        found["same_body_as_region"] = _first_of(number, motions)
+        content["same_body_as_region"] = _first_of(number, motions)
     elif motion is not None:
-        found["motion"] = {
+        content["motion"] = {
             "centre_m": motion.centre,
             "shift_m": motion.shift,
             "turn_rad": motion.turn,
@@ -380,16 +383,16 @@ def _region(one: Region, number: int, motions: dict[int, Motion]) -> dict[str, A
             "points": motion.points,
             "loose": motion.loose,
         }
-    return found
+    return content
 
 
-def _sentence(number: int, one: Region, motions: dict[int, Motion]) -> str:
-    place = ", ".join(f"{value:.3f}" for value in one.centre)
+def _sentence(number: int, region: Region, motions: dict[int, Motion]) -> str:
+    place = ", ".join(f"{value:.3f}" for value in region.centre)
     text = (
-        f"{number + 1}: at ({place}) m, {one.area * 1e4:.0f} cm2, mean "
-        f"{one.mean * 1e3:+.2f} +- {one.mean_uncertainty * 1e3:.2f} mm, volume "
-        f"{one.volume * 1e6:+.0f} +- {one.volume_uncertainty * 1e6:.0f} cm3, "
-        f"{one.lost * 1e4:.0f} cm2 there not compared"
+        f"{number + 1}: at ({place}) m, {region.area * 1e4:.0f} cm2, mean "
+        f"{region.mean * 1e3:+.2f} +- {region.mean_uncertainty * 1e3:.2f} mm, volume "
+        f"{region.volume * 1e6:+.0f} +- {region.volume_uncertainty * 1e6:.0f} cm3, "
+        f"{region.lost * 1e4:.0f} cm2 there not compared"
     )
     motion = motions.get(number)
     if motion is None:
@@ -401,7 +404,7 @@ def _sentence(number: int, one: Region, motions: dict[int, Motion]) -> str:
 
 
 def _motion_in_words(motion: Motion) -> str:
-    """Shift and turn of a body, with errors and the point that they hold for."""
+    """Describe shift and turn of a body, with errors and their reference point."""
     import numpy as np
 
     shift = ", ".join(f"{value * 1e3:+.2f}" for value in motion.shift)
@@ -461,26 +464,26 @@ def report(
     places: tuple[Region, ...] = ()
     motions: dict[int, Motion] = {}
     with progress_bar() as advance:
-        found = opened(site, poses)
+        merged = opened(site, poses)
         if epochs is not None:
-            change, places, motions = changes_between(found, epochs)
+            change, places, motions = changes_between(merged, epochs)
         advance("drawing", 0.9)
         site_report.write(
             output,
-            found.site,
-            found.registration,
-            found.cloud,
+            merged.site,
+            merged.registration,
+            merged.cloud,
             change=change,
             places=places,
             motions=motions,
             overwrite=overwrite,
         )
-    print(f"{output}: {len(found.site.scan)} scans, {len(places)} places that changed")
+    print(f"{output}: {len(merged.site.scan)} scans, {len(places)} places that changed")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Opened:
-    """A site with all that was read of it."""
+    """Site with its registration and merged scans."""
 
     site: Site
     registration: Registration
@@ -500,7 +503,7 @@ def opened(path: Path, poses: Path) -> Opened:
 
     site = Site.from_toml(path)
     registration = read_registration(poses)
-    lacking = [one.name for one in site.scan if one.name not in registration.poses]
+    lacking = [scan.name for scan in site.scan if scan.name not in registration.poses]
     if lacking:
         raise CubeError(
             f"{poses}: has no pose of scan {lacking[0]!r}; register the site again: "
@@ -525,10 +528,10 @@ def opened(path: Path, poses: Path) -> Opened:
 
 
 def epochs_of(site: Site, first: str | None, second: str | None) -> tuple[str, str]:
-    """Names of the two visits to compare; the first and the last by default."""
+    """Return the names of the two visits to compare, by default first and last."""
     from amulor.cli._arguments import UsageError
 
-    names = [one.name for one in site.epoch]
+    names = [epoch.name for epoch in site.epoch]
     if (first is None) != (second is None):
         raise UsageError("--first and --second must be given together")
     if first is None or second is None:
@@ -539,13 +542,13 @@ def epochs_of(site: Site, first: str | None, second: str | None) -> tuple[str, s
         return names[0], names[-1]
     for name in (first, second):
         if name not in names:
-            listed = ", ".join(repr(one) for one in names)
+            listed = ", ".join(repr(epoch) for epoch in names)
             raise UsageError(f"{name!r} is no epoch of the site; there are {listed}")
     return first, second
 
 
 def changes_between(
-    found: Opened, epochs: tuple[str, str]
+    merged: Opened, epochs: tuple[str, str]
 ) -> tuple[Change, tuple[Region, ...], dict[int, Motion]]:
     """Compute the change between two visits, its regions, and rigid motions in them."""
     import numpy as np
@@ -556,7 +559,11 @@ def changes_between(
 
     with _progress.part(0.6, 0.8):
         result = change(
-            found.site, found.registration, found.surfaces, found.cloud, epochs=epochs
+            merged.site,
+            merged.registration,
+            merged.surfaces,
+            merged.cloud,
+            epochs=epochs,
         )
     places = regions(result)
     motions: dict[int, Motion] = {}
@@ -565,9 +572,9 @@ def changes_between(
         _progress.tell("fitting what moved", 0.8 + 0.1 * number / len(groups))
         centre, reach = around([places[k] for k in group])
         motion = motion_of(
-            found.site,
-            found.registration,
-            found.surfaces,
+            merged.site,
+            merged.registration,
+            merged.surfaces,
             epochs=epochs,
             centre=centre,
             reach=float(np.clip(1.5 * reach, 0.05, 1.0)),

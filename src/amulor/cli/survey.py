@@ -109,7 +109,7 @@ def check(
 
 
 def _open_meshes(survey: Survey) -> None:
-    """Look at the files of meshes, where they can be read."""
+    """Read the mesh files of a survey, where possible."""
     from amulor.errors import MissingExtraError
     from amulor.simulation import scene
     from amulor.survey import Mesh
@@ -125,7 +125,7 @@ _WEAK = 5.0
 
 
 def _expected(survey: Survey) -> tuple[Expectation | None, str]:
-    """Return what the samples will be like, or why that is not known."""
+    """Return the expected quality of samples, or the reason why it is unknown."""
     from amulor.errors import AmulorError
     from amulor.simulation import expectation
 
@@ -140,7 +140,7 @@ def _expected(survey: Survey) -> tuple[Expectation | None, str]:
 def _print_expected(
     survey: Survey, expected: Expectation, dark: tuple[str, ...]
 ) -> None:
-    """Print what the samples will be like, and warn of what spoils them.
+    """Print the expected quality of samples, with warnings.
 
     Of channels that are `dark`, nobody knows the water signal.
     """
@@ -179,7 +179,7 @@ def _print_expected(
 
 
 def _whereabouts(survey: Survey, position: tuple[float, float, float]) -> str:
-    """Return where a target stands that no beam meets."""
+    """Describe the position of a target that no beam meets."""
     right, down, forward = (
         value - origin
         for value, origin in zip(
@@ -189,32 +189,34 @@ def _whereabouts(survey: Survey, position: tuple[float, float, float]) -> str:
     if forward <= 0:
         return f"it stands {-forward:.3g} m behind the instrument"
     scan = survey.scan
-    seen = []
+    directions = []
     for name, angle, middle, span in (
         ("azimuth", math.atan2(right, forward), scan.azimuth, scan.azimuth_span),
         ("elevation", math.atan2(-down, forward), scan.elevation, scan.elevation_span),
     ):
         low, high = middle - span / 2, middle + span / 2
         if not low <= angle <= high:
-            seen.append(
+            directions.append(
                 f"its centre has {name} {math.degrees(angle):.3g} degrees, the scan "
                 f"{math.degrees(low):.3g} to {math.degrees(high):.3g}"
             )
-    return "; ".join(seen) or "another target hides it, or it lies between two beams"
+    return (
+        "; ".join(directions) or "another target hides it, or it lies between two beams"
+    )
 
 
 def _water(water: WaterProperties) -> dict[str, Any]:
-    """Return what the water resolves to, for other programs."""
+    """Return the resolved properties of the water, for JSON."""
     from dataclasses import fields
 
     function = water.phase_function
-    known = {
+    values = {
         field.name: getattr(water, field.name)
         for field in fields(water)
         if field.name not in ("phase_function", "layers")
     }
     return {
-        **known,
+        **values,
         "phase_function": None if function is None else function.description,
         "asymmetry": None if function is None else function.asymmetry,
         "backscatter_fraction": (
@@ -233,7 +235,7 @@ def _water(water: WaterProperties) -> dict[str, Any]:
 
 
 def _print_water(water: WaterProperties) -> None:
-    """Print what the water resolves to."""
+    """Print the resolved properties of the water."""
     print(
         f"  water: attenuation {water.attenuation:.4g} 1/m, group index "
         f"{water.group_index:.4f}; {water.source}"
@@ -270,16 +272,18 @@ def _print_water(water: WaterProperties) -> None:
 def _warn_of_state(
     survey: Survey, water: WaterProperties, reach: tuple[float, float] | None
 ) -> None:
-    """Warn of what the water does not state and ranges or channels need."""
+    """Warn about missing properties of the water that ranges or channels need."""
     from amulor.rejection.channels import CROSS_POLARIZED
     from amulor.survey.properties import group_index_uncertainty
 
-    stated = survey.water
+    description = survey.water
     missing = [
-        name for name in ("salinity", "temperature") if getattr(stated, name) is None
+        name
+        for name in ("salinity", "temperature")
+        if getattr(description, name) is None
     ]
     error = group_index_uncertainty(survey)
-    if missing and stated.group_index is None and error is not None:
+    if missing and description.group_index is None and error is not None:
         distance = 1.0 if reach is None else reach[1]
         off = distance * error / water.group_index
         print(

@@ -1,4 +1,4 @@
-"""`amulor import transients`: histograms of single photons become a cube."""
+"""`amulor import transients`: import of single-photon histograms."""
 
 from __future__ import annotations
 

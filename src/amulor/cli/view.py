@@ -1,4 +1,4 @@
-"""`amulor view`: a file in the browser, with everything linked and measurable."""
+"""`amulor view`: a file or a running scan in the browser."""
 
 from __future__ import annotations
 
@@ -70,7 +70,9 @@ def view(
 
     if save is None:  # a page saved as one file has no server
         _extras.require("view", purpose="the page")
-    if all(one is None for one in (samples, nearest, farthest, against, unit, save)):
+    if all(
+        option is None for option in (samples, nearest, farthest, against, unit, save)
+    ):
         check_inputs(path)
 
     from amulor import handover, io
@@ -89,7 +91,7 @@ def view(
         raise UsageError("--unit goes with a mesh or a cloud; scans are in metres")
     if against is not None and save is not None:
         raise UsageError("--against goes with a page that is served, not with --save")
-    inputs = [one for one in (path, samples, against) if one is not None]
+    inputs = [option for option in (path, samples, against) if option is not None]
     check_inputs(against)
     if save is not None:
         check_ending("--save", save, (".html", ".htm"))
@@ -117,7 +119,7 @@ def view(
 def _shown(
     path: Path, samples: Path | None, interval: tuple[float, float] | None
 ) -> Recording | Live:
-    """Return what the page shows: a file, or a scan that is followed."""
+    """Return the content of the page: a file, or a running scan."""
     from amulor.view import page
 
     if not path.is_dir():

@@ -1,4 +1,4 @@
-"""`amulor warm-up`: all loops are compiled before somebody waits for one."""
+"""`amulor warm-up`: compilation of all loops in advance."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def warm_up() -> None:
 
 
 def _work() -> dict[str, Callable[[], object]]:
-    """Return small jobs that need all compiled loops, by what they are."""
+    """Return small jobs that need all compiled loops, by name."""
     from amulor.studies import ladder
     from amulor.survey import Survey
 
     small = {"scan.columns": 16, "scan.rows": 8}
     frequencies = ["20 MHz", "40 MHz", "60 MHz"]
-    moments, whole = (
+    moments, tabulated = (
         Survey.from_text(ladder.survey_text(water)).with_(
             small | {"instrument.modulation_frequencies": frequencies}
         )
@@ -50,29 +50,31 @@ def _work() -> dict[str, Callable[[], object]]:
     )
     turbid = {"absorption": "0.25 1/m", "scattering": "0.6 1/m"}
     water = {"kind": "petzold", "station": "HAOCE 11", "group_index": 1.34}
-    whole = whole.with_({"water": water | turbid})
+    tabulated = tabulated.with_({"water": water | turbid})
     cubes: list[xr.Dataset] = []
     return {
-        "simulated scans": lambda: cubes.extend(_scans(moments, whole)),
+        "simulated scans": lambda: cubes.extend(_scans(moments, tabulated)),
         "rejection and range images": lambda: _images(cubes),
-        "water against frequency": lambda: _sweep(moments, whole),
+        "water against frequency": lambda: _sweep(moments, tabulated),
         "errors of instruments": lambda: _design(moments),
         "photons": lambda: _photons(moments),
     }
 
 
-def _scans(moments: Survey, whole: Survey) -> list[xr.Dataset]:
+def _scans(moments: Survey, tabulated: Survey) -> list[xr.Dataset]:
     """Simulate scans of water by its moments and by a phase function."""
     from amulor import simulation
 
     for model in (simulation.ClosureModel(), simulation.DiffusionModel()):
         simulation.simulate(moments, rng=1, model=model)
     unaided = moments.with_({"scan.open_water": None})
-    return [simulation.simulate(one, rng=1) for one in (moments, whole, unaided)]
+    return [
+        simulation.simulate(survey, rng=1) for survey in (moments, tabulated, unaided)
+    ]
 
 
 def _images(cubes: list[xr.Dataset]) -> None:
-    """Take the water out, jointly and with open water, and draw a surface."""
+    """Reject water, jointly and by open water, and compute a surface."""
     from amulor import imaging, pipeline
 
     for cube in cubes:
@@ -85,12 +87,12 @@ def _images(cubes: list[xr.Dataset]) -> None:
         imaging.products.raster(surface, plane, cell=5e-3)
 
 
-def _sweep(moments: Survey, whole: Survey) -> None:
+def _sweep(moments: Survey, tabulated: Survey) -> None:
     """Compute the water signal, of receivers with sharp edges as well."""
     from amulor.simulation import backscatter
 
-    sharp = whole.with_({"instrument.receiver.edge": "sharp"})
-    for survey in (moments, whole, sharp):
+    sharp = tabulated.with_({"instrument.receiver.edge": "sharp"})
+    for survey in (moments, tabulated, sharp):
         backscatter.small_angle_response(survey, [0.0, 50e6])
     backscatter.closure_response(moments, [0.0, 50e6])
     backscatter.diffusion_response(moments, [0.0, 50e6])
@@ -105,7 +107,7 @@ def _design(survey: Survey) -> None:
 
 
 def _photons(survey: Survey) -> None:
-    """Follow a few photons."""
+    """Simulate a few photons."""
     from amulor.simulation import transport
 
     transport.monte_carlo_response(survey, [0.0, 50e6], relative_error=0.2, seed=1)

@@ -1,4 +1,4 @@
-"""`amulor watch`: a running scan in the terminal, for a line without a browser."""
+"""`amulor watch`: a running scan in the terminal."""
 
 from __future__ import annotations
 
@@ -67,16 +67,16 @@ def watch(
         live.stop()
 
 
-def _channel(live: Live, wanted: str | None) -> str:
+def _channel(live: Live, chosen: str | None) -> str:
     names = live.polarizations
-    if wanted is None:
+    if chosen is None:
         return names[0]
-    if wanted not in names:
+    if chosen not in names:
         raise UsageError(
-            f"--polarization: the scan has no channel {wanted!r}, only "
+            f"--polarization: the scan has no channel {chosen!r}, only "
             f"{', '.join(names)}"
         )
-    return wanted
+    return chosen
 
 
 def _ended(live: Live) -> bool:
@@ -114,22 +114,22 @@ def _on_screen(live: Live, channel: str, show: str, *, once: bool) -> None:
 
 
 def _in_lines(live: Live, channel: str, pause: float, *, once: bool) -> None:
-    """Print a line every so often, and advice when it is new."""
+    """Print a line at intervals, and new advice."""
     from amulor.view import terminal
 
-    said: list[str] = []
+    printed: list[str] = []
     written = -float("inf")
     while True:
         ended = _ended(live)
-        fresh = [one for one in _advice(live) if one not in said]
+        fresh = [line for line in _advice(live) if line not in printed]
         if ended or once or fresh or time.monotonic() - written >= pause:
             now = datetime.now()
             ratio = terminal.signal_to_noise(live, channel)
             line = terminal.going(live.status, ratio=ratio, now=now)
             print(f"{now:%H:%M:%S} {line}", flush=True)
-            for one in fresh:
-                print(f"{now:%H:%M:%S} note: {one}", flush=True)
-            said, written = _advice(live), time.monotonic()
+            for advice in fresh:
+                print(f"{now:%H:%M:%S} note: {advice}", flush=True)
+            printed, written = _advice(live), time.monotonic()
         if ended or once:
             return
         time.sleep(_POLL)
@@ -137,6 +137,6 @@ def _in_lines(live: Live, channel: str, pause: float, *, once: bool) -> None:
 
 
 def _advice(live: Live) -> list[str]:
-    """Return what is worth doing, and what stands in the way of reading."""
-    said = [str(one) for one in live.status.get("advice", [])]
-    return [*said, str(live.status["error"])] if "error" in live.status else said
+    """Return advice, and errors of reading."""
+    lines = [str(line) for line in live.status.get("advice", [])]
+    return [*lines, str(live.status["error"])] if "error" in live.status else lines

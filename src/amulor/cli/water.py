@@ -69,14 +69,14 @@ def water(
             ),
         }
     if json:
-        given = {
+        conditions = {
             "wavelength_m": length,
             "temperature_degC": temperature,
             "salinity": salinity,
             "modulation_frequency_hz": modulation,
             "absorption_default": "mason_2016",
         }
-        print_json(given | constants)
+        print_json(conditions | constants)
         return
     number = {name: float(value) for name, value in constants.items()}
     print(
@@ -143,49 +143,49 @@ def fit(
 
     with progress_bar(quiet=json) as advance:
         advance("fit of the water", 0.0)
-        found = rejection.water_fit(io.read_cube(cube), no_target=no_target)
+        result = rejection.water_fit(io.read_cube(cube), no_target=no_target)
     if json:
-        print_json(asdict(found))
+        print_json(asdict(result))
         return
-    known = dict(zip(found.names, found.identified, strict=True))
+    identified = dict(zip(result.names, result.identified, strict=True))
     for text, value, error, unit, name in (
         (
             "reduced attenuation k'",
-            found.reduced_attenuation,
-            found.reduced_attenuation_uncertainty,
+            result.reduced_attenuation,
+            result.reduced_attenuation_uncertainty,
             "1/m",
             "reduced_attenuation",
         ),
         (
             "spread b_f <theta^2>",
-            found.spread,
-            found.spread_uncertainty,
+            result.spread,
+            result.spread_uncertainty,
             "rad^2/m",
             "spread",
         ),
         (
             "forward scattering b_f",
-            found.forward_scattering,
-            found.forward_scattering_uncertainty,
+            result.forward_scattering,
+            result.forward_scattering_uncertainty,
             "1/m",
             "forward_scattering",
         ),
         (
             "depth of the maximum",
-            found.depth_of_maximum,
-            found.depth_of_maximum_uncertainty,
+            result.depth_of_maximum,
+            result.depth_of_maximum_uncertainty,
             "m",
             "",
         ),
         (
             "cut-off",
-            found.cut_off / 1e6,
-            found.cut_off_uncertainty / 1e6,
+            result.cut_off / 1e6,
+            result.cut_off_uncertainty / 1e6,
             "MHz",
             "",
         ),
     ):
-        note = "" if known.get(name, True) else " (not settled by these data)"
+        note = "" if identified.get(name, True) else " (not settled by these data)"
         print(f"{text:<24}{value:.4g} +- {error:.2g} {unit}{note}")
-    print(f"{'fluctuation':<24}{found.fluctuation:.2%}")
-    print(f"{'misfit':<24}{found.misfit:.3g} (1 if the model is right)")
+    print(f"{'fluctuation':<24}{result.fluctuation:.2%}")
+    print(f"{'misfit':<24}{result.misfit:.3g} (1 if the model is right)")
