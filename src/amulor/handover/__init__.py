@@ -1,4 +1,4 @@
-"""What is handed over of a scan: drawings, models, tables, and the archive folder."""
+"""Products of a scan: drawings, models, tables, and the archive folder."""
 
 from amulor.handover.order import ENDINGS, Order, product_of
 from amulor.handover.page import PageProducts
@@ -8,5 +8,5 @@ __all__ = ["ENDINGS", "Order", "PageProducts", "hand_over", "product_of"]
 
 
 def __dir__() -> list[str]:
-    """List the public names, not the modules that they come from."""
+    """List the public names only."""
     return sorted(__all__)

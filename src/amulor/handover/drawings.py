@@ -1,4 +1,4 @@
-"""Line drawings, rasters and sheets of a surface, written in their formats."""
+"""Line drawings, rasters and sheets of a surface."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def write_section(
     plane: products.Plane,
     path: Path,
     order: Order,
-    said: Said,
+    remarks: Said,
     *,
     overwrite: bool,
 ) -> str:
@@ -36,13 +36,13 @@ def write_section(
     line = ", ".join(f"{v:g}" for v in order.line)
     median = in_millimetres(cut.uncertainty)
     band = "; the band is two of them wide to either side"
-    known = bool(np.isfinite(cut.uncertainty).all())
+    finite = bool(np.isfinite(cut.uncertainty).all())
     statements = [
         f"Section between the places ({line}) m, right and up, of the drawing seen "
         f"from the {plane.side}: distance along it, and height ({plane.names[2]}) "
         "towards the viewer from the origin of the axes",
-        f"Standard uncertainty across the profile: {median}{band if known else ''}",
-        *said[1],
+        f"Standard uncertainty across the profile: {median}{band if finite else ''}",
+        *remarks[1],
     ]
     if path.suffix.lower() == ".csv":
         right = cut.start[0] + cut.along / _length(cut) * (cut.end[0] - cut.start[0])
@@ -58,7 +58,7 @@ def write_section(
                 f"{plane.names[1]} [m]": up,
             },
             path,
-            statements=[said[0], *statements],
+            statements=[remarks[0], *statements],
             overwrite=overwrite,
         )
     else:
@@ -66,12 +66,12 @@ def write_section(
             formats.Line(
                 points=np.stack([cut.along, cut.height], axis=1)[cut.piece == number],
                 layer="section",
-                band=cut.uncertainty[cut.piece == number] if known else None,
+                band=cut.uncertainty[cut.piece == number] if finite else None,
             )
             for number in range(pieces)
         )
         drawing = formats.Drawing(
-            title=f"{said[0]}: section",
+            title=f"{remarks[0]}: section",
             lines=lines,
             axes=("along", plane.names[2]),
             statements=tuple(statements),
@@ -84,19 +84,19 @@ def write_section(
 
 
 def write_contours(
-    raster: products.Raster, path: Path, order: Order, said: Said, *, overwrite: bool
+    raster: products.Raster, path: Path, order: Order, remarks: Said, *, overwrite: bool
 ) -> str:
     """Write the contour lines of a raster."""
     interval = order.contours if order.contours is not None else 0.01
-    found = products.contours(raster, interval=interval)
-    if not found:
+    lines = products.contours(raster, interval=interval)
+    if not lines:
         raise CubeError(
             f"no contour line every {interval * 1e3:g} mm stands out of the noise; "
             "take another interval, or larger cells (--cell), which average more pixels"
         )
     finite = raster.uncertainty[np.isfinite(raster.uncertainty)]
     sigma = float(np.median(finite)) if finite.size else math.nan
-    statements = [f"Contours every {interval * 1e3:g} mm", *said[1]]
+    statements = [f"Contours every {interval * 1e3:g} mm", *remarks[1]]
     doubt = ""
     if interval < 4 * sigma:
         doubt = (
@@ -105,25 +105,25 @@ def write_contours(
         )
         statements.append(doubt.removeprefix("; ").capitalize())
     if path.suffix.lower() == ".csv":
-        counts = [len(line.points) for line in found]
-        points = np.concatenate([line.points for line in found])
+        counts = [len(line.points) for line in lines]
+        points = np.concatenate([line.points for line in lines])
         formats.write_table(
             {
-                "line": np.repeat(np.arange(len(found)), counts),
-                "level [m]": np.repeat([line.level for line in found], counts),
+                "line": np.repeat(np.arange(len(lines)), counts),
+                "level [m]": np.repeat([line.level for line in lines], counts),
                 f"{raster.plane.names[0]} [m]": points[:, 0],
                 f"{raster.plane.names[1]} [m]": points[:, 1],
                 "standard_uncertainty_of_level [m]": np.repeat(
-                    [line.uncertainty for line in found], counts
+                    [line.uncertainty for line in lines], counts
                 ),
             },
             path,
-            statements=[said[0], *statements],
+            statements=[remarks[0], *statements],
             overwrite=overwrite,
         )
     else:
         drawing = formats.Drawing(
-            title=f"{said[0]}: contours",
+            title=f"{remarks[0]}: contours",
             lines=tuple(
                 formats.Line(
                     points=line.points,
@@ -131,18 +131,18 @@ def write_contours(
                     label=f"{line.level:.4g}" if len(line.points) > 20 else "",
                     elevation=line.level,
                 )
-                for line in found
+                for line in lines
             ),
             axes=raster.plane.names[:2],
             statements=tuple(statements),
         )
         _write_lines(drawing, path, order.scale, overwrite=overwrite)
-    levels = len({line.level for line in found})
-    return f"{len(found)} contour lines at {levels} levels{doubt}"
+    levels = len({line.level for line in lines})
+    return f"{len(lines)} contour lines at {levels} levels{doubt}"
 
 
 def cell_of(order: Order, surface: products.Surface) -> float:
-    """Return the size of a cell: as stated, that of a dot, or of the pixels."""
+    """Return the cell size: of the order, of a dot, or of the pixels [m]."""
     if order.cell is not None:
         return order.cell
     if order.product == "orthoimage":
@@ -154,7 +154,7 @@ def cell_of(order: Order, surface: products.Surface) -> float:
 
 
 def raster_statement(raster: products.Raster) -> str:
-    """Return what a raster says of its cells and heights."""
+    """Return the statement of a raster about its cells and heights."""
     names = raster.plane.names
     return (
         f"Seen from the {raster.plane.side}; heights ({names[2]}) count towards the "
@@ -166,7 +166,7 @@ def raster_statement(raster: products.Raster) -> str:
 
 
 def relief_statement(raster: products.Raster) -> str:
-    """Return what may be read from the light on a raster, and what not."""
+    """Return the statement about shaded relief and its limits."""
     apart = max(raster.surface.spacing, raster.cell)
     slope = float(np.nanmedian(raster.own)) * 2**0.5 / apart
     return (
@@ -199,7 +199,7 @@ def write_bands(
     raster: products.Raster,
     bands: Sequence[formats.Band],
     path: Path,
-    said: Sequence[str],
+    statements: Sequence[str],
     *,
     overwrite: bool,
 ) -> None:
@@ -214,7 +214,7 @@ def write_bands(
         top=raster.top,
         crs=frame.crs if plan else "",
         offset=frame.crs_offset[:2] if plan else (0.0, 0.0),
-        statements=said,
+        statements=statements,
         overwrite=overwrite,
     )
 

@@ -1,4 +1,4 @@
-"""What is to be made of a range image, checked before the work."""
+"""Order of a product of a range image, checked before the work."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ ENDINGS: dict[Product, tuple[str, ...]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Order:
-    """A product of a range image."""
+    """Order of a product of a range image."""
 
     product: Product
-    """Which one."""
+    """Kind of product."""
     side: Literal["front", "top"] = "front"
-    """From where a drawing is seen."""
+    """Side of view of a drawing."""
     show: Literal["amplitude", "height", "relief", "uncertainty"] = "amplitude"
-    """What an orthoimage shows."""
+    """Quantity of an orthoimage."""
     scale: float = 10.0
-    """Metres of the object to one of the paper [1]."""
+    """Scale of a drawing: meters of the object in one meter of paper [1]."""
     dots_per_inch: float = 300.0
-    """Dots of an orthoimage on paper."""
+    """Resolution of an orthoimage on paper [dots per inch]."""
     cell: float | None = None
     """Size of a cell of a raster; by default that of a dot of an orthoimage, and the
     spacing of the pixels otherwise [m]."""
@@ -57,13 +57,13 @@ class Order:
     line: tuple[float, float, float, float] | None = None
     """Start and end of a section, right and up [m]."""
     against: Path | None = None
-    """Mesh or range image that a scan is compared with."""
+    """Mesh or range image for a comparison."""
     unit: Unit = "m"
-    """Unit of that mesh."""
+    """Unit of the mesh."""
     farthest: float | None = None
-    """Largest deviation that is one [m]."""
+    """Largest distance of a deviation; farther pixels are not compared [m]."""
     title: str = ""
-    """What is drawn; the title of the range image by default."""
+    """Title of the drawing; by default that of the range image."""
 
 
 def product_of(
@@ -73,7 +73,7 @@ def product_of(
     against: object = None,
     contours: object = None,
 ) -> Product:
-    """Return the product that a file name and what else is stated mean."""
+    """Return the product of a file name and its options."""
     ending = path.suffix.lower()
     if line is not None:
         return "section"
@@ -87,26 +87,26 @@ def product_of(
         return "contours"
     if ending in _PICTURES:
         return "orthoimage"
-    known = dict.fromkeys(e for endings in ENDINGS.values() for e in endings)
+    endings_known = dict.fromkeys(e for endings in ENDINGS.values() for e in endings)
     raise FormatError(
-        f"{path}: the ending says the format; use one of {', '.join(known)}"
+        f"{path}: the ending says the format; use one of {', '.join(endings_known)}"
     )
 
 
 def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
-    """Return what a product of a range image says of itself."""
+    """Return the statements of a product about axes, errors and origin."""
     budget = error_budget(image)
-    said = [f"Axes: {frame.axes}"]
+    statements = [f"Axes: {frame.axes}"]
     if frame.name == "pose":
         numbers = ", ".join(f"{v:.6g}" for v in frame.position)
-        said.append(f"Instrument at ({numbers}) m; pose as stated")
+        statements.append(f"Instrument at ({numbers}) m; pose as stated")
     if frame.crs:
         offset = ", ".join(f"{v:.12g}" for v in frame.crs_offset)
-        said.append(f"Reference system: {frame.crs}; add ({offset}) m")
+        statements.append(f"Reference system: {frame.crs}; add ({offset}) m")
     if budget.error_unknown:
-        said.append(_sentence(budget.error_unknown))
+        statements.append(_sentence(budget.error_unknown))
     if math.isfinite(budget.combined):
-        said.append(
+        statements.append(
             "Uncertainties are standard uncertainties (GUM, k = 1); about 95 of 100 "
             "errors lie within twice as much. Slant range: median "
             f"{budget.combined * 1e3:.3g} mm, of which all pixels share "
@@ -117,28 +117,28 @@ def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
         unknown += [f"{name} of the pose" for name in frame.unknown]
     unknown.append("directions of the beams, which count as known")
     if math.isfinite(budget.combined):
-        said.append(f"Not in them: {', '.join(unknown)}")
+        statements.append(f"Not in them: {', '.join(unknown)}")
     geometry = image["geometry"].attrs
     index = float(geometry["group_index"])
-    said.append(f"Metres of water range by the group index {index:.4f}")
+    statements.append(f"Metres of water range by the group index {index:.4f}")
     if image.attrs.get("simulated"):
-        said.append("Simulated data; nothing here was measured")
+        statements.append("Simulated data; nothing here was measured")
     history = str(image.attrs.get("history", "")).splitlines()
     if history:
-        said.append(f"Last step: {history[-1]}")
-    return said
+        statements.append(f"Last step: {history[-1]}")
+    return statements
 
 
 def _sentence(words: str) -> str:
-    """Return words with a capital letter."""
+    """Return a sentence with a capital letter."""
     return words[0].upper() + words[1:]
 
 
 def in_millimetres(values: ArrayLike) -> str:
-    """Return the median of uncertainties for a statement."""
-    known = np.asarray(values, dtype=float)
-    known = known[np.isfinite(known)]
-    return f"{np.median(known) * 1e3:.2g} mm (median)" if known.size else "not known"
+    """Return the median of uncertainties in millimeters, as text."""
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    return f"{np.median(finite) * 1e3:.2g} mm (median)" if finite.size else "not known"
 
 
 Floats = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Makes what the page asks for, by the same orders as `amulor export`."""
+"""Products on request of the page, by the same orders as `amulor export`."""
 
 from __future__ import annotations
 
@@ -65,21 +65,21 @@ class PageProducts:
             if product != "deviation" or self._against is not None
         ]
 
-    def make(self, image: xr.Dataset, wanted: dict[str, Any], *, stem: str) -> Made:
+    def make(self, image: xr.Dataset, request: dict[str, Any], *, stem: str) -> Made:
         """Make a product of a range image."""
         offers = {str(offer["product"]): offer for offer in self.offered()}
-        product = str(wanted.get("product", ""))
+        product = str(request.get("product", ""))
         if product not in offers:
             raise CubeError(
                 f"there is no product {product[:40]!r} here, only {', '.join(offers)}"
             )
-        ending = str(wanted.get("ending", offers[product]["endings"][0]))
+        ending = str(request.get("ending", offers[product]["endings"][0]))
         if ending not in offers[product]["endings"]:
             raise CubeError(
                 f"{product} is written to {', '.join(offers[product]['endings'])}, not "
                 f"{ending[:20]!r}"
             )
-        unknown = set(wanted) - {"product", "ending", "channel", "pixels"}
+        unknown = set(request) - {"product", "ending", "channel", "pixels"}
         unknown -= set(offers[product]["options"])
         if unknown:
             raise CubeError(
@@ -94,7 +94,7 @@ class PageProducts:
         if not self._busy.acquire(blocking=False):
             raise CubeError("another product is being made; ask again in a moment")
         try:
-            return self._written(image, product, ending, wanted, stem)
+            return self._written(image, product, ending, request, stem)
         finally:
             self._busy.release()
 
@@ -103,7 +103,7 @@ class PageProducts:
         image: xr.Dataset,
         product: str,
         ending: str,
-        wanted: Mapping[str, Any],
+        request: Mapping[str, Any],
         stem: str,
     ) -> Made:
         name = f"{_plain(stem)}-{product}{ending}"
@@ -111,38 +111,38 @@ class PageProducts:
             path = Path(folder) / name
             if product == "report":
                 image_report.write(path, {_plain(stem): image})
-                said = "report; a browser prints it as an A4 document"
+                statements = "report; a browser prints it as an A4 document"
             else:
-                image, frame = _chosen(image, wanted)
-                order = self._order(product, wanted, image, frame)
-                said = hand_over(image, path, order, frame=frame)
-            return Made(name=name, content=path.read_bytes(), said=said)
+                image, frame = _chosen(image, request)
+                order = self._order(product, request, image, frame)
+                statements = hand_over(image, path, order, frame=frame)
+            return Made(name=name, content=path.read_bytes(), said=statements)
 
     def _order(
-        self, product: str, wanted: Mapping[str, Any], image: xr.Dataset, frame: Frame
+        self, product: str, request: Mapping[str, Any], image: xr.Dataset, frame: Frame
     ) -> Order:
-        side = _one_of(wanted, "side", ("front", "top"))
-        found: dict[str, Any] = {
-            name: _number(wanted, name, low, high)
+        side = _one_of(request, "side", ("front", "top"))
+        fields: dict[str, Any] = {
+            name: _number(request, name, low, high)
             for name, low, high in (
                 ("cell", 1e-5, 1.0),
                 ("contours", 1e-5, 10.0),
                 ("farthest", 1e-6, 100.0),
             )
         }
-        if product == "contours" and found["contours"] is None:
+        if product == "contours" and fields["contours"] is None:
             raise CubeError("contour lines need their interval")
         if product == "section":
-            found["line"] = _line(image, frame, side, wanted.get("pixels"))
+            fields["line"] = _line(image, frame, side, request.get("pixels"))
         if product == "deviation":
-            found |= {"against": self._against, "unit": self._unit}
+            fields |= {"against": self._against, "unit": self._unit}
         return Order(
             product=product,  # type: ignore[arg-type]
             side=side,  # type: ignore[arg-type]
-            show=_one_of(wanted, "show", _SHOWN),  # type: ignore[arg-type]
-            scale=_number(wanted, "scale", 0.1, 10_000.0) or 10.0,
-            dots_per_inch=_number(wanted, "dpi", 10.0, 1200.0) or 300.0,
-            **found,
+            show=_one_of(request, "show", _SHOWN),  # type: ignore[arg-type]
+            scale=_number(request, "scale", 0.1, 10_000.0) or 10.0,
+            dots_per_inch=_number(request, "dpi", 10.0, 1200.0) or 300.0,
+            **fields,
         )
 
 
@@ -156,19 +156,19 @@ def _endings(product: str) -> tuple[str, ...]:
 
 
 def _plain(stem: str) -> str:
-    """Return a name that is one in every file system, and no way to another folder."""
-    kept = "".join(c if c.isalnum() or c in "-_" else "_" for c in stem)
-    return kept.strip("_")[:80] or "scan"
+    """Return a file name that is valid in every file system, without a path."""
+    name = "".join(c if c.isalnum() or c in "-_" else "_" for c in stem)
+    return name.strip("_")[:80] or "scan"
 
 
-def _chosen(image: xr.Dataset, wanted: Mapping[str, Any]) -> tuple[xr.Dataset, Frame]:
-    """Return the image without what is left out, and its axes."""
+def _chosen(image: xr.Dataset, request: Mapping[str, Any]) -> tuple[xr.Dataset, Frame]:
+    """Return the image without excluded pixels, and its frame."""
     axes: Literal["instrument", "z-up", "pose"]
-    axes = _one_of(wanted, "axes", _AXES)  # type: ignore[assignment]
-    good = wanted.get("good_only", False)
+    axes = _one_of(request, "axes", _AXES)  # type: ignore[assignment]
+    good = request.get("good_only", False)
     if not isinstance(good, bool):
         raise CubeError("good_only is true or false")
-    largest = _number(wanted, "largest_uncertainty", 1e-9, 100.0)
+    largest = _number(request, "largest_uncertainty", 1e-9, 100.0)
     frame = imaging.frame_of(image, axes=axes)
     if good or largest is not None:
         image = imaging.leave_out(image, good_only=good, largest_uncertainty=largest)
@@ -178,13 +178,13 @@ def _chosen(image: xr.Dataset, wanted: Mapping[str, Any]) -> tuple[xr.Dataset, F
 def _line(
     image: xr.Dataset, frame: Frame, side: str, pixels: Any
 ) -> tuple[float, float, float, float]:
-    """Return the ends of a section in its drawing, of two pixels of the scan."""
+    """Return the ends of a section in its drawing, from two pixels of the scan."""
     rows, columns = image["slant_range"].shape
     if (
         not isinstance(pixels, list)
         or len(pixels) != 2
-        or not all(isinstance(one, list) and len(one) == 2 for one in pixels)
-        or not all(type(part) is int for one in pixels for part in one)
+        or not all(isinstance(pixel, list) and len(pixel) == 2 for pixel in pixels)
+        or not all(type(part) is int for pixel in pixels for part in pixel)
         or not all(0 <= r < rows and 0 <= c < columns for r, c in pixels)
     ):
         raise CubeError("a section needs two pixels: draw a line on the map first (L)")
@@ -193,13 +193,13 @@ def _line(
     cloud = imaging.point_cloud(image, frame=frame)
     places = np.stack([cloud[axis].values for axis in "xyz"], axis=1)
     plane = products.plane_of(frame, side)  # type: ignore[arg-type]
-    found: list[float] = []
+    line: list[float] = []
     for row, column in pixels:
         # Where a pixel has no range, the nearest one that has stands for it.
         away = np.hypot(cloud["row"].values - row, cloud["column"].values - column)
         place = places[int(np.argmin(away))]
-        found += [float(plane.axes[0] @ place), float(plane.axes[1] @ place)]
-    a, b, c, d = found
+        line += [float(plane.axes[0] @ place), float(plane.axes[1] @ place)]
+    a, b, c, d = line
     if math.hypot(c - a, d - b) < 1e-6:
         raise CubeError(
             f"seen from the {side}, both ends of the section are at the same place"
@@ -207,19 +207,19 @@ def _line(
     return a, b, c, d
 
 
-def _one_of(wanted: Mapping[str, Any], name: str, choices: Sequence[str]) -> str:
-    """Return one of some words; the first one if none is stated."""
-    value = wanted.get(name, choices[0])
+def _one_of(request: Mapping[str, Any], name: str, choices: Sequence[str]) -> str:
+    """Return a choice of the request; the first one by default."""
+    value = request.get(name, choices[0])
     if value not in choices:
         raise CubeError(f"{name} must be one of {', '.join(choices)}")
     return str(value)
 
 
 def _number(
-    wanted: Mapping[str, Any], name: str, low: float, high: float
+    request: Mapping[str, Any], name: str, low: float, high: float
 ) -> float | None:
-    """Return a number within limits, or None if none is stated."""
-    value = wanted.get(name)
+    """Return a number of the request within limits, or None."""
+    value = request.get(name)
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float):

@@ -1,4 +1,4 @@
-"""Makes a product of a range image and writes it."""
+"""Products of a range image, written to files."""
 
 from __future__ import annotations
 
@@ -42,39 +42,41 @@ def hand_over(
     if order.product == "cloud":
         return _cloud(image, path, frame, overwrite=overwrite)
     surface = products.surface(image, frame=frame)
-    said = statements_of(image, frame)
+    statements = statements_of(image, frame)
     title = order.title or str(image.attrs.get("title") or "scan")
     if order.product == "mesh":
         write_mesh(image, path, surface, overwrite=overwrite)
         return f"{len(surface.position)} vertices, {len(surface.triangles)} triangles"
     if order.product == "deviation":
         return references.write_deviation(
-            image, path, order, surface, (title, said), overwrite=overwrite
+            image, path, order, surface, (title, statements), overwrite=overwrite
         )
     plane = products.plane_of(frame, order.side)
     if order.product == "section":
         return drawings.write_section(
-            surface, plane, path, order, (title, said), overwrite=overwrite
+            surface, plane, path, order, (title, statements), overwrite=overwrite
         )
     raster = products.raster(surface, plane, cell=drawings.cell_of(order, surface))
-    said = [drawings.raster_statement(raster), *said]
+    statements = [drawings.raster_statement(raster), *statements]
     if order.product == "contours":
         return drawings.write_contours(
-            raster, path, order, (title, said), overwrite=overwrite
+            raster, path, order, (title, statements), overwrite=overwrite
         )
     if ending in (".tif", ".tiff"):
         bands = drawings.bands_of(raster, first=order.product)
-        drawings.write_bands(raster, bands, path, said, overwrite=overwrite)
+        drawings.write_bands(raster, bands, path, statements, overwrite=overwrite)
     elif ending == ".png":
         pixels, limits, unit = colours_of(raster, order.show)
-        said.insert(0, f"{order.show} from {limits[0]:.4g} to {limits[1]:.4g} {unit}")
+        statements.insert(
+            0, f"{order.show} from {limits[0]:.4g} to {limits[1]:.4g} {unit}"
+        )
         formats.write_picture(
             pixels,
             path,
             dots_per_metre=order.scale / raster.cell,
             texts={
                 "Title": f"{title}, 1:{order.scale:g}",
-                "Description": "\n".join(said),
+                "Description": "\n".join(statements),
             },
             overwrite=overwrite,
         )
@@ -85,11 +87,13 @@ def hand_over(
             else products.contours(raster, interval=order.contours)
         )
         if lines:
-            said.insert(0, f"Contours every {(order.contours or 0) * 1e3:g} mm")
+            statements.insert(0, f"Contours every {(order.contours or 0) * 1e3:g} mm")
         show = "height" if order.product == "dem" else order.show
         if show == "relief":
-            said.insert(0, drawings.relief_statement(raster))
-        about = Sheet(title=title, scale=order.scale, statements=said, contours=lines)
+            statements.insert(0, drawings.relief_statement(raster))
+        about = Sheet(
+            title=title, scale=order.scale, statements=statements, contours=lines
+        )
         drawings.save_sheet(sheet(raster, about, show=show), path, overwrite=overwrite)
     rows, columns = raster.height.shape
     return (

@@ -1,4 +1,4 @@
-"""Compares a scan with a mesh or an earlier scan, and writes what differs."""
+"""Comparison of a scan with a mesh or an earlier scan."""
 
 from __future__ import annotations
 
@@ -32,61 +32,61 @@ def write_deviation(
     path: Path,
     order: Order,
     surface: products.Surface,
-    said: Said,
+    remarks: Said,
     *,
     overwrite: bool,
 ) -> str:
     """Compare a scan with a reference and write table, map or mesh."""
-    found = compare(surface, order)
-    summary = summary_of(found)
+    deviation = compare(surface, order)
+    summary = summary_of(deviation)
     statements = [
         f"Deviation along the normal of {order.against.name if order.against else ''}, "
         "positive towards the instrument",
         f"{summary}; of the significant pixels 5 % are so by chance (Benjamini and "
         "Hochberg)",
         "The reference's own place counts as known",
-        *said[1],
+        *remarks[1],
     ]
-    title = f"{said[0]}: deviation"
+    title = f"{remarks[0]}: deviation"
     ending = path.suffix.lower()
     if ending == ".csv":
-        _write_table(found, path, [title, *statements], overwrite=overwrite)
+        _write_table(deviation, path, [title, *statements], overwrite=overwrite)
     elif ending == ".ply":
         write_mesh(
             image,
             path,
             surface,
             scalars={
-                "scalar_deviation": (found.value, "deviation [m]"),
+                "scalar_deviation": (deviation.value, "deviation [m]"),
                 "scalar_deviation_uncertainty": (
-                    found.uncertainty,
+                    deviation.uncertainty,
                     "its standard uncertainty [m]",
                 ),
                 "scalar_significant": (
-                    found.significant.astype(float),
+                    deviation.significant.astype(float),
                     "1 where it is significant [1]",
                 ),
             },
             overwrite=overwrite,
         )
     else:
-        _write_map(found, path, order, (title, statements), overwrite=overwrite)
+        _write_map(deviation, path, order, (title, statements), overwrite=overwrite)
     return summary
 
 
 def compare(surface: products.Surface, order: Order) -> products.Deviation:
-    """Return how a scan deviates from the reference of an order."""
+    """Compute the deviations of a scan from the reference of an order."""
     assert order.against is not None
     if order.against.suffix.lower() == ".nc":
         earlier = io.read_cube(order.against)
         frame = _frame_of(earlier, surface.frame)
-        other = products.surface(earlier, frame=frame)
+        reference = products.surface(earlier, frame=frame)
         return products.deviation(
             surface,
-            other.position,
-            other.triangles,
-            own=other.own,
-            shared=other.shared,
+            reference.position,
+            reference.triangles,
+            own=reference.own,
+            shared=reference.shared,
             reference=frame,
             farthest=order.farthest,
         )
@@ -95,7 +95,7 @@ def compare(surface: products.Surface, order: Order) -> products.Deviation:
 
 
 def _frame_of(earlier: xr.Dataset, frame: Frame) -> Frame:
-    """Return where an earlier scan stood: as it states, else at the same place."""
+    """Return the frame of an earlier scan; by default that of the present one."""
     try:
         return imaging.frame_of(earlier, axes=frame.name)
     except CubeError:
@@ -137,60 +137,62 @@ def read_mesh(path: Path, *, unit: float) -> tuple[Floats, NDArray[np.intp]]:
     return vertices, faces
 
 
-def summary_of(found: products.Deviation) -> str:
-    """Return the numbers of a comparison in a sentence."""
-    share = found.significant.sum() / found.compared
-    known = math.isfinite(found.mean_uncertainty)
-    error = f"{found.mean_uncertainty * 1e3:.2g} mm" if known else "not known"
+def summary_of(deviation: products.Deviation) -> str:
+    """Summarize a comparison in a sentence."""
+    share = deviation.significant.sum() / deviation.compared
+    finite = math.isfinite(deviation.mean_uncertainty)
+    error = f"{deviation.mean_uncertainty * 1e3:.2g} mm" if finite else "not known"
     return (
-        f"{found.compared} pixels compared: mean {found.mean * 1e3:+.3g} mm, standard "
-        f"uncertainty {error}; spread "
-        f"{found.spread * 1e3:.3g} mm; {share:.1%} significant"
+        f"{deviation.compared} pixels compared: mean {deviation.mean * 1e3:+.3g} mm, "
+        f"standard uncertainty {error}; spread "
+        f"{deviation.spread * 1e3:.3g} mm; {share:.1%} significant"
     )
 
 
 def _write_table(
-    found: products.Deviation, path: Path, said: list[str], *, overwrite: bool
+    deviation: products.Deviation, path: Path, statements: list[str], *, overwrite: bool
 ) -> None:
-    there = np.isfinite(found.value)
-    surface = found.surface
-    rows, columns = np.divmod(surface.pixel[there], surface.shape[1])
-    place = surface.position[there]
+    valid = np.isfinite(deviation.value)
+    surface = deviation.surface
+    rows, columns = np.divmod(surface.pixel[valid], surface.shape[1])
+    place = surface.position[valid]
     formats.write_table(
         {
             "row": rows,
             "column": columns,
             **{f"{axis} [m]": place[:, n] for n, axis in enumerate("xyz")},
-            "deviation [m]": found.value[there],
-            "standard_uncertainty [m]": found.uncertainty[there],
-            "own_part [m]": found.own[there],
-            "significant": found.significant[there],
+            "deviation [m]": deviation.value[valid],
+            "standard_uncertainty [m]": deviation.uncertainty[valid],
+            "own_part [m]": deviation.own[valid],
+            "significant": deviation.significant[valid],
         },
         path,
-        statements=said,
+        statements=statements,
         overwrite=overwrite,
     )
 
 
 def _write_map(
-    found: products.Deviation,
+    deviation: products.Deviation,
     path: Path,
     order: Order,
-    said: Said,
+    statements: Said,
     *,
     overwrite: bool,
 ) -> None:
-    """Write deviations as a raster: the pixel whose middle is nearest to each cell."""
-    surface = found.surface
+    """Write deviations as a raster of the nearest pixel of each cell."""
+    surface = deviation.surface
     plane = products.plane_of(surface.frame, order.side)
     raster = products.raster(
         surface,
         plane,
         cell=drawings.cell_of(order, surface),
         layers={
-            "value": found.value,
-            "sigma": found.uncertainty,
-            "sure": np.where(np.isfinite(found.value), found.significant, np.nan),
+            "value": deviation.value,
+            "sigma": deviation.uncertainty,
+            "sure": np.where(
+                np.isfinite(deviation.value), deviation.significant, np.nan
+            ),
         },
     )
     value, sigma, sure = (raster.layers[name] for name in ("value", "sigma", "sure"))
@@ -200,13 +202,15 @@ def _write_map(
             formats.Band(name="its standard uncertainty", unit="m", values=sigma),
             formats.Band(name="share that is significant", unit="1", values=sure),
         ]
-        drawings.write_bands(raster, bands, path, said[1], overwrite=overwrite)
+        drawings.write_bands(raster, bands, path, statements[1], overwrite=overwrite)
         return
     shown = np.where(sure >= 0.5, value, np.nan)
     note = "Coloured where the deviation is significant, grey elsewhere"
     if not np.isfinite(shown).any():
         shown, note = value, "No deviation is significant: what is shown is chance"
-    about = Sheet(title=said[0], scale=order.scale, statements=[note, *said[1]])
+    about = Sheet(
+        title=statements[0], scale=order.scale, statements=[note, *statements[1]]
+    )
     drawings.save_sheet(
         sheet(raster, about, show="deviation", values=shown),
         path,

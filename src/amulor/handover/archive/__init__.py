@@ -1,4 +1,4 @@
-"""The folder that heritage archives ask for: written whole, and checked."""
+"""The archive folder of heritage archives: writing and checking."""
 
 from amulor.handover.archive.check import missing_of
 from amulor.handover.archive.project import Project, read_project
@@ -8,5 +8,5 @@ __all__ = ["Project", "missing_of", "read_project", "write_archive"]
 
 
 def __dir__() -> list[str]:
-    """List the public names, not the modules that they come from."""
+    """List the public names only."""
     return sorted(__all__)

@@ -1,4 +1,4 @@
-"""Names what is missing or wrong in an archive, by reading nothing but its files."""
+"""Check of an archive by its files alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SIGNATURES = {".laz": b"LASF", ".las": b"LASF", ".e57": b"ASTM-E57"}
 
 
 def missing_of(folder: Path) -> list[str]:
-    """Return what an archive lacks.
+    """Return the problems of an archive, in a line each.
 
     Looked for are: the tables with all their fields; for each scan its raw files, its
     registered clouds with as many points as are stated, its matrix, which must be a
@@ -28,35 +28,35 @@ def missing_of(folder: Path) -> list[str]:
     """
     if not folder.is_dir():
         raise FormatError(f"{folder} is no folder; name an archive")
-    found: list[str] = []
+    problems: list[str] = []
     if not (folder / layout.README).is_file():
-        found.append(f"{layout.README} is missing: what the folder holds, in words")
-    project = _field_table(folder, layout.PROJECT, layout.PROJECT_FIELDS, found)
+        problems.append(f"{layout.README} is missing: what the folder holds, in words")
+    project = _field_table(folder, layout.PROJECT, layout.PROJECT_FIELDS, problems)
     registration = _field_table(
-        folder, layout.REGISTRATION, layout.REGISTRATION_FIELDS, found
+        folder, layout.REGISTRATION, layout.REGISTRATION_FIELDS, problems
     )
-    scans = _scan_table(folder, found)
+    scans = _scan_table(folder, problems)
     for field, table in (("project", project), ("registration", registration)):
-        stated = table.get("number of scans", "")
-        if scans and stated and stated != str(len(scans)):
-            found.append(
-                f"{field}.csv: states {stated} scans, but {layout.SCANS} has "
+        count = table.get("number of scans", "")
+        if scans and count and count != str(len(scans)):
+            problems.append(
+                f"{field}.csv: states {count} scans, but {layout.SCANS} has "
                 f"{len(scans)}"
             )
     for scan in scans:
-        found += _scan_problems(folder, scan)
-    found += _file_problems(folder)
-    return found
+        problems += _scan_problems(folder, scan)
+    problems += _file_problems(folder)
+    return problems
 
 
 def _field_table(
-    folder: Path, name: str, fields: Sequence[str], found: list[str]
+    folder: Path, name: str, fields: Sequence[str], problems: list[str]
 ) -> dict[str, str]:
-    """Read a table of fields and values, and note those that are missing."""
-    rows = _rows(folder, name, found)
+    """Read a table of fields and values, and report missing ones."""
+    rows = _rows(folder, name, problems)
     values = {row.get("field") or "": (row.get("value") or "").strip() for row in rows}
     if rows:
-        found += [
+        problems += [
             f"{name}: the field '{field}' is "
             f"{'empty' if field in values else 'missing'}"
             for field in fields
@@ -65,11 +65,11 @@ def _field_table(
     return values
 
 
-def _scan_table(folder: Path, found: list[str]) -> list[Mapping[str, str]]:
-    rows = _rows(folder, layout.SCANS, found)
+def _scan_table(folder: Path, problems: list[str]) -> list[Mapping[str, str]]:
+    rows = _rows(folder, layout.SCANS, problems)
     for number, row in enumerate(rows):
         name = row.get("scan") or f"number {number + 1}"
-        found += [
+        problems += [
             f"{layout.SCANS}: scan {name}: the field '{field}' is "
             f"{'empty' if field in row else 'missing'}"
             for field in layout.SCAN_FIELDS
@@ -78,43 +78,46 @@ def _scan_table(folder: Path, found: list[str]) -> list[Mapping[str, str]]:
     return rows
 
 
-def _rows(folder: Path, name: str, found: list[str]) -> list[Mapping[str, str]]:
+def _rows(folder: Path, name: str, problems: list[str]) -> list[Mapping[str, str]]:
     path = folder / name
     if not path.is_file():
-        found.append(f"{name} is missing")
+        problems.append(f"{name} is missing")
         return []
     try:
         with path.open(encoding="utf-8", newline="") as file:
             rows: list[Mapping[str, str]] = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        found.append(f"{name} cannot be read: {error}")
+        problems.append(f"{name} cannot be read: {error}")
         return []
     if not rows:
-        found.append(f"{name} has no line")
+        problems.append(f"{name} has no line")
     return rows
 
 
 def _scan_problems(folder: Path, scan: Mapping[str, str]) -> list[str]:
     name = scan.get("scan") or "?"
-    found = []
-    for field, what in (("raw files", "raw"), ("registered cloud", "registered cloud")):
+    problems = []
+    for field, label in (
+        ("raw files", "raw"),
+        ("registered cloud", "registered cloud"),
+    ):
         for text in (part.strip() for part in (scan.get(field) or "").split(";")):
             if text and not _inside(folder, text):
-                found.append(f"scan {name}: {what} {text} is not in the archive")
+                problems.append(f"scan {name}: {label} {text} is not in the archive")
     matrix = (scan.get("matrix") or "").strip()
     if matrix and not _inside(folder, matrix):
-        found.append(f"scan {name}: its matrix {matrix} is not in the archive")
+        problems.append(f"scan {name}: its matrix {matrix} is not in the archive")
     elif matrix:
-        found += [f"scan {name}: {problem}" for problem in _matrix(folder / matrix)]
+        problems += [f"scan {name}: {problem}" for problem in _matrix(folder / matrix)]
     for text in (
         part.strip() for part in (scan.get("registered cloud") or "").split(";")
     ):
         if text and _inside(folder, text):
-            found += [
+            problems += [
                 f"scan {name}: {problem}"
                 for problem in _cloud(folder / text, text, scan.get("points") or "")
             ]
-    return found
+    return problems
 
 
 def _matrix(path: Path) -> list[str]:
@@ -125,8 +128,12 @@ def _matrix(path: Path) -> list[str]:
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         return [f"the matrix {path.name} is not of 4 x 4 finite numbers"]
     turn = matrix[:3, :3]
-    whole = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6)
-    if not whole or np.linalg.det(turn) < 0 or not np.allclose(matrix[3], [0, 0, 0, 1]):
+    is_rotation = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6)
+    if (
+        not is_rotation
+        or np.linalg.det(turn) < 0
+        or not np.allclose(matrix[3], [0, 0, 0, 1])
+    ):
         return [
             f"the matrix {path.name} is no turn and shift: it scales, mirrors or shears"
         ]
@@ -151,47 +158,47 @@ def _cloud(path: Path, name: str, points: str) -> list[str]:
 
 
 def _file_problems(folder: Path) -> list[str]:
-    """Return what is wrong with names and checksums."""
+    """Return the problems of file names and checksums."""
     present = {
         path.relative_to(folder).as_posix(): path
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
-    found = [
+    problems = [
         f"{name}: the name is not portable; use letters, digits, point, - and _"
         for name in present
         if not all(_PORTABLE.match(part) for part in PurePosixPath(name).parts)
     ]
     manifest = present.pop(layout.MANIFEST, None)
     if manifest is None:
-        return [*found, f"{layout.MANIFEST} is missing: the checksums of all files"]
+        return [*problems, f"{layout.MANIFEST} is missing: the checksums of all files"]
     listed: dict[str, str] = {}
     for line in manifest.read_text(encoding="utf-8", errors="replace").splitlines():
         digest, _, name = line.partition("  ")
         if not re.fullmatch(r"[0-9a-f]{64}", digest) or not name:
-            found.append(f"{layout.MANIFEST}: a line is no checksum: {line[:60]!r}")
+            problems.append(f"{layout.MANIFEST}: a line is no checksum: {line[:60]!r}")
             continue
         listed[name] = digest
-    found += [
+    problems += [
         f"{name} is missing, the manifest lists it"
         for name in listed
         if name not in present
     ]
-    found += [
+    problems += [
         f"{name} has no checksum in the manifest"
         for name in present
         if name not in listed
     ]
-    found += [
+    problems += [
         f"{name} is damaged or changed: its checksum differs"
         for name, path in present.items()
         if name in listed and layout.digest_of(path) != listed[name]
     ]
-    return found
+    return problems
 
 
 def _inside(folder: Path, name: str) -> bool:
-    """Return whether a path of a table names something in the archive."""
+    """Return whether a path of a table is a file or folder of the archive."""
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts:
         return False

@@ -1,4 +1,4 @@
-"""Where things lie in an archive, and which fields its metadata must have."""
+"""Paths of an archive, and the description of its project."""
 
 from __future__ import annotations
 
@@ -74,17 +74,17 @@ FILE_FIELDS = ("file", "format", "bytes", "what it is")
 
 
 def matrix_name(project: str, scan: str) -> str:
-    """Return where the matrix of a scan lies."""
+    """Return the path of the matrix of a scan."""
     return f"registration/{project}_GRmatrices_{scan}.txt"
 
 
 def cloud_name(project: str, scan: str) -> str:
-    """Return where the registered cloud of a scan lies, without its ending."""
+    """Return the path of the registered cloud of a scan, without its ending."""
     return f"registered/{project}_{scan}"
 
 
 def raw_folder(scan: str) -> str:
-    """Return where the raw files of a scan lie."""
+    """Return the folder of the raw files of a scan."""
     return f"raw/{scan}"
 
 
@@ -100,16 +100,16 @@ _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,59}$")]
 
 
 class About(Description):
-    """What was surveyed, where, when, by whom and with what."""
+    """Subject, place, time, persons and instrument of a survey."""
 
     name: _Name
     """Name of the project, the start of file names: letters, digits, - and _."""
     title: _Text
-    """What it is about, in a line."""
+    """Title, in one line."""
     monument: _Text
     """Name of the monument or object, and its number in a register."""
     place: _Text
-    """Where it is, with coordinates or a grid reference."""
+    """Place, with coordinates or a grid reference."""
     first_day: datetime.date
     """First day of the survey."""
     last_day: datetime.date
@@ -119,17 +119,17 @@ class About(Description):
     scanner: _Text
     """Make and model of the instrument."""
     serial_number: _Text
-    """Its serial number."""
+    """Serial number of the instrument."""
     operator: _Text
-    """Who measured: person and organisation."""
+    """Operator: person and organization."""
     control_data: _Text
-    """Control that was measured: points, scale bars, or "none"."""
+    """Measured control: points, scale bars, or "none"."""
     purpose: _Text
-    """Why it was surveyed."""
+    """Purpose of the survey."""
     copyright: _Text
-    """Who holds the rights, and under which licence it may be used."""
+    """Holder of the rights, and license."""
     notes: str = ""
-    """Anything else."""
+    """Further notes."""
 
     @model_validator(mode="after")
     def _days_in_order(self) -> Self:
@@ -146,41 +146,41 @@ class ScanFiles(Description):
     name: _Name
     """Name of the scan: letters, digits, - and _."""
     image: Path
-    """Its range image (netCDF), beside the project file unless the path is whole."""
+    """Range image (netCDF); a relative path starts at the project file."""
     raw: Annotated[tuple[Path, ...], Field(min_length=1)]
-    """What was recorded: samples (netCDF), or the folder of a scan with its journal."""
+    """Raw data: samples (netCDF), or the folder of a scan with its journal."""
     pose: Pose | None = None
-    """Where the instrument stood; that of the scan's survey by default."""
+    """Pose of the instrument; by default that of the scan's survey."""
     material: str = ""
-    """Surface that was scanned."""
+    """Material of the scanned surface."""
     notes: str = ""
-    """Anything else."""
+    """Further notes."""
 
 
 class Registration(Description):
-    """How the scans were brought into one frame."""
+    """Registration of the scans in one frame."""
 
     method: _Text
-    """Such as "targets", "cloud to cloud", or "single scan, not registered"."""
+    """Method, such as "targets", "cloud to cloud", or "single scan, not registered"."""
     rms_error: Annotated[Length, Field(ge=0)] | None = None
     """Global root mean square error; needed for more than one scan [m]."""
     points: Annotated[int, Field(ge=0, le=10**9)] = 0
-    """Control points or targets that were used [1]."""
+    """Number of control points or targets [1]."""
     software: str = ""
-    """Program that registered the scans."""
+    """Registration software."""
     notes: str = ""
-    """Anything else."""
+    """Further notes."""
 
 
 class Project(Description):
-    """All that an archive of scans needs to be told."""
+    """Description of a project for its archive."""
 
     project: About
-    """What was surveyed."""
+    """Description of the survey."""
     registration: Registration
-    """How the scans were brought together."""
+    """Registration of the scans."""
     scans: Annotated[tuple[ScanFiles, ...], Field(min_length=1, max_length=999)]
-    """The scans, in order."""
+    """Scans, in order."""
 
     @model_validator(mode="after")
     def _scans_have_names_of_their_own(self) -> Self:

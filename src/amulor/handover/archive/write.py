@@ -1,4 +1,4 @@
-"""Writes the archive of a project: whole under its name, or not at all."""
+"""Writing of the archive of a project, in one piece or not at all."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _FORMATS = {
 
 
 def write_archive(project: Project, folder: Path) -> dict[str, int]:
-    """Write the folder that archives of heritage ask for.
+    """Write the archive folder of a project for heritage archives.
 
     After the ADS / Digital Antiquity Guides to Good Practice for laser scanning: raw
     scans as recorded; the registered cloud of each scan as text, LAZ and E57; tables on
@@ -106,7 +106,7 @@ def _fill(project: Project, hidden: Path) -> dict[str, int]:
 
 
 def _frames(project: Project) -> list[imaging.Frame]:
-    """Return the frame of each scan's points; all of them are one, or it is refused."""
+    """Return the frame of the points of each scan; raise if they differ."""
     frames = []
     for scan in project.scans:
         image = io.read_cube(scan.image)
@@ -134,7 +134,7 @@ def _frames(project: Project) -> list[imaging.Frame]:
 
 
 def _copy_raw(scan: ScanFiles, hidden: Path) -> list[str]:
-    """Copy what was recorded, bit by bit, and return the paths in the archive."""
+    """Copy raw files unchanged, and return their paths in the archive."""
     place = hidden / layout.raw_folder(scan.name)
     place.mkdir()
     copied = []
@@ -162,7 +162,7 @@ def _scan(
     raw: list[str],
     frame: imaging.Frame,
 ) -> Row:
-    """Write clouds and matrix of a scan, and return what is to be said of it."""
+    """Write clouds and matrix of a scan, and return its entry in the tables."""
     survey = readable_survey(image)
     cloud = imaging.point_cloud(image, frame=frame)
     stem = layout.cloud_name(name, scan.name)
@@ -237,19 +237,19 @@ def _project_fields(project: Project, rows: list[Row], points: int) -> Row:
 
 
 def _registration_fields(project: Project, frames: Sequence[imaging.Frame]) -> Row:
-    stated = project.registration
-    error = stated.rms_error
+    registration = project.registration
+    error = registration.rms_error
     return {
-        "method": stated.method,
+        "method": registration.method,
         "georeferenced": "yes" if frames[0].crs else "no",
         "reference system": frames[0].crs or "local frame",
         "number of scans": str(len(project.scans)),
-        "control points": str(stated.points),
+        "control points": str(registration.points),
         "global RMS error [m]": "single scan" if error is None else f"{error:.4g}",
         "frame of registered clouds": frames[0].axes,
         "add to coordinates [m]": ", ".join(f"{v:.12g}" for v in frames[0].crs_offset),
-        "software": stated.software,
-        "notes": stated.notes,
+        "software": registration.software,
+        "notes": registration.notes,
     }
 
 
@@ -336,12 +336,12 @@ def _table(
 
 
 def _day(image: xr.Dataset) -> str:
-    """Return when a scan was made, as its history begins."""
+    """Return the date of a scan, from the first line of its history."""
     lines = str(image.attrs.get("history", "")).splitlines()
     day = lines[0][:10] if lines else ""
     return day if day[:4].isdigit() else "not known"
 
 
 def _spacing(image: xr.Dataset) -> float:
-    """Return the distance of neighbouring points [m]."""
+    """Return the distance between neighboring points [m]."""
     return products.surface(image).spacing
