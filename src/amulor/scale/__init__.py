@@ -1,4 +1,4 @@
-"""The same steps on files larger than memory: row tile by row tile."""
+"""Processing of files larger than memory, in tiles of rows."""
 
 from amulor.io.netcdf import is_large
 from amulor.pipeline import (

@@ -1,4 +1,4 @@
-"""Batches of photons on a cluster: each a file with its digest, in order."""
+"""Batches of photons on a cluster, each a file with its digest."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ __all__ = ["spread_batches"]
 
 
 class Run(Protocol):
-    """What makes batches of their numbers."""
+    """Photon transport run that computes a batch by its number."""
 
     @property
     def stated(self) -> dict[str, Any]:
-        """All that its batches follow from, as plain numbers and text."""
+        """Inputs of the batches, as numbers and text."""
 
     def __call__(self, number: int) -> Batch:
-        """Return a batch."""
+        """Compute a batch."""
 
 
 @contextmanager
@@ -40,7 +40,7 @@ def spread_batches(
     scheduler: str,
     workers: int | None = None,
 ) -> Iterator[Spread]:
-    """Have the batches of a photon transport run worked on by a cluster.
+    """Compute the batches of a photon transport run on a cluster.
 
     Notes
     -----
@@ -69,27 +69,27 @@ def _batches(
     """Yield batches in the order of their numbers."""
     paths = in_order(client, folder, _Batches(run=run), first, end)
     for number, path in enumerate(paths, start=first):
-        with np.load(path, allow_pickle=False) as found:
+        with np.load(path, allow_pickle=False) as arrays:
             yield Batch(
                 number=number,
-                histories=int(found["histories"]),
-                signal=found["signal"],
-                weight=found["weight"],
-                mass=found.get("mass"),
-                edge=found.get("edge"),
-                spacing=float(found["spacing"]),
+                histories=int(arrays["histories"]),
+                signal=arrays["signal"],
+                weight=arrays["weight"],
+                mass=arrays.get("mass"),
+                edge=arrays.get("edge"),
+                spacing=float(arrays["spacing"]),
             )
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Batches:
-    """Batches as files."""
+    """Batches as pieces of work with files."""
 
     run: Run
     file: str = "batch.npz"
 
     def made_of(self, number: int) -> dict[str, Any]:
-        """All that a batch follows from."""
+        """Return the inputs of a batch."""
         return {**self.run.stated, "batch": number}
 
     def write(self, number: int, path: Path) -> None:
@@ -98,7 +98,7 @@ class _Batches:
 
 
 def _write(batch: Batch, path: Path) -> None:
-    """Write a batch; the same one always has the same bytes."""
+    """Write a batch, with reproducible bytes."""
     arrays: dict[str, Any] = {
         "histories": np.int64(batch.histories),
         "signal": batch.signal,

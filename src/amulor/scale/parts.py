@@ -1,4 +1,4 @@
-"""The files of a scan, in parts that a cluster makes and one task joins."""
+"""Files of a scan in parts: computed on a cluster, joined by one task."""
 
 from __future__ import annotations
 
@@ -47,22 +47,22 @@ ROWS = "rows.nc"
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One file of a scan, and how it is made."""
+    """Processing step that makes one file of a scan."""
 
     task: Task
-    """The scan."""
+    """Task of the scan."""
     name: str
-    """Of the file."""
+    """Name of the file."""
     of: Path
-    """What it is made of."""
+    """Input file."""
     how: dict[str, Any]
-    """Step and arguments, for the record."""
+    """Name and arguments of the step, for the record."""
     tiled: TiledStep | None = None
-    """What is done to rows; None of a survey and of a cloud."""
+    """Step on rows; None for a simulation and for a cloud."""
 
     @property
     def folder(self) -> Path:
-        """Where the parts of the file are."""
+        """Folder of the parts of the file."""
         return Path(self.task.folder) / FOLDER / Path(self.name).stem
 
 
@@ -88,8 +88,8 @@ def chain(task: Task) -> tuple[Step, ...]:
         polarization=task.polarization,
         interval=task.interval,
     )
-    for made, tiled in steps_of_scan.items():
-        current = add(f"{made}.nc", tiled.how, tiled)
+    for name, tiled in steps_of_scan.items():
+        current = add(f"{name}.nc", tiled.how, tiled)
     add("cloud.ply", {"step": "cloud"})
     return tuple(steps)
 
@@ -100,7 +100,7 @@ def _level_of(path: Path) -> str:
 
 
 class _Rows:
-    """The rows of a file that is to be made, in tiles."""
+    """Rows of an output file, in tiles."""
 
     def __init__(
         self, source: tiles.Source, step: Step, of: Callable[[int, int], xr.Dataset]
@@ -109,34 +109,34 @@ class _Rows:
         self.size = _size(step, source)
 
     def tiles(self, begin: int, end: int) -> Iterator[tuple[int, xr.Dataset]]:
-        """Yield the tiles between two rows, the first of which begins one."""
+        """Yield the tiles between two rows, the first of which begins a tile."""
         for first in range(begin, end, self.size):
             yield first, self.of(first, min(first + self.size, end))
 
 
 @contextmanager
 def _opened(step: Step, *, check_digest: bool) -> Iterator[_Rows]:
-    """Open what the rows of a file are made of."""
+    """Open the source of the rows of a file."""
     if step.tiled is None:
         source = _simulated(step.of.read_text("utf-8"), step.of, step.task.seed)
         yield _Rows(source, step, source.tile)
         return
     identity = Record(Path(step.task.folder)).identity(step.of)
     with open_rows(step.of, check_digest=check_digest) as cube:
-        made = _prepared(_Known(f"{step.how}, {step.of}, {identity}", step, cube))
-        yield _Rows(cube, step, Made(made, cube).tile)
+        prepared = _prepared(_Known(f"{step.how}, {step.of}, {identity}", step, cube))
+        yield _Rows(cube, step, Made(prepared, cube).tile)
 
 
 @lru_cache(maxsize=1)
 def _simulated(text: str, path: Path, seed: int) -> SimulatedRows:
-    """Return the rows of a survey; kept, since a worker makes many parts of a scan."""
+    """Return the simulated rows of a survey; cached for further parts of the scan."""
     del text  # tells a survey that was changed from the one before
     return SimulatedRows(Survey.from_toml(path), rng=seed)
 
 
 @dataclass(frozen=True)
 class _Known:
-    """What all parts of a file share, told from others by a text."""
+    """Cache key of a file, with its step and cube."""
 
     key: str
     step: Step
@@ -150,15 +150,15 @@ class _Known:
 
 
 @lru_cache(maxsize=1)
-def _prepared(known: _Known) -> Prepared:
-    """Return what treats rows; kept, as the simulation is."""
-    step, source = known.step, known.source
+def _prepared(scan: _Known) -> Prepared:
+    """Return the fitted step; cached for further parts of the scan."""
+    step, source = scan.step, scan.source
     assert step.tiled is not None
     return Prepared(step.tiled, source, step.task.tile_rows or tile_rows(source))
 
 
 def splits(task: Task) -> tuple[str, ...]:
-    """Return which files of a scan are worth being made in parts."""
+    """Return the files of a scan that are computed in parts."""
     try:
         steps = chain(task)
         sizes = _sizes(steps[0])
@@ -171,7 +171,7 @@ def splits(task: Task) -> tuple[str, ...]:
 
 
 def _sizes(step: Step) -> tiles.Source:
-    """Return rows, columns and planes of what a file is made of."""
+    """Return rows, columns and planes of the input of a file."""
     if step.how["step"] == "simulate":
         survey = Survey.from_toml(step.of)
         instrument = survey.instrument
@@ -180,16 +180,16 @@ def _sizes(step: Step) -> tiles.Source:
             "polarization": len(instrument.polarizations),
         }
         scan = survey.scan
-        found: Any = SimpleNamespace(
+        lengths: Any = SimpleNamespace(
             head=SimpleNamespace(sizes=sizes), rows=scan.rows, columns=scan.columns
         )
-        return cast(tiles.Source, found)
+        return cast(tiles.Source, lengths)
     with open_rows(step.of, check_digest=False) as cube:
         return cube
 
 
 def parts_of(task: Task, name: str) -> list[tuple[int, int]]:
-    """Return in which rows a file of a scan is made."""
+    """Return the rows of each part of a file."""
     step = _step(task, name)
     source = _sizes(step)
     size = _size(step, source)
@@ -202,7 +202,7 @@ def parts_of(task: Task, name: str) -> list[tuple[int, int]]:
 
 
 def _size(step: Step, source: tiles.Source) -> int:
-    """Return how many rows of a file are made at once."""
+    """Return the number of rows in a tile of a file."""
     if step.tiled is None:
         return step.task.tile_rows or tile_rows(source)
     return window(step.tiled, source, step.task.tile_rows)
@@ -213,7 +213,7 @@ def _step(task: Task, name: str) -> Step:
 
 
 def make_part(task: Task, name: str, begin: int, end: int) -> None:
-    """Make some rows of a file of a scan, unless they are there."""
+    """Compute a part of a file, unless it exists."""
     step = _step(task, name)
     folder = step.folder / f"{begin:08d}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -228,12 +228,12 @@ def make_part(task: Task, name: str, begin: int, end: int) -> None:
                 writer.put(tile, first - begin)
 
     identity = Record(Path(task.folder)).identity(step.of)
-    how = {**step.how, "rows": [begin, end], "tile_rows": task.tile_rows}
-    Record(folder).made(ROWS, of=identity, how=how, make=make)
+    arguments = {**step.how, "rows": [begin, end], "tile_rows": task.tile_rows}
+    Record(folder).made(ROWS, of=identity, how=arguments, make=make)
 
 
 def whole(step: Step, path: Path) -> None:
-    """Make a file: of its parts if all are there, from the beginning if not."""
+    """Make a file from its parts if all exist, else from the beginning."""
     if step.name == "cloud.ply":
         cloud_file(step.of, path, rows=step.task.tile_rows, overwrite=True)
         return
@@ -251,7 +251,7 @@ def whole(step: Step, path: Path) -> None:
 
 
 def _put(writer: Any, first: int, file: Path, step: Step) -> None:
-    """Copy the rows of a part, in the tiles in which they were made."""
+    """Copy the rows of a part, tile by tile."""
     size = step.task.tile_rows or tile_rows(_sizes(step))
     with open_rows(file) as cube:
         names = _in_order(file)
@@ -261,7 +261,7 @@ def _put(writer: Any, first: int, file: Path, step: Step) -> None:
 
 
 def _in_order(file: Path) -> list[str]:
-    """Return the variables of a file in the order in which they were made."""
+    """Return a cube with its variables in the order of the step."""
     import h5py
 
     with h5py.File(file, "r") as storage:
@@ -272,7 +272,7 @@ def _in_order(file: Path) -> list[str]:
 
 
 def forget_parts(step: Step) -> None:
-    """Remove the parts of a file that is there."""
+    """Remove the parts of a finished file."""
     shutil.rmtree(step.folder, ignore_errors=True)
     folder = step.folder.parent
     if folder.is_dir() and not any(folder.iterdir()):

@@ -1,4 +1,4 @@
-"""Recordings larger than memory: sorted on the disk, then imported by rows."""
+"""Import of recordings larger than memory: sorted on disk, then by rows."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ _PLACED = np.dtype([("sample", _SAMPLE), ("at", "i8", (4,))])
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedSummary:
-    """What an import by rows has made."""
+    """Summary of an import by rows."""
 
     sizes: dict[str, int]
     """Lengths of the dimensions of the cube [1]."""
     marked: dict[str, int]
-    """How many samples are marked with which word [1]."""
+    """Number of samples with each mark [1]."""
 
 
 def import_file(
@@ -76,7 +76,7 @@ def import_file(
     rows: int | None = None,
     overwrite: bool = False,
 ) -> RecordedSummary:
-    """Turn a recording of any size into a measurement cube, tile by tile.
+    """Import a recording of any size as a measurement cube, tile by tile.
 
     Beside the file that is made, about 200 bytes for each sample stand on its disk
     until it is whole. Open-water shots and the frequencies that differ are in memory.
@@ -84,18 +84,20 @@ def import_file(
     path, output = Path(path), Path(output)
     with (
         row_writer(output, survey.scan.rows, overwrite=overwrite) as writer,
-        tempfile.TemporaryDirectory(dir=output.parent, prefix=".amulor-") as made,
+        tempfile.TemporaryDirectory(
+            dir=output.parent, prefix=".amulor-"
+        ) as folder_name,
     ):
-        folder = Path(made)
+        folder = Path(folder_name)
         with _progress.part(0.0, 0.5):
             pairs = _spilled(path, described, survey, folder, temperature)
-            known = _known(folder, pairs, temperature)
-            recordings.refuse_no_scan(path, any_scan=known.any_scan)
-        planes = len(known.frequencies) * len(known.pairs)
+            shared = _known(folder, pairs, temperature)
+            recordings.refuse_no_scan(path, any_scan=shared.any_scan)
+        planes = len(shared.frequencies) * len(shared.pairs)
         size = rows or max(
             1, tiles.SAMPLES_AT_ONCE // max(survey.scan.columns * planes, 1)
         )
-        recording = _sorted(path, described, survey, folder, known, size)
+        recording = _sorted(path, described, survey, folder, shared, size)
         typical = _typical(recording, folder, size)
         marked: Counter[str] = Counter()
         sizes: dict[str, int] = {}
@@ -103,7 +105,7 @@ def import_file(
             tell(f"row {begin:,} of {survey.scan.rows:,}", begin / survey.scan.rows)
             band = _band(recording, folder, size, (begin, end))
             tile = recordings.cube_of(
-                recording, band, typical, mean=known.mean, temperature=known.warm
+                recording, band, typical, mean=shared.mean, temperature=shared.warm
             )
             writer.put(tile, begin)
             marked.update(recordings.marked(tile))
@@ -120,7 +122,7 @@ def _spilled(
     folder: Path,
     temperature: float | None,
 ) -> list[str]:
-    """Write all samples to the disk; return the polarizations as they are met."""
+    """Write all samples to disk; return the polarizations in order of appearance."""
     pairs: dict[str, int] = {}
     rounded: Floats = np.zeros(0)
     ends: list[float] = []
@@ -137,25 +139,25 @@ def _spilled(
                 pairs.setdefault(str(pair), len(pairs)) for pair in samples.polarization
             ]
             file.write(part.tobytes())
-            there = samples.temperature[np.isfinite(samples.temperature)]
-            if there.size:
-                rounded = np.union1d(rounded, rounded_temperatures(there))
-                ends += [float(there.min()), float(there.max())]
+            temperatures = samples.temperature[np.isfinite(samples.temperature)]
+            if temperatures.size:
+                rounded = np.union1d(rounded, rounded_temperatures(temperatures))
+                ends += [float(temperatures.min()), float(temperatures.max())]
                 if temperature is not None:
-                    off = np.abs(there - temperature)
-                    ends.append(float(there[np.argmin(off)]))
+                    off = np.abs(temperatures - temperature)
+                    ends.append(float(temperatures[np.argmin(off)]))
     refuse_several(path, rounded, np.array(ends), temperature)
     return list(pairs)
 
 
 @dataclass(kw_only=True)
 class _Known:
-    """What is to be known of all samples before any is placed."""
+    """Axes and statistics of all samples."""
 
     temperature: float | None
     pairs: list[str] = field(default_factory=list)
     pair: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    """Which of `pairs` a polarization is that was met."""
+    """Index in `pairs` of each polarization."""
     values: Floats = field(default_factory=lambda: np.zeros(0))
     frequencies: Floats = field(default_factory=lambda: np.zeros(0))
     places: Places = "order"
@@ -164,7 +166,7 @@ class _Known:
     warm: bool = False
 
     def samples(self, folder: Path) -> Iterator[Scratch]:
-        """Yield all samples that are of the temperature that was chosen."""
+        """Yield all samples at the chosen temperature."""
         for part in _read(folder / "samples", _SAMPLE):
             if self.temperature is None:
                 yield part
@@ -172,7 +174,7 @@ class _Known:
                 yield part[at_temperature(part["temperature"], self.temperature)]
 
     def frequency(self, part: Scratch) -> NDArray[np.intp]:
-        """Return which frequency each sample has."""
+        """Return the index of the frequency of each sample."""
         return groups(self.values)[np.searchsorted(self.values, part["frequency"])]
 
 
@@ -183,36 +185,36 @@ def _read(path: Path, dtype: np.dtype[np.void]) -> Iterator[Scratch]:
 
 
 def _known(folder: Path, pairs: list[str], temperature: float | None) -> _Known:
-    known = _Known(temperature=temperature)
+    shared = _Known(temperature=temperature)
     met: dict[int, None] = {}
     rows = angles = False
-    for part in known.samples(folder):
-        known.values = np.union1d(known.values, part["frequency"])
+    for part in shared.samples(folder):
+        shared.values = np.union1d(shared.values, part["frequency"])
         unique, first = np.unique(part["pair"], return_index=True)
         met.update(dict.fromkeys(int(pair) for pair in unique[np.argsort(first)]))
-        seen = part[~part["water"]]
-        good = recordings.is_measured(seen["signal"])
-        known.any_scan |= bool(len(seen))
-        known.mean |= bool(np.isfinite(seen["mean"][good]).any())
-        known.warm |= bool(np.isfinite(seen["temperature"]).any())
-        rows |= bool(np.isfinite(seen["row"]).any())
-        angles |= bool(np.isfinite(seen["azimuth"]).any())
-    known.places = "rows" if rows else "angles" if angles else "order"
-    known.pairs = [pairs[number] for number in met]
-    known.pair = np.zeros(len(pairs), dtype=np.intp)
-    known.pair[list(met)] = np.arange(len(met))
-    count = int(groups(known.values)[-1]) + 1 if known.values.size else 0
+        target = part[~part["water"]]
+        good = recordings.is_measured(target["signal"])
+        shared.any_scan |= bool(len(target))
+        shared.mean |= bool(np.isfinite(target["mean"][good]).any())
+        shared.warm |= bool(np.isfinite(target["temperature"]).any())
+        rows |= bool(np.isfinite(target["row"]).any())
+        angles |= bool(np.isfinite(target["azimuth"]).any())
+    shared.places = "rows" if rows else "angles" if angles else "order"
+    shared.pairs = [pairs[number] for number in met]
+    shared.pair = np.zeros(len(pairs), dtype=np.intp)
+    shared.pair[list(met)] = np.arange(len(met))
+    count = int(groups(shared.values)[-1]) + 1 if shared.values.size else 0
     total: Floats = np.zeros(count)
     number = np.zeros(count, dtype=np.intp)
-    own = np.arange(count)
-    for part in known.samples(folder):
+    numbers = np.arange(count)
+    for part in shared.samples(folder):
         # Sums go on where those of the part before ended, as those of one part would.
-        group = known.frequency(part)
+        group = shared.frequency(part)
         weights = np.concatenate([total, part["frequency"]])
-        total = np.asarray(np.bincount(np.concatenate([own, group]), weights))
+        total = np.asarray(np.bincount(np.concatenate([numbers, group]), weights))
         number += np.bincount(group, minlength=count)
-    known.frequencies = np.asarray(total / number)
-    return known
+    shared.frequencies = np.asarray(total / number)
+    return shared
 
 
 def _samples(part: Scratch, pairs: list[str]) -> Samples:
@@ -229,23 +231,23 @@ def _sorted(
     described: RecordingMap,
     survey: Survey,
     folder: Path,
-    known: _Known,
+    shared: _Known,
     size: int,
 ) -> recordings.Recording:
-    """Put the samples of each tile into a file of its own; return what all share."""
+    """Sort the samples into a file for each tile; return the common axes."""
     before: dict[tuple[int, int], int] = {}
     scanned: set[tuple[int, int]] = set()
     shots: list[Scratch] = []
-    for part in known.samples(folder):
+    for part in shared.samples(folder):
         shots.append(part[part["water"]])
         part = part[~part["water"]]
         if not len(part):
             continue
-        channel = known.frequency(part), known.pair[part["pair"]]
+        channel = shared.frequency(part), shared.pair[part["pair"]]
         scanned |= set(zip(*map(np.ndarray.tolist, channel), strict=True))
         row, column = pixels(
-            path, _samples(part, known.pairs), channel, survey,
-            known_by=known.places, before=before,
+            path, _samples(part, shared.pairs), channel, survey,
+            known_by=shared.places, before=before,
         )  # fmt: skip
         placed = np.zeros(len(part), dtype=_PLACED)
         placed["sample"] = part
@@ -263,15 +265,15 @@ def _sorted(
         path=path,
         survey=survey,
         described=described,
-        frequencies=known.frequencies,
-        pairs=known.pairs,
+        frequencies=shared.frequencies,
+        pairs=shared.pairs,
         shots=recordings.shots_of(
             path,
-            _samples(part, known.pairs),
-            (known.frequency(part), known.pair[part["pair"]]),
+            _samples(part, shared.pairs),
+            (shared.frequency(part), shared.pair[part["pair"]]),
             survey,
             described,
-            names=(known.frequencies, known.pairs),
+            names=(shared.frequencies, shared.pairs),
             scanned=(channels[:, 0], channels[:, 1]),
         ),
     )
@@ -285,7 +287,7 @@ def _bands(survey: Survey, size: int) -> Iterator[tuple[int, int]]:
 def _band(
     recording: recordings.Recording, folder: Path, size: int, rows: tuple[int, int]
 ) -> recordings.Band:
-    """Return some rows, from their file and what is needed of those beside them."""
+    """Return some rows, from their file and the neighboring ones."""
     begin, end = recordings.band_with_neighbours(recording.survey, rows)
     parts = [np.zeros(0, dtype=_PLACED)]
     for tile in range(begin // size, (end - 1) // size + 1):
@@ -295,12 +297,12 @@ def _band(
             parts.append(part[(row >= begin) & (row < end)])
     placed = np.concatenate(parts)
     at = tuple(np.ascontiguousarray(placed["at"][:, axis]) for axis in range(4))
-    seen = _samples(placed["sample"], recording.pairs)
-    return recordings.gathered_band(recording, seen, at, rows)
+    samples = _samples(placed["sample"], recording.pairs)
+    return recordings.gathered_band(recording, samples, at, rows)
 
 
 def _typical(recording: recordings.Recording, folder: Path, size: int) -> Floats:
-    """Return the median distance of neighbours in each channel, of all rows."""
+    """Return the median difference of neighbors in each channel, over all rows."""
     shape = len(recording.frequencies), len(recording.pairs)
     for rows in _bands(recording.survey, size):
         band = _band(recording, folder, size, rows)
@@ -315,7 +317,7 @@ def _typical(recording: recordings.Recording, folder: Path, size: int) -> Floats
 
 
 def _median_of(path: Path) -> float:
-    """Return the median of a file of numbers of 0 and above, as numpy does."""
+    """Return the median of a file of non-negative numbers, as numpy does."""
     count = path.stat().st_size // 8
     if not count:
         return np.nan
@@ -324,19 +326,19 @@ def _median_of(path: Path) -> float:
 
 
 def _ranked(path: Path, rank: int) -> float:
-    """Return the number of which so many are not larger, 16 of its bits at a time."""
-    found = 0
+    """Return the number of a given rank, by radix selection of 16 bits at a time."""
+    value = 0
     for shift in (48, 32, 16, 0):
         counts = np.zeros(2**16, dtype=np.int64)
         with path.open("rb") as file:
             while len(part := np.fromfile(file, np.uint64, _SAMPLES)):
                 high = part >> np.uint64(shift)
                 if shift < 48:
-                    high = high[high >> np.uint64(16) == np.uint64(found)]
+                    high = high[high >> np.uint64(16) == np.uint64(value)]
                 low = (high & np.uint64(0xFFFF)).astype(np.intp)
                 counts += np.bincount(low, minlength=2**16)
         upto = np.cumsum(counts)
         digit = int(np.searchsorted(upto, rank, side="right"))
         rank -= int(upto[digit] - counts[digit])
-        found = found << 16 | digit
-    return float(np.array([found], dtype=np.uint64).view(np.float64)[0])
+        value = value << 16 | digit
+    return float(np.array([value], dtype=np.uint64).view(np.float64)[0])

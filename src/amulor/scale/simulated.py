@@ -1,4 +1,4 @@
-"""Simulated scans larger than memory: simulated and written tile by tile."""
+"""Simulation of scans larger than memory, tile by tile."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ __all__ = ["SimulatedSummary", "simulate_file"]
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSummary:
-    """What a simulation by rows has made."""
+    """Summary of a simulation by rows."""
 
     sizes: dict[str, int]
     """Lengths of the dimensions of the cube [1]."""
     hit: float
-    """Share of the beams that meet a target [1]."""
+    """Fraction of the beams that meet a target [1]."""
     saturated: float
-    """Share of the samples that overload the detector [1]."""
+    """Fraction of the samples that overload the detector [1]."""
 
 
 def simulate_file(

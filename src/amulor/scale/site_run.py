@@ -1,4 +1,4 @@
-"""Scans of a site through all steps, here or on a cluster: files with digests.
+"""All steps of all scans of a site, on this computer or on a cluster.
 
 What is done stays done: each file is recorded with its digest and with what it was made
 of. A run that begins again, after a worker or the scheduler has died, takes up what it
@@ -45,7 +45,7 @@ __all__ = ["Done", "Task", "is_made", "run_site", "work", "work_on_rows"]
 
 
 def work(task: Task, until: str | None = None) -> Done:
-    """Take a scan through its steps: samples, target signal, range image, cloud."""
+    """Process a scan: samples, target signal, range image, cloud."""
     set_up_worker()
     record = Record(Path(task.folder))
     record.tidy()
@@ -58,7 +58,7 @@ def work(task: Task, until: str | None = None) -> Done:
 
 
 def is_made(task: Task, name: str) -> bool:
-    """Return whether a file of a scan is there, whole and made of the same."""
+    """Return whether a file of a scan exists, complete and from the same inputs."""
     try:
         (step,) = (step for step in chain(task) if step.name == name)
         return Record(Path(task.folder)).is_made(name, of=step.of, how=step.how)
@@ -67,7 +67,7 @@ def is_made(task: Task, name: str) -> bool:
 
 
 def work_on_rows(task: Task, name: str, begin: int, end: int) -> str:
-    """Make some rows of a file of a scan, which `work` puts together."""
+    """Compute some rows of a file of a scan, which `work` joins."""
     set_up_worker()
     try:
         with dated(datetime.datetime.fromisoformat(task.started)):
@@ -94,7 +94,7 @@ def run_site(
     workers: int | None = None,
     tile_rows: int | None = None,
 ) -> tuple[Done, ...]:
-    """Take all scans of a site through their steps.
+    """Process all scans of a site.
 
     Files have the same bytes wherever they are made: all of a run is dated by its first
     start, which stands in `run.json`. A scan whose worker dies is begun again on
@@ -106,26 +106,26 @@ def run_site(
     folder = Path(output)
     io.make_folder(folder)
     tasks = tasks_of(site, folder, started=_started(folder), tile_rows=tile_rows)
-    found: dict[str, Done] = {}
+    results: dict[str, Done] = {}
     if scheduler is None:
         for number, task in enumerate(tasks):
             tell(f"scan {task.name}", number / len(tasks))
-            found[task.name] = work(task)
+            results[task.name] = work(task)
     else:
         with cluster_client(scheduler, workers) as client:
-            for done in _spread_out(client, tasks):
-                found[done.name] = done
-                tell(f"scan {done.name} done", len(found) / len(tasks))
-    return tuple(found[task.name] for task in tasks)
+            for result in _spread_out(client, tasks):
+                results[result.name] = result
+                tell(f"scan {result.name} done", len(results) / len(tasks))
+    return tuple(results[task.name] for task in tasks)
 
 
 def _started(folder: Path) -> str:
-    """Return when a run began for the first time."""
+    """Return the time of the first start of a run."""
     path = folder / "run.json"
     try:
-        stated = str(json.loads(path.read_text("utf-8"))["started"])
-        datetime.datetime.fromisoformat(stated)
-        return stated
+        started = str(json.loads(path.read_text("utf-8"))["started"])
+        datetime.datetime.fromisoformat(started)
+        return started
     except (OSError, ValueError, KeyError, TypeError):
         pass
     # The convention of reproducible builds.
@@ -139,7 +139,7 @@ def _started(folder: Path) -> str:
 
 
 def _spread_out(client: Any, tasks: tuple[Task, ...]) -> Iterator[Done]:
-    """Yield what becomes of tasks, as it comes."""
+    """Yield the results of tasks, in order of completion."""
     import distributed
 
     dask: Any = distributed
@@ -149,40 +149,40 @@ def _spread_out(client: Any, tasks: tuple[Task, ...]) -> Iterator[Done]:
     for future in spread.futures:
         error = future.exception()
         # Such as a worker that died time and again.
-        said = ""
+        message = ""
         if error is not None:
-            said = " ".join(str(error).split()) or type(error).__name__
-        done = spread.after(future, said)
-        if done is not None:
-            yield done
+            message = " ".join(str(error).split()) or type(error).__name__
+        result = spread.after(future, message)
+        if result is not None:
+            yield result
 
 
 @dataclass(kw_only=True)
 class _Underway:
-    """A scan that is being worked on."""
+    """Scan in progress."""
 
     task: Task
     stages: list[str]
-    """Files whose rows are tasks of their own, those first that come first."""
+    """Files with separate tasks for their rows, in order."""
     left: int = 0
-    """Tasks of rows that are not done."""
+    """Number of unfinished tasks."""
     made: list[str] = field(default_factory=list)
     error: str = ""
 
 
 class _Spread:
-    """Hands tasks to a cluster: large scans stage by stage, in rows."""
+    """Distribution of tasks on a cluster: large scans file by file, in rows."""
 
     def __init__(self, client: Any, futures: Any) -> None:
         self._client, self.futures = client, futures
         self._known: dict[str, tuple[_Underway, str]] = {}
 
     def begin(self, task: Task, stages: list[str]) -> None:
-        """Begin with a scan."""
+        """Start a scan."""
         self._next(_Underway(task=task, stages=stages))
 
     def _next(self, scan: _Underway) -> None:
-        """Ask whether the next file is there; without one, do the rest of the scan."""
+        """Check whether the next file exists; after the last one, finish the scan."""
         if scan.stages:
             self._submit("asked", scan, is_made, scan.stages[0])
         else:
@@ -196,11 +196,11 @@ class _Spread:
         self.futures.add(future)
 
     def after(self, future: Any, error: str) -> Done | None:
-        """Go on with the scan of a future that is done; return it if that was all."""
+        """Continue the scan of a finished future; return its result at the end."""
         scan, kind = self._known.pop(future.key)
-        found = None if error else future.result()
+        answer = None if error else future.result()
         name = scan.stages[0] if scan.stages else ""
-        if kind == "asked" and found:
+        if kind == "asked" and answer:
             scan.stages.pop(0)
             self._next(scan)
         elif kind == "asked" and not error:
@@ -215,7 +215,7 @@ class _Spread:
             for begin, end in parts:
                 self._submit("rows", scan, work_on_rows, name, begin, end)
         elif kind == "rows":
-            scan.error = scan.error or error or str(found)
+            scan.error = scan.error or error or str(answer)
             scan.left -= 1
             if scan.left:
                 return None
@@ -225,10 +225,10 @@ class _Spread:
         elif error:
             return self._stopped(scan, error)
         else:
-            assert isinstance(found, Done)
-            scan.made += found.made
-            if found.error or kind == "rest":
-                return replace(found, made=tuple(scan.made))
+            assert isinstance(answer, Done)
+            scan.made += answer.made
+            if answer.error or kind == "rest":
+                return replace(answer, made=tuple(scan.made))
             scan.stages.pop(0)
             self._next(scan)
         return None

@@ -1,4 +1,4 @@
-"""What is to be done of a site, scan by scan, and what is done already."""
+"""Tasks of a site, scan by scan, with a record of finished files."""
 
 from __future__ import annotations
 
@@ -29,49 +29,49 @@ RECORD = "steps.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One scan, with all that a worker needs; the files are on a shared disk."""
+    """Task of one scan, with its files on a shared disk."""
 
     name: str
-    """Of the scan."""
+    """Name of the scan."""
     file: str
-    """Its cube; not looked at if it is simulated."""
+    """Cube of the scan; not used for a simulated one."""
     simulated_from: str | None
-    """Survey that it is simulated from."""
+    """Survey of a simulated scan."""
     seed: int
-    """Seed of that simulation."""
+    """Seed of the simulation."""
     method: str | None
-    """Rejection method; none is needed for a range image."""
+    """Rejection method; None for a range image."""
     polarization: str | None
-    """Channel to take."""
+    """Polarization channel."""
     interval: tuple[float, float] | None
     """Nearest and farthest slant range [m]."""
     folder: str
-    """Where its files go."""
+    """Folder of the files."""
     started: str
-    """When the run began for the first time (ISO 8601): all of it is dated so."""
+    """First start of the run (ISO 8601), the date of all its files."""
     tile_rows: int | None = None
-    """Rows that are worked on at once; None as many as hold a quarter of a million
+    """Rows of a tile; None for a quarter of a million
     samples."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Done:
-    """What became of a scan."""
+    """Result of a scan."""
 
     name: str
-    """Of the scan."""
+    """Name of the scan."""
     files: dict[str, str]
-    """Digests by the names of files in its folder."""
+    """Digests by the names of its files."""
     made: tuple[str, ...]
-    """Files that were made now; the others were there."""
+    """Files made in this run; others existed."""
     error: str = ""
-    """Why it stopped; empty if all is there."""
+    """Error that stopped it; empty for a finished scan."""
 
 
 def tasks_of(
     site: Site, output: Path, *, started: str, tile_rows: int | None = None
 ) -> tuple[Task, ...]:
-    """Return one task for each scan of a site."""
+    """Return the task of each scan of a site."""
     tasks = []
     for scan in site.scan:
         tasks.append(
@@ -92,24 +92,24 @@ def tasks_of(
 
 
 class Record:
-    """What is done of a scan, or of some rows of it, in a file beside the results."""
+    """Record of finished files of a scan, in a file beside them."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._new: list[str] = []
         self._steps: dict[str, dict[str, str]] = {}
         try:
-            found = json.loads((folder / RECORD).read_text("utf-8"))
-            self._steps = {str(name): dict(step) for name, step in found.items()}
+            content = json.loads((folder / RECORD).read_text("utf-8"))
+            self._steps = {str(name): dict(step) for name, step in content.items()}
         except (OSError, ValueError, TypeError, AttributeError):
             # None yet, or a record that is no record: everything is made anew.
             self._steps = {}
         self._now: dict[str, str] = {}
 
     def tidy(self) -> None:
-        """Remove what a worker that died was writing; nobody else writes here now."""
-        for left in self._folder.glob(".amulor-*"):
-            left.unlink(missing_ok=True)
+        """Remove unfinished files of a worker that died."""
+        for path in self._folder.glob(".amulor-*"):
+            path.unlink(missing_ok=True)
 
     def made(
         self,
@@ -119,7 +119,7 @@ class Record:
         how: dict[str, Any],
         make: Callable[[Path], Any],
     ) -> Path:
-        """Return a file, made now unless it is there, whole, and made of the same."""
+        """Return a file; make it unless it is complete and from the same inputs."""
         path = self._folder / name
         made_of = _made_of(_identified(of), how)
         if self._is_whole(name, made_of):
@@ -135,17 +135,17 @@ class Record:
         return path
 
     def identity(self, path: Path) -> str:
-        """Return what tells a file from others, without reading all of it."""
+        """Return the digest of a recorded file, or size and time of another one."""
         if path.parent == self._folder and path.name in self._steps:
             return self._steps[path.name]["digest"]
         try:
-            found = path.stat()
+            status = path.stat()
         except OSError as error:
             raise _unreadable(path, error) from error
-        return f"{found.st_size} B, {found.st_mtime_ns} ns"
+        return f"{status.st_size} B, {status.st_mtime_ns} ns"
 
     def is_made(self, name: str, *, of: Path | str, how: dict[str, Any]) -> bool:
-        """Return whether a file is there, whole, and made of the same."""
+        """Return whether a file exists, complete and from the same inputs."""
         return self._is_whole(name, _made_of(_identified(of), how))
 
     def _is_whole(self, name: str, made_of: str) -> bool:
@@ -157,7 +157,7 @@ class Record:
         )
 
     def done(self, name: str, *, error: str = "") -> Done:
-        """Return what became of the scan."""
+        """Return the result of the scan."""
         return Done(
             name=name, files=dict(self._now), made=tuple(self._new), error=error
         )
@@ -193,7 +193,7 @@ LOCAL = "local"
 
 
 def set_up_worker() -> None:
-    """Give compiled loops the threads of the worker, and end its sampling profiler."""
+    """Set the threads of compiled loops in a worker, and stop its profiler."""
     try:
         import distributed
 
@@ -246,17 +246,17 @@ def cluster_client(scheduler: str, workers: int | None) -> Iterator[Any]:
 
 
 class Work(Protocol):
-    """Pieces of work by their numbers; it goes to the workers as it is."""
+    """Pieces of work by number, sent to workers."""
 
     @property
     def file(self) -> str:
-        """Name of the file of a piece, in a folder of its own."""
+        """Name of the file of a piece, in a separate folder."""
 
     def made_of(self, number: int) -> dict[str, Any]:
-        """All that a piece follows from, as plain numbers and text."""
+        """Return the inputs of a piece, as numbers and text."""
 
     def write(self, number: int, path: Path) -> None:
-        """Do a piece, and write its file."""
+        """Compute a piece, and write its file."""
 
 
 def in_order(
@@ -287,26 +287,26 @@ def in_order(
                     f"the cluster was lost at piece {number}; run the same again, "
                     f"and what is whole in {folder} is kept"
                 ) from error
-            own = _own(folder, work, number)
+            piece_folder = _own(folder, work, number)
             made_of = work.made_of(number)
-            if not Record(own).is_made(work.file, of="", how=made_of):
+            if not Record(piece_folder).is_made(work.file, of="", how=made_of):
                 raise FormatError(
-                    f"{own / work.file} is not what a worker has made there; workers "
-                    "need the disk of that folder, under the same name"
+                    f"{piece_folder / work.file} is not what a worker has made there; "
+                    "workers need the disk of that folder, under the same name"
                 )
-            yield own / work.file
+            yield piece_folder / work.file
     finally:
         for _, future in waiting:
             future.cancel()
 
 
 def _do(packed: bytes, number: int, folder: str) -> None:
-    """Make the file of a piece, unless it is there."""
+    """Write the file of a piece, unless it exists."""
     set_up_worker()
     work = _unpacked(packed)
-    own = _own(Path(folder), work, number)
-    io.make_folder(own)
-    record = Record(own)
+    piece_folder = _own(Path(folder), work, number)
+    io.make_folder(piece_folder)
+    record = Record(piece_folder)
     record.tidy()
     record.made(
         work.file,
@@ -318,7 +318,7 @@ def _do(packed: bytes, number: int, folder: str) -> None:
 
 @lru_cache(maxsize=2)
 def _unpacked(packed: bytes) -> Work:
-    """Return work; what it remembers serves all pieces of a worker."""
+    """Return the unpacked work; cached for all pieces of a worker."""
     import distributed.protocol
 
     dask: Any = distributed
