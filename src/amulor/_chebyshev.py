@@ -63,12 +63,12 @@ class BoxSeries:
         height = np.abs(coefficients).max(axis=0)
         rising = np.argsort(height, kind="stable")
         small = np.cumsum(height[rising]) <= _LEFT_OUT * height.max()
-        kept = np.sort(rising[~small])
-        orders = np.zeros((len(kept), 3), dtype=np.int64)
+        order = np.sort(rising[~small])
+        orders = np.zeros((len(order), 3), dtype=np.int64)
         orders[:, : len(self._count)] = np.stack(
-            np.unravel_index(kept, self._count), axis=1
+            np.unravel_index(order, self._count), axis=1
         )
-        chosen = coefficients[:, kept].T
+        chosen = coefficients[:, order].T
         self._orders = orders
         self._terms = np.ascontiguousarray(np.hstack([chosen.real, chosen.imag]))
 
@@ -76,9 +76,9 @@ class BoxSeries:
         """Return the functions at places."""
         scaled = np.zeros((3, places.shape[1]))
         scaled[: len(places)] = (places - self._centre[:, None]) / self._half[:, None]
-        found = np.empty((self._terms.shape[1] // 2, places.shape[1]), dtype=complex)
-        _sum_up(scaled, self._orders, self._terms, found)
-        return found
+        sums = np.empty((self._terms.shape[1] // 2, places.shape[1]), dtype=complex)
+        _sum_up(scaled, self._orders, self._terms, sums)
+        return sums
 
 
 @numba.njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""numba for the loops of this package: compiled code on disk is never stale.
+"""Cache of compiled loops on disk, never stale.
 
 Files with compiled loops take numba from here. On disk numba keeps a compiled function
 until its own file changes, and does not see a change in another file whose functions,
@@ -55,7 +55,7 @@ _digests: dict[Path, tuple[object, str]] = {}
 
 
 def keep_fresh(package: Path) -> None:
-    """Let numba look at all sources that a function of a package is compiled from.
+    """Make numba check all sources that a compiled function depends on.
 
     To be called before the functions are decorated with `numba.njit(cache=True)`.
     Functions of other packages are stored as numba does it. What is stored of former
@@ -63,18 +63,18 @@ def keep_fresh(package: Path) -> None:
     """
     # Before version 0.61 of numba the class had a private name; a numba that has
     # neither stores as it does.
-    kept: Any = getattr(caching, "CacheImpl", getattr(caching, "_CacheImpl", None))
-    places = getattr(kept, "_locator_classes", None)
+    cache: Any = getattr(caching, "CacheImpl", getattr(caching, "_CacheImpl", None))
+    places = getattr(cache, "_locator_classes", None)
     if places:
         # One that goes by files on disk, whatever a version of numba calls it.
         by_file = [place for place in places if "UserWide" in place.__name__]
         last = [_last_resort(place) for place in by_file]
         fresh = (_fresh(place, package) for place in [*places, *last])
-        kept._locator_classes = [*fresh, *places]
+        cache._locator_classes = [*fresh, *places]
 
 
 def _fresh(place: Any, package: Path) -> Any:
-    """Return a locator of numba that knows of all files behind a function."""
+    """Return a locator of numba with all source files of a function."""
 
     class Fresh(place):  # type: ignore[misc]
         _digest = ""
@@ -88,8 +88,8 @@ def _fresh(place: Any, package: Path) -> Any:
             located = super().from_function(py_func, py_file)
             if located is not None:
                 located._digest = digest_of(path, package)
-                named = f"{path.stem}.{py_func.__qualname__}-"
-                located._function = re.sub("[<>]", "", named)  # as numba does
+                prefix = f"{path.stem}.{py_func.__qualname__}-"
+                located._function = re.sub("[<>]", "", prefix)  # as numba does
             return located
 
         def get_disambiguator(self) -> str:
@@ -108,7 +108,7 @@ def _fresh(place: Any, package: Path) -> Any:
 
 
 def _last_resort(place: Any) -> Any:
-    """Return a locator of numba whose files are in a temporary folder of the user."""
+    """Return a locator of numba in a temporary folder of the user."""
 
     class LastResort(place):  # type: ignore[misc]
         def __init__(self, py_func: Any, py_file: str) -> None:
@@ -121,7 +121,7 @@ def _last_resort(place: Any) -> Any:
 
 @cache
 def _temporary_folder() -> Path:
-    """Return the user's temporary folder for compiled code, and say so when it is new.
+    """Return the user's temporary folder for compiled code; report a new one.
 
     What lies in it is run, so no other user may be able to write there. If somebody
     can, or it cannot be told, a folder of this process alone takes its place.
@@ -130,17 +130,17 @@ def _temporary_folder() -> Path:
     above = Path(tempfile.gettempdir())
     if above == Path.cwd() and os.access("/dev/shm", os.W_OK):
         above = Path("/dev/shm")  # rather than among somebody's data
-    kept = above / f"amulor-compiled-{user}"
+    path = above / f"amulor-compiled-{user}"
     why = "neither the package's folder nor one of the user can be written"
     with suppress(OSError):
         if user is not None:
-            new = not os.path.lexists(kept)
-            kept.mkdir(mode=0o700, exist_ok=True)
-            if _only_written_by(user, kept):
+            new = not os.path.lexists(path)
+            path.mkdir(mode=0o700, exist_ok=True)
+            if _only_written_by(user, path):
                 if new:
-                    _LOG.warning(_KEPT, why, kept)
-                return kept
-            why += f", and others can write in {kept}"
+                    _LOG.warning(_KEPT, why, path)
+                return path
+            why += f", and others can write in {path}"
     alone = Path(tempfile.mkdtemp(prefix="amulor-compiled-", dir=above))
     atexit.register(shutil.rmtree, alone, ignore_errors=True)
     _LOG.warning(_NOT_KEPT, why)
@@ -148,20 +148,20 @@ def _temporary_folder() -> Path:
 
 
 def _only_written_by(user: int, folder: Path) -> bool:
-    """Return whether nobody else but root can write into a folder or replace it."""
-    own, above = folder.lstat(), folder.parent.stat()
+    """Return whether only the user and root can write into a folder or replace it."""
+    status, above = folder.lstat(), folder.parent.stat()
     sticky = bool(above.st_mode & stat.S_ISVTX)
     return (
-        stat.S_ISDIR(own.st_mode)
-        and own.st_uid == user
-        and stat.S_IMODE(own.st_mode) == 0o700
+        stat.S_ISDIR(status.st_mode)
+        and status.st_uid == user
+        and stat.S_IMODE(status.st_mode) == 0o700
         and above.st_uid in (0, user)
         and (sticky or not above.st_mode & 0o022)
     )
 
 
 class _Compiling(event.Listener):
-    """Reports that a loop is being compiled, and how many it needs.
+    """Report of the compilation of a loop, with the number of loops.
 
     numba compiles one at a time, whichever threads ask for it.
     """
@@ -171,33 +171,33 @@ class _Compiling(event.Listener):
         self._loops: list[Any] = []
 
     def on_start(self, event: Any) -> None:
-        """Count the loops behind the outermost one that have no code yet."""
+        """Count the uncompiled loops behind the outermost one."""
         if self._inside == 0:
             self._loops = loops_behind(event.data["dispatcher"])
         self._inside += 1
-        left = sum(not loop.overloads for loop in self._loops) or 1
-        noun = "loop" if left == 1 else "loops"
-        _progress.aside(f"{_progress.COMPILING}: {left} {noun} left")
+        remaining = sum(not loop.overloads for loop in self._loops) or 1
+        noun = "loop" if remaining == 1 else "loops"
+        _progress.aside(f"{_progress.COMPILING}: {remaining} {noun} left")
 
     def on_end(self, event: Any) -> None:
-        """Return to the step that waited, once the outermost loop is compiled."""
+        """End the report once the outermost loop is compiled."""
         self._inside -= 1
         if self._inside == 0:
             _progress.aside("")
 
 
 def loops_behind(loop: Any) -> list[Any]:
-    """Return a compiled loop and all that it calls."""
-    found = [loop]
-    for one in found:
-        names = one.py_func.__globals__
-        called = (names.get(name) for name in one.py_func.__code__.co_names)
-        found += [
-            other
-            for other in dict.fromkeys(each for each in called if _is_loop(each))
-            if other not in found
+    """Return a compiled loop and all loops that it calls."""
+    loops = [loop]
+    for compiled in loops:
+        names = compiled.py_func.__globals__
+        called = (names.get(name) for name in compiled.py_func.__code__.co_names)
+        loops += [
+            callee
+            for callee in dict.fromkeys(callee for callee in called if _is_loop(callee))
+            if callee not in loops
         ]
-    return found
+    return loops
 
 
 def _is_loop(value: Any) -> bool:
@@ -205,7 +205,7 @@ def _is_loop(value: Any) -> bool:
 
 
 def digest_of(path: Path, package: Path) -> str:
-    """Return a digest of a file and of all that it imports from its package.
+    """Return a digest of a file and of all imports from its package.
 
     Only imports at the left margin count: others are for types, or come after the
     decorators. A name of a package that imports lazily is followed to where it is from.
@@ -215,10 +215,10 @@ def digest_of(path: Path, package: Path) -> str:
         return _digests[path][1]
     files, waiting = {path: _source(path, package)}, [path]
     while waiting:
-        for found in _imported(files[waiting.pop()][0], package):
-            if found not in files:
-                files[found] = _source(found, package)
-                waiting.append(found)
+        for dependency in _imported(files[waiting.pop()][0], package):
+            if dependency not in files:
+                files[dependency] = _source(dependency, package)
+                waiting.append(dependency)
     digest = hashlib.sha256()
     for file in sorted(files, key=str):
         digest.update(str(file.relative_to(package)).encode() + b"\0" + files[file][1])
@@ -227,7 +227,7 @@ def digest_of(path: Path, package: Path) -> str:
 
 
 def _source(path: Path, package: Path) -> tuple[bytes, bytes]:
-    """Return a source, as it was when it was imported, and its digest."""
+    """Return a source at the time of its import, and its digest."""
     imported = _import_of(path, package)
     if path not in _read or _read[path][0] is not imported:
         text = path.read_bytes()
@@ -236,7 +236,7 @@ def _source(path: Path, package: Path) -> tuple[bytes, bytes]:
 
 
 def _import_of(path: Path, package: Path) -> object:
-    """Return what is another one for each import, `importlib.reload` included."""
+    """Return an object that differs after each import or `importlib.reload`."""
     parts = path.relative_to(package.parent).with_suffix("").parts
     name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
     return getattr(sys.modules.get(name), "__spec__", None)
@@ -245,35 +245,35 @@ def _import_of(path: Path, package: Path) -> object:
 @cache
 def _imported(text: bytes, package: Path) -> tuple[Path, ...]:
     """Return the files of a package that a source imports."""
-    found: set[Path | None] = set()
-    for origin, names, whole in _IMPORT.findall(text):
-        module = (origin or whole).decode()
+    files: set[Path | None] = set()
+    for origin, names, modules in _IMPORT.findall(text):
+        module = (origin or modules).decode()
         if module.partition(".")[0] != package.name:
             continue
         file = _file(module, package)
         if names and (file is None or file.stem == "__init__"):
             for name in _names(names):
-                found.update((file, _defined(module, name[0], package)))
+                files.update((file, _defined(module, name[0], package)))
         else:
-            found.add(file)
-    return tuple(path for path in found if path is not None)
+            files.add(file)
+    return tuple(path for path in files if path is not None)
 
 
 def _names(imported: bytes) -> list[list[str]]:
-    """Return the words of each name of an import: `name` or `name as other`."""
+    """Return the words of each imported name: `name` or `name as other`."""
     words = re.sub(rb"#.*", b"", imported).decode().strip("() \n").split(",")
     return [name.split() for name in words if name.strip()]
 
 
 def _defined(module: str, name: str, package: Path) -> Path | None:
-    """Return the file that a name of a package is from."""
+    """Return the file that defines a name of a package."""
     file = _file(f"{module}.{name}", package) or _file(module, package)
     if file is None or file != _file(module, package) or file.stem != "__init__":
         return file
     for origin, names, _ in _ANY_IMPORT.findall(file.read_bytes()):
         for words in _names(names):
-            same = (origin.decode(), words[0]) == (module, name)
-            if words[-1] == name and not same:
+            is_same = (origin.decode(), words[0]) == (module, name)
+            if words[-1] == name and not is_same:
                 return _defined(origin.decode(), words[0], package)
     return file
 

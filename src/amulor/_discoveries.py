@@ -1,4 +1,4 @@
-"""How improbable something must be where many are looked at for the improbable.
+"""False-discovery-rate threshold (Benjamini-Hochberg).
 
 Of what is called out, only a stated share is to be there by chance: Y. Benjamini and
 Y. Hochberg, J. R. Stat. Soc. B 57 (1995) 289-300,

@@ -1,4 +1,4 @@
-"""Optional dependencies: what each extra brings, asked for before work begins."""
+"""Optional dependencies, checked before the work."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MODULES = {
 
 
 def require(*extras: str, purpose: str) -> None:
-    """Refuse work that would fail on its way for want of a package."""
+    """Raise if an optional package is missing, before the work."""
     missing = {
         extra: [
             package
@@ -50,11 +50,11 @@ def require(*extras: str, purpose: str) -> None:
 
 
 def left_out(modules: Mapping[str, str]) -> dict[str, str]:
-    """Return what cannot be done here, and the extra that each of it needs."""
+    """Return the features that are not installed, and the extra of each."""
     return {
-        thing: next(
+        feature: next(
             extra for extra, brought in MODULES.items() if name in brought.values()
         )
-        for thing, name in modules.items()
+        for feature, name in modules.items()
         if find_spec(name) is None
     }

@@ -1,4 +1,4 @@
-"""Public names of a package imported when they are first used (PEP 562)."""
+"""Lazy import of the public names of a package (PEP 562)."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def attach(
 
 
 def _imported(module: str) -> ModuleType:
-    """Import a module; what it makes stays, so the garbage collector need not look."""
+    """Import a module without garbage collection, which would find nothing."""
     collects = gc.isenabled()
     gc.disable()
     try:

@@ -1,4 +1,4 @@
-"""Names of entry points of installed packages, listed without importing them."""
+"""Names of the entry points of installed packages, without their import."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is being done now, told to whoever listens: a bar, a log, or nobody.
+"""Progress of the work, for a bar, a log, or no listener.
 
 Work that may take seconds says so with `tell`, whoever called it; a command listens.
 Nothing has to be handed down through the functions between.
@@ -21,7 +21,7 @@ Listener = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class _Ear:
-    """A listener, and which share of its work is being done."""
+    """Listener, with the part of its work that is in progress."""
 
     listener: Listener
     begin: float = 0.0
@@ -36,7 +36,7 @@ _ears: list[_Ear] = []
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Tell a listener what is done inside, and nobody else."""
+    """Send the progress within the block to a listener."""
     reached = 0.0
 
     def rising(step: str, share: float) -> None:
@@ -57,7 +57,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def part(begin: float, end: float) -> Iterator[None]:
-    """Let what is told inside be a part of the work around it."""
+    """Count the progress within the block as a part of the work around it."""
     ear = _ear.get()
     if ear is None:
         yield
@@ -72,7 +72,7 @@ def part(begin: float, end: float) -> Iterator[None]:
 
 
 def tell(step: str, share: float) -> None:
-    """Say what is done now."""
+    """Report progress."""
     ear = _ear.get()
     if ear is not None:
         ear.steps[:] = [step]
@@ -80,7 +80,7 @@ def tell(step: str, share: float) -> None:
 
 
 def aside(step: str) -> None:
-    """Say what holds the present step up, or that it goes on, from any thread."""
+    """Report a delay of the present step, or its end, from any thread."""
     ear = _ear.get() or (_ears[-1] if _ears else None)
     if ear is not None:
         ear.listener(step or "".join(ear.steps), 0.0)

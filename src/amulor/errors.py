@@ -1,8 +1,8 @@
-"""Every error that amulor raises on purpose, except `ValueError` for formulas."""
+"""Errors of amulor, apart from `ValueError` for arguments of formulas."""
 
 
 class AmulorError(Exception):
-    """Base of all errors that a user can mend; its text is one line.
+    """Base of all errors that a user can correct; its text is one line.
 
     Examples
     --------
@@ -13,7 +13,7 @@ class AmulorError(Exception):
 
 
 class AmulorWarning(UserWarning):
-    """A result stands beyond the validity of its formula; its text is one line.
+    """A result is beyond the validity range of its formula; its text is one line.
 
     Examples
     --------
@@ -47,7 +47,7 @@ class SurveyError(AmulorError):
 
 
 class CubeError(AmulorError):
-    """A measurement cube lacks something, or has something it must not have.
+    """A measurement cube lacks a part, or has one that it must not have.
 
     Examples
     --------

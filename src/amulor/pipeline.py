@@ -46,18 +46,18 @@ _PIXELS = 2**17
 
 @dataclass(frozen=True, kw_only=True)
 class TiledStep:
-    """A step from one level of a scan to the next, in one piece or by rows."""
+    """Step from one level of a scan to the next, in one piece or by rows."""
 
     level: str
     """Level of the cube that it needs."""
     whole: Callable[[xr.Dataset], xr.Dataset]
-    """The step on a cube in one piece."""
+    """Function of the step on a cube in one piece."""
     fit: Callable[[tiles.Source], tiles.OfRows]
-    """Fit to a scan, for rows of it."""
+    """Function that fits the step to a scan, for work by rows."""
     halo: int = 0
     """Rows above and below a tile that its pixels depend on."""
     of: TiledStep | None = None
-    """The step whose result is the input; None for the scan itself."""
+    """Step whose result is the input; None for the scan itself."""
     how: dict[str, Any] = field(default_factory=dict)
     """Name and arguments, for the record of a run."""
 
@@ -85,7 +85,7 @@ def reject_step(method: str, **options: Any) -> TiledStep:
 
 
 def image_step(**options: Any) -> TiledStep:
-    """Range image with its edges and outliers flagged, as a step."""
+    """Range image with flagged edges and outliers, as a step."""
     ranges = TiledStep(
         level="target_signal",
         whole=lambda cube: fitted_range_image(cube, **options)[0],
@@ -104,7 +104,7 @@ def image_step(**options: Any) -> TiledStep:
 def _flagged(
     image: xr.Dataset, *, fit: tuple[float, ...] | None = None
 ) -> tuple[xr.Dataset, tuple[float, ...]]:
-    """Range image with edges and outliers flagged, and the limits of chance used."""
+    """Range image with flagged edges and outliers, and the thresholds used."""
     tell("edges and outliers", 0.0)
     return fitted_outliers(imaging.flag_mixed(image), fit=fit)
 
@@ -117,15 +117,15 @@ def steps_from(
     interval: tuple[float, float] | None = None,
     **options: Any,
 ) -> dict[str, TiledStep]:
-    """Return the steps from a level to the range image, in order, by what they make."""
-    found: dict[str, TiledStep] = {}
+    """Return the steps from a level to the range image, by the level of the result."""
+    steps: dict[str, TiledStep] = {}
     if level == "samples":
         if method is None:
             raise CubeError("samples become a range image by a rejection method only")
-        found["target_signal"] = reject_step(method, interval=interval, **options)
+        steps["target_signal"] = reject_step(method, interval=interval, **options)
     if level != "range_image":
-        found["range_image"] = image_step(interval=interval, polarization=polarization)
-    return found
+        steps["range_image"] = image_step(interval=interval, polarization=polarization)
+    return steps
 
 
 def run(
@@ -136,7 +136,7 @@ def run(
     interval: tuple[float, float] | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Process a cube up to the range image, its edges and outliers flagged.
+    """Process a cube up to the range image with flagged edges and outliers.
 
     Parameters
     ----------
@@ -197,30 +197,30 @@ class Prepared:
         self.treat = step.fit(self.input(source))
 
     def input(self, source: tiles.Source) -> tiles.Source:
-        """Return the rows that are processed: of the scan, or of the step before."""
+        """Return the input rows of a step: of the scan, or of the step before."""
         if self._before is None:
             return source
         return _Kept(Made(self._before, source), self.rows)
 
 
 class Made(tiles.Derived):
-    """The rows that a step makes of a scan."""
+    """Rows computed by a step."""
 
     def __init__(self, prepared: Prepared, source: tiles.Source) -> None:
         super().__init__(prepared.input(source))
         self._prepared = prepared
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows; the same for whatever tiles."""
+        """Return some rows, the same for any tiles."""
         halo = self._prepared.halo
         first = max(begin - halo, 0)
         wide = self._source.tile(first, min(end + halo, self.rows))
-        made = self._prepared.treat(wide, first)
-        return made.isel(row=slice(begin - first, end - first))
+        treated = self._prepared.treat(wide, first)
+        return treated.isel(row=slice(begin - first, end - first))
 
 
 class _Kept(tiles.Derived):
-    """Rows of which the last tile is kept: its end is the halo of the next one."""
+    """Rows with a cache of the last tile, whose end is the halo of the next one."""
 
     def __init__(self, source: tiles.Source, rows: int) -> None:
         super().__init__(source)
@@ -234,7 +234,7 @@ class _Kept(tiles.Derived):
         return self._source.head
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows; quickest in their order."""
+        """Return some rows, fastest in order."""
         joined = tiles.Whole(end - begin, self.columns)
         new = begin
         if self._last is not None and self._begin <= begin < self._end:
@@ -249,7 +249,7 @@ class _Kept(tiles.Derived):
 
 
 def window(step: TiledStep, source: tiles.Source, rows: int | None = None) -> int:
-    """Return how many rows a step makes at once."""
+    """Return the number of rows in a tile of a step."""
     if rows is not None:
         return rows
     few = tile_rows(source)
@@ -267,10 +267,10 @@ def run_step(
         return
     tell("scan-wide statistics", 0.0)
     prepared = Prepared(step, source, tile_rows(source) if rows is None else rows)
-    made = Made(prepared, source)
+    source_rows = Made(prepared, source)
     for begin, end in tiles.bands(source, window(step, source, rows)):
         tell(f"row {begin:,} of {source.rows:,}", begin / source.rows)
-        yield begin, made.tile(begin, end)
+        yield begin, source_rows.tile(begin, end)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,28 +278,28 @@ class Summary:
     """Summary of a step on a file."""
 
     head: xr.Dataset
-    """All that does not run over the rows, attributes included."""
+    """Everything without the dimension row, attributes included."""
     count: int
-    """Samples of a target signal, pixels of a range image."""
+    """Number of samples of a target signal, or pixels of a range image [1]."""
     usable: int
-    """Those that are numbers."""
+    """Number of finite values [1]."""
     flagged: int
-    """Those with a flag."""
+    """Number of flagged values [1]."""
     doubtful: int
-    """Those that are numbers and have a flag."""
+    """Number of finite values with a flag [1]."""
     flags: dict[str, int]
-    """How many have which flag."""
+    """Number of values with each flag [1]."""
     whole: xr.Dataset | None
-    """The result, if it was made in one piece."""
+    """Result, if processed in one piece."""
     comparison: Comparison | None = None
-    """Of all methods, for the method "auto"."""
+    """Comparison of all methods, for the method "auto"."""
 
 
 @contextmanager
 def opened(
     path: AnyPath, rows: int | None = None, *, level: str
 ) -> Iterator[tiles.Source]:
-    """Open a cube: in memory, or by rows if it is large or rows are stated."""
+    """Open a cube in memory, or by rows if it is large or rows are stated."""
     if rows is None and not is_large(path):
         tell(f"reading {path}", 0.0)
         yield tiles.InMemory(cubes.checked(io.read_cube(path), level, name=str(path)))
@@ -317,7 +317,7 @@ def run_file(
     rows: int | None = None,
     overwrite: bool = False,
 ) -> Summary:
-    """Run a step from a file to another one: a large one, or rows stated, by rows."""
+    """Run a step from file to file, by rows if it is large or rows are stated."""
     with opened(source, rows, level=step.level) as cube:
         return _written(step, cube, output, rows, overwrite=overwrite)
 
@@ -388,12 +388,12 @@ def reject_file(
             options["comparison"] = comparison
         with part(compared, 1.0):
             step = reject_step(method, **options)
-            made = _written(step, cube, output, rows, overwrite=overwrite)
-    return replace(made, comparison=comparison)
+            summary = _written(step, cube, output, rows, overwrite=overwrite)
+    return replace(summary, comparison=comparison)
 
 
 def _judged(source: tiles.Source, rows: int | None) -> xr.Dataset:
-    """Cube by which methods are compared: all of it, or by rows a sample."""
+    """Cube for the comparison of methods: all of it, or a sample by rows."""
     if rows is None and isinstance(source, tiles.InMemory):
         return source.cube
     return cubes.without_groups(tiles.sample_of(source), "truth")
@@ -414,26 +414,26 @@ def image_file(
 
 @dataclass(frozen=True)
 class Selection:
-    """Pixels that `amulor.imaging.leave_out` takes out."""
+    """Selection of pixels for `amulor.imaging.leave_out`."""
 
     good_only: bool = False
-    """All that carry a flag."""
+    """Whether all flagged pixels are excluded."""
     largest_uncertainty: float | None = None
-    """Those that are less certain [m]."""
+    """Largest uncertainty of a pixel [m]."""
     mixed: bool = False
-    """Mixed pixels and outliers."""
+    """Whether mixed pixels and outliers are excluded."""
 
 
 @dataclass(frozen=True)
 class CloudSummary:
-    """Summary of a cloud that was written by rows."""
+    """Summary of a cloud written by rows."""
 
     points: int
-    """Points."""
+    """Number of points [1]."""
     doubtful: int
-    """Those whose range is doubtful."""
+    """Number of points with a doubtful range [1]."""
     error_unknown: str = ""
-    """Why they state no error; empty if they do."""
+    """Reason for an unknown error; empty for a known one."""
 
 
 def cloud_file(
@@ -473,7 +473,7 @@ def cloud_file(
 def _counted(
     image: tiles.Source, selection: Selection, size: int
 ) -> tuple[CloudSummary, dict[str, int]]:
-    """Return how many points there will be, and how many are left out for what."""
+    """Count the points, and the excluded pixels by reason."""
     counts: Counter[str] = Counter()
     points = doubtful = 0
     words = ""
@@ -481,12 +481,12 @@ def _counted(
         tell(f"counting, row {begin:,} of {image.rows:,}", begin / image.rows)
         tile = image.tile(begin, end)
         words = words or cubes.error_unknown(tile)
-        gone, found = to_leave_out(tile, **vars(selection))
+        excluded, reasons = to_leave_out(tile, **vars(selection))
         # Reasons without a pixel stay in the list.
-        for reason, number in found.items():
+        for reason, number in reasons.items():
             counts[reason] += number
         flag = tile["quality_flag"].values
-        there = ((flag & UNUSABLE) == 0) & ~gone
-        points += int(there.sum())
-        doubtful += int((there & ((flag & int(DOUBTFUL)) != 0)).sum())
+        usable = ((flag & UNUSABLE) == 0) & ~excluded
+        points += int(usable.sum())
+        doubtful += int((usable & ((flag & int(DOUBTFUL)) != 0)).sum())
     return CloudSummary(points, doubtful, words), dict(counts)

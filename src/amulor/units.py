@@ -1,4 +1,4 @@
-"""Text with a unit becomes an SI float here and nowhere else, and back."""
+"""Conversion of text with a unit to an SI float, and back."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _EXAMPLES = {
 
 
 def example(quantity: str) -> str:
-    """Return a text that `parse` takes for a quantity, for messages and schemas.
+    """Return an example text of a quantity, for messages and schemas.
 
     Parameters
     ----------
@@ -99,19 +99,19 @@ def parse(text: str, quantity: str) -> float:
     >>> print(round(parse("77 degF", "temperature"), 9))
     25.0
     """
-    wanted = f'needed is the {quantity} as text such as "{_EXAMPLES[quantity]}"'
+    advice = f'needed is the {quantity} as text such as "{_EXAMPLES[quantity]}"'
     match = _NUMBER_AND_UNIT.fullmatch(text)
     if match is None:
-        raise ValueError(f"found {text!r}, which is no number with a unit; {wanted}")
+        raise ValueError(f"found {text!r}, which is no number with a unit; {advice}")
     number = float(match["number"])
     if not math.isfinite(number):
-        raise ValueError(f"found {text!r}, which is too large a number; {wanted}")
+        raise ValueError(f"found {text!r}, which is too large a number; {advice}")
     unit_text = (match["unit"] or "").strip()
     if unit_text.startswith("/"):
         unit_text = f"1{unit_text}"
     if not unit_text and quantity != "fraction":
-        raise ValueError(f"found {text!r}, a number without a unit; {wanted}")
-    return _convert(number, unit_text, quantity, text=text, wanted=wanted)
+        raise ValueError(f"found {text!r}, a number without a unit; {advice}")
+    return _convert(number, unit_text, quantity, text=text, advice=advice)
 
 
 def parse_frequencies(text: str) -> list[float]:
@@ -157,7 +157,7 @@ _MOST_FREQUENCIES = 100_000
 
 
 def _convert(
-    number: float, unit_text: str, quantity: str, *, text: str, wanted: str
+    number: float, unit_text: str, quantity: str, *, text: str, advice: str
 ) -> float:
     import pint
 
@@ -167,16 +167,16 @@ def _convert(
     # The reader of unit expressions raises errors of many kinds on odd text.
     except Exception:
         raise ValueError(
-            f"found {text!r}, whose unit {unit_text!r} is not known; {wanted}"
+            f"found {text!r}, whose unit {unit_text!r} is not known; {advice}"
         ) from None
     # Radian and steradian are pure numbers to the registry; here they are not,
     # so that "39 deg" is no frequency and "0.1 1/m" no angle.
     try:
-        found = registry.Quantity(number, unit).to(SI_UNITS[quantity])
+        converted = registry.Quantity(number, unit).to(SI_UNITS[quantity])
     except (pint.DimensionalityError, pint.OffsetUnitCalculusError):
         raise ValueError(
             f"found {text!r}, whose unit {unit_text!r} is not one of {quantity}; "
-            f"{wanted}"
+            f"{advice}"
         ) from None
     if (
         quantity in _ANGULAR_POWERS
@@ -184,9 +184,9 @@ def _convert(
     ):
         raise ValueError(
             f"found {text!r}, whose unit {unit_text!r} is not one of {quantity}; "
-            f"{wanted}"
+            f"{advice}"
         )
-    return float(found.magnitude)
+    return float(converted.magnitude)
 
 
 _ANGULAR_POWERS = {
@@ -212,7 +212,7 @@ _ANGULAR_UNITS = {
 
 
 def _angular_power(unit: pint.Unit) -> float:
-    """Return how often a unit holds an angle: 1 for deg, 2 for sr, 0 for Hz."""
+    """Return the power of angle in a unit: 1 for deg, 2 for sr, 0 for Hz."""
     parts = dict(unit._units)
     return sum(
         _ANGULAR_UNITS.get(str(name), 0) * float(str(power))

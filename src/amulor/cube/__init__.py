@@ -1,4 +1,4 @@
-"""The one format that measured and simulated data share."""
+"""The measurement cube, the common format of measured and simulated data."""
 
 from amulor.cube.accessor import (
     CubeAccessor,
@@ -53,5 +53,5 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """List the public names, not the modules that they come from."""
+    """List the public names only."""
     return sorted(__all__)

@@ -1,4 +1,4 @@
-"""Short ways into a cube: complex signals, groups, the geometry, the survey."""
+"""Access to a cube: complex signals, groups, geometry, survey."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
-    """Return the part of a cube that a file keeps in a group, under short names.
+    """Return a group of a cube, with short variable names.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def without_groups(cube: xr.Dataset, *groups: str) -> xr.Dataset:
     False
     """
     prefixes = tuple(f"{name}_" for name in groups or schema.GROUPS)
-    kept = [key for key in cube.data_vars if not str(key).startswith(prefixes)]
-    return cube[kept]
+    names = [key for key in cube.data_vars if not str(key).startswith(prefixes)]
+    return cube[names]
 
 
 def attach(cube: xr.Dataset, part: xr.Dataset, name: str) -> xr.Dataset:
@@ -148,7 +148,7 @@ def _survey_of(text: str) -> Survey:
 
 
 class CubeAccessor:
-    """`cube.amulor`: what every step asks of a cube, in one word.
+    """`cube.amulor`: signals, groups, geometry and survey of a cube.
 
     Parameters
     ----------
@@ -170,12 +170,12 @@ class CubeAccessor:
 
     @property
     def level(self) -> str:
-        """How far the cube has come: samples, target_signal, range_image, ..."""
+        """Level of the cube: samples, target_signal, range_image, ..."""
         return str(self._cube.attrs["level"])
 
     @property
     def restored(self) -> xr.Dataset:
-        """The cube with the dimensions that selecting a single value took away."""
+        """The cube with dimensions that a selection of single values removed."""
         return restore_dimensions(self._cube)
 
     @property
@@ -207,7 +207,7 @@ class CubeAccessor:
 
     @property
     def water_signal(self) -> xr.DataArray:
-        """Complex water signal that was taken out [V]."""
+        """Complex water signal that was subtracted [V]."""
         water = self._cube["water_in_phase"] + 1j * self._cube["water_quadrature"]
         return water.rename("water_signal").assign_attrs(
             units="V", long_name="water signal"
@@ -227,7 +227,7 @@ class CubeAccessor:
 
     @property
     def truth(self) -> xr.Dataset | None:
-        """What a simulated cube was made from; no processing step reads it."""
+        """True values of a simulated cube; no processing step reads them."""
         return group(self._cube, "truth")
 
     @property
@@ -238,12 +238,12 @@ class CubeAccessor:
 
     @property
     def geometry(self) -> dict[str, Any]:
-        """Positions and indices that turn a phase into a point in space."""
+        """Positions and refractive indices for the conversion of a phase to a point."""
         return dict(self._cube["geometry"].attrs)
 
 
 class _Accessor:
-    """Gives `cube.amulor`, made anew at each use.
+    """Descriptor of `cube.amulor`, made anew at each use.
 
     As xarray registers accessors, it keeps one with each cube, and the two refer to
     each other: cubes then stay in memory until the garbage collector comes by, which

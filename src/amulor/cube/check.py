@@ -1,4 +1,4 @@
-"""Checks that a dataset is what its level says, and names what is not."""
+"""Checks of a dataset against the schema of its level."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ def checked(
     >>> cubes.checked(crossed, "samples").sizes["polarization"]
     1
     """
-    whole = restore_dimensions(cube)
-    check(whole, level, name=name)
-    return whole
+    restored = restore_dimensions(cube)
+    check(restored, level, name=name)
+    return restored
 
 
 def check(
@@ -87,16 +87,16 @@ def check(
     ...     print(str(error)[:40])
     the cube: variable 'in_phase' is missing
     """
-    found = cube.attrs.get("level")
-    if found not in schema.LEVELS:
+    actual = cube.attrs.get("level")
+    if actual not in schema.LEVELS:
         raise CubeError(
-            f"{name}: attribute 'level' is {found!r}, but must be one of "
+            f"{name}: attribute 'level' is {actual!r}, but must be one of "
             f"{', '.join(schema.LEVELS)}; is this a file of amulor?"
         )
-    if level is not None and found != level:
+    if level is not None and actual != level:
         raise CubeError(
-            f"{name}: is of level {found}, but level {level} is needed here; "
-            f"{_how_to_reach(found, level)}"
+            f"{name}: is of level {actual}, but level {level} is needed here; "
+            f"{_how_to_reach(actual, level)}"
         )
     version = str(cube.attrs.get("amulor_schema_version"))
     if version != schema.SCHEMA_VERSION:
@@ -104,19 +104,19 @@ def check(
             f"{name}: attribute 'amulor_schema_version' is {version!r}, this amulor "
             f"reads {schema.SCHEMA_VERSION!r}; use the amulor that wrote the file"
         )
-    expected = schema.LEVELS[found]
+    expected = schema.LEVELS[actual]
     _check_names(cube, expected, name=name)
     for coordinate, spec in expected.coordinates.items():
         _check_variable(cube.coords, coordinate, spec, name=name, kind="coordinate")
     for variable, spec in expected.variables.items():
         _check_variable(cube.data_vars, variable, spec, name=name, kind="variable")
     _check_coordinates(cube, name=name)
-    own = {
+    variables = {
         variable: cube[variable]
         for variable in map(str, cube.data_vars)
         if variable in expected.variables
     }
-    check_values(own, name=name)
+    check_values(variables, name=name)
     _check_open_water(cube, name=name)
 
 
@@ -128,8 +128,8 @@ _COMMANDS = {
 }
 
 
-def _how_to_reach(found: str, level: str) -> str:
-    first, last = _STEPS.index(found), _STEPS.index(level)
+def _how_to_reach(actual: str, level: str) -> str:
+    first, last = _STEPS.index(actual), _STEPS.index(level)
     if first > last:
         return f"take the {level} file that it was made from"
     commands = [_COMMANDS[step] for step in _STEPS[first + 1 : last + 1]]
@@ -161,25 +161,25 @@ def _check_variable(
                 f"{spec.long_name} [{spec.units}] over ({', '.join(spec.dimensions)})"
             )
         return
-    found = container[variable]
-    if found.dims != spec.dimensions:
+    values = container[variable]
+    if values.dims != spec.dimensions:
         raise CubeError(
-            f"{name}: {kind} '{variable}' has dimensions {_listed(found.dims)}, needed "
-            f"are {_listed(spec.dimensions)}; transpose or rebuild it"
+            f"{name}: {kind} '{variable}' has dimensions {_listed(values.dims)}, "
+            f"needed are {_listed(spec.dimensions)}; transpose or rebuild it"
         )
-    if found.attrs.get("units") != spec.units:
+    if values.attrs.get("units") != spec.units:
         raise CubeError(
-            f"{name}: {kind} '{variable}' has units {found.attrs.get('units')!r}, "
+            f"{name}: {kind} '{variable}' has units {values.attrs.get('units')!r}, "
             f"needed is {spec.units!r}; convert the values and set the attribute"
         )
-    if not found.attrs.get("long_name"):
+    if not values.attrs.get("long_name"):
         raise CubeError(
             f"{name}: {kind} '{variable}' lacks the attribute 'long_name'; "
             f"write what it is, for example {spec.long_name!r}"
         )
-    if variable != "polarization" and found.dtype.kind not in "fiub":
+    if variable != "polarization" and values.dtype.kind not in "fiub":
         raise CubeError(
-            f"{name}: {kind} '{variable}' holds {found.dtype}, needed are numbers"
+            f"{name}: {kind} '{variable}' holds {values.dtype}, needed are numbers"
         )
 
 

@@ -1,4 +1,4 @@
-"""Flags of pixels from those of their samples: some samples can be left out."""
+"""Flags of pixels from flags of samples, and ranges without a known error."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ JOINT_OUTLIERS = 1 - 1e-9
 def flags_of_pixels(
     flag: NDArray[np.int16], *, most_outliers: float = BREAKDOWN
 ) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
-    """Return the flags of pixels, all frequencies together."""
+    """Combine the flags of all frequencies into flags of pixels."""
     unseen = (flag & QualityFlag.NO_TARGET) != 0
     # A target that half of the frequencies show is there: the others are left out.
     unseen &= unseen.mean(axis=0) <= _HALF
     outlying = (flag & QualityFlag.OUTLIER) != 0
-    # The rest of the frequencies tells the range without a few that disagree.
+    # The other frequencies determine the range without a few outliers.
     outlying &= outlying.mean(axis=0) <= most_outliers
-    each = np.where(unseen, flag & ~QualityFlag.NO_TARGET, flag)
-    each = np.where(outlying, each & ~QualityFlag.OUTLIER, each)
-    return np.bitwise_or.reduce(each, axis=0).astype(np.int16), unseen | outlying
+    flags = np.where(unseen, flag & ~QualityFlag.NO_TARGET, flag)
+    flags = np.where(outlying, flags & ~QualityFlag.OUTLIER, flags)
+    return np.bitwise_or.reduce(flags, axis=0).astype(np.int16), unseen | outlying
 
 
 WATER_NOT_REMOVED = flag_words()["pixel"]["NO_OPEN_WATER"]["short"]
@@ -80,19 +80,19 @@ def without_unknown_errors(cube: xr.Dataset) -> xr.Dataset:
     names = [name for name in _COMBINED if name in cube]
     if not names or "quality_flag" not in cube:
         return cube
-    known = (cube["quality_flag"].values & ERROR_UNKNOWN) == 0
-    if known.all():
+    valid = (cube["quality_flag"].values & ERROR_UNKNOWN) == 0
+    if valid.all():
         return cube
     return cube.assign(
         {
-            name: cube[name].copy(data=np.where(known, cube[name].values, np.nan))
+            name: cube[name].copy(data=np.where(valid, cube[name].values, np.nan))
             for name in names
         }
     ).assign_attrs({_WORDS: _words(cube)})
 
 
 def error_unknown(cube: xr.Dataset) -> str:
-    """Return why ranges of an image or a cloud state no error.
+    """Return the reason why ranges of an image or a cloud have no known error.
 
     Parameters
     ----------
@@ -126,9 +126,9 @@ def error_unknown(cube: xr.Dataset) -> str:
 
 
 def _words(cube: xr.Dataset) -> str:
-    """Return why the error is not known, from the flags or as the file says."""
+    """Return the reason for an unknown error, from flags and attribute."""
     flag = cube["quality_flag"].values if "quality_flag" in cube else np.zeros(1, int)
-    known = str(cube.attrs.get(_WORDS, ""))
+    attribute = str(cube.attrs.get(_WORDS, ""))
     reasons = {
         WATER_NOT_REMOVED: QualityFlag.NO_OPEN_WATER,
         _UNSETTLED: QualityFlag.RELATIVE,
@@ -136,5 +136,5 @@ def _words(cube: xr.Dataset) -> str:
     return "; ".join(
         words
         for words, reason in reasons.items()
-        if words in known or (flag & reason).any()
+        if words in attribute or (flag & reason).any()
     )

@@ -1,4 +1,4 @@
-"""Makes cubes from arrays, with the units, names and attributes of the schema."""
+"""Construction of cubes from arrays, with their units, names and attributes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def build(
     geometry: Mapping[str, Any],
     attributes: Mapping[str, Any],
 ) -> xr.Dataset:
-    """Make a cube of one level from plain arrays.
+    """Build a cube of one level from arrays.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def build(
 
 
 def open_water(variables: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """Make the open-water part of a cube, to be attached with `accessor.attach`.
+    """Build the open-water part of a cube, for `accessor.attach`.
 
     Parameters
     ----------
@@ -130,13 +130,13 @@ def _variable(
 
 @functools.cache
 def software_versions() -> dict[str, str]:
-    """Return the versions of amulor and of the packages that its numbers rest on."""
+    """Return the versions of amulor and of its numerical packages."""
     packages = ("amulor", "numpy", "scipy", "numba", "xarray", "h5netcdf")
     return {package: importlib.metadata.version(package) for package in packages}
 
 
 def digest(content: bytes | str | Path) -> str:
-    """Return the SHA-256 of a text, of bytes, or of what a file holds.
+    """Return the SHA-256 of a text, of bytes, or of the content of a file.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def attributes(level: str, *, title: str, source: str, **others: Any) -> dict[st
     >>> found["level"], found["title"], "history" in found
     ('samples', 'Tank', False)
     """
-    named = {
+    entries = {
         "Conventions": schema.CONVENTIONS,
         "title": title,
         "source": source,
@@ -197,7 +197,7 @@ def attributes(level: str, *, title: str, source: str, **others: Any) -> dict[st
         "software_versions": json.dumps(software_versions()),
         **others,
     }
-    return {key: value for key, value in named.items() if value is not None}
+    return {key: value for key, value in entries.items() if value is not None}
 
 
 _time: ContextVar[datetime.datetime | None] = ContextVar("_time", default=None)
@@ -205,7 +205,7 @@ _time: ContextVar[datetime.datetime | None] = ContextVar("_time", default=None)
 
 @contextmanager
 def dated(time: datetime.datetime) -> Iterator[None]:
-    """Give all history lines noted inside the same time, for reproducible files."""
+    """Give all history lines within the block the same time, for reproducible files."""
     token = _time.set(time)
     try:
         yield
@@ -214,7 +214,7 @@ def dated(time: datetime.datetime) -> Iterator[None]:
 
 
 def note(cube: xr.Dataset, step: str) -> xr.Dataset:
-    """Return a cube whose CF `history` has one more line, the newest last.
+    """Return a cube with a further line in its CF `history`, the newest last.
 
     Parameters
     ----------

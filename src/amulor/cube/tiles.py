@@ -1,4 +1,4 @@
-"""A cube row by row: where its tiles come from, and how they become one again."""
+"""A cube in tiles of rows: their sources, and their assembly."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ SAMPLES_AT_ONCE = 2**18
 
 
 def is_large(size: float) -> bool:
-    """Return whether a scan is processed by rows, by the bytes of a variable."""
-    stated = os.environ.get("AMULOR_LARGE", "").strip() or LARGE
+    """Return whether a scan is so large that it is processed by rows."""
+    limit = os.environ.get("AMULOR_LARGE", "").strip() or LARGE
     try:
-        return size > float(stated)
+        return size > float(limit)
     except ValueError:
         raise AmulorError(
-            f"AMULOR_LARGE is {stated!r}; state the bytes of a variable above which a "
+            f"AMULOR_LARGE is {limit!r}; state the bytes of a variable above which a "
             "scan is processed by rows, such as 64e6"
         ) from None
 
@@ -57,11 +57,11 @@ OfRows = Callable[[xr.Dataset, int], xr.Dataset]
 
 
 class Source(Protocol):
-    """Where the rows of a cube come from: memory, or a file."""
+    """Source of the rows of a cube: memory, or a file."""
 
     @property
     def head(self) -> xr.Dataset:
-        """All that does not run over the rows: shots, frequencies, attributes."""
+        """Everything without the dimension row: shots, frequencies, attributes."""
         ...
 
     @property
@@ -75,24 +75,24 @@ class Source(Protocol):
         ...
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return the rows from `begin` on, before `end`, with all of `head`."""
+        """Return the rows from `begin` to before `end`, with all of `head`."""
         ...
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of the same rows, and nothing else of them."""
+        """Return azimuth and elevation of these rows only."""
         ...
 
 
 @dataclass(frozen=True)
 class InMemory:
-    """The rows of a cube that is in memory."""
+    """Source of rows from a cube in memory."""
 
     cube: xr.Dataset
     """Any cube over rows and columns."""
 
     @property
     def head(self) -> xr.Dataset:
-        """All that does not run over the rows."""
+        """Everything without the dimension row."""
         names = [name for name, v in self.cube.variables.items() if "row" in v.dims]
         return self.cube.drop_vars(names)
 
@@ -107,7 +107,7 @@ class InMemory:
         return int(self.cube.sizes["column"])
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows; the whole cube itself if these are all."""
+        """Return some rows; for all of them the cube itself."""
         if begin == 0 and end >= self.rows:
             return self.cube
         return self.cube.isel(row=slice(begin, end))
@@ -118,7 +118,7 @@ class InMemory:
 
 
 class Derived:
-    """Rows that are made of as many rows of another source; the base of such sources.
+    """Base of sources whose rows are computed from those of another source.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Derived:
 
     @property
     def head(self) -> xr.Dataset:
-        """All that does not run over the rows."""
+        """Everything without the dimension row."""
         if self._head is None:
             self._head = InMemory(self.tile(0, 1)).head
         return self._head
@@ -148,16 +148,16 @@ class Derived:
         return self._source.columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows; what they are made of is up to the source."""
+        """Compute some rows from those of the source."""
         raise NotImplementedError
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of some rows, which nothing moves."""
+        """Return azimuth and elevation of some rows, the same as in the source."""
         return self._source.directions(begin, end)
 
 
 class Changed(Derived):
-    """The rows of a cube after a change that is the same for each of them.
+    """Source of rows with the same change to each.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def directions_of(cube: xr.Dataset) -> xr.Dataset:
 
 
 def bands(source: Source, rows: int | None = None) -> Iterator[tuple[int, int]]:
-    """Return the first and the end of the rows of each tile.
+    """Return the first row and the end of each tile.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def samples_of_row(source: Source) -> int:
 
 
 class Whole:
-    """Puts tiles together: arrays are made once, and each tile is copied to its place.
+    """Assembly of tiles in arrays that are allocated once.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ class Whole:
         self._arrays: dict[Any, np.ndarray[Any, Any]] = {}
 
     def put(self, tile: xr.Dataset, row: int, column: int = 0) -> None:
-        """Copy a tile to where it begins.
+        """Copy a tile to its rows.
 
         Parameters
         ----------
@@ -269,15 +269,15 @@ class Whole:
             array[place] = variable.values
 
     def made(self) -> xr.Dataset:
-        """Return the whole, with the attributes of the first tile."""
+        """Return the assembled cube, with the attributes of the first tile."""
         assert self._first is not None
         first = self._first
 
         def variable(name: Any) -> xr.Variable:
-            found = first.variables[name]
+            template = first.variables[name]
             if name not in self._arrays:
-                return found
-            return xr.Variable(found.dims, self._arrays[name], found.attrs)
+                return template
+            return xr.Variable(template.dims, self._arrays[name], template.attrs)
 
         return xr.Dataset(
             {name: variable(name) for name in first.data_vars},
@@ -294,7 +294,7 @@ _BAND = 8
 
 
 def sample_of(source: Source) -> xr.Dataset:
-    """Return a sample of a scan: bands of rows and columns that are spread over it.
+    """Return bands of rows and columns spread over a scan, as a sample of it.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def sample_of(source: Source) -> xr.Dataset:
 def _spread_bands(
     size: int, count: int
 ) -> tuple[Indices, list[tuple[int, int]], Indices]:
-    """Return indices of bands with gaps between, the bands, and where the gaps are."""
+    """Return indices of bands with gaps between them, the bands, and the gaps."""
     if count >= size:
         return np.arange(size), [(0, size)], np.zeros(0, dtype=int)
     number = max(count // _BAND, 1)
@@ -357,14 +357,14 @@ def _spread_bands(
 
 
 def _with_gap(strip: xr.Dataset) -> xr.Dataset:
-    """Return rows with one more, which is missing."""
+    """Return rows with a missing row appended."""
     last = strip.sizes["row"] - 1
     index = np.append(np.arange(last + 1), last)
     return _without(strip.isel(row=index), row=np.array([last + 1]))
 
 
 def _without(cube: xr.Dataset, **places: Indices) -> xr.Dataset:
-    """Return a cube of which some rows or columns count as missing."""
+    """Return a cube with some rows or columns marked as missing."""
     ((dimension, place),) = places.items()
     if not len(place):
         return cube
@@ -388,9 +388,9 @@ class Span:
     """Least and largest angles of the directions of a scan."""
 
     azimuth: tuple[float, float]
-    """Of the azimuths [rad]."""
+    """Least and largest azimuth [rad]."""
     elevation: tuple[float, float]
-    """Of the elevations [rad]."""
+    """Least and largest elevation [rad]."""
 
 
 def span_of(source: Source | xr.Dataset) -> Span:
@@ -399,16 +399,16 @@ def span_of(source: Source | xr.Dataset) -> Span:
         parts = [source]
     else:
         parts = [source.directions(begin, end) for begin, end in bands(source)]
-    found = []
+    spans = []
     for name in ("azimuth", "elevation"):
         angles = [part[name].values for part in parts]
-        found.append(
+        spans.append(
             (
                 min(float(np.min(angle)) for angle in angles),
                 max(float(np.max(angle)) for angle in angles),
             )
         )
-    return Span(*found)
+    return Span(*spans)
 
 
 def fit_on_sample(
@@ -418,7 +418,7 @@ def fit_on_sample(
     needs_span: bool = True,
     **options: Any,
 ) -> OfRows:
-    """Estimate the statistics of a scan on a sample of it, for work on any rows.
+    """Estimate the statistics of a scan from a sample of its rows.
 
     `step(cube, *, fit=None, span=None, **options)` returns its result and the
     statistics that it used: `fit`, or where that is None those of the cube. A step

@@ -1,4 +1,4 @@
-"""Puts back the dimensions that selecting a single value took from a cube."""
+"""Dimensions and values of a cube: restoring lost ones, refusing impossible ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["check_values"]
 
 
 def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
-    """Return a cube with all dimensions of its level, those of length 1 put back.
+    """Return a cube with all dimensions of its level, restored with length 1.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
     for group, variables in schema.GROUP_VARIABLES.items():
         expected |= {f"{group}_{name}": spec for name, spec in variables.items()}
     present = [spec for name, spec in expected.items() if name in cube.variables]
-    lost = {
+    missing = {
         dimension
         for spec in present
         for dimension in spec.dimensions
@@ -57,10 +57,10 @@ def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
         if dimension not in cube.dims
         and (dimension in cube.coords or dimension not in level.coordinates)
     }
-    if not lost:
+    if not missing:
         return cube
     restored = {
-        name: _restored(variable, expected.get(str(name)), lost)
+        name: _restored(variable, expected.get(str(name)), missing)
         for name, variable in cube.variables.items()
     }
     return xr.Dataset(
@@ -71,17 +71,17 @@ def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _restored(
-    variable: xr.Variable, spec: schema.Variable | None, lost: set[str]
+    variable: xr.Variable, spec: schema.Variable | None, missing: set[str]
 ) -> xr.Variable:
-    """Return a variable with lost dimensions, if it lacks nothing else."""
+    """Return a variable with restored dimensions, if it lacks nothing else."""
     if spec is None:
         return variable
-    left = tuple(name for name in spec.dimensions if name not in lost)
-    if variable.dims != left or left == spec.dimensions:
+    remaining = tuple(name for name in spec.dimensions if name not in missing)
+    if variable.dims != remaining or remaining == spec.dimensions:
         return variable
-    whole: xr.Variable = variable.set_dims(spec.dimensions)  # type: ignore[no-untyped-call]
+    expanded: xr.Variable = variable.set_dims(spec.dimensions)  # type: ignore[no-untyped-call]
     # A single text has a length, a coordinate of texts must not.
-    return whole.astype(object) if whole.dtype.kind == "U" else whole
+    return expanded.astype(object) if expanded.dtype.kind == "U" else expanded
 
 
 #: Detectors and lock-ins give volts; so much more is damage, or another unit [V].
@@ -95,30 +95,30 @@ _COMMON = (
 
 
 def check_values(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
-    """Raise if signals or their errors hold what no measurement gives.
+    """Raise if signals or their errors have impossible values.
 
     NaN is a sample that is missing. An uncertainty of zero is none: what follows
     divides by it.
     """
-    there = [part for part in _COMMON if part in variables]
-    if there and len(there) < len(_COMMON):
+    common = [part for part in _COMMON if part in variables]
+    if common and len(common) < len(_COMMON):
         missing = ", ".join(part for part in _COMMON if part not in variables)
         raise CubeError(
-            f"{name}: has {', '.join(there)}, but {missing} is missing; errors that "
+            f"{name}: has {', '.join(common)}, but {missing} is missing; errors that "
             "are shared need all three, or drop what there is of them"
         )
     for variable in map(str, variables):
-        found = variables[variable]
-        if "modulation_frequency" not in found.dims or found.dtype.kind != "f":
+        values = variables[variable]
+        if "modulation_frequency" not in values.dims or values.dtype.kind != "f":
             continue
         if variable.endswith("_uncertainty") and not variable.startswith("phase_"):
-            _check_uncertainty(found, variable, name=name)
-        elif found.attrs.get("units") == "V":
-            _check_signal(found, variable, name=name)
+            _check_uncertainty(values, variable, name=name)
+        elif values.attrs.get("units") == "V":
+            _check_signal(values, variable, name=name)
 
 
-def _check_uncertainty(found: xr.DataArray, variable: str, *, name: str) -> None:
-    values = found.values
+def _check_uncertainty(array: xr.DataArray, variable: str, *, name: str) -> None:
+    values = array.values
     if values.size == 0:
         return
     shared = variable.startswith("common_")
@@ -126,18 +126,18 @@ def _check_uncertainty(found: xr.DataArray, variable: str, *, name: str) -> None
     highest = np.fmax.reduce(values, axis=None)
     if lowest < 0 or (lowest == 0 and not shared):
         raise CubeError(
-            f"{name}: {variable} is {lowest:g} V {_place(found, lowest)}, but must be "
+            f"{name}: {variable} is {lowest:g} V {_place(array, lowest)}, but must be "
             "above 0 V; state the error of the samples, or make them NaN"
         )
     if highest > _LARGEST_SIGNAL:
         raise CubeError(
-            f"{name}: {variable} is {highest:g} V {_place(found, highest)}; make the "
+            f"{name}: {variable} is {highest:g} V {_place(array, highest)}; make the "
             "samples NaN that nothing is known of"
         )
 
 
-def _check_signal(found: xr.DataArray, variable: str, *, name: str) -> None:
-    values = found.values
+def _check_signal(array: xr.DataArray, variable: str, *, name: str) -> None:
+    values = array.values
     if values.size == 0:
         return
     for extreme in (
@@ -146,14 +146,14 @@ def _check_signal(found: xr.DataArray, variable: str, *, name: str) -> None:
     ):
         if abs(extreme) > _LARGEST_SIGNAL:
             raise CubeError(
-                f"{name}: {variable} is {extreme:g} V {_place(found, extreme)}, more "
+                f"{name}: {variable} is {extreme:g} V {_place(array, extreme)}, more "
                 f"than any instrument gives ({_LARGEST_SIGNAL:g} V); the file is "
                 "damaged, or its unit is not the volt"
             )
 
 
-def _place(found: xr.DataArray, value: float) -> str:
-    """Return where a value stands, in words."""
-    at = np.unravel_index(int(np.argmax(found.values == value)), found.shape)
-    words = [f"{axis} {index}" for axis, index in zip(found.dims, at, strict=True)]
+def _place(values: xr.DataArray, value: float) -> str:
+    """Return the coordinates of a value, as text."""
+    at = np.unravel_index(int(np.argmax(values.values == value)), values.shape)
+    words = [f"{axis} {index}" for axis, index in zip(values.dims, at, strict=True)]
     return f"at {', '.join(words)}"

@@ -1,4 +1,4 @@
-"""Small measured and simulated data that come with the package."""
+"""Sample data of the package, measured and simulated."""
 
 from amulor.samples.listing import Sample, copy, cube, sample, samples
 

@@ -1,4 +1,4 @@
-"""What sample data there are, where they are, and copies of them."""
+"""List, content and copies of sample data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LISTING = "samples.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """Data that come with the package.
+    """Sample data of the package.
 
     Examples
     --------
@@ -37,21 +37,21 @@ class Sample:
     """
 
     name: str
-    """What it is asked for by."""
+    """Name."""
     title: str
-    """What it is."""
+    """Title."""
     files: tuple[str, ...]
-    """Names of its files."""
+    """Names of the files."""
     origin: str
-    """Measured, simulated or acquired with simulated devices, and how or by whom."""
+    """Origin: measured, simulated or acquired with simulated devices, with source."""
     licence: str
     """SPDX identifier."""
     shows: str
-    """What can be learned from it."""
+    """Purpose of the data."""
     commands: tuple[str, ...]
-    """What to try, in the folder of the copies."""
+    """Example commands, in the folder of the copies."""
     folder: str = ""
-    """Folder of its files inside the data of the package."""
+    """Folder of the files within the package data."""
 
     @property
     def size(self) -> int:
@@ -59,7 +59,7 @@ class Sample:
         return sum(len(self.read(name)) for name in self.files)
 
     def read(self, name: str) -> bytes:
-        """Return the content of one of its files.
+        """Return the content of a file.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ def _data() -> Traversable:
 
 @cache
 def samples() -> dict[str, Sample]:
-    """Return all sample data by their names.
+    """Return all sample data by name.
 
     Returns
     -------
@@ -111,15 +111,15 @@ def samples() -> dict[str, Sample]:
     return {
         name: Sample(
             name=name,
-            title=one["title"],
-            files=tuple(one["files"]),
-            origin=one["origin"],
-            licence=one["licence"],
-            shows=one["shows"],
-            commands=tuple(one["commands"]),
-            folder=one.get("folder", ""),
+            title=sample["title"],
+            files=tuple(sample["files"]),
+            origin=sample["origin"],
+            licence=sample["licence"],
+            shows=sample["shows"],
+            commands=tuple(sample["commands"]),
+            folder=sample.get("folder", ""),
         )
-        for name, one in listed.items()
+        for name, sample in listed.items()
     }
 
 
@@ -150,14 +150,14 @@ def sample(name: str) -> Sample:
     try:
         return samples()[name]
     except KeyError:
-        known = ", ".join(samples())
+        names = ", ".join(samples())
         raise ValueError(
-            f"there are no sample data {name!r}; there are {known}"
+            f"there are no sample data {name!r}; there are {names}"
         ) from None
 
 
 def cube(name: str) -> xr.Dataset:
-    """Return a sample cube, ready to work with; nothing is written.
+    """Load a sample cube.
 
     Parameters
     ----------
@@ -184,16 +184,17 @@ def cube(name: str) -> xr.Dataset:
 
 
 @cache
-def _read(found: Sample) -> xr.Dataset:
+def _read(sample: Sample) -> xr.Dataset:
     from amulor.io import read_cube
 
-    file = found.files[0]
+    file = sample.files[0]
     if not file.endswith(".nc"):
         raise ValueError(
-            f"sample data {found.name!r} are not a cube but {', '.join(found.files)}; "
-            "write them by amulor.samples.copy and import them as their commands say"
+            f"sample data {sample.name!r} are not a cube but "
+            f"{', '.join(sample.files)}; write them by amulor.samples.copy "
+            "and import them as their commands say"
         )
-    with resources.as_file(_data().joinpath(found.folder, file)) as path:
+    with resources.as_file(_data().joinpath(sample.folder, file)) as path:
         return read_cube(path)
 
 
@@ -230,17 +231,17 @@ def copy(
     >>> [path] = samples.copy("ladder", "course")  # doctest: +SKIP
     >>> cube = read_cube(path)  # doctest: +SKIP
     """
-    found = sample(name)
+    chosen = sample(name)
     place = Path(folder)
-    paths = tuple(place / file for file in found.files)
-    there = [str(path) for path in paths if path.exists()]
-    if there and not overwrite:
+    paths = tuple(place / file for file in chosen.files)
+    existing = [str(path) for path in paths if path.exists()]
+    if existing and not overwrite:
         raise FormatError(
-            f"{', '.join(there)} is there already; choose another folder, or allow to "
-            "overwrite it"
+            f"{', '.join(existing)} is there already; choose another folder, or allow "
+            "to overwrite it"
         )
     make_folder(place)
     for path in paths:
         with atomic_output(path, overwrite=overwrite) as temporary:
-            temporary.write_bytes(found.read(path.name))
+            temporary.write_bytes(chosen.read(path.name))
     return paths
