@@ -195,8 +195,7 @@ def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
     with contextlib.ExitStack() as opened:
         # A device that another scan drives receives no command.
         locks = opened.enter_context(contextlib.ExitStack())
-        for address in _addresses(settings):
-            locks.callback(hold(address).release)
+        locks.callback(hold(*_addresses(settings)).release)
         lock_in = chosen.lock_in_of(settings, clock)
         opened.callback(lock_in.close)
         stages = chosen.Stages(clock, opened)
