@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from amulor.site.registration.network import (
     Ties,
 )
 from amulor.site.registration.pose import ScanPose
+from amulor.site.registration.reliability import reliabilities
 from amulor.site.registration.surface import scan_surface, shared_errors
 
 ERRORS = scanning.Errors(own=5e-4, delay=1e-3, index=2e-4, reference=5e-4)
@@ -189,7 +191,7 @@ def test_control_points_and_a_scale_bar_place_a_scan_within_what_is_stated() -> 
     }  # fmt: skip
     pose = ScanPose(*scanning.looking((1.0, 2.0, 3.0), (0.0, 0.0, 0.0)))
     world = {name: pose.place(point[None])[0] for name, point in places.items()}
-    index, scores, scales = 2e-3, [], []
+    index, scores, scales, residuals = 2e-3, [], [], []
     start = KnownPose(pose=pose, covariance=np.diag([1.0] * 3 + [0.1] * 3))
     noise = np.diag([1e-3, 2e-3, 5e-4]) ** 2
     sigma = np.array([2e-3, 2e-3, 4e-3])
@@ -218,6 +220,11 @@ def test_control_points_and_a_scale_bar_place_a_scan_within_what_is_stated() -> 
         for _ in range(4):
             state = network.step(state, [], ties, []).state
         spread, layout = network.covariance(state, [], ties, [], {})
+        lines = reliabilities(state, spread, layout, ties)
+        residuals.append([line.score for line in lines])
+        # 6 of the start, 1 of the index, 12 of targets, 9 of control, 1 of the bar,
+        # less 6, 12 and 1 unknowns.
+        assert sum(line.redundancy for line in lines) == pytest.approx(10, abs=0.01)
         placed = state.poses["s"]
         turn = Rotation.from_matrix(placed.rotation @ pose.rotation.T).as_rotvec()
         wrong = np.zeros(layout.size)
@@ -231,5 +238,34 @@ def test_control_points_and_a_scale_bar_place_a_scan_within_what_is_stated() -> 
         scales.append(float(spread[layout.at["error", "index"]][0, -1]))
     # Six of the pose, twelve of the targets, one of the index.
     held(scores, 19, least=0.9)
+    # Standardized residuals have the variance 1: 100 draws know it to 0.14 each.
+    checked = np.array([line.detectable is not None for line in lines])
+    # The start was not drawn.
+    checked[:6] = False
+    spreads = np.sqrt(np.mean(np.square(residuals), axis=0))[checked]
+    assert np.abs(spreads - 1).max() < 0.35
+    # Without any other error one of the minimal detectable size has the standardized
+    # residual 3.2905 + 0.8416: the quantiles of 1e-3, both sides, and of 80 percent.
+    (line,) = (x for x in lines if (x.observation, x.part) == ("control B", "north"))
+    assert line.detectable is not None
+    exact = {
+        name: KnownPoint(position=world[name] + 0.0, sigma=sigma) for name in control
+    }
+    exact["B"].position[1] += line.detectable
+    plain = [
+        replace(centre, position=places[centre.target].copy()) for centre in centres
+    ]
+    bar = KnownDistance(ends=("A", "B"), length=length, sigma=1e-3)
+    ties = Ties(start={"s": start}, centres=plain, control=exact, bars=[bar])
+    state = State({"s": pose}, dict(world), {"index": 0.0})
+    for _ in range(6):
+        state = network.step(state, [], ties, []).state
+    spread, layout = network.covariance(state, [], ties, [], {})
+    by_name = {
+        (x.observation, x.part): x for x in reliabilities(state, spread, layout, ties)
+    }
+    # The size is that of a draw, whose targets lay some millimetres elsewhere.
+    assert abs(by_name["control B", "north"].score) == pytest.approx(4.132, rel=0.06)
+    assert by_name["control B", "north"].residual < 0
     # The bar tells the index better than it was known.
     assert max(scales) < 0.3

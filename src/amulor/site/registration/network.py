@@ -329,19 +329,28 @@ def projector(
 
 def _add_centre(system: System, centre: Centre, state: State, layout: Layout) -> None:
     """Add a target as one scan saw it."""
+    off, row, at = centre_derivatives(centre, state, layout)
+    rotation = state.poses[centre.scan].rotation
+    weight = np.linalg.inv(rotation @ centre.covariance @ rotation.T)
+    system.add_prior(at, row.T @ weight @ row, row.T @ weight @ off)
+
+
+def centre_derivatives(
+    centre: Centre, state: State, layout: Layout
+) -> tuple[Floats, Floats, Numbers]:
+    """Return the residual of a target in a scan, its derivatives and their unknowns."""
     pose = state.poses[centre.scan]
     arm = pose.turn(centre.position)
-    moved = [pose.turn(shift) for shift in centre.shared.values()]
-    known = [state.errors[key] for key in centre.shared]
+    shifts = [pose.turn(shift) for shift in centre.shared.values()]
     off = arm + pose.position - state.points[centre.target]
-    for shift, value in zip(moved, known, strict=True):
-        off = off - value * shift
+    for shift, key in zip(shifts, centre.shared, strict=True):
+        off = off - state.errors[key] * shift
     row = np.hstack(
         [
             np.eye(3),
             -cross_matrix(arm),
             -np.eye(3),
-            -np.array(moved).T.reshape(3, len(moved)),
+            -np.array(shifts).T.reshape(3, len(shifts)),
         ]
     )
     at = np.concatenate(
@@ -351,9 +360,7 @@ def _add_centre(system: System, centre: Centre, state: State, layout: Layout) ->
             layout.columns("error", list(centre.shared), 1),
         ]
     )
-    turned = pose.rotation @ centre.covariance @ pose.rotation.T
-    weight = np.linalg.inv(turned)
-    system.add_prior(at, row.T @ weight @ row, row.T @ weight @ off)
+    return off, row, at
 
 
 def _of_noise(

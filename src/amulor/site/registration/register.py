@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from amulor._progress import part, tell
 from amulor.errors import CubeError
@@ -32,6 +32,7 @@ from amulor.site.registration.pose import (
     start_covariance,
     start_pose,
 )
+from amulor.site.registration.reliability import reliabilities
 from amulor.site.registration.result import (
     Contradiction,
     Registration,
@@ -245,6 +246,7 @@ def _result(
         settled=found.settled,
         fixed=ties.fixed or "",
         patterns=found.patterns,
+        reliability=reliabilities(found.state, found.covariance, found.layout, ties),
     )
     return replace(result, weaknesses=_weak(result, ties, surfaces))
 
@@ -277,6 +279,16 @@ def _contradictions(found: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
                 Contradiction(
                     scan="", error=key, shift=0.0, turn=0.0, stated_shift=0.0,
                     stated_turn=0.0, score=value**2,
+                )
+            )  # fmt: skip
+    for line in reliabilities(found.state, found.covariance, found.layout, ties):
+        kind = line.observation.partition(" ")[0]
+        if kind in ("control", "bar") and abs(line.score) > norm.isf(_CHANCE / 2):
+            contradicting.append(
+                Contradiction(
+                    scan="", error=f"{line.observation}, {line.part}",
+                    shift=line.residual, turn=0.0, stated_shift=line.uncertainty,
+                    stated_turn=0.0, score=line.score**2,
                 )
             )  # fmt: skip
     pattern = contradicted(found.patterns)

@@ -15,6 +15,7 @@ from amulor.errors import FormatError
 from amulor.io.files import atomic_output
 from amulor.site.registration.patterns import PATTERNS, PatternTest
 from amulor.site.registration.pose import ScanPose, cross_matrix
+from amulor.site.registration.reliability import Reliability
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +42,8 @@ class Contradiction:
     scan: str
     """Name of the scan; empty for an error that several share."""
     error: str
-    """Key of the shared error, or of a pattern of a scan; empty for a start pose."""
+    """Key of the shared error, of a pattern of a scan, or of a control point or scale
+    bar; empty for a start pose."""
     shift: float
     """Distance of the pose from its start pose, or size of a pattern [m]."""
     turn: float
@@ -65,6 +67,13 @@ class Contradiction:
                 "its neighbours, which no pose and no stated error explains; look "
                 "whether the instrument drifted or its delay changed, or state the "
                 "drift of this scan"
+            )
+        if self.error.startswith(("control ", "bar ")):
+            return (
+                f"{self.error}: the scans put it {self.shift * 1e3:+.1f} mm off, which "
+                f"is stated to {self.stated_shift * 1e3:.1f} mm (standardized residual "
+                f"{np.sqrt(self.score):.1f}); check its value, the pixel of its "
+                "target, and for a length the index of the water"
             )
         if self.error:
             return (
@@ -116,6 +125,9 @@ class Registration:
     """Scan whose axes are those of the site, where nothing ties it to the world."""
     patterns: tuple[PatternTest, ...] = ()
     """Tests of errors of each scan over rows, columns, range and angle."""
+    reliability: tuple[Reliability, ...] = ()
+    """Redundancy and minimal detectable error of start poses, targets, control points
+    and scale bars."""
 
     def covariance_of(self, *names: str) -> Floats:
         """Return the covariance of some unknowns, as named in `places`."""
@@ -144,6 +156,20 @@ def relative_covariance(result: Registration, name: str, other: str) -> Floats:
     return np.asarray(rows @ both @ rows.T)
 
 
+def plan_ellipse(covariance: Floats) -> dict[str, float]:
+    """Return the standard ellipse of a position in plan: half axes and azimuth.
+
+    The azimuth is that of the long axis, clockwise from north.
+    """
+    values, axes = np.linalg.eigh(covariance[:2, :2])
+    east, north = axes[:, 1]
+    return {
+        "long_m": float(np.sqrt(max(values[1], 0.0))),
+        "short_m": float(np.sqrt(max(values[0], 0.0))),
+        "azimuth_rad": float(np.arctan2(east, north) % np.pi),
+    }
+
+
 def write_registration(
     result: Registration, path: str | Path, *, overwrite: bool = False
 ) -> None:
@@ -165,6 +191,7 @@ def write_registration(
                 "standard_uncertainty": np.sqrt(
                     np.diag(result.covariance_of(f"pose {name}"))
                 ).tolist(),
+                "plan_ellipse": plan_ellipse(result.covariance_of(f"pose {name}")),
             }
             for name, pose in result.poses.items()
         },
@@ -177,6 +204,7 @@ def write_registration(
         "good": not result.contradictions,
         "contradictions": [vars(one) for one in result.contradictions],
         "patterns": [vars(test) for test in result.patterns],
+        "reliability": [vars(line) for line in result.reliability],
         "places": result.places,
         "covariance": result.covariance.tolist(),
     }
@@ -241,4 +269,5 @@ def _registration_of(content: dict[str, Any]) -> Registration:
         settled=bool(content["settled"]),
         fixed=content["fixed"],
         patterns=tuple(PatternTest(**test) for test in content["patterns"]),
+        reliability=tuple(Reliability(**line) for line in content["reliability"]),
     )

@@ -1,0 +1,115 @@
+r"""Reliability of start poses, targets, control points and scale bars (W. Baarda).
+
+With the residual v of an observation, its covariance K, :math:`P = K^{-1}` and the
+covariance of residuals :math:`Q = K - J C J^T` of an adjustment with the covariance C:
+redundancy numbers are the diagonal of :math:`Q P`, the standardized residual is
+:math:`w_i = (P v)_i / \sqrt{(P Q P)_{ii}}`, and the minimal detectable error is
+:math:`\delta_0 / \sqrt{(P Q P)_{ii}}` (Baarda, A testing procedure for use in geodetic
+networks, 1968).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from amulor.site.registration.network import Layout, State, Ties, centre_derivatives
+from amulor.site.registration.pose import departure
+
+Floats = NDArray[np.float64]
+
+#: Non-centrality: power 80 %, chance 1e-3 of a false alarm [1].
+_NON_CENTRALITY = float(norm.isf(1e-3 / 2) + norm.isf(1 - 0.8))
+#: An observation with a smaller redundancy is checked by nothing [1].
+_UNCHECKED = 1e-3
+_SHIFTS = ("east", "north", "up")
+_TURNS = ("about east", "about north", "about up")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reliability:
+    """Reliability of one number that was stated or measured."""
+
+    observation: str
+    """Kind and name, such as "start a2", "control S1" or "bar S1 S2"."""
+    part: str
+    """Coordinate, or axis of the angle."""
+    residual: float
+    """Adjusted less stated value [m, rad, 1]."""
+    uncertainty: float
+    """Stated standard uncertainty [m, rad, 1]."""
+    redundancy: float
+    """Part of an error that shows in the residual, 0 to 1 [1]."""
+    score: float
+    """Standardized residual w; 0 where nothing checks the number [1]."""
+    detectable: float | None
+    """Minimal detectable error, None where nothing checks the number [m, rad, 1]."""
+
+
+def reliabilities(
+    state: State, covariance: Floats, layout: Layout, ties: Ties
+) -> tuple[Reliability, ...]:
+    """Return the reliability of all numbers that tie scans, but of their surfaces."""
+    lines: list[Reliability] = []
+    for name, parts, residual, stated, columns, rows in _observations(
+        state, layout, ties
+    ):
+        free = columns >= 0
+        at, design = columns[free], rows[:, free]
+        spread = stated - design @ covariance[np.ix_(at, at)] @ design.T
+        weight = np.linalg.inv(stated)
+        redundancy = np.clip(np.diag(spread @ weight), 0.0, 1.0)
+        information = np.diag(weight @ spread @ weight)
+        for number, part in enumerate(parts):
+            checked = redundancy[number] > _UNCHECKED and information[number] > 0
+            root = float(np.sqrt(information[number])) if checked else np.inf
+            lines.append(
+                Reliability(
+                    observation=name,
+                    part=part,
+                    residual=float(residual[number]),
+                    uncertainty=float(np.sqrt(stated[number, number])),
+                    redundancy=float(redundancy[number]),
+                    score=float((weight @ residual)[number]) / root,
+                    detectable=_NON_CENTRALITY / root if checked else None,
+                )
+            )
+    return tuple(lines)
+
+
+def _observations(
+    state: State, layout: Layout, ties: Ties
+) -> Iterator[tuple[str, tuple[str, ...], Floats, Floats, NDArray[np.intp], Floats]]:
+    """Yield name, parts, residual, covariance, unknowns and derivatives of each."""
+    for name, start in ties.start.items():
+        residual = departure(state.poses[name], start.pose)
+        columns = layout.columns("pose", [name], 6)
+        parts = (*_SHIFTS, *_TURNS)
+        yield f"start {name}", parts, residual, start.covariance, columns, np.eye(6)
+    for key, value in state.errors.items():
+        columns = layout.columns("error", [key], 1)
+        yield f"error {key}", ("",), np.array([value]), np.eye(1), columns, np.eye(1)
+    for centre in ties.centres:
+        residual, rows, columns = centre_derivatives(centre, state, layout)
+        rotation = state.poses[centre.scan].rotation
+        stated = rotation @ centre.covariance @ rotation.T
+        name = f"target {centre.target} in {centre.scan}"
+        yield name, _SHIFTS, residual, stated, columns, rows
+    for name, point in ties.control.items():
+        residual = state.points[name] - point.position
+        columns = layout.columns("point", [name], 3)
+        stated = np.asarray(np.diag(point.sigma**2), dtype=float)
+        yield f"control {name}", _SHIFTS, residual, stated, columns, np.eye(3)
+    for bar in ties.bars:
+        first, second = (state.points[end] for end in bar.ends)
+        length = float(np.linalg.norm(first - second))
+        unit = (first - second) / max(length, 1e-9)
+        columns = layout.columns("point", bar.ends, 3)
+        rows = np.concatenate([unit, -unit])[None]
+        residual = np.array([length - bar.length])
+        stated = np.array([[bar.sigma**2]])
+        yield f"bar {' '.join(bar.ends)}", ("length",), residual, stated, columns, rows
