@@ -80,6 +80,7 @@ sphinx_gallery_conf = {
     "show_memory": False,
     "show_signature": False,
     "within_subsection_order": "FileNameSortKey",
+    "reset_modules": ("matplotlib", "gallery_style.apply"),
 }
 # The canvas of the gallery cannot be shown.
 warnings.filterwarnings("ignore", message=".*FigureCanvasAgg is non-interactive.*")
@@ -90,7 +91,7 @@ html_title = f"amulor {release}"
 html_static_path = ["_static"]
 html_search_scorer = str(HERE / "_static" / "scorer.js")
 html_css_files = ["site.css"]
-html_js_files = ["copy.js", "learn/tables.js", "learn/learn.js"]
+html_js_files = ["copy.js", "enlarge.js", "learn/tables.js", "learn/learn.js"]
 html_theme_options = {
     "header_links_before_dropdown": 6,
     "navbar_align": "left",

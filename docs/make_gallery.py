@@ -98,6 +98,7 @@ def page(study: dict[str, Any]) -> str:
     every = [
         Check(**check) for figure in study["figures"] for check in figure["checks"]
     ]
+    looked_into = {entry["figure"] for entry in study["sensitivity"]}
     parts = [
         "# The figures of Ricci et al. 2010, redrawn",
         "Made by `python docs/make_gallery.py`; `amulor reproduce ricci2010` makes the "
@@ -127,9 +128,9 @@ def page(study: dict[str, Any]) -> str:
         "## What does not hold, and why",
         (DOCS / "gallery" / "ricci2010-discussion.md").read_text().strip(),
         "## What the conclusions depend on",
-        "Every number that is not printed in the paper was taken to both ends of its "
-        f"range, one at a time, for figures {_looked_into(study)}. These conclusions "
-        "flip; all others of these figures hold, or fail, at both ends of every range.",
+        "Each number that the paper does not print was set to both ends of its range, "
+        "one at a time. The table lists the conclusions that change. All other "
+        f"conclusions of these {len(looked_into)} figures do not depend on them.",
         _table(
             ["figure", "statement", "as it is", "flips when"],
             [
@@ -165,12 +166,6 @@ def page(study: dict[str, Any]) -> str:
         ),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _looked_into(study: dict[str, Any]) -> str:
-    """Return the figures whose dependences are known, in words."""
-    numbers = [str(n) for n in sorted({e["figure"] for e in study["sensitivity"]})]
-    return " and ".join([", ".join(numbers[:-1]), numbers[-1]][-len(numbers) :])
 
 
 def _table(header: list[str], rows: list[list[str]]) -> str:

@@ -47,7 +47,7 @@ def page(text: str) -> Iterator[str]:
     for block in _blocks(text):
         if "doi:" in block:
             continue  # a reference
-        for sentence in re.split(r"(?<=[.!?:;])\s+(?=[A-Z`*\[0-9])", block):
+        for sentence in re.split(r"(?<=[.!?:;])\s+(?=[\"(A-Z`*\[0-9])", block):
             start = " ".join(sentence.split()[:6])
             words = len(re.findall(r"[A-Za-z][\w'-]*", sentence))
             if words > WORDS:

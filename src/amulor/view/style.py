@@ -19,7 +19,7 @@ ERROR_MAP = "cividis"
 #: Pixels without a value.
 MISSING_COLOUR = "#d9d9d9"
 
-_SETTINGS: Any = {
+SETTINGS: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 8,
@@ -49,7 +49,7 @@ _SETTINGS: Any = {
 @contextmanager
 def style() -> Iterator[None]:
     """Draw what is inside with the settings of amulor; nothing global stays changed."""
-    with matplotlib.rc_context(rc=_SETTINGS):
+    with matplotlib.rc_context(rc=SETTINGS):
         yield
 
 

@@ -269,25 +269,28 @@ def tally(checks: Iterable[Check]) -> str:
     held, tests = count("test")
     met, chosen = count("set")
     right, own = count("own")
-    text = f"{held} of {tests} statements of the paper hold"
+    text = f"{held} of {tests} statements of the paper hold."
     if chosen:
         text += (
-            f"; of {chosen} more, for which a number of the study was chosen, {met} "
-            "hold"
+            f" For {chosen} more a number of the study was chosen, and {met} of these "
+            "hold."
         )
     if own:
-        text += f"; of {own} checks that the paper does not state, {right} hold"
-    return f"{text}."
+        text += (
+            f" The study adds {own} checks that the paper does not state; {right} hold."
+        )
+    return text
 
 
 #: What a reader must know before the first figure.
 FOREWORD = (
     "The data points and many numbers of the paper survive only in pictures that are "
-    "not at hand. What is drawn here as measured is synthetic: computed with the "
-    "models of amulor from the numbers listed at the end, with the noise that they "
-    'state. "FAIL" means that the statement could not be met with these physics. '
-    '"(set)" marks statements from which a number of the study was deduced, so that '
-    'they prove nothing; "(own)" marks checks that the paper does not state.'
+    "not available. The measured data in these figures are synthetic. They are "
+    "computed with the models of amulor from the numbers listed at the end, with the "
+    'noise of these numbers. "FAIL" means that these physics do not reproduce the '
+    'statement. "(set)" marks a statement from which a number of the study was '
+    "deduced; it proves nothing. "
+    '"(own)" marks a check that the paper does not state.'
 )
 
 

@@ -24,13 +24,14 @@ from amulor.view.style import COLOURS, new_figure, style
 
 TITLE = "Where the water signal comes from"
 CAPTION = (
-    "The water of the long tank at both turbidities, without modulation. (a) What a "
-    "layer of water at a depth sends back: the integrand F of the diffusion form (46), "
-    "solid, and of the small-angle form, which keeps the light that was not scattered, "
-    "dashed. Close by, the beam lies outside of what the receiver sees; far out, "
-    "losses and distance take over. (b) Fraction of the water signal that comes from "
-    "nearer than a depth; dots mark 90 %. Attenuation, absorption, second moment of "
-    "the scattering and acceptance are deduced or assumed; nothing here is measured."
+    "The water of the long tank at both turbidities, without modulation. (a) Light "
+    "that a layer of water at a depth returns. Solid: the integrand F of the "
+    "diffusion form (46). Dashed: the small-angle form, which includes unscattered "
+    "light. At short distances the beam is outside of the field of view; farther out, "
+    "losses and distance reduce the light. (b) Fraction of the water signal that "
+    "comes from depths up to the one on the axis; dots mark 90 %. Attenuation, "
+    "absorption, second moment of the scattering and acceptance are deduced or "
+    "assumed. Nothing here is measured."
 )
 
 Floats = NDArray[np.float64]

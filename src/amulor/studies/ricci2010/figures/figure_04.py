@@ -14,9 +14,9 @@ from amulor.studies.ricci2010.study import Study
 
 TITLE = "The water as a low-pass, higher turbidity"
 CAPTION = (
-    "As figure 3, at the higher turbidity, where the scattering also turns light by "
-    "larger angles: every cut-off is higher, since the water signal comes from nearer. "
-    "Squares are a SYNTHETIC measurement."
+    "As figure 3, at the higher turbidity. The water signal comes from shorter "
+    "distances, so every cut-off is higher. Scattering also turns the light by larger "
+    "angles. Squares are a SYNTHETIC measurement."
 )
 
 

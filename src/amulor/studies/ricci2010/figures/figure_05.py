@@ -27,11 +27,11 @@ from amulor.studies.ricci2010.study import Study
 TITLE = "The ladder in clear water"
 CAPTION = (
     "The ladder in clear water at the far end of the short tank, from the phase of "
-    "the modulation alone: (a) to (c) one synthetic scan seen from three sides, true "
-    "to scale. Nothing was subtracted; the modulation frequency is above the cut-off "
-    "of the model's water, which has no end. Drawn is the median of five by five "
-    "pixels. Gaps: no range, hidden from the receiver by a step. The colour gives the "
-    "height above the farthest tread."
+    "the modulation alone. (a) to (c) show one synthetic scan from three sides, true "
+    "to scale. Nothing was subtracted. The modulation frequency is above the cut-off "
+    "of the model's water, which has no end. Each point is the median of five by five "
+    "pixels. Gaps: no range, because a step hides the surface from the receiver. "
+    "Color: height above the farthest tread."
 )
 #: Where the paper speaks of it.
 _PLACE = "section 7, on figures 5 and 6"

@@ -30,13 +30,13 @@ from amulor.studies.ricci2010.study import Study
 TITLE = "The ladder in turbid water"
 CAPTION = (
     "The ladder at 3.7 m in water that is turbid but optically thin, as the paper "
-    "says of both its ladders, from the phase of the modulation; synthetic scan, true "
+    "says of both its ladders. Synthetic scan, from the phase of the modulation, true "
     "to scale, heights counted from the farthest tread. (a) Nothing subtracted, as in "
-    "the paper: the water left in moves the whole ladder nearer by some centimetres, "
-    "alike on all treads, and the steps are right. (b) The same samples after "
-    "subtraction of open water. Drawn is the median of five by five pixels; the "
-    "titles say by how much a pixel scatters about it. In water so thin 39 MHz is "
-    "twice the cut-off, not just above it."
+    "the paper. The water signal moves the whole ladder nearer by some centimeters, "
+    "by the same amount on all treads, and the steps are right. (b) The same samples "
+    "after subtraction of open water. Each point is the median of five by five "
+    "pixels; the titles state the scatter of a pixel about it. In water so thin 39 "
+    "MHz is twice the cut-off, not just above it."
 )
 #: Where the paper speaks of it.
 _PLACE = "section 7, on figures 5 and 6"

@@ -25,10 +25,10 @@ CAPTION = (
     "Amplitude of the signal of a white plate in the long tank against modulation "
     "frequency: (a) experiment 1, weak water signal; (b) experiment 2, higher "
     "turbidity; (c) experiment 3, farther target. Filled circles: synthetic "
-    "measurement; open circles: after open-water subtraction; crosses: joint estimate "
-    "from some 28 of the frequencies without any open-water shot; black line: echo "
-    "without water or noise; grey line: the same experiment, light spread by the "
-    "small-angle form (29)."
+    "measurement. Open circles: after open-water subtraction. Crosses: joint estimate "
+    "from some 28 of the frequencies without any open-water reference. Black line: "
+    "echo without water or noise. Gray line: the same experiment with the small-angle "
+    "form (29)."
 )
 #: Successive maxima, and minima, of experiment 2 stand 33.5 to 43.4 MHz apart, read to
 #: 2 MHz; those of experiment 3 about 25 MHz [MHz].

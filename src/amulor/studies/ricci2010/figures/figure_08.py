@@ -13,11 +13,10 @@ from amulor.studies.ricci2010.study import Study
 TITLE = "Signal-to-optical-noise ratio against modulation frequency"
 CAPTION = (
     "Signal over water signal, SNR (filled, synthetic measurement), and echo over "
-    "water signal, SNR_t (open, after open-water subtraction), of the sweeps of figure "
-    "7: "
-    "(a) to (c) experiments 1 to 3. Below the line at 1 the water alone would be "
-    "brighter. Which of figures 8 and 9 shows the ratio and which the contrast is not "
-    "certain."
+    "water signal, SNR_t (open, after open-water subtraction), of the sweeps of "
+    "figure 7: (a) to (c) experiments 1 to 3. Below the line at 1 the water alone "
+    "would be brighter. It is not certain which of figures 8 and 9 shows the ratio "
+    "and which the contrast."
 )
 
 

@@ -12,9 +12,10 @@ from amulor.studies.ricci2010.study import Study
 
 TITLE = "Contrast against modulation frequency"
 CAPTION = (
-    "Contrast C of signal and water signal (filled, synthetic measurement) and C_t of "
-    "echo and water signal (open, after open-water subtraction) of the sweeps of "
-    "figure 7: (a) to (c) experiments 1 to 3. Below 0 the water alone is brighter."
+    "Contrast C of signal and water signal (filled, synthetic measurement), and C_t "
+    "of echo and water signal (open, after open-water subtraction). The sweeps are "
+    "those of figure 7: (a) to (c) experiments 1 to 3. Below 0 the water alone is "
+    "brighter."
 )
 
 

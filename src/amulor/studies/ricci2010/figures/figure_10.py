@@ -17,19 +17,19 @@ from amulor.view.style import new_figure, style
 
 TITLE = "Phase along a line, linear polarization, four turbidities"
 CAPTION = (
-    "Advance of the phase along 80 pixels, 10 cm, of a flat painted plate in the short "
-    "tank, from zero at the first pixel, where the receiver sees least water; at pixel "
-    "80 it sees all of the beam's way. Light of the water comes back early, so that "
-    "its share moves the phase upwards. Parallel (VV, filled) and crossed (VH, open) "
-    "analyser in (a) tap water and (b) to (d) with more and more milk. Marks are "
+    "Advance of the phase along 80 pixels, 10 cm, of a flat painted plate in the "
+    "short tank. The zero is the first pixel, where the receiver sees least water; at "
+    "pixel 80 it sees the whole length of the beam. Light of the water returns early, "
+    "so it shifts the phase upwards. Parallel (VV, filled) and crossed (VH, open) "
+    "analyzer in (a) tap water and (b) to (d) with more and more milk. Marks are "
     "synthetic measurements: polarized Monte Carlo in Mie spheres of milk, with the "
-    "phase error of the apparatus added; as each line is set to zero at its first "
-    "pixel, the error there moves all its marks off the curve. Black: without noise. "
-    "Dashed: VV after the signal of open water is subtracted; what is left comes from "
-    "water behind the plate, which open water has and the measurement has not. "
-    "Reflectance and normal of the plate, the size of the particles and the "
-    "turbidities of (b) and (d) were chosen together so that tap water disturbs least "
-    "and VV drifts by what the paper states; all else follows."
+    "phase error of the apparatus added. Each line is set to zero at its first pixel, "
+    "so the error there shifts all its marks. Black: without noise. Dashed: VV after "
+    "subtraction of open water. The rest comes from water behind the plate, which "
+    "only the open-water signal contains. Reflectance and normal of the plate, "
+    "particle size and the turbidities of (b) and (d) were chosen together. They make "
+    "the effect of tap water small and the drift of VV as in the paper; all other "
+    "results follow."
 )
 
 #: Where the paper speaks of each panel.

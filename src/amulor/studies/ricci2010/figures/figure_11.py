@@ -15,13 +15,13 @@ from amulor.view.style import new_figure, style
 
 TITLE = "Phase along a line, circular polarization, four turbidities"
 CAPTION = (
-    "As figure 10, phase advance upwards, with right circular light launched, and left "
-    "(RL, filled) or right (RR, open) circular light analysed, in (a) tap water and "
-    "(b) to (d) with more and more milk. Small spheres send circular light back with "
-    "the other handedness, so RL holds the light of the water. Marks are synthetic "
-    "measurements: polarized Monte Carlo in Mie spheres of milk, with the phase error "
-    "of the apparatus added. Black: without noise. Dashed: RL after the signal of open "
-    "water is subtracted. Nothing was chosen for this figure."
+    "As figure 10, phase advance upwards, with right circular light launched. The "
+    "analyzer passes left (RL, filled) or right (RR, open) circular light, in (a) tap "
+    "water and (b) to (d) with more and more milk. Small spheres return circular "
+    "light with the other handedness, so RL contains the light of the water. Marks "
+    "are synthetic measurements: polarized Monte Carlo in Mie spheres of milk, with "
+    "the phase error of the apparatus added. Black: without noise. Dashed: RL after "
+    "subtraction of open water. Nothing was chosen for this figure."
 )
 
 #: Where the paper speaks of each panel.

@@ -22,11 +22,11 @@ CAPTION = (
     "(a) Advance of the phase along a line at the highest turbidity of figures 10 and "
     "11: crossed linear (VH, filled) and same circular (RR, open) polarization. Marks "
     "are synthetic measurements: polarized Monte Carlo in Mie spheres of milk, with "
-    "the phase error of the apparatus added. Black: without noise. (b) The same "
-    "turbidity with other particles and other tanks, the reflectance of the plate "
-    "chosen so that VV drifts by 7 degrees: drifts of VH and RR without noise, "
-    "standard errors where they show. Beside each the reflectance that this takes; "
-    "open circles need more than 1. Shaded: what the text states of both."
+    "the phase error of the apparatus added. Black: without noise. (b) Drifts of VH "
+    "and RR without noise at the same turbidity with other particles and other tanks, "
+    "with standard errors where they are visible. The reflectance of the plate makes "
+    "VV drift by 7 degrees. It is printed beside each row; open circles need more "
+    "than 1. Shaded: the statement of the text on both."
 )
 
 #: Drift of VH in figure 10(d) that the text states, read to half a degree [degrees].

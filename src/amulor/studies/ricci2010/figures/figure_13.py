@@ -28,14 +28,15 @@ from amulor.view.style import COLOURS, new_figure
 
 TITLE = "Forty profiles of the ladder"
 CAPTION = (
-    "All lines of four synthetic scans of the ladder over each other, from the phase "
-    "behind polarizers alone, as in the paper: (a) crossed and (b) parallel in clear "
-    "water, (c) crossed and (d) parallel in milk. Dashed: the mean of the same lines "
-    "after subtraction of open water, which the paper did not do here. Black: the "
-    "ladder. Heights are counted from the farthest tread of each profile: the water "
-    "left in also moves the whole ladder nearer, by up to 7 cm in (d). Gaps: hidden "
-    "from the receiver by a step, or no range after subtraction. The size of the noise "
-    "was chosen from the published range errors; its order and the steps were not."
+    "All lines of four synthetic scans of the ladder, from the phase behind "
+    "polarizers alone, as in the paper: (a) crossed and (b) parallel in clear water, "
+    "(c) crossed and (d) parallel in milk. Dashed: the mean of the same lines after "
+    "subtraction of open water, which the paper did not do here. Black: the ladder. "
+    "Heights are counted from the farthest tread of each profile, because the water "
+    "signal also moves the whole ladder nearer, by up to 7 cm in (d). Gaps: hidden "
+    "from the receiver by a step, or no range after subtraction. The size of the "
+    "noise was chosen from the published range errors; its order and the steps were "
+    "not."
 )
 #: What the text says of the range error in each panel [mm].
 _WANTED = ((0.5 / 1.5, 0.5 * 1.5), (0.5, 2.0), (2 / 1.5, 2 * 1.5), (10 / 1.5, 10 * 1.5))

@@ -21,11 +21,11 @@ from amulor.studies.ricci2010.study import Study
 
 TITLE = "Surfaces of the ladder, crossed and parallel"
 CAPTION = (
-    "The synthetic scans of figure 13 as surfaces, true to scale, heights counted "
-    "from the farthest tread, behind polarizers alone: (a) crossed and (b) parallel "
-    "in clear water, (c) crossed and (d) parallel in milk. Drawn is the median of "
-    "five by five pixels; the titles say by how much a pixel scatters about it. Gaps: "
-    "no range, hidden from the receiver by a step."
+    "The synthetic scans of figure 13 as surfaces behind polarizers alone, true to "
+    "scale, heights counted from the farthest tread. (a) Crossed and (b) parallel in "
+    "clear water, (c) crossed and (d) parallel in milk. Each point is the median of "
+    "five by five pixels; the titles state the scatter of a pixel about it. Gaps: no "
+    "range, because a step hides the surface from the receiver."
 )
 #: Heights that are drawn [mm].
 _LIMITS = (-25.0, 122.0)

@@ -32,15 +32,15 @@ from amulor.studies.ricci2010.study import Study
 
 TITLE = "A bent disc with holes"
 CAPTION = (
-    "A bent disc with a central hole and four small holes in water with Maalox, one "
-    "synthetic scan behind polarizers alone, as in the paper, true to scale: (a) and "
+    "A bent disc with a central hole and four small holes in water with Maalox. One "
+    "synthetic scan behind polarizers alone, as in the paper, true to scale. (a) and "
     "(b) crossed, (c) and (d) parallel, each seen from the front and along the disc. "
-    "Heights are counted from the rim, after the disc is put back to where the water "
-    "left in moved it from, by as much as the titles say. Drawn is the median of five "
-    "by five pixels, where they are brighter than halfway between disc and water; the "
-    "titles also say by how much a pixel scatters about it. How this water scatters "
-    "is not known, so that its turbidity is assumed within a wide range; the bend and "
-    "the circle of the small holes are assumed as well."
+    "Heights are counted from the rim, after a shift that corrects the effect of the "
+    "water; the titles state the shift. Each point is the median of five by five "
+    "pixels that are brighter than halfway between disc and water. The titles also "
+    "state the scatter of a pixel about it. The scattering of this water is unknown, "
+    "so its turbidity is assumed within a wide range. The bend and the circle of the "
+    "small holes are assumed as well."
 )
 #: Heights that are drawn [mm], and the directions from which [degree].
 _LIMITS = (-29.0, 44.0)
