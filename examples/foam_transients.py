@@ -3,9 +3,9 @@
 Three measurements of one pulsed laser are turned into what instruments with modulated
 light would have recorded: light through slabs (damping and delay against frequency),
 a letter at two distances behind foam (range by phase, with and without the signal of
-the foam), and scans of the letters S and T (what it takes to read them).
+the foam), and scans of the letters S and T (frequencies that make them legible).
 
-Data: D. B. Lindell, G. Wetzstein, Nat. Commun. 11, 4517 (2020), MIT licence.
+Data: D. B. Lindell, G. Wetzstein, Nat. Commun. 11, 4517 (2020), MIT license.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from amulor import imaging, rejection
 from amulor.io.slab_response import Slabs, mean_delay, read_slabs, slab_response
 from amulor.io.transients import medium_from_minimum, read_transients
 from amulor.optics import detection, low_pass, ranging
+from amulor.view.style import BRIGHTNESS_MAP, DISTANCE_MAP, style
 
 Floats = NDArray[np.float64]
 
@@ -56,13 +57,14 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     slabs = read_slabs(arguments.data / "slab_transmission.npz")
-    for name, figure in (
-        ("slab-response", draw_slabs(slabs)),
-        ("range-difference", draw_steps(arguments.data)),
-        ("letters", draw_letters(arguments.data, slabs)),
-    ):
-        figure.savefig(arguments.output / f"{name}.{arguments.format}", dpi=150)
-        plt.close(figure)
+    with style():
+        for name, figure in (
+            ("slab-response", draw_slabs(slabs)),
+            ("range-difference", draw_steps(arguments.data)),
+            ("letters", draw_letters(arguments.data, slabs)),
+        ):
+            figure.savefig(arguments.output / f"{name}.{arguments.format}", dpi=150)
+            plt.close(figure)
     print(f"Figures are in {arguments.output}")
 
 
@@ -78,9 +80,9 @@ def cut_offs(slabs: Slabs) -> Floats:
 
     def response(frequency: Floats, number: int) -> Floats:
         # At zero frequency it is 1, by definition.
-        found = np.ones(frequency.shape)
-        found[frequency > 0] = amplitudes(tuple(frequency[frequency > 0]))[number]
-        return found
+        ratio = np.ones(frequency.shape)
+        ratio[frequency > 0] = amplitudes(tuple(frequency[frequency > 0]))[number]
+        return ratio
 
     at_highest = amplitudes((HIGHEST,))[:, 0]
     return np.array(
@@ -128,10 +130,10 @@ def draw_slabs(slabs: Slabs) -> Figure:
         )  # fmt: skip
     top.axhline(np.sqrt(0.5), color="0.5", linewidth=0.8, linestyle="--")
     top.set(
-        xscale="log", yscale="log", ylim=(1e-3, 1.5), ylabel="modulation left",
-        title="Measured light through slabs of foam",
+        xscale="log", yscale="log", ylim=(1e-3, 1.5), ylabel="share of the modulation",
+        title="measured light through slabs of foam",
     )  # fmt: skip
-    top.legend(title="thickness: cut-off", fontsize=8, loc="lower left")
+    top.legend(title="thickness: cut-off", loc="lower left")
     bottom.set(
         xlabel="modulation frequency [MHz]",
         ylabel="phase delay [degrees]",
@@ -218,7 +220,7 @@ def draw_steps(data: Path) -> Figure:
     """Draw and print the range difference against modulation frequency."""
     before, after = steps(data)
     print("\nletter U, 24 cm farther: difference by phase")
-    print("modulation     with foam          foam taken out")
+    print("modulation     with foam          foam subtracted")
     for frequency, *values in zip(STEP_FREQUENCIES, *before, *after, strict=True):
         raw, raw_error, clean, clean_error = (100 * value for value in values)
         print(
@@ -229,7 +231,7 @@ def draw_steps(data: Path) -> Figure:
     axes.axhline(100 * STEP, color="0.3", linewidth=1, label="24 cm by the labels")
     for found, marker, label in (
         (before, "s", "with the signal of the foam"),
-        (after, "o", "signal of the foam taken out"),
+        (after, "o", "signal of the foam subtracted"),
     ):
         axes.errorbar(
             STEP_FREQUENCIES / 1e6, 100 * found.difference, 200 * found.uncertainty,
@@ -238,7 +240,7 @@ def draw_steps(data: Path) -> Figure:
     axes.set(
         xscale="log", xlabel="modulation frequency [MHz]",
         ylabel="range difference [cm]",
-        title="Letter U behind foam, moved by 24 cm (bars: two standard errors)",
+        title="letter U behind foam, moved by 24 cm; bars: two standard errors",
     )  # fmt: skip
     axes.legend()
     return figure
@@ -289,7 +291,7 @@ def draw_letters(data: Path, slabs: Slabs) -> Figure:
     figure, axes = plt.subplots(
         len(LETTERS),
         4,
-        figsize=(12, 6),
+        figsize=(9.5, 4.6),
         layout="constrained",
         sharex="row",
         sharey="row",
@@ -304,29 +306,29 @@ def draw_letters(data: Path, slabs: Slabs) -> Figure:
         pictures = {
             "amplitude at 100 MHz": image["intensity"].values,
             "amplitude at 1 GHz": cube.amulor.amplitude.values[0, 0],
-            "1 to 3.5 GHz, refocused": brightest,
-            "distance of the brightest [cm]": np.where(
-                brightest > 0.35 * brightest.max(), distance, np.nan
-            ),
+            "1 to 3.5 GHz, focused": brightest,
+            "distance": np.where(brightest > 0.35 * brightest.max(), distance, np.nan),
         }
         right, down = 100 * cube["origin_x"].values, 100 * cube["origin_y"].values
         for ax, (title, values) in zip(row, pictures.items(), strict=True):
             is_distance = title.startswith("distance")
             mesh = ax.pcolormesh(
-                right, down, values, shading="nearest", rasterized=True,
-                cmap="viridis_r" if is_distance else "magma",
+                right, down, values if is_distance else values / values.max(),
+                shading="nearest", rasterized=True,
+                cmap=DISTANCE_MAP if is_distance else BRIGHTNESS_MAP,
                 vmin=None if is_distance else 0,
             )  # fmt: skip
             if is_distance:
-                figure.colorbar(mesh, ax=ax)
+                figure.colorbar(mesh, ax=ax, label="distance [cm]", shrink=0.8)
+            elif "focused" in title:
+                figure.colorbar(mesh, ax=ax, label="amplitude, relative", shrink=0.8)
             ax.set_aspect("equal")
             if letter == "S":
-                ax.set_title(title, fontsize=10)
+                ax.set_title(title)
         row[0].invert_yaxis()
         row[0].set_ylabel(f"letter {letter}\ndown [cm]")
     for ax in axes[-1]:
         ax.set_xlabel("right [cm]")
-    figure.suptitle("Letters behind an inch of foam, from the same photon histograms")
     return figure
 
 

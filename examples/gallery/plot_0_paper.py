@@ -2,9 +2,9 @@
 Figures of the paper, redrawn
 =============================
 
-Where the water signal comes from, and the water as a low-pass: figures 1 and 3 of
-Ricci et al. 2010 (:doi:`10.1155/2010/958360`), by the functions that redraw all of
-them. The :doc:`whole study </gallery/ricci2010>` checks what the paper says of each.
+Figures 1 and 3 of Ricci et al. 2010 (:doi:`10.1155/2010/958360`): the depths that the
+water signal comes from, and the water as a low-pass. The :doc:`whole study
+</gallery/ricci2010>` redraws all figures and tests the statements of the paper.
 """
 
 from io import BytesIO
@@ -15,8 +15,8 @@ from amulor.studies.ricci2010 import reproduce
 from amulor.view.report import png
 
 # %%
-# ``quick`` takes fewer points and photons. What is drawn as measured is synthetic: the
-# data of the paper survive in its pictures only.
+# ``quick`` computes fewer points and photons. The measured data are synthetic, because
+# those of the paper survive only in its pictures.
 results = reproduce.run((1, 3), quick=True, depend=False)
 for figure in results.figures:
     held = sum(check.passed for check in figure.checks)

@@ -2,10 +2,10 @@
 Four forms of the water signal
 ==============================
 
-The answer of the water falls with the modulation frequency; where it has fallen to
-half the power is its cut-off. The small-angle form with the whole phase function, its
-closure, the diffusion form of Ricci et al. 2010, and photons of all orders, for one
-water.
+The water signal falls with the modulation frequency. The frequency of half its power is
+the cut-off. Four models compute it here for the same water: the small-angle form with
+the whole phase function, its closure, the diffusion form of Ricci et al. 2010, and
+photons of all orders of scattering.
 """
 
 import matplotlib.pyplot as plt
@@ -22,8 +22,8 @@ receiver = {"receiver_radius": 0.02, "acceptance_angle": 0.08, "baseline": 0.07}
 frequency = np.linspace(0, 150e6, 31)
 
 # %%
-# The first two take the phase function itself. The third knows no more of it than what
-# goes forward, and by how much that is spread.
+# The first two models use the whole phase function. The third uses only the share that
+# is scattered forward, and its mean square angle.
 water = {"absorption": ABSORPTION, "scattering": SCATTERING}
 whole = {**water, "phase_function": phase_function, "split_angle": SPLIT, **receiver}
 forward, second_moment = phase_function.forward_split(SPLIT)
@@ -48,8 +48,8 @@ forms = {
 }
 
 # %%
-# Photons are followed one by one; their errors come from batches of histories. The
-# receiver is a disc with sharp edges here.
+# Photon transport draws paths at random and estimates its error from batches of them.
+# Its receiver is a disc with sharp edges.
 tally = simulate(
     Medium(
         layers=[Layer(**water, phase_function=phase_function)], group_index=GROUP_INDEX
@@ -66,7 +66,7 @@ figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 for name, response in forms.items():
     axes.plot(frequency / 1e6, np.abs(response) / np.abs(response[0]), label=name)
 axes.plot(frequency[::3] / 1e6, signal / signal[0], "ko", label="photons")
-axes.axhline(np.sqrt(0.5), color="0.6", linestyle=":")
-axes.set(xlabel="modulation frequency [MHz]", ylabel="water signal, relative")
+axes.axhline(np.sqrt(0.5), color="0.6", linestyle=":", label="half power")
+axes.set(xlabel="modulation frequency [MHz]", ylabel="water signal over that at 0 MHz")
 axes.legend()
 plt.show()

@@ -2,9 +2,9 @@
 Target and water interfere
 ==========================
 
-A target and the water in front of it are two phasors, and the lock-in reads their sum.
-The error of the range swings with the modulation frequency; where the two are parallel
-it is zero, and where they stand across each other the picture is worst.
+The target and the water in front of it are two phasors, and the lock-in measures their
+sum. The error of the range oscillates with the modulation frequency. It is zero where
+the two phasors are parallel, and largest where they are perpendicular.
 """
 
 import matplotlib.pyplot as plt
@@ -29,7 +29,8 @@ column = {
 water = small_angle.water_response(frequency, group_index=GROUP_INDEX, **column)
 
 # %%
-# Twice the distance times the group index is the optical path that the phase counts.
+# The phase depends on the optical path: twice the distance times the group index.
+# Curves are cut where the phase of the sum jumps, which happens for the darkest target.
 figure, axes = plt.subplots(2, 1, figsize=(7, 6), sharex=True, layout="constrained")
 for reflectance in (0.05, 0.2, 0.8):
     target = target_echo.small_angle_target_response(
@@ -42,9 +43,11 @@ for reflectance in (0.05, 0.2, 0.8):
     total = interference.total_signal(target, water)
     error = np.angle(total / target) * speed_of_light
     error /= 4 * np.pi * frequency * GROUP_INDEX
+    error[np.r_[False, np.abs(np.diff(error)) > 0.1]] = np.nan
     axes[0].plot(frequency / 1e6, np.abs(total) / np.abs(target))
     axes[1].plot(frequency / 1e6, 1e3 * error, label=f"reflectance {reflectance:.0%}")
 axes[0].set(ylabel="amplitude over that of the target")
 axes[1].set(xlabel="modulation frequency [MHz]", ylabel="error of the range [mm]")
+axes[1].axhline(0, color="0.6", linewidth=0.6)
 axes[1].legend()
 plt.show()

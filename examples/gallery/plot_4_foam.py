@@ -2,11 +2,11 @@
 Real light through foam
 =======================
 
-Histograms of single photons through slabs of polyurethane foam are what a modulated
-laser would have seen at every frequency at once: their Fourier transform. The thicker
-the slab, the later the light, and the lower its cut-off.
+These histograms of single photons were measured through slabs of polyurethane foam.
+Their Fourier transform is the signal of a modulated laser, at every frequency at once.
+Light through a thicker slab is later, and its cut-off is lower.
 
-Data: D. B. Lindell, G. Wetzstein, Nat. Commun. 11, 4517 (2020), MIT licence.
+Data: D. B. Lindell, G. Wetzstein, Nat. Commun. 11, 4517 (2020), MIT license.
 """
 
 import tempfile
@@ -23,21 +23,21 @@ frequency = np.geomspace(5e6, 1e9, 120)
 response = slab_response(slabs, frequency)
 
 # %%
-# Amplitudes are relative to zero frequency; a delay turns into phase.
+# Amplitudes are relative to zero frequency. A delay becomes a phase.
 figure, axes = plt.subplots(2, 1, figsize=(7, 6), sharex=True, layout="constrained")
 delays = mean_delay(slabs)
 for number, thickness in enumerate(slabs.thickness):
-    one = response.isel(thickness=number)
-    colour = plt.colormaps["viridis"](number / len(slabs.thickness))
+    slab = response.isel(thickness=number)
+    color = plt.colormaps["viridis"](number / len(slabs.thickness))
     axes[0].loglog(
         frequency / 1e6,
-        one["amplitude"],
-        color=colour,
+        slab["amplitude"],
+        color=color,
         label=f"{100 * thickness:.1f} cm",
     )
-    axes[1].semilogx(frequency / 1e6, np.unwrap(one["phase"]), color=colour)
+    axes[1].semilogx(frequency / 1e6, np.unwrap(slab["phase"]), color=color)
     print(f"{100 * thickness:5.2f} cm: mean delay {1e9 * delays[number]:6.2f} ns")
-axes[0].set(ylabel="amplitude, relative", ylim=(1e-3, 1.2))
+axes[0].set(ylabel="amplitude over that at 0 MHz", ylim=(1e-3, 1.2))
 axes[0].legend(ncols=3, fontsize="small")
 axes[1].set(xlabel="modulation frequency [MHz]", ylabel="phase [rad]")
 plt.show()

@@ -1,9 +1,9 @@
 """
-An amphora, against its model
-=============================
+An amphora compared with its model
+==================================
 
-What an archaeologist asks: how far is the measured surface from the true one, and does
-the stated error say so? An amphora of 30 cm in harbour water, scanned from 1.5 m.
+How far is the measured surface from the true one, and does the stated uncertainty
+agree? The example is an amphora of 30 cm in harbor water, scanned from 1.5 m.
 """
 
 from pathlib import Path
@@ -21,9 +21,9 @@ truth = samples["truth_slant_range"].values
 good = (image["quality_flag"].values == 0) & np.isfinite(truth)
 
 # %%
-# In units of what is stated the errors are narrower than a normal distribution of width
-# 1: the survey's section ``[calibration]`` states what delay, geometry and index are
-# uncertain by, and the simulated instrument is not off by any of it.
+# The errors, divided by their stated uncertainties, are narrower than the normal
+# distribution of width 1 (line). The stated uncertainty includes delay, geometry and
+# group index from ``[calibration]``. The simulated instrument has no error in these.
 error = (image["slant_range"].values - truth)[good]
 stated = image["slant_range_uncertainty"].values[good]
 print(f"{good.sum()} pixels trusted, of {np.isfinite(truth).sum()} on the amphora")
@@ -35,10 +35,13 @@ figure.colorbar(shown, ax=axes[0], label="distance [m]")
 off = np.where(good, 1e3 * (image["slant_range"].values - truth), np.nan)
 shown = axes[1].imshow(off, cmap="RdBu", vmin=-2, vmax=2)
 figure.colorbar(shown, ax=axes[1], label="error [mm]")
-for axis in axes[:2]:
-    axis.set(xticks=[], yticks=[])
+for axis, title in zip(axes[:2], ("distance", "error"), strict=True):
+    axis.set(title=title, xlabel="column", ylabel="row")
 places = np.linspace(-4, 4, 41)
 axes[2].hist(error / stated, bins=places, density=True, color="0.7")
 axes[2].plot(places, np.exp(-(places**2) / 2) / np.sqrt(2 * np.pi), color="C1")
-axes[2].set(xlabel="error over standard uncertainty", yticks=[])
+axes[2].set(
+    title="errors and normal distribution",
+    xlabel="error over standard uncertainty", ylabel="probability density",
+)  # fmt: skip
 plt.show()

@@ -2,9 +2,10 @@
 Which modulation frequency?
 ===========================
 
-The noise of a range falls with the modulation frequency, the water that a reference
-leaves in swings with it. Their sum over distance and frequency is the map that an
-instrument is designed by: here for a reference that is 3 % off, in two waters.
+The noise of a range falls with the modulation frequency. The error by residual water
+oscillates with it. The map shows the sum of both over distance and frequency, from
+which a designer chooses the frequency. The open-water reference is wrong by 3 % here,
+and the water has two turbidities.
 """
 
 import matplotlib.pyplot as plt
@@ -23,7 +24,8 @@ rate = detection.photoelectron_rate(
 )
 
 # %%
-# Everything is broadcast: distances down, frequencies across.
+# All arrays are broadcast: distances along the first axis, frequencies along the
+# second.
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), sharey=True, layout="constrained")
 for axis, attenuation in zip(axes, (0.3, 1.0), strict=True):
     column = {
@@ -52,10 +54,11 @@ for axis, attenuation in zip(axes, (0.3, 1.0), strict=True):
     left = turn * speed_of_light / (4 * np.pi * frequency * GROUP_INDEX)
     total = 1e3 * np.hypot(noise, left)
     shown = axis.pcolormesh(
-        frequency / 1e6, distance, total, norm=LogNorm(0.03, 30), cmap="viridis_r"
+        frequency / 1e6, distance, total, norm=LogNorm(0.03, 30), cmap="cividis"
     )
-    lines = axis.contour(frequency / 1e6, distance, total, [1, 3, 10], colors="k")
-    axis.clabel(lines, fmt="%g mm")
+    axis.contour(
+        frequency / 1e6, distance, total, [1, 10], colors="w", linestyles=["-", "--"]
+    )
     best = frequency[total.argmin(axis=1)] / 1e6
     print(
         f"{attenuation} 1/m: best at 2 m {best[np.argmin(abs(distance - 2))]:.0f} MHz"

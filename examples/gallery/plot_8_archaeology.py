@@ -2,9 +2,9 @@
 Raking light, section and drawing
 =================================
 
-What a find is drawn by: the amphora of the sample data, recorded by an instrument with
-two modulation frequencies in harbour water. The relief is lit from the side after the
-scan, contour lines have an interval in millimetres, and the section states its error.
+Three drawings of a find: a relief under raking light, contour lines, and a section with
+its uncertainty. The amphora is that of the sample data, recorded with two modulation
+frequencies in harbor water.
 """
 
 import matplotlib.pyplot as plt
@@ -18,7 +18,7 @@ INTERVAL = (1.2, 1.8)
 image = pipeline.run(samples.cube("amphora"), method="open-water", interval=INTERVAL)
 
 # %%
-# Seen from the front, in orthographic projection: two millimetres for each cell.
+# The projection is orthographic, from the front, with cells of two millimeters.
 surface = products.surface(image)
 front = products.plane_of(surface.frame)
 drawn = products.raster(surface, front, cell=2e-3)
@@ -31,7 +31,7 @@ cut = products.section(surface, front, start=(place[0], level), end=(place[1], l
 lines = products.contours(drawn, interval=5e-3)
 
 # %%
-# A light at 20 degrees above the surface shows what the brightness hides.
+# Light at 20 degrees above the surface shows relief that the amplitude hides.
 figure, panels = plt.subplot_mosaic(
     [["light", "lines", "cut"], ["light", "lines", "error"]],
     figsize=(10, 5), layout="constrained", width_ratios=(1, 1, 1.3),
@@ -53,14 +53,15 @@ axes[1].set(title="contours each 5 mm", xlabel="right [cm]", aspect="equal")
 axes[1].set(xlim=extent[:2], ylim=extent[2:])
 
 for number in range(int(cut.piece.max()) + 1):
-    one = cut.piece == number
-    axes[2].plot(100 * cut.along[one], 100 * (cut.height[one] - nearest), color="C1")
-    axes[3].plot(100 * cut.along[one], 1e3 * cut.uncertainty[one], color="C1")
-    axes[3].plot(100 * cut.along[one], 1e3 * cut.own[one], color="0.6")
-axes[2].set(title="section", ylabel="behind the nearest [cm]", aspect="equal")
+    piece = cut.piece == number
+    along = 100 * cut.along[piece]
+    axes[2].plot(along, 100 * (cut.height[piece] - nearest), color="C1")
+    axes[3].plot(along, 1e3 * cut.uncertainty[piece], color="C1")
+    axes[3].plot(along, 1e3 * cut.own[piece], color="0.6")
+axes[2].set(title="section", ylabel="height [cm]", aspect="equal")
 axes[3].set(
-    title="its uncertainty; grey: noise alone",
-    xlabel="along [cm]", ylabel="[mm]", ylim=(0, None),
+    title="uncertainty of the section; gray: noise alone",
+    xlabel="along the section [cm]", ylabel="uncertainty [mm]", ylim=(0, None),
 )  # fmt: skip
 print(f"median uncertainty of the section {1e3 * np.median(cut.uncertainty):.2f} mm")
 plt.show()

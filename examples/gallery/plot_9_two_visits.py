@@ -2,9 +2,10 @@
 Two visits to a site
 ====================
 
-Has it moved, or is it the error? A sea bed with an amphora, scanned from two places in
-each of two years; in between the amphora was pushed by 4 cm. Scans are registered with
-the covariance of their poses, merged, and compared with the errors they state.
+Did the amphora move, or is the difference an error? A sea bed with an amphora was
+scanned from two positions in each of two years. Between the visits the amphora was
+moved by 4 cm. The scans are registered, merged and compared, with the uncertainty of
+each step.
 """
 
 import sys
@@ -31,26 +32,26 @@ make_site.STATIONS = {
 make_site.MOVED = np.array([0.030, 0.026, 0.0])
 site = Site.from_toml(make_site.make(Path(tempfile.mkdtemp()), rows=60))
 surfaces, images = surfaces_of(site)
-found = register(site, surfaces=surfaces, images=images)
-cloud = merge(site, found, surfaces, images)
-changed = change(site, found, surfaces, cloud)
+poses = register(site, surfaces=surfaces, images=images)
+cloud = merge(site, poses, surfaces, images)
+changed = change(site, poses, surfaces, cloud)
 print(f"{int(changed.significant.sum())} points changed, of {changed.value.size}")
 
 # %%
-# What rose is blue, what sank is red: the amphora has left one place and lies in
-# another. On the right in standard uncertainties; rings mark what counts as changed,
-# beyond what chance makes of all points together.
-known = np.isfinite(changed.value)
-x, y = changed.position[known, :2].T
-value, stated = 1e3 * changed.value[known], 1e3 * changed.uncertainty[known]
-figure, axes = plt.subplots(1, 2, figsize=(9.5, 4.4), layout="constrained")
+# Blue points are higher than before, red points are lower: the amphora is gone from one
+# place and lies in another. The right panel divides the change by its uncertainty.
+# Rings mark significant changes, with a limit that allows for the number of points.
+finite = np.isfinite(changed.value)
+x, y = changed.position[finite, :2].T
+value, stated = 1e3 * changed.value[finite], 1e3 * changed.uncertainty[finite]
+figure, axes = plt.subplots(2, 1, figsize=(7, 7), layout="constrained")
 for axis, shown, limit, title in (
     (axes[0], value, 12, "change [mm]"),
     (axes[1], value / stated, 6, "change over its uncertainty"),
 ):
     points = axis.scatter(x, y, c=shown, s=9, cmap="RdBu", vmin=-limit, vmax=limit)
-    figure.colorbar(points, ax=axis, shrink=0.6)
+    figure.colorbar(points, ax=axis, shrink=0.8)
     axis.set(title=title, xlabel="east [m]", ylabel="north [m]", aspect="equal")
-far = changed.significant[known]
+far = changed.significant[finite]
 axes[1].scatter(x[far], y[far], s=14, facecolors="none", edgecolors="k", linewidths=0.6)
 plt.show()
