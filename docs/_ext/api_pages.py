@@ -1,21 +1,27 @@
 """Writes a page for each public module and a table of its names, before Sphinx reads.
 
-What is public is what `tests/reference/public_surface.txt` lists, and a test holds that
-against the package; so every public object has a page, and no other has one.
+Public names are those of `tests/reference/public_surface.txt`, which a test compares with
+the package. Functions and classes that pages and examples import get pages as well.
 """
 
 from __future__ import annotations
 
+import ast
+import inspect
+import re
 from collections import defaultdict
+from collections.abc import Iterator
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 from sphinx.application import Sphinx
 from sphinx.config import Config
 
-LISTING = Path(__file__).parents[2] / "tests" / "reference" / "public_surface.txt"
-#: Rooms in the order in which a scan goes through them.
-_ROOMS = (
+ROOT = Path(__file__).parents[2]
+LISTING = ROOT / "tests" / "reference" / "public_surface.txt"
+#: Modules in the order in which a scan uses them.
+_ORDER = (
     "amulor", "survey", "simulation", "acquisition", "cube", "rejection", "imaging",
     "pipeline", "site", "design", "scale", "io", "view", "samples", "optics",
     "transport", "studies", "units", "errors",
@@ -32,12 +38,49 @@ def modules() -> dict[str, list[str]]:
             found[name]
         else:
             found[name.rpartition(".")[0]].append(name)
+    public = {id(_object(name)) for name in kinds}
+    for name in sorted(set(_imported())):
+        thing = _object(name)
+        if id(thing) not in public and (
+            inspect.isfunction(thing) or inspect.isclass(thing)
+        ):
+            found[name.rpartition(".")[0]].append(name)
     return dict(found)
 
 
+def _object(name: str) -> object:
+    module, _, attribute = name.rpartition(".")
+    try:
+        return getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError):
+        return None
+
+
+def _imported() -> Iterator[str]:
+    """Yield the names of amulor that pages and examples import."""
+    built = {"_build", "api", "examples", "decisions"}
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    texts = [path.read_text() for path in (ROOT / "examples").rglob("*.py")]
+    for page in pages:
+        if not built & set(page.relative_to(ROOT).parts[1:]):
+            texts += re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+    for text in texts:
+        try:
+            nodes = ast.walk(ast.parse(text))
+        except SyntaxError:  # a part of a program
+            continue
+        for node in nodes:
+            if isinstance(node, ast.ImportFrom) and node.module:
+                yield from (
+                    f"{node.module}.{name.name}"
+                    for name in node.names
+                    if node.module.startswith("amulor")
+                )
+
+
 def _place(module: str) -> tuple[int, str]:
-    room = [*module.split("."), ""][1] or "amulor"
-    return (_ROOMS.index(room) if room in _ROOMS else len(_ROOMS), module)
+    folder = [*module.split("."), ""][1] or "amulor"
+    return (_ORDER.index(folder) if folder in _ORDER else len(_ORDER), module)
 
 
 def write(app: Sphinx, config: Config) -> None:
@@ -59,13 +102,14 @@ def _index(modules: list[str]) -> str:
         "===",
         "",
         "Every public function and class, with its units, its source equation, an",
-        "example, and the gallery entries that use it. Rooms stand in the order in",
-        "which a scan goes through them.",
+        "example, and the gallery entries that use it. Modules are listed in the order",
+        "in which a scan uses them.",
         "",
         ".. toctree::",
         "   :maxdepth: 1",
         "",
-        *(f"   {module}" for module in modules),
+        # Long names break after a dot, at a space of no width.
+        *(f"   {module.replace('.', '.\u200b')} <{module}>" for module in modules),
     ]
     return "\n".join(lines) + "\n"
 
@@ -73,7 +117,7 @@ def _index(modules: list[str]) -> str:
 def _page(module: str, names: list[str]) -> str:
     lines = [module, "=" * len(module), "", f".. automodule:: {module}", ""]
     if module == "amulor":
-        # The same objects have their pages in their rooms.
+        # The same objects have their pages in their modules.
         short = [name.rpartition(".")[2] for name in names]
         lines += [f"- ``amulor.{name}``: {_home(name)}" for name in short]
     elif names:
@@ -89,7 +133,7 @@ def _page(module: str, names: list[str]) -> str:
 
 
 def _home(name: str) -> str:
-    """Return a reference to the room of a name that `amulor` has as well."""
+    """Return a reference to the module of a name that `amulor` has as well."""
     return next(
         f":py:obj:`{full}`"
         for module, names in modules().items()

@@ -15,11 +15,11 @@ COMMANDS = {
     "demo": ("demo:demo", "Scan a ladder in clear and milky water; write a report."),
     "warm-up": (
         "warm_up:warm_up",
-        "Compile all loops for this computer, so that no later command waits for it.",
+        "Compile all loops for this computer, so that later commands start faster.",
     ),
     "samples": (
         "samples:samples",
-        "List sample data, or write some of them to try the other commands on.",
+        "List the sample data, or write a sample to try other commands.",
     ),
     "survey check": ("survey:check", "Check a survey file."),
     "survey schema": ("survey:schema", "Print the JSON Schema of survey files."),
@@ -29,7 +29,7 @@ COMMANDS = {
     ),
     "survey presets": (
         "presets:presets",
-        "List published instruments that ship as surveys.",
+        "List the published instruments that are available as surveys.",
     ),
     "survey preset": (
         "presets:preset",
@@ -47,52 +47,58 @@ COMMANDS = {
         "water:fit",
         "Fit the water of a cube: attenuation, spread of the light, cut-off.",
     ),
-    "simulate": ("simulate:simulate", "Simulate a survey into a measurement cube."),
+    "simulate": (
+        "simulate:simulate",
+        "Simulate a survey; write its measurement cube.",
+    ),
     "acquire": ("acquire:acquire", "Run a scan and record its measurement cube."),
-    "recover": ("acquire:recover", "Make the cube of a scan from its journal."),
+    "recover": (
+        "acquire:recover",
+        "Write the cube of an interrupted scan from its journal.",
+    ),
     "devices simulate": (
         "devices:simulate",
         "Serve simulated devices on the network until Ctrl-C.",
     ),
     "devices calibrate": (
         "devices:calibrate",
-        "Find phase zero from a plate at a known distance.",
+        "Calibrate the zero of the phase with a plate at a known distance.",
     ),
     "import transients": (
         "transients:transients",
-        "Turn single-photon histograms into a measurement cube.",
+        "Convert single-photon histograms to a measurement cube.",
     ),
     "import recordings": (
         "recordings:recordings",
-        "Turn a recording of other software into a measurement cube.",
+        "Convert a recording of other software to a measurement cube.",
     ),
-    "info": ("info:info", "Say what a file holds."),
+    "info": ("info:info", "Print the contents of a file."),
     "explain": (
         "explain:explain",
-        "Say what a flag or a message means, or why a pixel of a file is flagged.",
+        "Explain a flag, a message, or the flags of one pixel of a file.",
     ),
-    "reject": ("reject:reject", "Take the water signal out of a measurement cube."),
-    "image": ("image:image", "Turn a target signal into a range image."),
+    "reject": ("reject:reject", "Subtract the water signal from a measurement cube."),
+    "image": ("image:image", "Compute a range image from a target signal."),
     "export": (
         "export:export",
         "Write a range image as a cloud, mesh, drawing, section or comparison.",
     ),
     "view": (
         "view:view",
-        "Show a file or scan in the browser: maps, 3D, measuring with errors.",
+        "Show a file or scan in the browser: maps, 3D, measurements with errors.",
     ),
     "watch": (
         "watch:watch",
-        "Watch a scan in the terminal: picture, rate, drift, what to do.",
+        "Show a running scan in the terminal: picture, rate, drift, advice.",
     ),
     "site check": ("site:check", "Check a site file and the files it names."),
     "run": (
         "run:run",
-        "Take all scans of a site to range images and clouds, here or on a cluster.",
+        "Process all scans of a site to range images and clouds, here or on a cluster.",
     ),
     "site register": (
         "site:register",
-        "Bring all scans of a site into one frame.",
+        "Register all scans of a site in one frame.",
     ),
     "site merge": (
         "site:merge",
@@ -100,7 +106,7 @@ COMMANDS = {
     ),
     "site compare": (
         "site:compare",
-        "Compare two visits to a site: change, significance, volumes, what moved.",
+        "Compare two visits to a site: change, significance, volumes, motions.",
     ),
     "site report": (
         "site:report",
@@ -117,12 +123,107 @@ COMMANDS = {
         "Redraw the figures of Ricci et al. 2010 and check their statements.",
     ),
 }
+#: Commands by what a user wants, in the order of `amulor --help`.
+TOPICS = {
+    "measure": (
+        "devices calibrate", "acquire", "watch", "recover", "devices simulate",
+        "import transients", "import recordings",
+    ),
+    "simulate": (
+        "survey check", "survey schema", "simulate", "backscatter", "water",
+        "water fit",
+    ),
+    "reject and image": ("reject", "image"),
+    "look": ("view", "info", "explain"),
+    "deliver": ("report", "export", "archive"),
+    "design": ("design", "survey presets", "survey preset"),
+    "many scans": (
+        "run", "site check", "site register", "site merge", "site compare",
+        "site report", "site schema",
+    ),
+    "learn": ("demo", "samples", "reproduce ricci2010", "warm-up"),
+}  # fmt: skip
+#: An example of each command, and the usual next one.
+EXAMPLES = {
+    "devices calibrate": (
+        'amulor devices calibrate plate.nc --distance "1.5 m" -o calibration.toml',
+        "amulor acquire",
+    ),
+    "acquire": (
+        "amulor acquire tank.toml --devices devices.toml -o scan",
+        "amulor watch scan, then amulor reject",
+    ),
+    "watch": ("amulor watch scan", "amulor reject"),
+    "recover": ("amulor recover scan -o cube.nc", "amulor reject"),
+    "devices simulate": (
+        "amulor devices simulate tank.toml -o devices.toml",
+        "amulor acquire",
+    ),
+    "import transients": (
+        "amulor import transients letter.npz --frequency 100MHz -o samples.nc",
+        "amulor reject",
+    ),
+    "import recordings": (
+        "amulor import recordings scan.csv --survey tank.toml --columns columns.toml "
+        "-o samples.nc",
+        "amulor reject",
+    ),
+    "survey check": ("amulor survey check tank.toml", "amulor simulate"),
+    "survey schema": ("amulor survey schema > survey.json", "amulor survey check"),
+    "simulate": ("amulor simulate tank.toml -o samples.nc", "amulor reject"),
+    "backscatter": ("amulor backscatter tank.toml --plot", ""),
+    "water": ('amulor water --wavelength "405 nm" --temperature 15 --salinity 35', ""),
+    "water fit": ("amulor water fit samples.nc", "amulor reject"),
+    "reject": (
+        "amulor reject samples.nc --method auto -o target.nc",
+        "amulor image, or amulor view",
+    ),
+    "image": (
+        "amulor image target.nc --polarization VV -o image.nc",
+        "amulor view, amulor report or amulor export",
+    ),
+    "view": ("amulor view target.nc", "amulor report or amulor export"),
+    "info": ("amulor info image.nc", "amulor explain"),
+    "explain": ("amulor explain MIXED", ""),
+    "report": ("amulor report image.nc -o report.html", "amulor archive"),
+    "export": ("amulor export image.nc -o cloud.laz", "amulor archive"),
+    "archive": ("amulor archive project.toml -o archive", ""),
+    "design": ("amulor design goal.toml -o survey.toml", "amulor simulate"),
+    "survey presets": ("amulor survey presets", "amulor survey preset"),
+    "survey preset": (
+        "amulor survey preset amulor-2010 -o survey.toml",
+        "amulor survey check",
+    ),
+    "run": ("amulor run site.toml -o results", "amulor site register"),
+    "site check": ("amulor site check site.toml", "amulor run"),
+    "site register": (
+        "amulor site register site.toml -o poses.json",
+        "amulor site merge",
+    ),
+    "site merge": (
+        "amulor site merge site.toml --poses poses.json -o cloud.e57",
+        "amulor site compare",
+    ),
+    "site compare": (
+        "amulor site compare site.toml --poses poses.json -o change.csv",
+        "amulor site report",
+    ),
+    "site report": (
+        "amulor site report site.toml --poses poses.json -o site.html",
+        "amulor archive",
+    ),
+    "site schema": ("amulor site schema > site.json", "amulor site check"),
+    "demo": ("amulor demo", "amulor samples"),
+    "samples": ("amulor samples ladder", "amulor reject"),
+    "reproduce ricci2010": ("amulor reproduce ricci2010 --quick", ""),
+    "warm-up": ("amulor warm-up", ""),
+}
 _GROUPS = {
-    "survey": "Look at survey files.",
-    "site": "Put many scans into one frame, and see what changed between visits.",
-    "import": "Bring in data of other instruments.",
-    "devices": "Rehearse and calibrate instruments.",
-    "reproduce": "Published figures, redrawn and checked.",
+    "survey": "Check survey files, and write those of published instruments.",
+    "site": "Register many scans in one frame, and compare visits.",
+    "import": "Import data of other instruments.",
+    "devices": "Calibrate and simulate instruments.",
+    "reproduce": "Redraw and check published figures.",
     "water": "Optical constants of pure water, and the fit of measured water.",
 }
 
@@ -182,24 +283,33 @@ def _answer(words: list[str]) -> int:
 
 def _help() -> str:
     width = max(map(len, COMMANDS)) + 2
-    lines = [f"  {name:<{width}}{text}" for name, (_, text) in COMMANDS.items()]
+    lines = []
+    for topic, names in TOPICS.items():
+        lines += ["", f"{topic[0].upper()}{topic[1:]}"]
+        lines += [f"  {name:<{width}}{COMMANDS[name][1]}" for name in names]
     return "\n".join(
         [
             "Underwater amplitude-modulated laser radar: from a survey to a 3D image.",
             "",
             "Usage: amulor COMMAND [OPTIONS]     amulor COMMAND --help     "
             "amulor --version",
-            "",
             *lines,
         ]
     )
+
+
+def _help_of(name: str) -> str:
+    """Summary of a command, an example, and the usual next command."""
+    example, following = EXAMPLES[name]
+    lines = [COMMANDS[name][1], f"Example: {example}"]
+    return "\n\n".join([*lines, f"Next: {following}"] if following else lines)
 
 
 def _run(words: list[str]) -> int:
     import logging
     from importlib import import_module
 
-    from cyclopts import App, CycloptsError
+    from cyclopts import App, CycloptsError, Parameter
 
     from amulor.cli._arguments import UsageError
     from amulor.errors import AmulorError
@@ -210,6 +320,7 @@ def _run(words: list[str]) -> int:
         name="amulor",
         help=_help().splitlines()[0],
         version_flags=[],
+        default_parameter=Parameter(negative_iterable=()),
         suppress_keyboard_interrupt=False,
     )
     groups = {
@@ -218,18 +329,19 @@ def _run(words: list[str]) -> int:
     }
     for group in groups.values():
         app.command(group)
-    for name, (target, summary) in COMMANDS.items():
+    for name, (target, _) in COMMANDS.items():
         first, _, subcommand = name.partition(" ")
         if name in groups:  # a command by itself that has commands below it, too
             module, _, function = target.partition(":")
             imported = import_module(f"amulor.cli.{module}")
             groups[name].default(getattr(imported, function))
+            groups[name].help = _help_of(name)
             continue
         place, command_name = (
             (groups[first], subcommand) if subcommand else (app, first)
         )
         # The text is that of the function, which is not imported for the list.
-        place.command(f"amulor.cli.{target}", name=command_name, help=summary)
+        place.command(f"amulor.cli.{target}", name=command_name, help=_help_of(name))
     try:
         with _ended_in_order():
             app(

@@ -211,3 +211,8 @@ def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
             f"{option} {path}: the ending says the format; use one of "
             f"{', '.join(endings)}"
         )
+
+
+def channel_of(text: str | None) -> str | None:
+    """Channel in capitals, as cubes have it; "none" is the unpolarized channel."""
+    return text.upper() if text and text != "none" else text

@@ -160,7 +160,7 @@ def recover(
     calibration: Path | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Make the cube of a scan from its journal.
+    """Write the cube of an interrupted scan from its journal.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ def simulate(
     lock_in: Literal["sr844", "sr865a"] = "sr844",
     devices: Path | None = None,
     speed: float = 1.0,
-    fault: tuple[str, ...] = (),
+    fault: Annotated[tuple[str, ...], Parameter(show_default=False)] = (),
     host: str = "127.0.0.1",
     lock_in_port: int = 0,
     stage_port: int = 0,
@@ -113,7 +113,7 @@ def calibrate(
     output: Annotated[Path, Parameter(alias="-o")],
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Find phase zero from a plate at a known distance.
+    """Calibrate the zero of the phase with a plate at a known distance.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ def explain(
     pixel: str | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Say what a flag or a message means, or why a pixel of a file is flagged.
+    """Explain a flag, a message, or the flags of one pixel of a file.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ def image(
     tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Turn a target signal into a range image.
+    """Compute a range image from a target signal.
 
     Parameters
     ----------
@@ -40,7 +40,12 @@ def image(
     overwrite
         Replace a file that is there.
     """
-    from amulor.cli._arguments import check_cube_output, check_tile_rows, interval_of
+    from amulor.cli._arguments import (
+        channel_of,
+        check_cube_output,
+        check_tile_rows,
+        interval_of,
+    )
     from amulor.cli._output import print_flags, print_next, progress_bar
 
     interval = interval_of(nearest, farthest)
@@ -53,7 +58,7 @@ def image(
     with progress_bar():
         summary = pipeline.image_file(
             cube, output, rows=tile_rows, overwrite=overwrite,
-            polarization=polarization, interval=interval,
+            polarization=channel_of(polarization), interval=interval,
         )  # fmt: skip
     if not summary.usable:
         print(

@@ -16,7 +16,7 @@ from amulor.cli._output import print_json
 def info(
     file: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False
 ) -> None:
-    """Say what a file holds.
+    """Print the contents of a file.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ def presets(
     reflectance: str | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """List published instruments that ship as surveys.
+    """List the published instruments that are available as surveys.
 
     Parameters
     ----------

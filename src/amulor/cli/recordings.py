@@ -19,7 +19,7 @@ def recordings(
     tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Turn a recording of other software into a measurement cube.
+    """Convert a recording of other software to a measurement cube.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ def reject(
     json: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Take the water signal out of a measurement cube.
+    """Subtract the water signal from a measurement cube.
 
     Parameters
     ----------

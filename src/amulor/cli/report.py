@@ -29,7 +29,7 @@ def report(
     *,
     output: Annotated[Path, Parameter(alias="-o")],
     checks: Path | None = None,
-    check: tuple[str, ...] = (),
+    check: Annotated[tuple[str, ...], Parameter(show_default=False)] = (),
     tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:

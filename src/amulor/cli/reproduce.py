@@ -21,7 +21,7 @@ _EXTRAS = {"mie": {7, 10, 11, 12}}
 
 def ricci2010(
     *,
-    figure: Annotated[tuple[int, ...], Parameter(negative="")] = (),
+    figure: Annotated[tuple[int, ...], Parameter(negative="", show_default=False)] = (),
     output: Annotated[Path, Parameter(alias="-o")] = Path("ricci2010"),
     quick: Annotated[bool, Parameter(negative="")] = False,
     sensitivity: bool = True,

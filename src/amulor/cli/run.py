@@ -18,7 +18,7 @@ def run(
     tile_rows: int | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Take all scans of a site to range images and clouds, here or on a cluster.
+    """Process all scans of a site to range images and clouds, here or on a cluster.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ def samples(
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """List sample data, or write some of them to try the other commands on.
+    """List the sample data, or write a sample to try other commands.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ def simulate(
     tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Simulate a survey into a measurement cube.
+    """Simulate a survey; write its measurement cube.
 
     Parameters
     ----------

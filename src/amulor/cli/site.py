@@ -78,7 +78,7 @@ def register(
     json: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Bring all scans of a site into one frame.
+    """Register all scans of a site in one frame.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def compare(
     json: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Compare two visits to a site: change, significance, volumes, what moved.
+    """Compare two visits to a site: change, significance, volumes, motions.
 
     Parameters
     ----------

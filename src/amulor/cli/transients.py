@@ -22,7 +22,7 @@ def transients(
     medium: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Turn single-photon histograms into a measurement cube.
+    """Convert single-photon histograms to a measurement cube.
 
     Parameters
     ----------

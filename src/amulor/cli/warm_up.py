@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def warm_up() -> None:
-    """Compile all loops for this computer, so that no later command waits for it.
+    """Compile all loops for this computer, so that later commands start faster.
 
     Each command compiles what it needs when it first runs, once; this takes a minute
     or two and is for images of containers, services and the evening before a survey.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from amulor.cli._arguments import UsageError
+from amulor.cli._arguments import UsageError, channel_of
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -30,7 +30,7 @@ def watch(
     every: str = "10 s",
     once: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Watch a scan in the terminal: picture, rate, drift, what to do.
+    """Show a running scan in the terminal: picture, rate, drift, advice.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def watch(
     live = Live(folder)
     try:
         live.look()
-        channel = _channel(live, polarization)
+        channel = _channel(live, channel_of(polarization))
         if sys.stdout.isatty():
             _on_screen(live, channel, show, once=once)
         else:

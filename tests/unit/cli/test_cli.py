@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 
 from amulor import io
-from amulor.cli import COMMANDS, main
+from amulor.cli import COMMANDS, EXAMPLES, TOPICS, main
 from amulor.cli._output import print_table, progress_bar
 from amulor.cube import tiles
 from amulor.studies.ladder import survey_text
@@ -90,6 +90,28 @@ def test_every_command_exists_and_says_what_the_help_says(name: str, capsys) -> 
     assert (inspect.getdoc(found) or "").splitlines()[0] == summary
     assert main([*name.split(), "--help"]) == 0
     assert name.split()[-1] in capsys.readouterr().out
+
+
+def test_each_command_has_one_topic() -> None:
+    listed = [name for names in TOPICS.values() for name in names]
+    assert sorted(listed) == sorted(COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_example_of_a_command_has_the_options_that_it_needs(name, capsys) -> None:
+    example, following = EXAMPLES[name]
+    assert example.startswith(f"amulor {name}")
+    assert main([*name.split(), "--help"]) == 0
+    page = capsys.readouterr().out
+    options = set(re.findall(r" (--?[a-z-]+)", example))
+    assert options <= set(re.findall(r"(?<= )--?[a-z-]+", page))
+    usage = " ".join(page.partition("\n\n")[0].split())
+    needed = set(re.findall(r"--[a-z-]+(?= [A-Z])", usage.partition("[OPTIONS]")[0]))
+    assert needed <= {{"-o": "--output"}.get(option, option) for option in options}
+    assert "--empty-" not in page
+    assert "[default: ()]" not in page
+    for command in re.findall(r"amulor ([a-z-]+)", following):
+        assert command in {each.partition(" ")[0] for each in COMMANDS}
 
 
 @pytest.mark.parametrize("group", sorted({n.split()[0] for n in COMMANDS if " " in n}))
@@ -431,6 +453,13 @@ def test_a_cube_of_another_level_names_the_remedy(
     message = _fails(full, capsys)
     assert "needed" in message
     assert not (folder / words[-1]).exists()
+
+
+def test_a_channel_is_accepted_in_lower_case(folder: Path, tmp_path: Path) -> None:
+    output = tmp_path / "image.nc"
+    words = ["image", str(folder / "target.nc"), "--polarization", "vh"]
+    assert main([*words, "-o", str(output)]) == 0
+    assert io.read_cube(output).attrs["polarization"] == "VH"
 
 
 def test_a_range_image_needs_a_channel_and_both_limits(folder: Path, capsys) -> None:
