@@ -131,8 +131,10 @@ def cube_page() -> str:
     parts = [
         "# The measurement cube",
         "",
-        "An `xarray.Dataset`, in a file CF netCDF. The attribute `level` says how far",
-        "it has come. Made from the code by `docs/make_reference.py`.",
+        "A measurement cube is an `xarray.Dataset`, stored as CF netCDF. The attribute",
+        "`level` is the processing level. Signals are peak amplitudes in volts, not",
+        "rms. A delayed echo has a positive phase: the signal is in-phase plus i times",
+        "quadrature. `docs/make_reference.py` generates this page from the code.",
         "",
     ]
     for level in schema.LEVELS.values():

@@ -2,6 +2,7 @@
 
     python tools/prose.py              # all pages and modules that are not excused
     python tools/prose.py FILE ...     # these, excused or not
+    python tools/prose.py --sample 100 --seed 7    # sentences of pages, to be judged
 
 A line for each finding: a sentence that is too long or has too many numbers, a word of
 the list, a first line of a docstring that does not begin with a noun or a verb.
@@ -10,6 +11,7 @@ the list, a first line of a docstring that does not begin with a noun or a verb.
 from __future__ import annotations
 
 import ast
+import random
 import re
 import sys
 from collections.abc import Iterator
@@ -47,7 +49,7 @@ def page(text: str) -> Iterator[str]:
     for block in _blocks(text):
         if "doi:" in block:
             continue  # a reference
-        for sentence in re.split(r"(?<=[.!?:;])\s+(?=[\"(A-Z`*\[0-9])", block):
+        for sentence in _sentences(block):
             start = " ".join(sentence.split()[:6])
             words = len(re.findall(r"[A-Za-z][\w'-]*", sentence))
             if words > WORDS:
@@ -60,13 +62,35 @@ def page(text: str) -> Iterator[str]:
                 yield f"'{match[0]}': write {better}"
 
 
-def _blocks(text: str) -> Iterator[str]:
-    """Yield paragraphs and list items, without code, tables, formulas and links."""
+def _sentences(block: str) -> list[str]:
+    """Parts of a paragraph that end in a full stop, a colon or a semicolon."""
+    return re.split(r"(?<=[.!?:;])\s+(?=[\"(A-Z`*\[0-9])", block)
+
+
+def sample(number: int, seed: int) -> list[str]:
+    """Sentences of the pages, drawn at random, with their file."""
+    sentences = [
+        f"{path.relative_to(ROOT)}: {sentence}"
+        for path in files()
+        if path.suffix == ".md"
+        for block in _blocks(path.read_text(encoding="utf-8"), keep=True)
+        for sentence in _sentences(block)
+        if len(sentence.split()) > 4
+    ]
+    return random.Random(seed).sample(sentences, number)
+
+
+def _blocks(text: str, *, keep: bool = False) -> Iterator[str]:
+    """Yield paragraphs and list items, without blocks of code, tables and links.
+
+    Code and formulas within a line become X, unless they are to be kept.
+    """
     text = re.sub(
         r"^(```+|~~~+|:::+).*?^\1", "\n", text, flags=re.DOTALL | re.MULTILINE
     )
     text = re.sub(r"<!--.*?-->|\$\$.*?\$\$", " ", text, flags=re.DOTALL)
-    text = re.sub(r"\$[^$\n]+\$|`[^`]*`", "X", text)
+    if not keep:
+        text = re.sub(r"\$[^$\n]+\$|`[^`]*`", "X", text)
     text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
     # Numbers of equations, and units.
     text = re.sub(r"\(\d+\)|https?://\S+|\b1/\w+", "", text)
@@ -113,6 +137,9 @@ def excused(path: Path) -> bool:
 
 def main(arguments: list[str]) -> int:
     """Print the findings, and return whether there are some."""
+    if arguments[:1] == ["--sample"]:
+        print("\n".join(sample(int(arguments[1]), int(arguments[3]))))
+        return 0
     chosen = [Path(name).resolve() for name in arguments] or [
         path for path in files() if not excused(path)
     ]

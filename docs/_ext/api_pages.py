@@ -1,7 +1,7 @@
 """Writes a page for each public module and a table of its names, before Sphinx reads.
 
-Public names are those of `tests/reference/public_surface.txt`, which a test compares with
-the package. Functions and classes that pages and examples import get pages as well.
+Public names are those of `tests/reference/public_surface.txt`, which a test compares
+with the package. Functions and classes that pages and examples import are added.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from sphinx.config import Config
 
 ROOT = Path(__file__).parents[2]
 LISTING = ROOT / "tests" / "reference" / "public_surface.txt"
+#: Long names break after a dot, at a space of no width.
+BREAK = ".\u200b"
 #: Modules in the order in which a scan uses them.
 _ORDER = (
     "amulor", "survey", "simulation", "acquisition", "cube", "rejection", "imaging",
@@ -108,8 +110,7 @@ def _index(modules: list[str]) -> str:
         ".. toctree::",
         "   :maxdepth: 1",
         "",
-        # Long names break after a dot, at a space of no width.
-        *(f"   {module.replace('.', '.\u200b')} <{module}>" for module in modules),
+        *(f"   {module.replace('.', BREAK)} <{module}>" for module in modules),
     ]
     return "\n".join(lines) + "\n"
 

@@ -71,8 +71,9 @@ def without_groups(cube: xr.Dataset, *groups: str) -> xr.Dataset:
     Examples
     --------
     >>> from amulor import cube as cubes, samples
-    >>> "truth_target" in cubes.without_groups(samples.cube("ladder"))
-    False
+    >>> cube = samples.cube("ladder")
+    >>> len(cube), len(cubes.without_groups(cube))  # variables
+    (19, 6)
     """
     prefixes = tuple(f"{name}_" for name in groups or schema.GROUPS)
     names = [key for key in cube.data_vars if not str(key).startswith(prefixes)]
@@ -102,8 +103,8 @@ def attach(cube: xr.Dataset, part: xr.Dataset, name: str) -> xr.Dataset:
     >>> cube = samples.cube("ladder")
     >>> shots = cubes.group(cube, "open_water")
     >>> again = cubes.attach(cubes.without_groups(cube), shots, "open_water")
-    >>> "open_water_in_phase" in again
-    True
+    >>> again["open_water_in_phase"].dims
+    ('modulation_frequency', 'polarization', 'shot')
     """
     prefixed = {f"{name}_{key}": part[key].variable for key in part.data_vars}
     return cube.assign(prefixed)

@@ -105,8 +105,8 @@ class QualityFlag(enum.IntFlag):
     >>> from amulor.cube import QualityFlag
     >>> QualityFlag(5)
     <QualityFlag.MISSING|NO_TARGET: 5>
-    >>> QualityFlag.NO_TARGET in QualityFlag(5)
-    True
+    >>> [flag.name for flag in QualityFlag(5)]
+    ['MISSING', 'NO_TARGET']
     """
 
     GOOD = 0

@@ -140,8 +140,8 @@ def flag_mixed(
     >>> target = rejection.cross_polarized(samples.cube("ladder"))
     >>> image = imaging.range_image(target)
     >>> flagged = imaging.flag_mixed(image)
-    >>> bool((flagged["user_mixed"].values == imaging.mixed_pixels(image)).all())
-    True
+    >>> int(flagged["user_mixed"].sum()), flagged["user_mixed"].size
+    (550, 4000)
     """
     image = cubes.checked(image, "range_image")
     mixed = mixed_pixels(image, significance=significance, reach=reach)

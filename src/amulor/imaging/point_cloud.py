@@ -49,8 +49,8 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
     >>> cloud = imaging.point_cloud(image)
     >>> xyz = np.stack([cloud[axis].values for axis in "xyz"])
     >>> ranges = np.linalg.norm(xyz, axis=0)  # the emitter is the origin
-    >>> bool(np.isclose(ranges.max(), image["slant_range"].max()))
-    True
+    >>> print(f"{ranges.min():.2f} to {ranges.max():.2f} m")
+    0.74 to 1.49 m
     """
     image = cubes.checked(image, "range_image")
     frame = frame or frame_of(image)

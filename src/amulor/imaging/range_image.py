@@ -84,12 +84,14 @@ def range_image(
     Returns
     -------
     xarray.Dataset
-        Level `range_image`. Pixels with an unusable flag hold no number. Where the
-        water was not removed, and where the interval is not settled, the error is not
-        known and the combined uncertainties are NaN. Where neither
-        an interval nor the survey says which repetition of the phases is right, ranges
-        are those of the first, all pixels are flagged `RELATIVE`, and the attribute
-        `interval_unsettled` says why.
+        Level `range_image`:
+
+        - Pixels with an unusable flag are not-a-number.
+        - If the water was not removed, or the ambiguity interval is unknown, the
+          errors are unknown and the combined uncertainties are NaN.
+        - If neither an interval nor the survey determines the ambiguity interval,
+          ranges are those of the first. All pixels are flagged `RELATIVE`, and the
+          attribute `interval_unsettled` states the reason.
 
     Raises
     ------

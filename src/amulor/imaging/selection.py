@@ -50,8 +50,9 @@ def leave_out(
     ... )
     >>> image = imaging.range_image(target)
     >>> kept = imaging.leave_out(image, largest_uncertainty=7e-3)
-    >>> bool(kept["slant_range_uncertainty"].max() <= 7e-3)
-    True
+    >>> largest = float(kept["slant_range_uncertainty"].max())
+    >>> print(f"largest uncertainty {1e3 * largest:.1f} mm")
+    largest uncertainty 7.0 mm
     """
     image = cubes.checked(image, "range_image")
     gone, counts = to_leave_out(

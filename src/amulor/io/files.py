@@ -52,8 +52,8 @@ def make_folder(path: str | os.PathLike[str]) -> None:
     >>> from pathlib import Path
     >>> from amulor import io
     >>> io.make_folder("clouds")
-    >>> Path("clouds").is_dir()
-    True
+    >>> list(Path("clouds").iterdir())
+    []
     """
     path = Path(path)
     try:

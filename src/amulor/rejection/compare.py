@@ -47,8 +47,8 @@ class Caution(enum.StrEnum):
     Examples
     --------
     >>> from amulor.rejection import Caution
-    >>> Caution("no pixel") is Caution.NO_PIXEL
-    True
+    >>> Caution("no pixel").name
+    'NO_PIXEL'
     """
 
     NONE = "none"

@@ -269,13 +269,19 @@ def frequency(
     Returns
     -------
     xarray.Dataset
-        Level `target_signal` with one frequency. The signal is that of the samples;
-        the `residual_` variables hold the water in it as the shots tell, from which
-        the shift of the range follows, and the uncertainty holds the fluctuation of
-        that water and the error of the shots. Flagged `WATER_RESIDUAL` where the shift
-        exceeds the uncertainty, `NO_TARGET` where the signal is not five times the
-        water in it, or open water explains all frequencies. The attributes
-        `frequency_choice` and `frequency_warnings` say why.
+        Level `target_signal` with one frequency:
+
+        - `in_phase`, `quadrature`: signal of the samples, water included. The
+          uncertainty includes the fluctuation of the water and the error of the
+          shots.
+        - `residual_` variables: water signal by the shots, which determines the
+          shift of the range.
+        - `WATER_RESIDUAL`: the shift exceeds the uncertainty.
+        - `NO_TARGET`: the signal is less than five times the water signal, or open
+          water explains all frequencies.
+        - `frequency_choice`, `frequency_warnings`: reasons for the choice.
+
+
 
     Raises
     ------

@@ -274,8 +274,8 @@ def names() -> tuple[str, ...]:
     Examples
     --------
     >>> from amulor import rejection
-    >>> "open-water" in rejection.names()
-    True
+    >>> [name for name in rejection.names() if "polar" in name]
+    ['co-polarized', 'cross-polarized', 'polarization']
     """
     return _plugins.names(_plugins.REJECTION)
 

@@ -89,18 +89,23 @@ def open_water(
     Returns
     -------
     xarray.Dataset
-        Level `target_signal`. Its uncertainty holds the instrument's, the
-        fluctuation of the water as seen among the shots, the error of the reference
-        between the shots, and a drift from the first shot to the last; what the pixels
-        share also stands alone in the `common_` variables. The `residual_` variables
-        estimate the water signal that is left because the target cuts the column off
-        (zero where it was put back); they are there if the cube's survey describes the
-        water. The attributes `open_water_drift` and `open_water_drift_uncertainty`
-        hold the size of the relative change, frequency by frequency; infinite
-        uncertainty says that no direction was repeated, or none is stated.
-        `open_water_change` is how much stronger the water of the scan was than the
-        shots, as its own phases tell, with `open_water_change_uncertainty`; it is
-        taken into account.
+        Level `target_signal`, with these variables and attributes:
+
+        - `in_phase_uncertainty`, `quadrature_uncertainty`: noise of the instrument,
+          fluctuation of the water among the shots, error of the reference between
+          the shots, and drift from the first shot to the last.
+        - `common_` variables: the part of these errors that pixels share.
+        - `residual_` variables: estimate of the residual water signal, since the
+          target ends the water column (zero with `put_back`); only if the cube's
+          survey describes the water.
+        - `open_water_drift`, `open_water_drift_uncertainty`: relative change of the
+          reference, for each frequency. The uncertainty is infinite if no direction
+          was repeated or no drift is stated.
+        - `open_water_change`, `open_water_change_uncertainty`: relative difference
+          of the water of the scan from the reference, estimated from the phases of
+          the scan. The signal is corrected for it.
+
+
 
     Raises
     ------
@@ -142,9 +147,9 @@ def open_water(
     >>> target = rejection.open_water(cube).amulor.signal.values
     >>> truth = cube["truth_target_in_phase"] + 1j * cube["truth_target_quadrature"]
     >>> water = cube["truth_water_in_phase"] + 1j * cube["truth_water_quadrature"]
-    >>> left = np.abs((target - truth.values).mean()) / np.abs(water.values.mean())
-    >>> bool(left < 0.05)
-    True
+    >>> residual = np.abs((target - truth.values).mean())
+    >>> print(f"{100 * residual / np.abs(water.values.mean()):.1f} % of the water left")
+    0.6 % of the water left
     """
     return _subtract(
         cube,

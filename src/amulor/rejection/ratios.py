@@ -92,8 +92,8 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
 
     >>> from amulor import rejection, samples
     >>> ratio = rejection.water_ratio(samples.cube("ladder"))
-    >>> bool(abs(ratio.value - 0.18 / 1.82) < 3 * ratio.uncertainty)
-    True
+    >>> print(f"{ratio.value:.4f} ± {ratio.uncertainty:.4f}, true {0.18 / 1.82:.4f}")
+    0.0992 ± 0.0009, true 0.0989
     """
     cube, _ = with_noise_of_shots(cubes.checked(cube, "samples"))
     co, cross = pair_of(cube)
@@ -170,8 +170,8 @@ def target_ratio(
     >>> from amulor import rejection, samples
     >>> cube = samples.cube("ladder").isel(row=[18], shot=slice(0, None, 4))
     >>> ratio = rejection.target_ratio(cube)
-    >>> bool(abs(ratio.value - 0.39 / 1.61) < 3 * ratio.uncertainty)
-    True
+    >>> print(f"{ratio.value:.3f} ± {ratio.uncertainty:.3f}, true {0.39 / 1.61:.3f}")
+    0.242 ± 0.001, true 0.242
     """
     cube = cubes.checked(cube, "samples")
     pair_of(cube)

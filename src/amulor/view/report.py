@@ -152,8 +152,8 @@ def write_report(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "report.html"
     ...     view.write_report(path, "Tank", [view.Paragraph("Flat.")])
-    ...     "<p>Flat.</p>" in path.read_text()
-    True
+    ...     path.read_text().splitlines()[0]
+    '<!DOCTYPE html>'
     """
     body = "\n".join(_rendered(part) for part in parts)
     page = _PAGE.format(title=html.escape(title), style=_STYLE, body=body)

@@ -43,8 +43,8 @@ class Journal:
     >>> from amulor.acquisition import Journal
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with Journal.create(Path(folder), meta={"survey": "none"}) as journal:
-    ...         journal.folder.samefile(folder)
-    True
+    ...         sorted(path.name for path in journal.folder.iterdir())[0]
+    'journal.sqlite'
     """
 
     def __init__(

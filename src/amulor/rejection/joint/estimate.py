@@ -357,14 +357,20 @@ def joint(
     -------
     xarray.Dataset
         Level `target_signal`: the samples less the water signal that ends at the
-        target. Variables that begin with `joint_` hold, over (row, column), the
-        `slant_range` [m], its `slant_range_uncertainty`, the part of it that all pixels
-        share (`slant_range_common_uncertainty`), the Cramer-Rao `slant_range_bound`,
-        `slant_range_lower` and `slant_range_upper` ends of the 68 % interval from the
-        profile of the likelihood, the `wrong_interval_probability`, the `misfit`
-        (chi-square over its degrees of freedom), and the slant ranges of both surfaces
-        where there are two, `nearer_surface` and `farther_surface` [m].
-        Attributes that begin with `joint_` hold what the pixels share.
+        target. Parameters that pixels share are attributes that begin with `joint_`.
+        These variables over (row, column) begin with `joint_`, too:
+
+        - `slant_range`, `slant_range_uncertainty` [m].
+        - `slant_range_common_uncertainty`: the part that all pixels share [m].
+        - `slant_range_bound`: Cramer-Rao bound [m].
+        - `slant_range_lower`, `slant_range_upper`: ends of the 68 % interval from the
+          profile of the likelihood [m].
+        - `wrong_interval_probability`: probability of another ambiguity interval [1].
+        - `misfit`: chi-square over its degrees of freedom [1].
+        - `nearer_surface`, `farther_surface`: slant ranges of two surfaces in one
+          beam [m].
+
+
 
     Raises
     ------
