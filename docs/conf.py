@@ -59,7 +59,6 @@ myst_heading_anchors = 4
 myst_dmath_double_inline = True
 
 # --------------------------------------------------------------------- API
-autosummary_generate = True
 autosummary_imported_members = True
 autodoc_typehints = "none"
 numpydoc_show_class_members = False

@@ -64,7 +64,7 @@ def page(text: str) -> Iterator[str]:
 
 def _sentences(block: str) -> list[str]:
     """Parts of a paragraph that end in a full stop, a colon or a semicolon."""
-    return re.split(r"(?<=[.!?:;])\s+(?=[\"(A-Z`*\[0-9])", block)
+    return re.split(r"(?<=[.!?:;])\s+(?=[\"(A-Z`*\[0-9]|amulor )", block)
 
 
 def sample(number: int, seed: int) -> list[str]:

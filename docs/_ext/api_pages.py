@@ -96,6 +96,8 @@ def write(app: Sphinx, config: Config) -> None:
         path = folder / f"{stem}.rst"
         if not path.exists() or path.read_text() != text:
             path.write_text(text)
+    # Pages that are new in this build get pages of their names, too.
+    config.autosummary_generate = [f"api/{stem}.rst" for stem in pages]
 
 
 def _index(modules: list[str]) -> str:
