@@ -22,7 +22,7 @@ from amulor.acquisition.settings import Settings
 from amulor.handover import references
 from amulor.handover.archive import read_project
 from amulor.imaging.measure import read_checks
-from amulor.io.recording_map import RecordingMap
+from amulor.io.recording_table import RecordingMap
 from amulor.io.recordings import read_recordings
 from amulor.simulation import scene, simulate
 from amulor.site import Site

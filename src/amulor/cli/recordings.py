@@ -42,7 +42,7 @@ def recordings(
     from amulor.cli._arguments import check_cube_output, check_tile_rows
     from amulor.cli._output import print_next, progress_bar
     from amulor.cube.tiles import is_large
-    from amulor.io.recording_map import RecordingMap
+    from amulor.io.recording_table import RecordingMap
     from amulor.io.recordings import marked, read_recordings
     from amulor.survey import Survey
     from amulor.survey.directions import samples_of

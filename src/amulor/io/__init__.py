@@ -1,4 +1,4 @@
-"""Reads and writes files: cubes and tallies as netCDF, clouds in others' formats.
+"""File readers and writers: netCDF cubes and tallies, point clouds in common formats.
 
 Photon histograms of other instruments become cubes (`read_transients`) or the response
 of slabs (`read_slabs`, `slab_response`).
@@ -14,13 +14,13 @@ import numpy as np
 import xarray as xr
 
 from amulor.errors import FormatError
-from amulor.io._cloud import checked_parts
 from amulor.io.e57 import write_e57, write_e57_parts, write_e57_scans
 from amulor.io.files import check_output, make_folder
 from amulor.io.histograms import Histograms, read_histograms
 from amulor.io.laz import write_laz, write_laz_parts
 from amulor.io.netcdf import read_cube, row_writer, write_cube
 from amulor.io.ply import write_ply, write_ply_parts
+from amulor.io.shapes import checked_parts
 from amulor.io.slab_response import Slabs, mean_delay, read_slabs, slab_response
 from amulor.io.tallies import read_tally, write_tally
 from amulor.io.text_cloud import write_text, write_text_parts
@@ -61,7 +61,7 @@ def write_cloud(
     shape: tuple[int, int] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud in the format that the suffix of the file names.
+    """Write a point cloud in the format given by the file's suffix.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def write_cloud_parts(
     shape: tuple[int, int],
     overwrite: bool = False,
 ) -> None:
-    """Write a cloud that comes in parts; the file is that of the whole cloud."""
+    """Write a point cloud part by part; the file equals that of the whole cloud."""
     match Path(path).suffix.lower():
         case ".ply":
             write_ply_parts(parts(), count, path, overwrite=overwrite)
@@ -130,8 +130,8 @@ def write_cloud_parts(
             name, done = f"the cloud for {path}", 0
             with row_writer(path, count, overwrite=overwrite, over="point") as writer:
                 for part in checked_parts(parts(), count, name=name):
-                    whole = np.array(shape, dtype=np.int32)
-                    writer.put(part.assign_attrs(scan_shape=whole), done)
+                    scan_shape = np.array(shape, dtype=np.int32)
+                    writer.put(part.assign_attrs(scan_shape=scan_shape), done)
                     done += part.sizes["point"]
         case ".xyz" | ".csv":
             write_text_parts(parts(), count, path, overwrite=overwrite)
@@ -147,5 +147,5 @@ def _no_cloud_format(path: str | os.PathLike[str]) -> FormatError:
 
 
 def __dir__() -> list[str]:
-    """List the public names, not the modules that they come from."""
+    """List the public names without the modules that define them."""
     return sorted(__all__)

@@ -1,4 +1,4 @@
-"""Writes drawings in the formats of surveyors: GeoTIFF, DXF, SVG, PNG, tables."""
+"""Drawing files for surveyors: GeoTIFF, DXF, SVG, PNG and CSV tables."""
 
 from __future__ import annotations
 
@@ -38,44 +38,44 @@ class Line:
     points: Floats
     """Right and up, shape (n, 2) [m]."""
     layer: str
-    """What it belongs to, such as "contours"."""
+    """Layer name, such as "contours"."""
     label: str = ""
-    """What it is, such as its height."""
+    """Text beside the line, such as its height."""
     elevation: float = 0.0
     """Height above the drawing plane [m]."""
     band: Floats | None = None
-    """Standard uncertainty across the line at its points, drawn as a band twice as
-    wide to either side; none if left out, shape (n,) [m]."""
+    """Standard uncertainty across the line at its points, drawn as a band twice as wide
+    to either side; none if absent, shape (n,) [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """Polylines with what is to be said of them."""
+    """Polylines with title, axis names and statements."""
 
     title: str
-    """What is drawn."""
+    """Title."""
     lines: tuple[Line, ...]
-    """At least one."""
+    """Polylines, at least one."""
     axes: tuple[str, str]
-    """What right and up are called."""
+    """Names of the right and the up axis."""
     statements: tuple[str, ...] = ()
-    """Frame, errors and provenance, one statement each."""
+    """Statements about frame, errors and provenance."""
 
     @property
     def limits(self) -> tuple[float, float, float, float]:
-        """Left, right, lower and upper end of all lines [m]."""
+        """Left, right, lower and upper limit of all lines [m]."""
         points = np.concatenate([line.points for line in self.lines])
         (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
         return float(left), float(right), float(low), float(high)
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """Names of the layers, in order."""
+        """Layer names in the order of the lines."""
         return tuple(dict.fromkeys(line.layer for line in self.lines))
 
 
 def checked(drawing: Drawing, *, name: str) -> Drawing:
-    """Return a drawing that has lines with finite points, or raise."""
+    """Drawing checked for lines with finite points."""
     if not drawing.lines:
         raise FormatError(f"{name}: there is no line to draw")
     for line in drawing.lines:
@@ -95,7 +95,7 @@ def sides(line: Line) -> Floats | None:
     return np.concatenate([line.points + across, (line.points - across)[::-1]])
 
 
-# Colours of Okabe and Ito, a layer each; sizes on paper [mm].
+# Colors of Okabe and Ito, a layer each; sizes on paper [mm].
 _SVG_COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7")
 _MARGIN, _LETTERS, _THICK = 15.0, 2.6, 0.25
 #: Letters of a line of statements: the width of a page [1].
@@ -111,7 +111,7 @@ def write_svg(
     scale: float,
     overwrite: bool = False,
 ) -> None:
-    """Write a line drawing to an SVG file whose millimetres are those of the paper."""
+    """Write a line drawing to an SVG file in millimeters of paper."""
     drawing = checked(drawing, name=str(path))
     left, right, low, high = drawing.limits
     to_paper = 1000.0 / scale
@@ -179,10 +179,10 @@ def write_svg(
 
 
 def bar_length(extent: float, scale: float) -> float:
-    """Return a round length for a scale bar."""
-    wanted = max(0.5 * extent, 0.02 * scale)
-    power = 10.0 ** np.floor(np.log10(wanted))
-    fitting = [step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted]
+    """Round length of a scale bar [m]."""
+    longest = max(0.5 * extent, 0.02 * scale)
+    power = 10.0 ** np.floor(np.log10(longest))
+    fitting = [step * power for step in (1.0, 2.0, 5.0) if step * power <= longest]
     return float(fitting[-1])
 
 
@@ -217,7 +217,7 @@ def _text(text: str, y: float, *, bold: bool = False) -> str:
 
 #: Letters of labels and statements in the drawing [m].
 _DXF_LETTERS = 0.002
-#: Colours of layers by number, after the seven plain ones of the format.
+#: Colors of layers by number, after the seven plain ones of the format.
 _DXF_COLOURS = (7, 5, 1, 3, 6, 30, 4)
 _METRES = 6
 
@@ -225,7 +225,7 @@ _METRES = 6
 def write_dxf(
     drawing: Drawing, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Write a line drawing to a DXF file, in metres.
+    """Write a line drawing to a DXF file, in meters.
 
     AutoCAD 2010 format, light-weight polylines, a layer for each kind of line. The
     outline of the band of two standard uncertainties is on the layer "uncertainty";
@@ -292,11 +292,11 @@ class Band:
     """One layer of a raster."""
 
     name: str
-    """What it is, with its unit."""
+    """Quantity with its unit."""
     unit: str
-    """Such as "m"."""
+    """Unit, such as "m"."""
     values: Floats
-    """Shape (rows, columns), the first row the upper one; not a number for none."""
+    """Values, upper row first; NaN where there is none, shape (rows, columns)."""
 
 
 def write_geotiff(
@@ -311,9 +311,9 @@ def write_geotiff(
     statements: Sequence[str] = (),
     overwrite: bool = False,
 ) -> None:
-    """Write bands of one size to a GeoTIFF file.
+    """Write raster bands of equal size to a GeoTIFF file.
 
-    Single precision, which holds a metre to 60 nm; deflate; not a number is no data.
+    Single precision, which holds a meter to 60 nm; deflate; not a number is no data.
     Bands lie one after the other, with their names and units as GDAL reads them.
     """
     tifffile = _tifffile()
@@ -361,7 +361,7 @@ def write_geotiff(
 
 
 def _metadata(bands: Sequence[Band]) -> str:
-    """Return names and units of the bands in the XML that GDAL reads."""
+    """Names and units of the bands as the XML that GDAL reads."""
     items = []
     for number, band in enumerate(bands):
         for key, role, text in (
@@ -394,13 +394,13 @@ def write_picture(
     texts: Mapping[str, str],
     overwrite: bool = False,
 ) -> None:
-    """Write a picture to a PNG file, with its resolution and texts inside."""
+    """Write a picture to a PNG file with its resolution and text fields."""
     from PIL import Image, PngImagePlugin
 
     described = PngImagePlugin.PngInfo()
     for key, text in texts.items():
         described.add_itxt(key, text)
-    density = round(dots_per_metre) * 0.0254  # dots per inch, whole ones per metre
+    density = round(dots_per_metre) * 0.0254  # dots per inch, whole ones per meter
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
         Image.fromarray(pixels).save(
             temporary, format="PNG", dpi=(density, density), pnginfo=described

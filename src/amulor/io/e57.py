@@ -1,4 +1,4 @@
-"""Writes and reads point clouds as structured scans in E57 files."""
+"""Point clouds as structured scans in E57 files."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.errors import CubeError, FormatError, MissingExtraError
-from amulor.io._cloud import (
+from amulor.io.files import atomic_output
+from amulor.io.shapes import (
+    Shape,
     checked_cloud,
     checked_parts,
     doubtful,
     in_blocks,
     provenance_lines,
+    scalars_of,
+    up_of,
 )
-from amulor.io.files import atomic_output
-from amulor.io.shapes import Shape, scalars_of, up_of
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -57,7 +59,7 @@ def write_e57(
     shape: tuple[int, int] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud to an E57 file, with a record for each pixel of its scan.
+    """Write a point cloud to an E57 file, one record per pixel of its scan.
 
     Parameters
     ----------
@@ -115,7 +117,7 @@ def write_e57_parts(
     shape: tuple[int, int],
     overwrite: bool = False,
 ) -> None:
-    """Write the cloud of a scan that comes in parts, so that none is in memory whole.
+    """Write a cloud to an E57 file part by part, with bounded memory.
 
     The file is that of the whole cloud, byte for byte: records are handed over in
     blocks of the same size for whatever parts.
@@ -136,7 +138,7 @@ def write_e57_scans(
     shapes: Sequence[tuple[int, int]] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write the point clouds of several scans to one E57 file, each with its pose.
+    """Write the point clouds of several scans with their poses to one E57 file.
 
     Parameters
     ----------
@@ -209,7 +211,7 @@ def _pye57(purpose: str) -> Any:
 
 
 def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
-    """Return rows and columns of the scan that a cloud comes from."""
+    """Rows and columns of the scan behind a cloud."""
     if "scan_shape" in cloud.attrs:
         rows, columns = (int(size) for size in cloud.attrs["scan_shape"])
         return rows, columns
@@ -217,7 +219,7 @@ def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
 
 
 def _pose(matrix: NDArray[np.float64]) -> dict[str, dict[str, float]]:
-    """Return a pose as the format states it: unit quaternion and translation."""
+    """Pose as the format stores it: unit quaternion and translation."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
@@ -298,11 +300,11 @@ def _set(libe57: Any, file: Any, node: Any, children: Mapping[str, Any]) -> None
 def _write_points(libe57: Any, file: Any, node: Any, scan: Records) -> None:
     size = min(BLOCK, scan.count)
     # The writer takes its records from these, again and again.
-    taken: dict[str, NDArray[Any]] = {
+    fields: dict[str, NDArray[Any]] = {
         key: np.zeros(size, dtype=kind) for key, kind in FIELDS.items()
     }
     prototype = libe57.StructureNode(file)
-    for key, values in taken.items():
+    for key, values in fields.items():
         if values.dtype.kind == "f":
             field = libe57.FloatNode(file, 0.0, libe57.E57_DOUBLE)
         else:
@@ -311,14 +313,14 @@ def _write_points(libe57: Any, file: Any, node: Any, scan: Records) -> None:
     points = libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True))
     node.set("points", points)
     buffers = libe57.VectorSourceDestBuffer()
-    for key, values in taken.items():
+    for key, values in fields.items():
         buffers.append(
             libe57.SourceDestBuffer(file, key, values, values.size, True, True)
         )
     writer = points.writer(buffers)
     try:
         for block in scan.blocks():
-            for key, values in taken.items():
+            for key, values in fields.items():
                 values[: len(block)] = block[key]
             writer.write(len(block))
     except BaseException:
@@ -330,7 +332,7 @@ def _write_points(libe57: Any, file: Any, node: Any, scan: Records) -> None:
 
 
 class Records:
-    """The records of one scan, and what stands beside them in a file."""
+    """Records of one scan with its metadata in the file."""
 
     def __init__(
         self,
@@ -356,9 +358,11 @@ class Records:
         self.first = first
         #: The matrix that takes the records into the frame of the cloud, if any.
         self.matrix = _in_the_instrument(first)[1]
-        each = [found.hexdigest() for found in digests.values()]
+        parts_digests = [digest.hexdigest() for digest in digests.values()]
         #: Of all that is written.
-        self.digest = cubes.digest("\n".join([*provenance_lines(first), *each]))
+        self.digest = cubes.digest(
+            "\n".join([*provenance_lines(first), *parts_digests])
+        )
         #: Smallest and largest value of each field, and of x, y and z of the points.
         self.ends = ends
 
@@ -368,11 +372,11 @@ class Records:
         return self._shape[0] * self._shape[1]
 
     def blocks(self) -> Iterator[NDArray[np.void]]:
-        """Yield the records in the order of the pixels, `BLOCK` at a time."""
-        return in_blocks((_packed(found) for _, found in self._pieces()), BLOCK)
+        """Yield the records in pixel order, `BLOCK` at a time."""
+        return in_blocks((_packed(records) for _, records in self._pieces()), BLOCK)
 
     def _pieces(self) -> Iterator[tuple[xr.Dataset | None, Arrays]]:
-        """Yield parts of the cloud with the records of all rows up to their end."""
+        """Yield parts of the cloud with the records of complete rows."""
         rows, columns = self._shape
         done = 0
         for part in self._parts():
@@ -396,7 +400,7 @@ class Records:
         yield from self._without_points(done, rows)
 
     def _without_points(self, begin: int, end: int) -> Iterator[tuple[None, Arrays]]:
-        """Yield records of rows that hold no point, a few at a time."""
+        """Yield records of rows without points, in small blocks."""
         columns = self._shape[1]
         few = max(1, BLOCK // columns)
         for first in range(begin, end, few):
@@ -422,7 +426,7 @@ class Records:
 
 
 def _empty(rows: tuple[int, int], columns: int) -> Arrays:
-    """Return the records of rows without a point."""
+    """Return the records of rows without points."""
     pixels = np.arange(rows[0] * columns, rows[1] * columns)
     records: Arrays = {
         key: np.zeros(pixels.size, dtype=kind) for key, kind in FIELDS.items()
@@ -434,7 +438,7 @@ def _empty(rows: tuple[int, int], columns: int) -> Arrays:
 
 
 def _packed(records: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
-    """Return records as one array."""
+    """Return the records as one structured array."""
     packed = np.empty(len(records["intensity"]), dtype=list(FIELDS.items()))
     for key, values in records.items():
         packed[key] = values
@@ -451,26 +455,29 @@ def _widen(
 def _in_the_instrument(
     cloud: xr.Dataset,
 ) -> tuple[xr.Dataset, NDArray[np.float64] | None]:
-    """Return the cloud in the instrument's axes, and the matrix that takes it back."""
+    """Cloud in instrument axes, and the matrix back to its frame."""
     if cloud.attrs.get("frame", "instrument") == "instrument":
         return cloud, None
     matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)
     away = [cloud[axis].values - matrix[k, 3] for k, axis in enumerate("xyz")]
     # Not by a product of matrices, whose sums depend on how many points there are.
-    own = [
+    instrument_position = [
         away[0] * matrix[0, k] + away[1] * matrix[1, k] + away[2] * matrix[2, k]
         for k in range(3)
     ]
     return (
         cloud.assign(
-            {axis: cloud[axis].copy(data=own[k]) for k, axis in enumerate("xyz")}
+            {
+                axis: cloud[axis].copy(data=instrument_position[k])
+                for k, axis in enumerate("xyz")
+            }
         ),
         matrix,
     )
 
 
 def read_e57(path: Path) -> Shape:
-    """Read all scans of an E57 file, each at its pose [m]."""
+    """Read all scans of an E57 file, each transformed by its pose [m]."""
     pye57 = _pye57("reading")
     try:
         file = pye57.E57(str(path))
@@ -492,7 +499,7 @@ def read_e57(path: Path) -> Shape:
             columns["scan"] = np.full(len(position), float(number))
     shared = set.intersection(*(set(columns) for _, columns, _, _ in scans))
     columns = {
-        key: np.concatenate([one[key] for _, one, _, _ in scans])
+        key: np.concatenate([scan_values[key] for _, scan_values, _, _ in scans])
         for key in scans[0][1]
         if key in shared
     }
@@ -501,7 +508,7 @@ def read_e57(path: Path) -> Shape:
         parts = np.stack([columns.pop(name) for name in _COLOURS], axis=1)
         colour = np.clip(parts, 0, 255).astype(np.uint8)
     scalars, _ = scalars_of(columns)
-    position = np.concatenate([one for one, *_ in scans])
+    position = np.concatenate([scan_values for scan_values, *_ in scans])
     turned = any(moved for *_, moved in scans)
     return Shape(
         position=position,
@@ -516,7 +523,7 @@ def read_e57(path: Path) -> Shape:
 def _scan(
     file: Any, number: int
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]], list[str], bool]:
-    """Return places, numbers and words of a scan, and whether it has a pose."""
+    """Positions, numbers and texts of a scan, and whether it has a pose."""
     header = file.get_header(number)
     names = set(header.point_fields)
     raw = file.read_scan_raw(number)
@@ -538,18 +545,18 @@ def _scan(
         state = np.asarray(raw.get("sphericalInvalidState", state))
     else:
         raise FormatError("a scan has neither cartesian nor spherical coordinates")
-    there = state != _NOTHING_MEANT
+    present = state != _NOTHING_MEANT
     moved = bool(header.has_pose())
-    position = np.asarray(position, dtype=float)[there]
+    position = np.asarray(position, dtype=float)[present]
     if moved:
         position = position @ header.rotation_matrix.T + header.translation
     columns = {
-        name: np.asarray(values)[there]
+        name: np.asarray(values)[present]
         for name, values in raw.items()
         if name in ("intensity", *_COLOURS)
     }
     if (state == 1).any():
-        columns["doubtful"] = (state == 1)[there].astype(float)
+        columns["doubtful"] = (state == 1)[present].astype(float)
     try:
         words = str(header["description"].value()).splitlines()
     except Exception:  # the format does not ask for a description

@@ -1,4 +1,4 @@
-"""Reads and writes whole files, or says in one line why that cannot be done."""
+"""Reading and writing of whole files, with failures explained in one line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from amulor.errors import FormatError
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """Return all that a file holds."""
+    """Read a file into memory."""
     path = Path(path)
     try:
         if path.is_dir():
@@ -35,7 +35,7 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
 
 
 def make_folder(path: str | os.PathLike[str]) -> None:
-    """Make a folder for output, unless it is there.
+    """Create a folder for output unless it exists.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def make_folder(path: str | os.PathLike[str]) -> None:
 def atomic_output(
     path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> Iterator[Path]:
-    """Write a file that appears whole under its name, or not at all.
+    """Write a file that appears under its name complete or not at all.
 
     Examples
     --------
@@ -178,7 +178,7 @@ def _synchronise(path: Path) -> None:
 
 
 def synchronise_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on disk, where the system can do that."""
+    """Flush the entries of a folder to disk, where the system can do that."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -192,7 +192,7 @@ def _reason(error: OSError) -> str:
 
 
 def load_hdf5() -> None:
-    """Load what reads and writes netCDF; a `FormatError` says that it does not run."""
+    """Import the netCDF library, or raise a `FormatError` that says why it fails."""
     try:
         import h5netcdf  # noqa: F401
         import h5py  # noqa: F401

@@ -1,4 +1,4 @@
-"""Read photon histograms from npz files; their Fourier coefficients and noise."""
+"""Photon histograms from npz files: reading, Fourier coefficients, counting noise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from amulor.cube import provenance
 from amulor.errors import FormatError
 from amulor.io.files import read_bytes
 
-#: Metre in an inch, by definition.
+#: Meter in an inch, by definition.
 _INCH = 0.0254
 #: Bytes that one array of a file may take: more is damage, or a scan to be cut.
 _LARGEST = 2**32
@@ -53,7 +53,7 @@ _NEEDED = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Histograms:
-    """Photon counts against time, as a file holds them.
+    """Photon counts against time, as stored in a file.
 
     Examples
     --------
@@ -68,7 +68,7 @@ class Histograms:
     """
 
     path: Path
-    """File that they come from."""
+    """Source file."""
     digest: str
     """SHA-256 of that file."""
     counts: NDArray[Any]
@@ -76,15 +76,15 @@ class Histograms:
     bin_width: float
     """Length of a time bin [s]."""
     labels: tuple[str, ...]
-    """What the file calls its scenes; empty if it has no names for them."""
+    """Scene names in the file; empty if it has none."""
     thickness: NDArray[np.float64] | None
-    """Thickness of the slab, over the columns, if these are slabs [m]."""
+    """Slab thickness by column, if the columns are slabs [m]."""
     direct_counts: NDArray[Any] | None
     """Photons per bin without a slab, if the file has them [1]."""
 
     @property
     def name(self) -> str:
-        """Name of the file without its folder."""
+        """File name without folder."""
         return self.path.name
 
 
@@ -169,8 +169,8 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
 
 
 def _arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an npz file that this module knows."""
-    known = (
+    """Arrays of an npz file under the names of the format."""
+    fields = (
         "counts",
         "bin_width_s",
         "distance_label",
@@ -194,7 +194,7 @@ def _arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
         names = set(archive.namelist())
         return {
             name: _array(path, archive, name)
-            for name in known
+            for name in fields
             if f"{name}.npy" in names
         }
 
@@ -224,9 +224,9 @@ def _array(path: Path, archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
         raise FormatError(
             f"{path}: field '{name}' is damaged; copy the file again, or make it again"
         ) from error
-    held = "Python objects" if dtype.hasobject else f"{dtype}"
+    kind = "Python objects" if dtype.hasobject else f"{dtype}"
     raise FormatError(
-        f"{path}: field '{name}' holds {held}, needed are numbers; save it as an array "
+        f"{path}: field '{name}' holds {kind}, needed are numbers; save it as an array "
         "of whole numbers, without pickle"
     )
 
@@ -236,8 +236,8 @@ def _counts(path: Path, fields: dict[str, NDArray[Any]], name: str) -> NDArray[A
     if counts.size == 0:
         raise FormatError(f"{path}: field '{name}' has shape {counts.shape}: no counts")
     if counts.dtype.kind not in "iu":
-        whole = counts.dtype.kind == "f" and bool(np.all(np.isfinite(counts)))
-        if not (whole and bool(np.all(counts == np.floor(counts)))):
+        integral = counts.dtype.kind == "f" and bool(np.all(np.isfinite(counts)))
+        if not (integral and bool(np.all(counts == np.floor(counts)))):
             raise FormatError(
                 f"{path}: field '{name}' holds {counts.dtype} that are not all whole "
                 "numbers; needed are photons per bin, neither scaled nor averaged"
@@ -284,9 +284,9 @@ def _thickness(
 ) -> NDArray[np.float64]:
     thickness = fields.get("thickness_inch")
     if thickness is None or thickness.shape != (slabs,):
-        found = "missing" if thickness is None else f"of shape {thickness.shape}"
+        state = "missing" if thickness is None else f"of shape {thickness.shape}"
         raise FormatError(
-            f"{path}: field 'thickness_inch' is {found}; 'counts' has 2 dimensions, "
+            f"{path}: field 'thickness_inch' is {state}; 'counts' has 2 dimensions, "
             f"(slabs, bins), so needed is one thickness for each of its {slabs} slabs"
         )
     if not bool(np.all(np.isfinite(thickness) & (thickness > 0))):
@@ -304,7 +304,7 @@ BLOCK = 2**21
 def checked_frequency(
     histograms: Histograms, modulation_frequency: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return modulation frequencies that the bins of the histograms can resolve."""
+    """Modulation frequencies checked against the time resolution of the histograms."""
     path = histograms.path
     try:
         frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=float))
@@ -346,9 +346,9 @@ def weights(
     time_of_emission: float = 0.0,
     background_bins: tuple[int, int] | None = None,
 ) -> NDArray[np.complex128]:
-    r"""Return what each count of a bin adds to the signal at each frequency.
+    r"""Fourier weight of each time bin at each frequency.
 
-    :math:`g_k = e^{2 \pi i f t_k}` with :math:`t_k` the centre of bin k. With a
+    :math:`g_k = e^{2 \pi i f t_k}` with :math:`t_k` the center of bin k. With a
     background it is :math:`g_k - [k \in B] \sum_j g_j / |B|`: taking a mean off is
     linear in the counts, so the counting noise of the background needs no term of
     its own.
@@ -369,10 +369,10 @@ def weights(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Coefficients:
-    """Weighted sums of counts, with the covariance that counting photons gives."""
+    """Weighted sums of counts with their counting covariance."""
 
     signal: NDArray[np.complex128]
-    """Sum of counts and weights, shape (frequencies, ...) [1]."""
+    """Weighted sum of counts, shape (frequencies, ...) [1]."""
     variance_in_phase: NDArray[np.float64]
     """Variance of its real part [1]."""
     variance_quadrature: NDArray[np.float64]
@@ -382,7 +382,7 @@ class Coefficients:
 
 
 def transform(counts: NDArray[Any], weight: NDArray[np.complex128]) -> Coefficients:
-    r"""Return the weighted sums of histograms and their Poisson covariance.
+    r"""Weighted sums of histograms and their Poisson covariance.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Writes and reads point clouds as LAS and LAZ files."""
+"""Point clouds as LAS and LAZ files."""
 
 from __future__ import annotations
 
@@ -16,15 +16,18 @@ from numpy.typing import NDArray
 
 from amulor.cube import provenance
 from amulor.errors import CubeError, FormatError, MissingExtraError
-from amulor.io._cloud import (
+from amulor.io.files import atomic_output
+from amulor.io.shapes import (
+    Shape,
     checked_cloud,
     checked_parts,
     doubtful,
     in_blocks,
     provenance_lines,
+    scalars_of,
+    spread,
+    up_of,
 )
-from amulor.io.files import atomic_output
-from amulor.io.shapes import Shape, scalars_of, spread, up_of
 
 #: Step of the coordinates in the file [m]: the rounding, half of it, is far below the
 #: range precision of any instrument.
@@ -127,7 +130,7 @@ def write_laz_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud that comes in parts, so that none is in memory whole.
+    """Write a point cloud part by part, with bounded memory.
 
     The file is that of the whole cloud, byte for byte: points go to the compressor in
     blocks of the same size for whatever parts.
@@ -136,11 +139,11 @@ def write_laz_parts(
     name = f"the cloud for {path}"
     extent = _extent(checked_parts(parts(), count, name=name), name=name)
     path = Path(path)
-    header, kept = _header(laspy, extent, name=name)
+    header, extras = _header(laspy, extent, name=name)
     text = "\n".join(provenance_lines(extent.first))
     record = laspy.VLR("amulor", 1, "provenance", text.encode())
     records = (
-        _records(laspy, part, header, kept, extent.brightest)
+        _records(laspy, part, header, extras, extent.brightest)
         for part in checked_parts(parts(), count, name=name)
     )
     with atomic_output(path, overwrite=overwrite) as temporary:
@@ -169,7 +172,7 @@ def write_laz_parts(
 
 @dataclass(frozen=True, kw_only=True)
 class _Extent:
-    """What the header of a file says of all points."""
+    """Bounds and largest amplitude of all points, for the header."""
 
     first: xr.Dataset
     low: NDArray[np.float64]
@@ -178,7 +181,7 @@ class _Extent:
 
 
 def _extent(parts: Iterable[xr.Dataset], *, name: str) -> _Extent:
-    """Return how far a cloud goes, and its largest amplitude."""
+    """Bounds of a cloud and its largest amplitude."""
     first: xr.Dataset | None = None
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     brightest = 0.0
@@ -199,22 +202,22 @@ def _extent(parts: Iterable[xr.Dataset], *, name: str) -> _Extent:
 
 
 def _header(laspy: Any, extent: _Extent, *, name: str) -> tuple[Any, list[Any]]:
-    """Return the header of a file, and the entries of `_EXTRA` that are in it."""
+    """Header of a file, and the entries of `_EXTRA` in it."""
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.global_encoding.wkt = True  # asked for by this point format, even if unused
     header.system_identifier = "amulor"
     header.generating_software = f"amulor {provenance.software_versions()['amulor']}"
-    kept = [entry for entry in _EXTRA if entry[2] in extent.first]
+    extras = [entry for entry in _EXTRA if entry[2] in extent.first]
     header.add_extra_dims(
-        [laspy.ExtraBytesParams(key, kind, about) for key, kind, _, about in kept]
+        [laspy.ExtraBytesParams(key, kind, about) for key, kind, _, about in extras]
     )
     header.scales = np.full(3, SCALE)
     header.offsets = _offsets(extent, name=name)
-    return header, kept
+    return header, extras
 
 
 def _offsets(extent: _Extent, *, name: str) -> NDArray[np.float64]:
-    # Whole metres, which the file holds exactly; adding zero makes -0 a plain 0.
+    # Whole meters, which the file holds exactly; adding zero makes -0 a plain 0.
     offsets = np.round((extent.low + extent.high) / 2) + 0.0
     ends = np.stack([extent.low, extent.high])
     wide = np.abs(np.round((ends - offsets) / SCALE)).max(axis=0) > _LARGEST
@@ -230,9 +233,9 @@ def _offsets(extent: _Extent, *, name: str) -> NDArray[np.float64]:
 
 
 def _records(
-    laspy: Any, part: xr.Dataset, header: Any, kept: list[Any], brightest: float
+    laspy: Any, part: xr.Dataset, header: Any, extras: list[Any], brightest: float
 ) -> NDArray[np.void]:
-    """Return points as the file holds them."""
+    """Points as records of the file format."""
     points = laspy.ScaleAwarePointRecord.zeros(part.sizes["point"], header=header)
     for axis, offset in zip("xyz", header.offsets, strict=True):
         steps = np.round((part[axis].values - offset) / SCALE)
@@ -242,7 +245,7 @@ def _records(
     points["return_number"] = np.ones(part.sizes["point"], dtype=np.uint8)
     points["number_of_returns"] = np.ones(part.sizes["point"], dtype=np.uint8)
     points["withheld"] = doubtful(part).astype(np.uint8)
-    for key, kind, variable, _ in kept:
+    for key, kind, variable, _ in extras:
         points[key] = part[variable].values.astype(kind)
     records: NDArray[np.void] = points.array
     return records
@@ -260,14 +263,14 @@ def _laspy(purpose: str) -> Any:
 
 
 def _lazrs_error() -> Any:
-    """Return what the compressor raises if it cannot write."""
+    """Exception class of the LAZ compressor."""
     import lazrs
 
     return lazrs.LazrsError
 
 
 def read_laz(path: Path, *, most: int) -> Shape:
-    """Read a LAS or LAZ file in parts and keep at most so many points."""
+    """Read a LAS or LAZ file in chunks and thin it to a maximum number of points."""
     laspy = _laspy("reading")
     # What it has to say of damage is in the error; its log would be more lines.
     logging.getLogger("laspy").addHandler(logging.NullHandler())
@@ -286,7 +289,7 @@ def read_laz(path: Path, *, most: int) -> Shape:
 
 
 def _check_chunks(path: Path) -> None:
-    """Refuse a LAZ file of more parts than bytes: lazrs would end the program."""
+    """Refuse a LAZ file with more chunks than bytes: lazrs would abort the process."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(105)
@@ -311,11 +314,11 @@ def _check_chunks(path: Path) -> None:
 
 def _points_of(file: Any, most: int, name: str) -> Shape:
     total = int(file.header.point_count)
-    kept = spread(total, most)
+    indices = spread(total, most)
     parts: list[dict[str, NDArray[Any]]] = []
     first = 0
     for part in file.chunk_iterator(_PART):
-        chosen = kept[(kept >= first) & (kept < first + len(part))] - first
+        chosen = indices[(indices >= first) & (indices < first + len(part))] - first
         first += len(part)
         parts.append(_columns_of(part[chosen]))
     if first < total or not total:
@@ -331,7 +334,7 @@ def _points_of(file: Any, most: int, name: str) -> Shape:
         # Some programs write 8 bits into the 16 of the format.
         shift = 8 if light.max(initial=0) > 255 else 0
         colour = (light >> shift).astype(np.uint8)
-    scalars, left = scalars_of(
+    scalars, unused = scalars_of(
         {
             key: values
             for key, values in columns.items()
@@ -339,8 +342,8 @@ def _points_of(file: Any, most: int, name: str) -> Shape:
         }
     )
     statements = _statements_of(file)
-    if left:
-        statements.append(f"not shown: {', '.join(left)}")
+    if unused:
+        statements.append(f"not shown: {', '.join(unused)}")
     return Shape(
         position=position,
         scalars=scalars,
@@ -353,18 +356,18 @@ def _points_of(file: Any, most: int, name: str) -> Shape:
 
 def _columns_of(part: Any) -> dict[str, NDArray[Any]]:
     names = list(part.point_format.dimension_names)
-    found = {axis: np.asarray(getattr(part, axis)) for axis in "xyz"}
+    columns = {axis: np.asarray(getattr(part, axis)) for axis in "xyz"}
     if {"red", "green", "blue"} <= set(names):
-        found |= {c: np.asarray(part[c]) for c in ("red", "green", "blue")}
+        columns |= {c: np.asarray(part[c]) for c in ("red", "green", "blue")}
     for key in names:
         values = np.asarray(part[key]) if key not in _DULL else None
         if values is not None and values.ndim == 1:
-            found[key] = values
-    return found
+            columns[key] = values
+    return columns
 
 
 def _statements_of(file: Any) -> list[str]:
-    """Return what amulor wrote into a record of its own."""
+    """Statements that amulor stored in a record of its own."""
     records = [*(file.header.vlrs or []), *(file.evlrs or [])]
     for record in records:
         if getattr(record, "user_id", "") == "amulor":

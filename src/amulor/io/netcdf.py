@@ -1,4 +1,4 @@
-"""Reads and writes cubes as netCDF-4 files, whole or by rows."""
+"""Cubes as netCDF-4 files, whole or by rows."""
 
 from __future__ import annotations
 
@@ -105,13 +105,13 @@ def read_cube(path: str | os.PathLike[str]) -> xr.Dataset:
         with warnings.catch_warnings():
             # What a reader of foreign files warns about ends in the check below.
             warnings.simplefilter("ignore")
-            found = _decoded(content, path)
-        cubes.check(found, name=str(path))
+            cube = _decoded(content, path)
+        cubes.check(cube, name=str(path))
     except AmulorError:
         raise
     except Exception as error:  # h5py and what decodes the file raise many kinds
         raise _unreadable(path, error) from error
-    return found
+    return cube
 
 
 def write_cube(
@@ -231,9 +231,9 @@ def _check_attributes(
                 "the values; apply it to the values and drop it"
             )
         if not _is_attribute(value):
-            shown = " ".join(repr(value).split())
+            text = " ".join(repr(value).split())
             raise CubeError(
-                f"{name}: attribute '{key}' of {owner} is {shown}, which a netCDF file "
+                f"{name}: attribute '{key}' of {owner} is {text}, which a netCDF file "
                 "cannot hold; write text, a number, or a list of one of them, and 0 "
                 "or 1 for no or yes"
             )
@@ -243,7 +243,9 @@ def _is_attribute(value: Any) -> bool:
     values = np.asarray(value, dtype=None if hasattr(value, "dtype") else object)
     if values.ndim > 1 or values.size == 0:
         return False
-    if values.dtype.kind in "OU" and all(_is_storable_text(one) for one in values.flat):
+    if values.dtype.kind in "OU" and all(
+        _is_storable_text(text) for text in values.flat
+    ):
         return True
     try:
         dtype = np.asarray(value).dtype
@@ -298,8 +300,8 @@ def _fill(group: Any, part: xr.Dataset) -> None:
 def _listing(
     part: xr.Dataset,
 ) -> tuple[dict[Hashable, dict[str, Any]], dict[str, Any]]:
-    """Return the attributes of variables and group, with the coordinates they name."""
-    attributes = {key: dict(found.attrs) for key, found in part.variables.items()}
+    """Attributes of variables and group, with the coordinates that they name."""
+    attributes = {key: dict(variable.attrs) for key, variable in part.variables.items()}
     listed: set[Hashable] = set(part.indexes)
     for key in part.data_vars:
         beside = [
@@ -311,11 +313,11 @@ def _listing(
         listed.update(beside)
         if beside:
             attributes[key]["coordinates"] = " ".join(map(str, beside))
-    own = dict(part.attrs)
+    group_attributes = dict(part.attrs)
     unlisted = [str(place) for place in part.coords if place not in listed]
     if unlisted:
-        own["coordinates"] = " ".join(unlisted)
-    return attributes, own
+        group_attributes["coordinates"] = " ".join(unlisted)
+    return attributes, group_attributes
 
 
 def _create(
@@ -326,11 +328,11 @@ def _create(
     *,
     shape: tuple[int, ...] | None = None,
 ) -> Any:
-    """Make a variable of a file; of another shape than its own, to be filled in."""
+    """Create a variable of a file; with another shape, it is filled later."""
     import h5py
 
     values = variable.values
-    whole = values.shape if shape is None else shape
+    full_shape = values.shape if shape is None else shape
     dtype: Any = values.dtype.newbyteorder("=")
     options: dict[str, Any] = {}
     if dtype.kind == "b":  # netCDF has no truth values; this is how xarray marks them
@@ -338,9 +340,9 @@ def _create(
         attributes = {**attributes, "dtype": "bool"}
     if dtype.kind in "OUT":
         values, dtype = values.astype(object), h5py.string_dtype()
-    elif len(whole) > 0 and min(whole) > 0:
+    elif len(full_shape) > 0 and min(full_shape) > 0:
         options.update(
-            chunks=_chunks(whole),
+            chunks=_chunks(full_shape),
             compression="gzip",
             compression_opts=4,
             shuffle=True,
@@ -407,7 +409,7 @@ def _decoded(content: bytes, path: Path) -> xr.Dataset:
 
 
 def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
-    """Return a cube of version 1 with the names that its variables have by now."""
+    """Cube of schema version 1 under the current names of its variables."""
     former = {
         old: new
         for old, new in schema.FORMER_NAMES.items()
@@ -417,7 +419,7 @@ def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _opened(file: Any, group: str | None, *, by_rows: bool = False) -> xr.Dataset:
-    """Return a group of a file; by rows nothing that runs over the rows is read yet."""
+    """Group of a file; by rows, variables over the rows are not read yet."""
     store = xr.backends.H5NetCDFStore(file, group=group)
     # Units such as "days since 2020-01-01" are left to the schema.
     part = xr.open_dataset(store, decode_times=False, cache=not by_rows)
@@ -444,10 +446,10 @@ def _check_fits(part: xr.Dataset, cube: xr.Dataset, *, path: Path, group: str) -
                 f"cube has {cube.sizes[dimension]}; make the file again"
             )
     for key in part.indexes:
-        found, needed = _values(part, key), _values(cube, key)
-        if key in cube.indexes and not np.array_equal(found, needed):
+        stored, needed = _values(part, key), _values(cube, key)
+        if key in cube.indexes and not np.array_equal(stored, needed):
             raise FormatError(
-                f"{path}: group '{group}' has '{key}' {found.tolist()}, the cube has "
+                f"{path}: group '{group}' has '{key}' {stored.tolist()}, the cube has "
                 f"{needed.tolist()}; make the file again"
             )
 
@@ -457,7 +459,7 @@ def _values(part: xr.Dataset, key: Hashable) -> NDArray[Any]:
 
 
 def _unreadable(path: Path, error: Exception) -> FormatError:
-    """Error for a file that h5py or what decodes it gives up on."""
+    """Error for a file that h5py or its decoder cannot read."""
     return FormatError(
         f"{path} cannot be read as a netCDF-4 file: {_reason(error)}; it is damaged, "
         "or another program wrote it: copy it again, or make it again"
@@ -475,7 +477,7 @@ _PIECE = 2**24
 
 
 class CubeRows:
-    """The rows of a cube in a file; made by `open_rows`."""
+    """Rows of a cube in a file; made by `open_rows`."""
 
     def __init__(self, cube: xr.Dataset, path: Path, storage: Any) -> None:
         self._cube, self._path = cube, path
@@ -492,7 +494,7 @@ class CubeRows:
 
     @property
     def head(self) -> xr.Dataset:
-        """All that does not run over the rows."""
+        """Everything that does not extend over the rows."""
         return self._head
 
     @property
@@ -506,13 +508,13 @@ class CubeRows:
         return self._columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows, checked."""
+        """Cube of some rows, checked."""
         part = cubes.without_unknown_errors(self._read(self._cube, begin, end))
         cubes.check(part, name=f"{self._path}, rows {begin} to {end - 1}")
         return part
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of some rows."""
+        """Azimuth and elevation of some rows."""
         return self._read(tiles.directions_of(self._cube), begin, end)
 
     def _read(self, cube: xr.Dataset, begin: int, end: int) -> xr.Dataset:
@@ -547,7 +549,7 @@ class CubeRows:
 
 
 def _is_as_stored(variable: xr.Variable, stored: Any) -> bool:
-    """Return whether a variable over the rows has the values that the file has."""
+    """Whether a variable over the rows equals the values in the file."""
     coded = {"scale_factor", "add_offset", "missing_value"} & set(variable.encoding)
     missing = variable.encoding.get("_FillValue", np.nan)
     return bool(
@@ -564,7 +566,7 @@ def _is_as_stored(variable: xr.Variable, stored: Any) -> bool:
 def open_rows(
     path: str | os.PathLike[str], *, check_digest: bool = True
 ) -> Iterator[CubeRows]:
-    """Open a cube to read rows of it."""
+    """Open a cube to read it by rows."""
     load_hdf5()
     import h5netcdf
     import h5py
@@ -609,20 +611,23 @@ _SIZED = ("in_phase", "slant_range")
 def is_large(
     path: str | os.PathLike[str], *, variables: Sequence[str] = _SIZED
 ) -> bool:
-    """Return whether a file has one of some variables and is processed by rows."""
+    """Whether the variables of a file are so large that it is processed by rows."""
     load_hdf5()
     import h5py
 
     try:
         with h5py.File(path, "r") as storage:
-            found = [storage[name] for name in variables if name in storage]
-            return any(tiles.is_large(one.size * one.dtype.itemsize) for one in found)
+            variables_stored = [storage[name] for name in variables if name in storage]
+            return any(
+                tiles.is_large(stored.size * stored.dtype.itemsize)
+                for stored in variables_stored
+            )
     except (OSError, RuntimeError, ValueError, KeyError, AttributeError):
         return False
 
 
 def _check_digest(path: Path) -> None:
-    """Refuse a file whose bytes are not those that amulor wrote."""
+    """Refuse a file whose bytes differ from those that amulor wrote."""
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
@@ -635,14 +640,14 @@ def _check_digest(path: Path) -> None:
             at = end.rfind(_SEAL_START)
             if at < 0:
                 return
-            stated = end[at + len(_SEAL_START) :].strip().decode("ascii", "replace")
+            recorded = end[at + len(_SEAL_START) :].strip().decode("ascii", "replace")
             file.seek(0)
-            found = _digest(file, size - len(end) + at)
+            computed = _digest(file, size - len(end) + at)
     except OSError as error:
         raise FormatError(
             f"{path} cannot be read: {error.strerror or error}; check name and rights"
         ) from error
-    if stated != found:
+    if recorded != computed:
         raise FormatError(
             f"{path} is damaged: its bytes are not the ones that amulor wrote; copy it "
             "again, or make it again"
@@ -650,20 +655,20 @@ def _check_digest(path: Path) -> None:
 
 
 def _digest(file: Any, length: int) -> str:
-    """Return the digest of the first bytes of a file, as `cube.digest` does."""
-    found = hashlib.sha256()
-    left = length
-    while left > 0:
-        piece = file.read(min(left, _PIECE))
+    """Digest of the first bytes of a file, computed like `cube.digest`."""
+    digest = hashlib.sha256()
+    remaining = length
+    while remaining > 0:
+        piece = file.read(min(remaining, _PIECE))
         if not piece:
             break
-        found.update(piece)
-        left -= len(piece)
-    return f"sha256:{found.hexdigest()}"
+        digest.update(piece)
+        remaining -= len(piece)
+    return f"sha256:{digest.hexdigest()}"
 
 
 class RowWriter:
-    """A cube that is written row by row; made by `row_writer`."""
+    """Cube file written row by row; made by `row_writer`."""
 
     def __init__(self, file: Any, rows: int, *, name: str, over: str = "row") -> None:
         self._file, self._rows, self._name, self._over = file, rows, name, over
@@ -692,9 +697,9 @@ class RowWriter:
                 for name, variable in part.variables.items()
                 if self._over in variable.dims
             }
-            made = self._made.get(key, {})
-            if set(made) != set(over):
-                odd = ", ".join(sorted(set(made) ^ set(over)))
+            stored = self._made.get(key, {})
+            if set(stored) != set(over):
+                odd = ", ".join(sorted(set(stored) ^ set(over)))
                 raise CubeError(
                     f"{self._name}: {self._over}s from {begin} on and the first ones "
                     f"differ in {odd}; tiles of one cube have the same variables"
@@ -706,11 +711,11 @@ class RowWriter:
                 )
                 values = variable.values
                 kind = values.dtype.kind
-                made[name][place] = values.astype(np.int8) if kind == "b" else values
+                stored[name][place] = values.astype(np.int8) if kind == "b" else values
         self._written = end
 
     def end(self) -> None:
-        """Say that all rows are written."""
+        """Mark the file as complete."""
         if self._written != self._rows:
             raise CubeError(
                 f"{self._name}: {self._written} of {self._rows} {self._over}s are "
@@ -718,7 +723,7 @@ class RowWriter:
             )
 
     def _begun(self, key: str, part: xr.Dataset) -> dict[str, Any]:
-        """Make a group with what does not run over the rows; return what does."""
+        """Create a group with everything that does not extend over the rows."""
         _check_storable(part, name=self._name)
         group = self._file.create_group(key) if key else self._file
         sizes = dict(part.sizes)
@@ -727,7 +732,7 @@ class RowWriter:
         for dimension, size in sizes.items():
             group.dimensions[dimension] = size
         listed, attributes = _listing(part)
-        made = {}
+        arrays = {}
         for name, variable in part.variables.items():
             over = self._over in variable.dims
             shape = tuple(int(sizes[dimension]) for dimension in variable.dims)
@@ -735,9 +740,9 @@ class RowWriter:
                 group, str(name), variable, listed[name], shape=shape if over else None
             )
             if over:
-                made[str(name)] = created
+                arrays[str(name)] = created
         _set_attributes(group, attributes)
-        return made
+        return arrays
 
 
 @contextmanager
@@ -748,7 +753,7 @@ def row_writer(
     overwrite: bool = False,
     over: str = "row",
 ) -> Iterator[RowWriter]:
-    """Write a cube row by row; the file is there when all of it is written."""
+    """Write a cube row by row; the file appears when it is complete."""
     load_hdf5()
     import h5netcdf
 
@@ -758,13 +763,13 @@ def row_writer(
             yield writer
             writer.end()
         with temporary.open("r+b") as file:
-            found = _digest(file, temporary.stat().st_size)
+            digest = _digest(file, temporary.stat().st_size)
             file.seek(0, os.SEEK_END)
-            file.write(_SEAL_START + found.encode() + b"\n")
+            file.write(_SEAL_START + digest.encode() + b"\n")
 
 
 def tile_rows(source: tiles.Source) -> int:
-    """Return how many rows a tile has: whole blocks of a file, within bounds."""
+    """Rows per tile: whole blocks of a file, within bounds."""
     first, end = next(tiles.bands(source))
     block = max(1, CHUNK_VALUES // max(source.columns, 1))
     rows = end - first

@@ -1,4 +1,4 @@
-"""Writes and reads point clouds and meshes as PLY files."""
+"""Point clouds and meshes as PLY files."""
 
 from __future__ import annotations
 
@@ -14,9 +14,15 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import FormatError, MissingExtraError
-from amulor.io._cloud import checked_cloud, checked_parts, provenance_lines
 from amulor.io.files import atomic_output
-from amulor.io.shapes import Shape, scalars_of, up_of
+from amulor.io.shapes import (
+    Shape,
+    checked_cloud,
+    checked_parts,
+    provenance_lines,
+    scalars_of,
+    up_of,
+)
 
 # Property of the file, its type, and the variable it comes from. CloudCompare shows
 # each property that starts with `scalar_` as a scalar field of that name.
@@ -120,7 +126,7 @@ def write_ply_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud that comes in parts; the same file as that of the whole."""
+    """Write a point cloud part by part; the file equals that of the whole cloud."""
     checked = checked_parts(parts, count, name=f"the cloud for {path}")
     _write(checked, count, path, overwrite=overwrite)
 
@@ -135,7 +141,7 @@ def _write(
     about: Mapping[str, str] | None = None,
     triangles: NDArray[np.void] | None = None,
 ) -> None:
-    """Write checked parts; further properties and triangles go with a single part."""
+    """Write checked parts; further properties and triangles only with a single part."""
     faces = [] if triangles is None else _face_lines(triangles)
     with (
         atomic_output(Path(path), overwrite=overwrite) as temporary,
@@ -152,12 +158,12 @@ def _write(
 def _header(
     cloud: xr.Dataset, count: int, about: Mapping[str, str], faces: list[str]
 ) -> bytes:
-    """Return the head of a file, up to its points."""
-    kept = [entry for entry in _PROPERTIES if entry[3] in cloud]
+    """Header of a file, up to its points."""
+    properties = [entry for entry in _PROPERTIES if entry[3] in cloud]
     comments = [
         f"{name}: {cloud[variable].attrs['long_name']} "
         f"[{cloud[variable].attrs['units']}]"
-        for name, _, _, variable in kept
+        for name, _, _, variable in properties
     ]
     comments += [f"{name}: {text}" for name, text in about.items()]
     lines = [
@@ -165,7 +171,7 @@ def _header(
         "format binary_little_endian 1.0",
         *(f"comment {line}" for line in _ascii(provenance_lines(cloud) + comments)),
         f"element vertex {count}",
-        *(f"property {kind} {name}" for name, kind, _, _ in kept),
+        *(f"property {kind} {name}" for name, kind, _, _ in properties),
         *(f"property double {name}" for name in about),
         *faces,
         "end_header\n",
@@ -176,14 +182,14 @@ def _header(
 def _vertices(
     cloud: xr.Dataset, more: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.void]:
-    """Return points as the records of the file."""
-    kept = [entry for entry in _PROPERTIES if entry[3] in cloud]
+    """Points as records of the file format."""
+    properties = [entry for entry in _PROPERTIES if entry[3] in cloud]
     vertices = np.empty(
         cloud.sizes["point"],
-        dtype=[(name, code) for name, _, code, _ in kept]
+        dtype=[(name, code) for name, _, code, _ in properties]
         + [(name, "<f8") for name in more],
     )
-    for name, _, _, variable in kept:
+    for name, _, _, variable in properties:
         vertices[name] = cloud[variable].values
     for name, values in more.items():
         vertices[name] = values
@@ -191,7 +197,7 @@ def _vertices(
 
 
 def _triangles(faces: ArrayLike | None, count: int) -> NDArray[np.void]:
-    """Return triangles as the records of the file."""
+    """Triangles as records of the file format."""
     corners = np.zeros((0, 3)) if faces is None else np.asarray(faces)
     if corners.ndim != 2 or corners.shape[1] != 3:
         raise ValueError(f"faces must have the shape (m, 3), got {corners.shape}")
@@ -224,7 +230,7 @@ def _ascii(lines: list[str]) -> list[str]:
 
 
 def read_ply(path: Path, *, unit: float) -> Shape:
-    """Read a PLY file, text or binary, with all numbers of its points."""
+    """Read a PLY file, text or binary, with all numeric properties of its points."""
     try:
         from trimesh.exchange import ply
         from trimesh.geometry import triangulate_quads
@@ -267,20 +273,23 @@ def read_ply(path: Path, *, unit: float) -> Shape:
             colour = np.stack(parts, axis=1)
     if any(c.startswith("scalar_intensity:") and c.endswith("[V]") for c in comments):
         columns["amplitude"] = columns.pop("scalar_intensity")
-    scalars, left = scalars_of(columns)
+    scalars, unused = scalars_of(columns)
     return Shape(
         position=position * unit,
         scalars=scalars,
         colour=colour,
         faces=faces,
         up=up_of(comments),
-        statements=[*comments, *([f"not shown: {', '.join(left)}"] if left else [])],
+        statements=[
+            *comments,
+            *([f"not shown: {', '.join(unused)}"] if unused else []),
+        ],
         total=len(position),
     )
 
 
 def _comments(file: BinaryIO) -> list[str]:
-    """Comments of the header, which trimesh skips."""
+    """Comments of the header, which trimesh drops."""
     comments = []
     for _ in range(_MOST_LINES):
         line = file.readline(4096).decode("ascii", "replace").strip()
@@ -292,7 +301,7 @@ def _comments(file: BinaryIO) -> list[str]:
 
 
 def _columns_of(element: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """Columns of the points by their names, in the byte order of this computer."""
+    """Point columns by name, in the byte order of this computer."""
     data, count = element.get("data", {}), element["length"]
     columns = {}
     for name in element["properties"]:

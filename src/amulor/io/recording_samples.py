@@ -1,4 +1,4 @@
-"""Samples of a recording one after the other: channel, direction, place on the scan."""
+"""Samples of a recording in sequence: channel, direction, position in the scan."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.errors import FormatError
-from amulor.io.recording_map import RecordingMap
-from amulor.io.recording_table import Table
+from amulor.io.recording_table import RecordingMap, Table
 from amulor.optics.polarization import stokes
 from amulor.survey import Survey
 from amulor.survey.directions import scan_directions
@@ -34,7 +33,7 @@ _OFF_GRID = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
-    """Samples one after the other."""
+    """Lock-in samples in the order of the recording."""
 
     signal: Complex
     mean: Floats
@@ -48,13 +47,13 @@ class Samples:
     water: NDArray[np.bool_]
 
     def part(self, chosen: NDArray[np.bool_]) -> Samples:
-        """Return some of them."""
+        """Subset of the samples."""
         return Samples(**{name: value[chosen] for name, value in vars(self).items()})
 
 
 def samples_of(table: Table, described: RecordingMap, survey: Survey) -> Samples:
-    """Return all samples of a table, in SI units, as peak amplitudes."""
-    columns, own = described.columns, described.constants
+    """Return the samples of a table in SI units, as peak amplitudes."""
+    columns, constants = described.columns, described.constants
     count = len(table)
 
     def numbers(name: str | None, otherwise: float = np.nan) -> Floats:
@@ -65,13 +64,16 @@ def samples_of(table: Table, described: RecordingMap, survey: Survey) -> Samples
     if columns.in_phase is not None:
         signal = numbers(columns.in_phase) + 1j * numbers(columns.quadrature)
     else:
-        turn = np.exp(1j * own.radians(own.phase_unit) * numbers(columns.phase))
+        turn = np.exp(
+            1j * constants.radians(constants.phase_unit) * numbers(columns.phase)
+        )
         signal = numbers(columns.amplitude) * turn
-    signal = signal * own.scale * (_PEAK if own.root_mean_square else 1.0)
+    signal = signal * constants.scale * (_PEAK if constants.root_mean_square else 1.0)
     instrument = survey.instrument
     only = instrument.modulation_frequencies
     frequency = numbers(
-        columns.frequency, own.frequency or (only[0] if len(only) == 1 else np.nan)
+        columns.frequency,
+        constants.frequency or (only[0] if len(only) == 1 else np.nan),
     )
     if not np.all(frequency > 0):
         number = int(np.argmin(frequency > 0))
@@ -79,13 +81,13 @@ def samples_of(table: Table, described: RecordingMap, survey: Survey) -> Samples
             f"{table.place(number)}: the modulation frequency is not known; state "
             "columns.frequency or constants.frequency in the map"
         )
-    angle = own.radians(own.angle_unit)
+    angle = constants.radians(constants.angle_unit)
     water = np.zeros(count, dtype=bool)
     if columns.what is not None:
-        water = table.texts(columns.what) == own.open_water
+        water = table.texts(columns.what) == constants.open_water
     return Samples(
         signal=np.asarray(
-            signal.conj() if own.phase_falls_with_delay else signal, dtype=complex
+            signal.conj() if constants.phase_falls_with_delay else signal, dtype=complex
         ),
         mean=numbers(columns.mean),
         frequency=frequency,
@@ -125,41 +127,41 @@ def _polarizations(
 def of_one_temperature(
     path: Path, samples: Samples, temperature: float | None
 ) -> Samples:
-    """Return the samples of one temperature, refusing to mix several."""
-    known = samples.temperature[np.isfinite(samples.temperature)]
-    refuse_several(path, rounded_temperatures(known), known, temperature)
+    """Return the samples of one temperature; refuse several without a choice."""
+    measured = samples.temperature[np.isfinite(samples.temperature)]
+    refuse_several(path, rounded_temperatures(measured), measured, temperature)
     if temperature is None:
         return samples
     return samples.part(at_temperature(samples.temperature, temperature))
 
 
-def rounded_temperatures(known: Floats) -> Floats:
-    """Return the temperatures that differ, in the words of a message [degC]."""
+def rounded_temperatures(temperatures: Floats) -> Floats:
+    """Distinct temperatures, rounded for a message [degC]."""
     step = 2 * _SAME_TEMPERATURE
-    return np.asarray(np.unique(np.round(known / step)) * 2 * _SAME_TEMPERATURE)
+    return np.asarray(np.unique(np.round(temperatures / step)) * 2 * _SAME_TEMPERATURE)
 
 
 def at_temperature(values: Floats, temperature: float) -> NDArray[np.bool_]:
-    """Return which samples are of a temperature."""
+    """Mask of samples at a temperature."""
     return np.asarray(np.abs(values - temperature) <= _SPREAD / 2)
 
 
 def refuse_several(
-    path: Path, rounded: Floats, known: Floats, temperature: float | None
+    path: Path, rounded: Floats, temperatures: Floats, temperature: float | None
 ) -> None:
-    """Refuse several temperatures if none is chosen, and one that is not there.
+    """Refuse several temperatures without a choice, and a choice that does not occur.
 
-    `known` has the temperatures, of which some may be left out that are neither the
-    least, nor the largest, nor nearest to the chosen one.
+    `temperatures` may lack some that are neither least, largest, nor nearest to the
+    chosen temperature.
     """
     listed = ", ".join(f"{value:g}" for value in rounded)
     if temperature is None:
-        if known.size and np.ptp(known) > _SPREAD:
+        if temperatures.size and np.ptp(temperatures) > _SPREAD:
             raise FormatError(
                 f"{path}: was recorded at several temperatures ({listed} degC); choose "
                 "one (--temperature), and import the others into cubes of their own"
             )
-    elif not at_temperature(known, temperature).any():
+    elif not at_temperature(temperatures, temperature).any():
         raise FormatError(
             f"{path}: holds no sample at {temperature:g} degC; there are "
             f"{listed or 'none with a temperature'}"
@@ -167,7 +169,7 @@ def refuse_several(
 
 
 def distinct(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the frequencies that differ, rising, and which one each sample has."""
+    """Distinct frequencies, rising, and the index of each sample's."""
     ordered, place = np.unique(values, return_inverse=True)
     group = groups(ordered)[place]
     means = np.bincount(group, values) / np.bincount(group)
@@ -175,13 +177,13 @@ def distinct(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def groups(ordered: Floats) -> NDArray[np.intp]:
-    """Return which frequency each of some rising values is of."""
+    """Index of the frequency for each of some rising values."""
     border = np.diff(ordered) > _SAME_FREQUENCY * ordered[:-1]
     return np.concatenate([[0], np.cumsum(border)]).astype(np.intp)
 
 
 def places_known_by(samples: Samples) -> Places:
-    """Return what tells where samples are on the scan."""
+    """Columns that give the positions of samples in the scan."""
     if np.isfinite(samples.row).any():
         return "rows"
     return "angles" if np.isfinite(samples.azimuth).any() else "order"
@@ -196,7 +198,7 @@ def pixels(
     known_by: Places | None = None,
     before: dict[tuple[int, int], int] | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return row and column of each sample; by the order of the scan if need be.
+    """Row and column of each sample, if need be by the order of the scan.
 
     Of a part of the samples, `known_by` is what is so of all, and `before` as `turn`
     takes it.
@@ -206,9 +208,9 @@ def pixels(
     if known_by == "rows":
         row, column = samples.row, samples.column
     elif known_by == "angles":
-        every, one = slice(0, rows), np.zeros(1, dtype=np.intp)
-        _, elevation, _ = scan_directions(survey, rows=every, columns=one)
-        azimuth, _, _ = scan_directions(survey, rows=one)
+        all_rows, first_column = slice(0, rows), np.zeros(1, dtype=np.intp)
+        _, elevation, _ = scan_directions(survey, rows=all_rows, columns=first_column)
+        azimuth, _, _ = scan_directions(survey, rows=first_column)
         row = _steps(samples.elevation, elevation[:, 0])
         column = _steps(samples.azimuth, azimuth[0])
     else:
@@ -232,7 +234,7 @@ def pixels(
 
 
 def _steps(angle: Floats, grid: Floats) -> Floats:
-    """Return the place of angles on a grid of even steps, counted from 0."""
+    """Index of angles on an evenly spaced grid, counted from 0."""
     if len(grid) == 1:
         return np.zeros(len(angle))
     return np.asarray((angle - grid[0]) / (grid[-1] - grid[0]) * (len(grid) - 1))
@@ -242,7 +244,7 @@ def turn(
     channel: tuple[NDArray[np.intp], NDArray[np.intp]],
     before: dict[tuple[int, int], int] | None = None,
 ) -> NDArray[np.float64]:
-    """Return how many samples of its channel come before each one.
+    """Return the number of earlier samples of the same channel, for each sample.
 
     `before` says how many came before these, and is told how many there are now.
     """
@@ -255,7 +257,7 @@ def turn(
 
 
 def around(signal: Complex) -> list[Complex]:
-    """Return the eight neighbours of all pixels, no numbers beyond the scan."""
+    """Eight neighbors of all pixels, NaN beyond the scan."""
     wide = np.pad(
         signal, ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=complex(np.nan)
     )
@@ -268,32 +270,32 @@ def around(signal: Complex) -> list[Complex]:
 
 
 def nearest_distance(signal: Complex) -> Floats:
-    """Return the distance of the nearest neighbour, no number without one."""
+    """Distance of the nearest neighbor, NaN without one."""
     nearest = np.full(signal.shape, np.inf)
-    for other in around(signal):
-        nearest = np.fmin(nearest, np.abs(signal - other))
+    for neighbor in around(signal):
+        nearest = np.fmin(nearest, np.abs(signal - neighbor))
     nearest[~np.isfinite(signal) | ~np.isfinite(nearest)] = np.nan
     return nearest
 
 
 def median_of(nearest: Floats) -> float:
-    """Return the median of what is a number; no number without any."""
-    known = nearest[np.isfinite(nearest)]
-    return float(np.median(known)) if known.size else np.nan
+    """Median of the finite values, NaN without any."""
+    finite = nearest[np.isfinite(nearest)]
+    return float(np.median(finite)) if finite.size else np.nan
 
 
 def off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
-    """Return the distance of samples from mixtures of two neighbours, and their spread.
+    """Distance of samples from mixtures of two neighbors, and the neighbors' spread.
 
-    A beam on an edge sees a mixture of both sides. `beside` has the neighbours of each
+    A beam on an edge sees a mixture of both sides. `beside` has the neighbors of each
     sample along its first axis, no numbers where there are none.
     """
     off, spread = np.full(signal.shape, np.inf), np.zeros(signal.shape)
-    for one, other in itertools.combinations_with_replacement(beside, 2):
-        span = other - one
+    for first, second in itertools.combinations_with_replacement(beside, 2):
+        span = second - first
         length = np.abs(span)
-        along = ((signal - one) * span.conj()).real
+        along = ((signal - first) * span.conj()).real
         share = np.clip(along / np.where(length > 0, length, 1) ** 2, 0, 1)
-        off = np.fmin(off, np.abs(signal - one - share * span))
+        off = np.fmin(off, np.abs(signal - first - share * span))
         spread = np.fmax(spread, length)
     return off, spread

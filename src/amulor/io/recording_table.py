@@ -1,4 +1,4 @@
-"""Columns of a recording that other software made: CSV or HDF5 as arrays by name."""
+"""Tables of recorded samples: columns of CSV or HDF5, and the map that names them."""
 
 from __future__ import annotations
 
@@ -8,22 +8,165 @@ import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, StringConstraints, model_validator
 
 from amulor.errors import FormatError
 from amulor.io.files import load_hdf5
-from amulor.io.recording_map import RecordingMap, TableSettings
+from amulor.survey import toml_file
+from amulor.survey.quantity import Description, Frequency, Voltage
 
 Texts = NDArray[np.str_]
 Floats = NDArray[np.float64]
 Line = tuple[int, str]
+Column = Annotated[str, Field(min_length=1, max_length=500)]
+_ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295}
+
+
+class TableSettings(Description):
+    """File format of the table."""
+
+    format: Literal["csv", "hdf5"] = "csv"
+    """"csv": a line of names and a line per sample; "hdf5": an array per column, of one
+    or two dimensions."""
+    delimiter: Annotated[
+        str, StringConstraints(strip_whitespace=False, min_length=1, max_length=1)
+    ] = ","
+    """Column separator: ";" for LabOne, "\\t" for a tab, " " for one or more spaces."""
+    comment: Annotated[str, Field(max_length=1)] = "#"
+    """Start of a line without data; "%" for LabOne. The last comment before the data
+    names the columns if no other line does."""
+    skip: Annotated[int, Field(ge=0, le=10**9)] = 0
+    """Lines before the line of names [1]."""
+    decimal: Literal[".", ","] = "."
+    """Decimal separator."""
+
+    @model_validator(mode="after")
+    def _columns_can_be_told_apart(self) -> Self:
+        if self.delimiter in ('"', "\r", "\n"):
+            raise ValueError(
+                f"delimiter {self.delimiter!r} ends a text or a line; state what "
+                'separates columns, such as ",", ";", "\\t" or " "'
+            )
+        return self
+
+
+class ColumnSettings(Description):
+    """Names of columns; for "hdf5" the paths of arrays."""
+
+    in_phase: Column | None = None
+    """X of the lock-in."""
+    quadrature: Column | None = None
+    """Y of the lock-in."""
+    amplitude: Column | None = None
+    """R of the lock-in, instead of X and Y."""
+    phase: Column | None = None
+    """Theta of the lock-in, instead of X and Y."""
+    frequency: Column | None = None
+    """Modulation frequency of each sample [Hz]."""
+    polarization: Column | None = None
+    """Launched and analyzed state of each sample, such as VH."""
+    azimuth: Column | None = None
+    """Direction to the right."""
+    elevation: Column | None = None
+    """Direction upwards."""
+    row: Column | None = None
+    """Row of the scan, counted from 0 on top."""
+    column: Column | None = None
+    """Column of the scan, counted from 0 at the left."""
+    mean: Column | None = None
+    """Mean output of the detector [V]."""
+    temperature: Column | None = None
+    """Temperature of the water [degC]."""
+    what: Column | None = None
+    """Kind of each sample, target or open water: see `constants.open_water`."""
+
+    @model_validator(mode="after")
+    def _a_signal_and_a_place_are_stated(self) -> Self:
+        pairs = [
+            ("in_phase", "quadrature"),
+            ("amplitude", "phase"),
+            ("azimuth", "elevation"),
+            ("row", "column"),
+        ]
+        for first, second in pairs:
+            if (getattr(self, first) is None) != (getattr(self, second) is None):
+                raise ValueError(f"{first} and {second} belong together; state both")
+        if (self.in_phase is None) == (self.amplitude is None):
+            raise ValueError(
+                "needed are in_phase and quadrature, or amplitude and phase"
+            )
+        return self
+
+
+class ConstantSettings(Description):
+    """Constants of all samples."""
+
+    frequency: Annotated[Frequency, Field(gt=0)] | None = None
+    """Modulation frequency if no column has it [Hz]."""
+    polarization: str | None = None
+    """Launched and analyzed state if no column has it."""
+    scale: Annotated[float, Field(gt=0)] = 1.0
+    """Volts per unit of the columns [V]."""
+    root_mean_square: bool = True
+    """Whether volts are rms, as with most lock-in amplifiers; otherwise peak."""
+    phase_falls_with_delay: bool = True
+    """Whether a later echo has a smaller phase, as with lock-in amplifiers."""
+    phase_unit: Literal["rad", "mrad", "deg"] = "deg"
+    """Unit of the column `phase`."""
+    angle_unit: Literal["rad", "mrad", "deg"] = "deg"
+    """Unit of the columns `azimuth` and `elevation`."""
+    uncertainty: Annotated[Voltage, Field(gt=0)] | None = None
+    """Standard uncertainty of either output, a peak amplitude; by default from counting
+    and the phase floor of the survey [V]."""
+    open_water: str = "open_water"
+    """Entry of the column `what` for open-water shots; all others are of the target."""
+
+    def radians(self, unit: str) -> float:
+        """Size of a unit of angle [rad]."""
+        return _ANGLES[unit]
+
+
+class RecordingMap(Description):
+    """Assignment of the columns of a recording to quantities."""
+
+    table: TableSettings = TableSettings()
+    """File format of the table."""
+    columns: ColumnSettings
+    """Names of columns."""
+    constants: ConstantSettings = ConstantSettings()
+    """Constants of all samples."""
+
+    @model_validator(mode="after")
+    def _channels_are_stated(self) -> Self:
+        for name in ("frequency", "polarization"):
+            column, constant = (
+                getattr(self.columns, name),
+                getattr(self.constants, name),
+            )
+            if column is not None and constant is not None:
+                raise ValueError(
+                    f"columns.{name} and constants.{name} say it twice; keep one"
+                )
+        return self
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a map from a TOML file."""
+        return toml_file.described(
+            toml_file.text_of(path, error=FormatError),
+            cls,
+            name=str(Path(path)),
+            what="a column map",
+            error=FormatError,
+        )
 
 
 class Table:
-    """Columns by name, all of one length."""
+    """Columns by name, all of equal length."""
 
     def __init__(
         self,
@@ -41,11 +184,11 @@ class Table:
         return len(next(iter(self._columns.values())))
 
     def texts(self, name: str) -> Texts:
-        """Return a column as it is written."""
+        """Column as text."""
         return np.char.strip(self._columns[name].astype(str))
 
     def numbers(self, name: str, *, decimal: str = ".") -> Floats:
-        """Return a column as numbers, not a number where it is empty."""
+        """Column as numbers, NaN where it is empty."""
         values = self._columns[name]
         if values.dtype.kind in "fiub":
             return values.astype(float)
@@ -62,14 +205,14 @@ class Table:
         return result
 
     def place(self, number: int) -> str:
-        """Return how a message names a sample."""
+        """Position of a sample in words, for messages."""
         if len(self._lines):
             return f"{self._path}, line {self._lines[number]}"
         return f"{self._path}, sample {number + self._first}"
 
 
 def read_table(path: Path, described: RecordingMap) -> Table:
-    """Read the columns that a map names."""
+    """Read the columns that a map assigns."""
     (table,) = table_parts(path, described, None)
     return table
 
@@ -77,11 +220,11 @@ def read_table(path: Path, described: RecordingMap) -> Table:
 def table_parts(
     path: Path, described: RecordingMap, count: int | None
 ) -> Iterator[Table]:
-    """Read the columns that a map names, so many samples at a time."""
-    wanted = [name for _, name in described.columns if name is not None]
+    """Read the columns that a map assigns, a number of samples at a time."""
+    names = [name for _, name in described.columns if name is not None]
     try:
         if described.table.format == "hdf5":
-            yield from _whole_hdf5(path, wanted, count)
+            yield from _whole_hdf5(path, names, count)
         else:
             yield from _csv(path, described, count)
     except OSError as error:
@@ -93,34 +236,36 @@ def table_parts(
 
 
 def _csv(path: Path, described: RecordingMap, count: int | None) -> Iterator[Table]:
-    own = described.table
-    wanted = [name for _, name in described.columns if name is not None]
+    settings = described.table
+    needed = [name for _, name in described.columns if name is not None]
     texts = {described.columns.polarization, described.columns.what}
     with path.open(encoding="utf-8-sig", newline="") as file:
-        plain = map(_with_single_spaces, file) if own.delimiter == " " else file
-        lines = itertools.islice(enumerate(plain, start=1), own.skip, None)
-        names, first = _names(path, lines, own)
-        _refuse_missing(path, wanted, names)
-        places = {names.index(name): name for name in wanted}
-        samples = _samples(path, itertools.chain(first, lines), own, len(names))
+        plain = map(_with_single_spaces, file) if settings.delimiter == " " else file
+        lines = itertools.islice(enumerate(plain, start=1), settings.skip, None)
+        names, first = _names(path, lines, settings)
+        _refuse_missing(path, needed, names)
+        places = {names.index(name): name for name in needed}
+        samples = _samples(path, itertools.chain(first, lines), settings, len(names))
         begun = False
         while rows := list(itertools.islice(samples, count)):
             begun = True
-            columns = _parsed("".join(line for _, line in rows), own, places, texts)
+            columns = _parsed(
+                "".join(line for _, line in rows), settings, places, texts
+            )
             yield Table(path, columns, [number for number, _ in rows])
     if not begun:
         raise FormatError(f"{path}: holds no sample below the names of its columns")
 
 
 def _with_single_spaces(line: str) -> str:
-    """Return a line with one space between columns and none at its ends."""
+    """Line with single spaces between columns and none at its ends."""
     return " ".join(filter(None, line.rstrip().split(" "))) + "\n"
 
 
 def _names(
-    path: Path, lines: Iterator[Line], own: TableSettings
+    path: Path, lines: Iterator[Line], settings: TableSettings
 ) -> tuple[list[str], list[Line]]:
-    """Return the names of the columns, and the first sample if it was read, too.
+    """Column names, and the first sample if it was read with them.
 
     They stand in a line of texts, or in the last comment before the first sample.
     """
@@ -128,12 +273,12 @@ def _names(
     for number, line in lines:
         if line.isspace():
             continue
-        cells = _cells(path, number, line, own)
-        if own.comment and line.startswith(own.comment):
-            names = [cells[0].lstrip(own.comment).strip(), *cells[1:]]
-            if own.delimiter == " " and not names[0]:
+        cells = _cells(path, number, line, settings)
+        if settings.comment and line.startswith(settings.comment):
+            names = [cells[0].lstrip(settings.comment).strip(), *cells[1:]]
+            if settings.delimiter == " " and not names[0]:
                 del names[0]  # the space behind the comment sign
-        elif _is_number(cells[0], own.decimal):
+        elif _is_number(cells[0], settings.decimal):
             return names, [(number, line)]
         else:
             return cells, []
@@ -141,15 +286,15 @@ def _names(
 
 
 def _samples(
-    path: Path, lines: Iterable[Line], own: TableSettings, columns: int
+    path: Path, lines: Iterable[Line], settings: TableSettings, columns: int
 ) -> Iterator[Line]:
-    """Yield the lines that hold a sample; refuse those that lack columns."""
+    """Yield the lines of samples; refuse lines that lack columns."""
     for number, line in lines:
-        if line.isspace() or (own.comment and line.startswith(own.comment)):
+        if line.isspace() or (settings.comment and line.startswith(settings.comment)):
             continue
         # A delimiter between quotation marks separates nothing.
-        if line.count(own.delimiter) + 1 < columns or '"' in line:
-            cells = _cells(path, number, line, own)
+        if line.count(settings.delimiter) + 1 < columns or '"' in line:
+            cells = _cells(path, number, line, settings)
             if len(cells) < columns:
                 raise FormatError(
                     f"{path}, line {number}: has {len(cells)} columns, needed are "
@@ -158,13 +303,13 @@ def _samples(
         yield number, line
 
 
-def _cells(path: Path, number: int, line: str, own: TableSettings) -> list[str]:
+def _cells(path: Path, number: int, line: str, settings: TableSettings) -> list[str]:
     rows = csv.reader(
         [line.strip("\r\n")],
-        delimiter=own.delimiter,
-        skipinitialspace=own.delimiter != " ",
+        delimiter=settings.delimiter,
+        skipinitialspace=settings.delimiter != " ",
         # Quotation marks in a comment may be those of prose.
-        strict=not (own.comment and line.startswith(own.comment)),
+        strict=not (settings.comment and line.startswith(settings.comment)),
     )
     try:
         (cells,) = rows
@@ -177,14 +322,17 @@ def _cells(path: Path, number: int, line: str, own: TableSettings) -> list[str]:
 
 
 def _parsed(
-    content: str, own: TableSettings, places: dict[int, str], texts: set[str | None]
+    content: str,
+    settings: TableSettings,
+    places: dict[int, str],
+    texts: set[str | None],
 ) -> dict[str, NDArray[Any]]:
-    """Return columns by name: numbers, or cells as written where one is no number."""
+    """Columns by name: numbers, or text where a cell is not a number."""
     import pandas as pd
 
     read = partial(
-        pd.read_csv, header=None, usecols=list(places), sep=own.delimiter,
-        decimal=own.decimal, skipinitialspace=True, skip_blank_lines=False,
+        pd.read_csv, header=None, usecols=list(places), sep=settings.delimiter,
+        decimal=settings.decimal, skipinitialspace=True, skip_blank_lines=False,
         keep_default_na=False,
     )  # fmt: skip
     numbers = [place for place, name in places.items() if name not in texts]
@@ -207,10 +355,10 @@ def _is_number(text: str, decimal: str) -> bool:
     return True
 
 
-def _whole_hdf5(path: Path, wanted: list[str], count: int | None) -> Iterator[Table]:
+def _whole_hdf5(path: Path, names: list[str], count: int | None) -> Iterator[Table]:
     load_hdf5()
     try:
-        yield from _hdf5(path, wanted, count)
+        yield from _hdf5(path, names, count)
     except (FormatError, OSError):
         raise
     except Exception as error:  # h5py raises many kinds inside of a damaged file
@@ -220,20 +368,20 @@ def _whole_hdf5(path: Path, wanted: list[str], count: int | None) -> Iterator[Ta
         ) from error
 
 
-def _hdf5(path: Path, wanted: list[str], count: int | None) -> Iterator[Table]:
+def _hdf5(path: Path, names: list[str], count: int | None) -> Iterator[Table]:
     import h5py
 
     with h5py.File(path, "r") as file:
-        known: list[str] = []
+        datasets: list[str] = []
 
-        def note(name: str, thing: object) -> None:
-            if isinstance(thing, h5py.Dataset):
-                known.append(name)
+        def note(name: str, node: object) -> None:
+            if isinstance(node, h5py.Dataset):
+                datasets.append(name)
 
         file.visititems(note)
-        bare = [name.strip("/") for name in wanted]
-        _refuse_missing(path, bare, known)
-        places = dict(zip(wanted, bare, strict=True))
+        bare = [name.strip("/") for name in names]
+        _refuse_missing(path, bare, datasets)
+        places = dict(zip(names, bare, strict=True))
         sizes = {name: int(file[place].size) for name, place in places.items()}
         if len(set(sizes.values())) != 1 or 0 in sizes.values():
             listed = ", ".join(f"{name}: {size}" for name, size in sizes.items())
@@ -250,7 +398,7 @@ def _hdf5(path: Path, wanted: list[str], count: int | None) -> Iterator[Table]:
 
 
 def _flat(dataset: Any, begin: int, end: int) -> NDArray[Any]:
-    """Return some values of an array, counted along its rows, texts decoded."""
+    """Part of an array along its rows, with texts decoded."""
     if dataset.ndim == 0:
         values = np.asarray(dataset[()]).ravel()
     else:
@@ -268,10 +416,10 @@ def _flat(dataset: Any, begin: int, end: int) -> NDArray[Any]:
     return values
 
 
-def _refuse_missing(path: Path, wanted: list[str], there: list[str]) -> None:
-    missing = [name for name in wanted if name not in there]
+def _refuse_missing(path: Path, names: list[str], present: list[str]) -> None:
+    missing = [name for name in names if name not in present]
     if missing:
-        listed = ", ".join(there[:30]) or "none"
+        listed = ", ".join(present[:30]) or "none"
         raise FormatError(
             f"{path}: has no column {missing[0]!r}; there are {listed}. Name them in "
             "[columns] of the map"

@@ -1,4 +1,4 @@
-"""Recordings that other software made become measurement cubes."""
+"""Import of recordings from other software as measurement cubes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.errors import FormatError
-from amulor.io.recording_map import RecordingMap
 from amulor.io.recording_samples import (
     Samples,
     around,
@@ -25,7 +24,7 @@ from amulor.io.recording_samples import (
     samples_of,
     turn,
 )
-from amulor.io.recording_table import read_table
+from amulor.io.recording_table import RecordingMap, read_table
 from amulor.optics import detection
 from amulor.survey import Survey
 from amulor.survey.counting import (
@@ -44,7 +43,7 @@ Complex = NDArray[np.complex128]
 #: Bits of `user_sample_flag`.
 ZERO, BREAKDOWN, NO_NUMBER = 1, 2, 4
 _WORDS = "zero_output breakdown no_number"
-#: A sample is a breakdown that is farther from each of its neighbours than so many
+#: A sample is a breakdown that is farther from each of its neighbors than so many
 #: typical distances, and than so many of its standard uncertainties [1].
 _BREAKDOWN, _SURE = 12.0, 8.0
 #: And farther from all mixtures of two of them than so often they differ [1].
@@ -57,7 +56,7 @@ _PIXEL = ("row", "column")
 
 @dataclass(frozen=True, kw_only=True)
 class _Gathered:
-    """Means of the samples of one channel and place, of which some may be marked."""
+    """Means of samples by channel and pixel, with flags."""
 
     signal: Complex
     mean: Floats
@@ -65,9 +64,9 @@ class _Gathered:
     takes: NDArray[np.int32]
     flag: NDArray[np.int16]
 
-    def rows(self, kept: slice) -> _Gathered:
-        """Return some rows."""
-        return _Gathered(**{key: v[:, :, kept] for key, v in vars(self).items()})
+    def rows(self, rows: slice) -> _Gathered:
+        """Means of some rows."""
+        return _Gathered(**{key: v[:, :, rows] for key, v in vars(self).items()})
 
 
 def read_recordings(
@@ -80,9 +79,9 @@ def read_recordings(
     """Turn a recording of other software into a measurement cube.
 
     A breakdown of the detector stands alone: it is farther from each of its eight
-    neighbours, and from each mixture of two of them, which a beam on an edge sees, than
+    neighbors, and from each mixture of two of them, which a beam on an edge sees, than
     12 typical distances, than 8 of its standard uncertainties, and than twice what its
-    neighbours differ among each other. Two breakdowns side by side are not seen, and a
+    neighbors differ among each other. Two breakdowns side by side are not seen, and a
     bright object of one pixel looks like one. A shot is a breakdown if it is so many
     typical distances and uncertainties off the median of its channel.
     """
@@ -94,9 +93,9 @@ def read_recordings(
     polarization = np.array([pairs.index(str(pair)) for pair in samples.polarization])
     scan, shots = ~samples.water, samples.water
     refuse_no_scan(path, any_scan=bool(scan.any()))
-    seen = samples.part(scan)
+    scan_samples = samples.part(scan)
     channel = frequency[scan], polarization[scan]
-    at = (*channel, *pixels(path, seen, channel, survey))
+    at = (*channel, *pixels(path, scan_samples, channel, survey))
     recording = Recording(
         path=path,
         survey=survey,
@@ -109,20 +108,20 @@ def read_recordings(
         ),
     )  # fmt: skip
     refuse_scans_beyond_memory(survey)
-    band = gathered_band(recording, seen, at, (0, survey.scan.rows))
+    band = gathered_band(recording, scan_samples, at, (0, survey.scan.rows))
     typical = np.stack(
         [[median_of(near) for near in plane] for plane in band.nearest],
     )
     return cube_of(
         recording, band, typical[..., None, None],
-        mean=bool(np.isfinite(band.found.mean).any()),
-        temperature=bool(np.isfinite(band.found.temperature).any()),
+        mean=bool(np.isfinite(band.means.mean).any()),
+        temperature=bool(np.isfinite(band.means.temperature).any()),
     )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """What all rows of a recording share."""
+    """Settings, channels and shots shared by all rows of a recording."""
 
     path: Path
     survey: Survey
@@ -134,33 +133,33 @@ class Recording:
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Some rows of a recording, with those beside them, before breakdowns are told."""
+    """Rows of a recording with their neighbors, before breakdowns are flagged."""
 
-    found: _Gathered
+    means: _Gathered
     uncertainty: Floats
     nearest: Floats
     azimuth: Floats
     elevation: Floats
     rows: tuple[int, int]
-    """First row, and the one behind the last, which are wanted."""
-    kept: slice
-    """Where these are in the arrays."""
+    """First row, and the row behind the last."""
+    inner: slice
+    """Slice of these rows in the arrays."""
 
 
 def band_with_neighbours(survey: Survey, rows: tuple[int, int]) -> tuple[int, int]:
-    """Return rows with those that breakdowns in them are told by."""
+    """Range of rows extended by the neighbors that breakdowns are judged against."""
     return max(rows[0] - 1, 0), min(rows[1] + 1, survey.scan.rows)
 
 
 def gathered_band(
     recording: Recording,
-    seen: Samples,
+    samples: Samples,
     at: tuple[NDArray[np.intp], ...],
     rows: tuple[int, int],
 ) -> Band:
-    """Return the means of samples in some rows.
+    """Means of samples in some rows.
 
-    `seen` has all samples of `band_with_neighbours`, and no others; `at` says where
+    `samples` has all samples of `band_with_neighbours`, and no others; `at` says where
     they are: frequency, polarization, row and column of the scan.
     """
     survey = recording.survey
@@ -172,42 +171,42 @@ def gathered_band(
         survey.scan.columns,
     )
     at = (at[0], at[1], at[2] - begin, at[3])
-    found = _gathered(seen, at, shape)
+    means = _gathered(samples, at, shape)
     azimuth, elevation, _ = scan_directions(survey, rows=slice(begin, end))
     return Band(
-        found=found,
-        uncertainty=_uncertainty(recording.described, survey, found),
-        nearest=nearest_distance(found.signal),
-        azimuth=_direction(seen.azimuth, at, azimuth),
-        elevation=_direction(seen.elevation, at, elevation),
+        means=means,
+        uncertainty=_uncertainty(recording.described, survey, means),
+        nearest=nearest_distance(means.signal),
+        azimuth=_direction(samples.azimuth, at, azimuth),
+        elevation=_direction(samples.elevation, at, elevation),
         rows=rows,
-        kept=slice(rows[0] - begin, rows[1] - begin),
+        inner=slice(rows[0] - begin, rows[1] - begin),
     )
 
 
 def cube_of(
     recording: Recording, band: Band, typical: Floats, *, mean: bool, temperature: bool
 ) -> xr.Dataset:
-    """Return some rows of the cube.
+    """Cube of some rows.
 
-    `typical` is the median distance of neighbours in each channel; `mean` and
+    `typical` is the median distance of neighbors in each channel; `mean` and
     `temperature` say whether any row of the recording has them.
     """
     survey, described = recording.survey, recording.described
-    broken = _breakdowns(band, typical)[:, :, band.kept]
-    found = band.found.rows(band.kept)
-    uncertainty = band.uncertainty[:, :, band.kept]
+    broken = _breakdowns(band, typical)[:, :, band.inner]
+    means = band.means.rows(band.inner)
+    uncertainty = band.uncertainty[:, :, band.inner]
     cube = cubes.build(
         "samples",
         {
-            **_outputs(found, uncertainty, survey, described),
+            **_outputs(means, uncertainty, survey, described),
             "saturated": broken.astype(np.int8),
         },
         {
             "modulation_frequency": recording.frequencies,
             "polarization": recording.pairs,
-            "azimuth": band.azimuth[band.kept],
-            "elevation": band.elevation[band.kept],
+            "azimuth": band.azimuth[band.inner],
+            "elevation": band.elevation[band.inner],
         },
         geometry=geometry_attributes(survey),
         attributes=_attributes(
@@ -217,13 +216,13 @@ def cube_of(
     if recording.shots is not None:
         cube = cubes.attach(cube, recording.shots, "open_water")
     cube = cube.assign(
-        _user_variables(found, broken, mean=mean, temperature=temperature)
+        _user_variables(means, broken, mean=mean, temperature=temperature)
     )
     return cubes.note(cube, "import recordings")
 
 
 def marked(cube: xr.Dataset) -> dict[str, int]:
-    """Return how many samples of a cube are marked with which word, without zeros."""
+    """Return the number of samples of a cube by marking word, without zeros."""
     flag = cube["user_sample_flag"]
     counted = {
         word.replace("_", " "): int((flag.values & mask != 0).sum())
@@ -235,7 +234,7 @@ def marked(cube: xr.Dataset) -> dict[str, int]:
 
 
 def is_measured(signal: Complex) -> NDArray[np.bool_]:
-    """Return which samples are numbers other than 0."""
+    """Mask of samples that are numbers other than 0."""
     return np.asarray((signal != 0) & ~_is_none(signal))
 
 
@@ -244,7 +243,7 @@ def _is_none(signal: Complex) -> NDArray[np.bool_]:
 
 
 def refuse_no_scan(path: Path, *, any_scan: bool) -> None:
-    """Refuse a recording of nothing but shots."""
+    """Refuse a recording of open-water shots only."""
     if not any_scan:
         raise FormatError(
             f"{path}: holds open-water shots and no sample of the scan; check "
@@ -262,7 +261,7 @@ def shots_of(
     names: tuple[Floats, list[str]],
     scanned: tuple[NDArray[np.intp], NDArray[np.intp]],
 ) -> xr.Dataset | None:
-    """Return the open-water shots, None without any; all scanned channels have some."""
+    """Open-water shots of all scanned channels; None without any."""
     if not len(samples.water):
         return None
     missing = set(zip(*scanned, strict=True)) - set(zip(*channel, strict=True))
@@ -279,10 +278,10 @@ def shots_of(
 def _gathered(
     samples: Samples, at: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]
 ) -> _Gathered:
-    """Return the mean of all samples of a place, but for those without a number."""
+    """Mean of all valid samples at each pixel."""
     zero = samples.signal == 0
     none = _is_none(samples.signal)
-    good = is_measured(samples.signal)
+    measured = is_measured(samples.signal)
     flat = np.ravel_multi_index(at, shape)
     size = int(np.prod(shape))
 
@@ -295,13 +294,15 @@ def _gathered(
     flag = np.zeros(size, dtype=np.int16)
     np.bitwise_or.at(flag, flat[zero], np.int16(ZERO))
     np.bitwise_or.at(flag, flat[none], np.int16(NO_NUMBER))
-    real = mean_of(samples.signal.real, good)
-    imaginary = mean_of(samples.signal.imag, good)
+    real = mean_of(samples.signal.real, measured)
+    imaginary = mean_of(samples.signal.imag, measured)
     return _Gathered(
         signal=real + 1j * imaginary,
-        mean=mean_of(samples.mean, good),
+        mean=mean_of(samples.mean, measured),
         temperature=mean_of(samples.temperature, np.ones(len(flat), dtype=bool)),
-        takes=np.bincount(flat[good], minlength=size).astype(np.int32).reshape(shape),
+        takes=np.bincount(flat[measured], minlength=size)
+        .astype(np.int32)
+        .reshape(shape),
         flag=flag.reshape(shape),
     )
 
@@ -309,26 +310,26 @@ def _gathered(
 def _direction(
     angle: Floats, at: tuple[NDArray[np.intp], ...], planned: Floats
 ) -> Floats:
-    """Return where the beam stood, in the mean of all channels; or was to stand."""
+    """Beam direction, averaged over all channels; the planned one without samples."""
     flat = np.ravel_multi_index(at[2:], planned.shape)
-    there = np.isfinite(angle)
-    count = np.bincount(flat[there], minlength=planned.size)
-    total = np.bincount(flat[there], angle[there], minlength=planned.size)
+    finite = np.isfinite(angle)
+    count = np.bincount(flat[finite], minlength=planned.size)
+    total = np.bincount(flat[finite], angle[finite], minlength=planned.size)
     mean = (total / np.maximum(count, 1)).reshape(planned.shape)
     return np.where(count.reshape(planned.shape) > 0, mean, planned)
 
 
-def _uncertainty(described: RecordingMap, survey: Survey, found: _Gathered) -> Floats:
-    """Return the standard uncertainty of either output but for the phase floor [V]."""
-    takes = np.maximum(found.takes, 1)
+def _uncertainty(described: RecordingMap, survey: Survey, means: _Gathered) -> Floats:
+    """Return the standard uncertainty of either output without the phase floor [V]."""
+    takes = np.maximum(means.takes, 1)
     if described.constants.uncertainty is not None:
         return described.constants.uncertainty / np.sqrt(takes)
     detector = survey.instrument.detector
     volt = detector.volt_per_photoelectron_rate
     # Without a mean output the amplitude tells how much light there is at least.
-    lower = np.abs(found.signal) / (survey.instrument.modulation_depth * volt)
-    seen = np.maximum(found.mean / volt - detector.dark_rate, 0.0)
-    rate = np.where(np.isfinite(found.mean), seen, lower)
+    lower = np.abs(means.signal) / (survey.instrument.modulation_depth * volt)
+    measured = np.maximum(means.mean / volt - detector.dark_rate, 0.0)
+    rate = np.where(np.isfinite(means.mean), measured, lower)
     variance = counting_variance(
         survey, rate=np.nan_to_num(rate), integration_time=integration_time(survey)
     )
@@ -336,18 +337,18 @@ def _uncertainty(described: RecordingMap, survey: Survey, found: _Gathered) -> F
 
 
 def _outputs(
-    found: _Gathered, uncertainty: Floats, survey: Survey, described: RecordingMap
+    means: _Gathered, uncertainty: Floats, survey: Survey, described: RecordingMap
 ) -> dict[str, Floats]:
-    """Return the outputs and their errors, under the names of the schema."""
+    """Return the outputs and their errors under the names of the schema."""
     floor = survey.instrument.lock_in.phase_floor
     if described.constants.uncertainty is not None:
         floor = 0.0  # what is stated holds for all of it
     in_phase, quadrature, covariance = detection.phase_floor_covariance(
-        found.signal, phase_floor=floor
+        means.signal, phase_floor=floor
     )
     return {
-        "in_phase": found.signal.real,
-        "quadrature": found.signal.imag,
+        "in_phase": means.signal.real,
+        "quadrature": means.signal.imag,
         "in_phase_uncertainty": np.sqrt(uncertainty**2 + in_phase),
         "quadrature_uncertainty": np.sqrt(uncertainty**2 + quadrature),
         "in_phase_quadrature_covariance": covariance,
@@ -355,12 +356,12 @@ def _outputs(
 
 
 def _breakdowns(band: Band, typical: Floats) -> NDArray[np.bool_]:
-    """Return which pixels stand alone, far from all that their neighbours explain."""
-    signal = band.found.signal
+    """Mask of isolated pixels that no mixture of their neighbors explains."""
+    signal = band.means.signal
     beside = around(signal)
     far = np.maximum(_BREAKDOWN * typical, _SURE * band.uncertainty)
     broken = np.asarray(band.nearest > far)
-    near = np.stack([other[broken] for other in beside])
+    near = np.stack([neighbor[broken] for neighbor in beside])
     off, spread = off_mixtures(signal[broken], near)
     broken[broken] = off > np.maximum(far[broken], _SPREAD * spread)
     return broken
@@ -372,37 +373,37 @@ def _shots(
     survey: Survey,
     described: RecordingMap,
 ) -> xr.Dataset:
-    """Return the open-water shots; a breakdown among them is no number."""
+    """Open-water shots; breakdowns among them become NaN."""
     number = turn(channel).astype(np.intp)
     sizes = channel[0].max() + 1, channel[1].max() + 1, number.max() + 1
     at = (*channel, np.zeros_like(number), number)
     shape = (*sizes[:2], 1, sizes[2])
-    found = _gathered(samples, at, shape)
-    uncertainty = _uncertainty(described, survey, found)
-    middle = np.nanmedian(found.signal.real, axis=3, keepdims=True) + 1j * np.nanmedian(
-        found.signal.imag, axis=3, keepdims=True
+    means = _gathered(samples, at, shape)
+    uncertainty = _uncertainty(described, survey, means)
+    middle = np.nanmedian(means.signal.real, axis=3, keepdims=True) + 1j * np.nanmedian(
+        means.signal.imag, axis=3, keepdims=True
     )
-    off = np.abs(found.signal - middle)
+    off = np.abs(means.signal - middle)
     typical = np.nanmedian(off, axis=3, keepdims=True)
     broken = off > np.maximum(_BREAKDOWN * typical, _SURE * uncertainty)
-    found.signal[broken] = complex(np.nan, np.nan)
+    means.signal[broken] = complex(np.nan, np.nan)
     outputs = {
         name: values[:, :, 0]
-        for name, values in _outputs(found, uncertainty, survey, described).items()
+        for name, values in _outputs(means, uncertainty, survey, described).items()
     }
-    where = {}
+    coordinates = {}
     for name in ("azimuth", "elevation"):
         angle = getattr(samples, name)
         if np.isfinite(angle).all():
             total = np.bincount(number, angle) / np.bincount(number)
-            where[name] = np.asarray(total)
-    return cubes.open_water({**outputs, **where})
+            coordinates[name] = np.asarray(total)
+    return cubes.open_water({**outputs, **coordinates})
 
 
 def _user_variables(
-    found: _Gathered, broken: NDArray[np.bool_], *, mean: bool, temperature: bool
+    means: _Gathered, broken: NDArray[np.bool_], *, mean: bool, temperature: bool
 ) -> dict[str, xr.Variable]:
-    flag = (found.flag | np.int16(BREAKDOWN) * broken).astype(np.int16)
+    flag = (means.flag | np.int16(BREAKDOWN) * broken).astype(np.int16)
     masks = np.array([ZERO, BREAKDOWN, NO_NUMBER], dtype=np.int16)
     about = "what stood in the way of a sample, 0 if nothing did"
     result = {
@@ -419,15 +420,15 @@ def _user_variables(
         ),
         "user_takes": xr.Variable(
             _SAMPLE,
-            found.takes,
+            means.takes,
             {"long_name": "samples that were averaged", "units": "1"},
         ),
     }
-    for name, values, unit, there in (
-        ("mean output of the detector", found.mean, "V", mean),
-        ("temperature of the water", found.temperature, "degC", temperature),
+    for name, values, unit, present in (
+        ("mean output of the detector", means.mean, "V", mean),
+        ("temperature of the water", means.temperature, "degC", temperature),
     ):
-        if there:
+        if present:
             short = "user_mean_output" if unit == "V" else "user_temperature"
             result[short] = xr.Variable(
                 _SAMPLE, values, {"long_name": name, "units": unit}

@@ -1,18 +1,21 @@
-"""Points, triangles and numbers of a cloud or a mesh of any format; reads meshes."""
+"""Clouds and meshes of any format: columns and checks after reading, before writing."""
 
 from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.errors import FormatError, MissingExtraError
+from amulor import cube as cubes
+from amulor.cube import DOUBTFUL
+from amulor.errors import CubeError, FormatError, MissingExtraError
 
 Up = Literal["-y", "y", "z"]
 
@@ -43,45 +46,45 @@ class Shape:
     position: NDArray[np.float64]
     """Points or vertices, shape (n, 3) [m]."""
     scalars: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
-    """Numbers of the points by the names of `KNOWN` or by those of the file."""
+    """Numbers of the points, named as in `KNOWN` or as in the file."""
     colour: NDArray[np.uint8] | None = None
     """Red, green, blue of the points, shape (n, 3)."""
     faces: NDArray[np.intp] | None = None
     """Corners of triangles, shape (m, 3)."""
     up: Up = "z"
-    """Which of its axes points up."""
+    """Axis that points up."""
     statements: Sequence[str] = ()
-    """What the file says of itself."""
+    """Statements of the file about itself."""
     total: int = 0
-    """Points in the file; more than are here if it was thinned."""
+    """Points in the file; more than in memory if it was thinned."""
 
 
 def scalars_of(
     columns: Mapping[str, NDArray[Any]],
 ) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Sort columns into numbers by names of `KNOWN`, and names that are left out."""
+    """Columns as numbers under the names of `KNOWN`, and names of unused columns."""
     plain = {
         name: name.lower().removeprefix("scalar_").partition("[")[0].strip()
         for name in columns
     }
-    found: dict[str, NDArray[np.float64]] = {}
-    taken: set[str] = set()
+    scalars: dict[str, NDArray[np.float64]] = {}
+    used: set[str] = set()
     for name, aliases in KNOWN.items():
-        for column, own in plain.items():
-            if own in aliases and column not in taken and name not in found:
-                found[name] = np.asarray(columns[column], dtype=float)
-                taken.add(column)
-    if "amplitude" in found:
+        for column, plain_name in plain.items():
+            if plain_name in aliases and column not in used and name not in scalars:
+                scalars[name] = np.asarray(columns[column], dtype=float)
+                used.add(column)
+    if "amplitude" in scalars:
         # Beside the amplitude a LAS file has it once more, in parts of the largest.
-        found.pop("intensity", None)
-    others = [column for column in columns if column not in taken]
-    for column in others[:_MOST_OTHERS]:
+        scalars.pop("intensity", None)
+    remaining = [column for column in columns if column not in used]
+    for column in remaining[:_MOST_OTHERS]:
         # The name becomes a part of an address, beside those of the page itself.
         name = re.sub(r"[^\w -]", "_", plain[column])[:40].strip() or "unnamed"
-        while name in found or name in _TAKEN:
+        while name in scalars or name in _TAKEN:
             name += " 2"
-        found[name] = np.asarray(columns[column], dtype=float)
-    return found, others[_MOST_OTHERS:]
+        scalars[name] = np.asarray(columns[column], dtype=float)
+    return scalars, remaining[_MOST_OTHERS:]
 
 
 def up_of(statements: Sequence[str], default: Up = "z") -> Up:
@@ -93,17 +96,17 @@ def up_of(statements: Sequence[str], default: Up = "z") -> Up:
 
 
 def checked(shape: Shape, name: str) -> Shape:
-    """Drop points without a finite place and numbers never known; raise if empty."""
+    """Drop points without finite coordinates and empty columns; raise if empty."""
     # Numbers of which none is known, such as errors with the water left in.
-    known = {k: v for k, v in shape.scalars.items() if np.isfinite(v).any()}
-    shape = Shape(**{**vars(shape), "scalars": known})
-    there = np.asarray(np.isfinite(shape.position).all(axis=1))
+    scalars = {k: v for k, v in shape.scalars.items() if np.isfinite(v).any()}
+    shape = Shape(**{**vars(shape), "scalars": scalars})
+    finite = np.asarray(np.isfinite(shape.position).all(axis=1))
     count = len(shape.position)
-    if not there.any():
+    if not finite.any():
         raise FormatError(
             f"{name} holds no point with a finite place; it is empty or damaged"
         )
-    largest = float(np.abs(shape.position[there]).max())
+    largest = float(np.abs(shape.position[finite]).max())
     if largest > 1e9:
         raise FormatError(
             f"{name} has a coordinate of {largest:.3g} m, which no survey has; it is "
@@ -116,19 +119,19 @@ def checked(shape: Shape, name: str) -> Shape:
                 f"{name} has a triangle with corner {int(faces.max())}, but only "
                 f"{count} vertices; it is damaged, write it again"
             )
-        faces = faces[np.all(there[faces], axis=1)]
+        faces = faces[np.all(finite[faces], axis=1)]
         return Shape(**{**vars(shape), "faces": faces})
-    if there.all():
+    if finite.all():
         return Shape(**{**vars(shape), "faces": None})
-    return thinned(Shape(**{**vars(shape), "faces": None}), np.flatnonzero(there))
+    return thinned(Shape(**{**vars(shape), "faces": None}), np.flatnonzero(finite))
 
 
-def thinned(shape: Shape, kept: NDArray[np.intp]) -> Shape:
+def thinned(shape: Shape, indices: NDArray[np.intp]) -> Shape:
     """Select some points of a cloud; its triangles are dropped."""
     return Shape(
-        position=shape.position[kept],
-        scalars={name: values[kept] for name, values in shape.scalars.items()},
-        colour=None if shape.colour is None else shape.colour[kept],
+        position=shape.position[indices],
+        scalars={name: values[indices] for name, values in shape.scalars.items()},
+        colour=None if shape.colour is None else shape.colour[indices],
         up=shape.up,
         statements=shape.statements,
         total=shape.total or len(shape.position),
@@ -136,7 +139,7 @@ def thinned(shape: Shape, kept: NDArray[np.intp]) -> Shape:
 
 
 def spread(total: int, most: int) -> NDArray[np.intp]:
-    """Numbers of points drawn evenly: one of every so many, at a random place in each.
+    """Return the indices of an even random subset: one of each run of points.
 
     The rows of a scan and an even step would give lines.
     """
@@ -179,3 +182,120 @@ def read_mesh(path: Path, *, unit: float) -> Shape:
     # The format of glTF says that y is up; others say nothing.
     up: Up = "y" if ending == "glb" else "z"
     return Shape(position=vertices, faces=faces, up=up, total=len(vertices))
+
+
+# What the axes mean, for the header of a file that has no place for it.
+_AXES = "right-handed: x right, y down, z forward, in the instrument's axes [m]"
+
+# Largest number that each format can hold.
+_LAST = {"row": 2**31 - 1, "column": 2**31 - 1, "quality_flag": 2**15 - 1}
+
+
+def checked_cloud(cloud: xr.Dataset, *, name: str) -> xr.Dataset:
+    """Point cloud checked for export: at least one point, all coordinates finite."""
+    cloud = cubes.checked(cloud, level="point_cloud", name=name)
+    if cloud.sizes["point"] == 0:
+        raise CubeError(
+            f"{name}: there is no point in it; look at the quality flags of the range "
+            "image that it was made from"
+        )
+    for variable in ("x", "y", "z", "intensity"):
+        broken = np.count_nonzero(~np.isfinite(cloud[variable].values))
+        if broken:
+            raise CubeError(
+                f"{name}: '{variable}' of {broken} points is not finite; drop these "
+                "points"
+            )
+    for variable, last in _LAST.items():
+        if variable not in cloud:
+            continue
+        values = cloud[variable].values
+        if not np.all((values >= 0) & (values <= last) & (values == np.floor(values))):
+            raise CubeError(
+                f"{name}: '{variable}' must hold whole numbers from 0 to {last}, "
+                f"found {np.min(values):g} to {np.max(values):g}; make the cloud again "
+                "from its range image"
+            )
+    return cloud
+
+
+def checked_parts(
+    parts: Iterable[xr.Dataset], count: int, *, name: str
+) -> Iterator[xr.Dataset]:
+    """Yield the parts of a cloud that contain points, each checked for export."""
+    summed = 0
+    part = None
+    for part in parts:
+        if part.sizes["point"]:
+            summed += part.sizes["point"]
+            yield checked_cloud(part, name=name)
+    if part is not None and not summed:
+        checked_cloud(part, name=name)
+    if summed != count:
+        raise CubeError(
+            f"{name}: {summed} points came, {count} were counted before; the range "
+            "image changed meanwhile: run it again"
+        )
+
+
+def in_blocks(arrays: Iterable[NDArray[Any]], size: int) -> Iterator[NDArray[Any]]:
+    """Yield the elements of arrays in blocks of equal size; the last may be smaller."""
+    waiting: list[NDArray[Any]] = []
+    count = 0
+    for array in arrays:
+        waiting.append(array)
+        count += len(array)
+        while count >= size:
+            joined = waiting[0] if len(waiting) == 1 else np.concatenate(waiting)
+            yield joined[:size]
+            waiting, count = [joined[size:]], count - size
+    if count:
+        yield np.concatenate(waiting)
+
+
+def provenance_lines(cloud: xr.Dataset) -> list[str]:
+    """Return the description and provenance of a cloud, one statement a line."""
+    named = ("title", "source", "history", "amulor_schema_version", "software_versions")
+    lines = frame_lines(cloud.attrs)
+    for key in named:
+        text = str(cloud.attrs.get(key, ""))
+        lines += [f"{key}: {line.strip()}" for line in text.splitlines()]
+    if "quality_flag" in cloud:
+        flags = cloud["quality_flag"].attrs
+        names = str(flags.get("flag_meanings", "")).split()
+        masks = np.atleast_1d(flags.get("flag_masks", []))
+        bits = ", ".join(f"{m} {n}" for m, n in zip(masks, names, strict=False))
+        lines.append(f"quality_flag: 0 good, or a sum of {bits}")
+    words = cubes.error_unknown(cloud)
+    if words:
+        lines.append(f"uncertainty: {words}; nan where it is not known")
+    elif "x_uncertainty" in cloud:
+        lines.append(
+            "uncertainty: standard uncertainties (GUM, k = 1), of the range along the "
+            "beam; those of x, y and z of a point are one error and correlate fully"
+        )
+    if cloud.attrs.get("simulated"):
+        lines.append("simulated: the points come from a simulation")
+    return lines
+
+
+def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
+    """Meaning of the coordinates of a product, one statement a line."""
+    lines = [f"axes: {attributes.get('frame_axes', _AXES)}"]
+    if attributes.get("frame", "instrument") != "instrument":
+        numbers = " ".join(f"{v:.12g}" for v in attributes["frame_matrix"])
+        lines.append(f"from the instrument's axes, 4 x 4 row by row: {numbers}")
+    if attributes.get("crs"):
+        offset = ", ".join(f"{v:.12g}" for v in attributes["crs_offset"])
+        lines.append(f"reference system: {attributes['crs']}; add ({offset}) m")
+    if attributes.get("pose_unknown"):
+        lines.append(f"uncertainty of the pose not known: {attributes['pose_unknown']}")
+    return lines
+
+
+def doubtful(cloud: xr.Dataset) -> NDArray[np.bool_]:
+    """Mask of points whose range is doubtful by a flag of its own."""
+    if "quality_flag" not in cloud:
+        return np.zeros(cloud.sizes["point"], dtype=bool)
+    flags = cloud["quality_flag"].values.astype(np.int64)
+    return np.asarray((flags & int(DOUBTFUL)) != 0)

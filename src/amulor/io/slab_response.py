@@ -51,17 +51,17 @@ class Slabs:
     """
 
     histograms: Histograms
-    """The file as it is."""
+    """Content of the file."""
     thickness: NDArray[np.float64]
     """Thickness of each slab [m]."""
     counts: NDArray[np.float64]
     """Counts less their background, dimensions (slab or none, bin) [1]."""
     background: NDArray[np.float64]
-    """Background that was taken off each bin, per histogram [1]."""
+    """Background subtracted from each bin, per histogram [1]."""
 
 
 def read_slabs(path: str | os.PathLike[str]) -> Slabs:
-    r"""Read the histograms of light through slabs and take their background off.
+    r"""Read the histograms of light through slabs and subtract their background.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def read_slabs(path: str | os.PathLike[str]) -> Slabs:
 
 
 def slab_response(slabs: Slabs, modulation_frequency: ArrayLike) -> xr.Dataset:
-    r"""Return by how much slabs damp and delay a modulation.
+    r"""Attenuation and delay of a modulation by slabs.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def slab_response(slabs: Slabs, modulation_frequency: ArrayLike) -> xr.Dataset:
 
 
 def mean_delay(slabs: Slabs) -> NDArray[np.float64]:
-    r"""Return how much later light arrives behind a slab than without it, on average.
+    r"""Mean additional delay of light behind a slab.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def mean_delay(slabs: Slabs) -> NDArray[np.float64]:
 def _ratio(
     slabs: Slabs, weight: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
-    """Return signal over light, and the variances of Re and Im of its logarithm."""
+    """Signal over light, and the variances of Re and Im of its logarithm."""
     level = slabs.background[:, np.newaxis]
     bins = weight.shape[1]
     # Less one, so that at low frequencies small numbers are added and not the
@@ -295,7 +295,7 @@ def _ratio(
     for inverse in (1 / ratio, -1j / ratio):
         a, b = inverse.real / light, -inverse.imag / light
         c = a - 1 / light if not variances else a
-        own = (
+        independent = (
             a**2 * observed.variance_in_phase.T
             + b**2 * observed.variance_quadrature.T
             + 2 * a * b * observed.covariance.T
@@ -306,7 +306,9 @@ def _ratio(
         common = a * sums.real + b * sums.imag + c * bins
         shared = a * dark_real + b * dark_imaginary + c * dark_bins
         of_median = np.pi * level / (2 * bins) + 1 / 12
-        variance = own + common**2 * of_median - 2 * common * shared * level / bins
+        variance = (
+            independent + common**2 * of_median - 2 * common * shared * level / bins
+        )
         # Light in a single bin has no spread, and rounding can fall below that.
         variances.append(np.maximum(variance, 0))
     return ratio, variances[0], variances[1]

@@ -1,4 +1,4 @@
-"""Reads and writes results of photon transport runs, to merge it or go on."""
+"""Results of photon transport runs as netCDF-4 files, to merge or continue."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def read_tally(path: str | os.PathLike[str]) -> Tally:
 
 
 def _loaded(content: bytes, path: Path) -> xr.Dataset:
-    """Return all that the file holds."""
+    """Content of the file."""
     import h5netcdf
     import h5py
 
@@ -219,7 +219,7 @@ def _loaded(content: bytes, path: Path) -> xr.Dataset:
 
 
 def _tally(dataset: xr.Dataset, path: Path) -> Tally:
-    """Return the tally that a file holds, checked as far as numbers can tell."""
+    """Tally from the content of a file, checked as far as numbers allow."""
     # Brings the compiled loops with it, which other readers of files do not need.
     from amulor.transport.tally import PathRecord, Tally
 

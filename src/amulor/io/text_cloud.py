@@ -1,4 +1,4 @@
-"""Writes and reads point clouds as text: columns of numbers, most with a header."""
+"""Point clouds as text: columns of numbers, usually with a header."""
 
 from __future__ import annotations
 
@@ -12,12 +12,18 @@ import numpy as np
 import xarray as xr
 
 from amulor.errors import FormatError
-from amulor.io._cloud import checked_cloud, checked_parts, provenance_lines
 from amulor.io.files import atomic_output
-from amulor.io.shapes import Shape, scalars_of, up_of
+from amulor.io.shapes import (
+    Shape,
+    checked_cloud,
+    checked_parts,
+    provenance_lines,
+    scalars_of,
+    up_of,
+)
 
 # Name of a column, its unit, the variable, and how it is printed: coordinates to the
-# micrometre, errors to four digits.
+# micrometer, errors to four digits.
 _COLUMNS = (
     ("x", "m", "x", "%.6f"),
     ("y", "m", "y", "%.6f"),
@@ -39,7 +45,7 @@ _MOST_COLUMNS = 64
 def write_text(
     cloud: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Write a point cloud as text, a line for each point.
+    """Write a point cloud as text, one line per point.
 
     Parameters
     ----------
@@ -61,7 +67,7 @@ def write_text(
     Notes
     -----
     Lines at the start that begin with "#" say what it is, the axes, and where it comes
-    from. Coordinates are rounded to a micrometre. UTF-8.
+    from. Coordinates are rounded to a micrometer. UTF-8.
 
     Examples
     --------
@@ -88,27 +94,27 @@ def write_text_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud that comes in parts; the same file as that of the whole."""
+    """Write a point cloud part by part; the file equals that of the whole cloud."""
     path = Path(path)
     comma = path.suffix.lower() == ".csv"
     mark = "," if comma else " "
-    kept: list[tuple[str, str, str, str]] = []
+    columns: list[tuple[str, str, str, str]] = []
     with (
         atomic_output(path, overwrite=overwrite) as temporary,
         temporary.open("w", encoding="utf-8", newline="\n") as file,
     ):
         for part in checked_parts(parts, count, name=f"the cloud for {path}"):
-            if not kept:
-                kept = [column for column in _COLUMNS if column[2] in part]
+            if not columns:
+                columns = [column for column in _COLUMNS if column[2] in part]
                 names = [
                     f"{name} [{unit}]" if comma else f"{name}[{unit}]"
-                    for name, unit, _, _ in kept
+                    for name, unit, _, _ in columns
                 ]
                 header = [f"# {line}" for line in provenance_lines(part)]
                 header.append(("" if comma else "# ") + mark.join(names))
                 file.write("\n".join(header) + "\n")
-            table = np.column_stack([part[name].values for _, _, name, _ in kept])
-            np.savetxt(file, table, fmt=[form for *_, form in kept], delimiter=mark)
+            table = np.column_stack([part[name].values for _, _, name, _ in columns])
+            np.savetxt(file, table, fmt=[form for *_, form in columns], delimiter=mark)
 
 
 def read_text(path: Path, *, unit: float) -> Shape:
@@ -147,9 +153,9 @@ def read_text(path: Path, *, unit: float) -> Shape:
     else:
         raise FormatError(f"{path.name} has no line with x, y and z in it")
     if names is None and comments:
-        said = comments[-1].split(mark)
-        if len(said) == len(first) and not any(_is_number(part) for part in said):
-            names = [_plain(part) for part in said]
+        words = comments[-1].split(mark)
+        if len(words) == len(first) and not any(_is_number(part) for part in words):
+            names = [_plain(part) for part in words]
     names = _named(names, len(first), path.name)
     table = _table(path, mark, skip, len(first))
     columns = dict(zip(names, table.T, strict=True))
@@ -162,13 +168,16 @@ def read_text(path: Path, *, unit: float) -> Shape:
             colour = stacked.astype(np.uint8)
             for name in ("red", "green", "blue"):
                 del columns[name]
-    scalars, left = scalars_of(columns)
+    scalars, unused = scalars_of(columns)
     return Shape(
         position=position,
         scalars=scalars,
         colour=colour,
         up=up_of(comments),
-        statements=[*comments, *([f"not shown: {', '.join(left)}"] if left else [])],
+        statements=[
+            *comments,
+            *([f"not shown: {', '.join(unused)}"] if unused else []),
+        ],
         total=len(position),
     )
 
@@ -184,9 +193,9 @@ def _table(path: Path, mark: str | None, skip: int, width: int) -> np.ndarray:
             encoding="utf-8",
         )
     except (ValueError, UnicodeDecodeError) as error:
-        said = re.sub(r"\s+", " ", str(error)).partition(";")[0]
+        note = re.sub(r"\s+", " ", str(error)).partition(";")[0]
         raise FormatError(
-            f"{path.name} cannot be read as columns of numbers: {said}; it is damaged, "
+            f"{path.name} cannot be read as columns of numbers: {note}; it is damaged, "
             "or no point cloud"
         ) from None
     if table.shape[1] != width:
@@ -197,13 +206,13 @@ def _table(path: Path, mark: str | None, skip: int, width: int) -> np.ndarray:
 
 
 def _named(names: list[str] | None, width: int, name: str) -> list[str]:
-    """Return a name for every column."""
+    """Name of every column."""
     if width > _MOST_COLUMNS:
         raise FormatError(f"{name} has {width} columns; no point cloud has so many")
     if names is not None and {"x", "y", "z"} <= set(names) and len(names) == width:
         return [
-            own if names.index(own) == at else f"{own} {at + 1}"
-            for at, own in enumerate(names)
+            title if names.index(title) == at else f"{title} {at + 1}"
+            for at, title in enumerate(names)
         ]
     colours = ["red", "green", "blue"]
     usual = {
@@ -215,7 +224,7 @@ def _named(names: list[str] | None, width: int, name: str) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Return the name of a column without its unit and quotes."""
+    """Column name without unit and quotes."""
     name = text.strip().strip('"').partition("[")[0].strip().lower()
     short = {"r": "red", "g": "green", "b": "blue", "//x": "x"}
     return short.get(name, name) or "unnamed"

@@ -1,4 +1,4 @@
-"""Convert measured photon histograms into the cube of an AM instrument."""
+"""Conversion of photon histograms into the cube of an AM instrument."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _PARTS = 64
 
 
 def overlap_of(sums: Floats) -> Floats:
-    r"""Return what of the bin-wise minimum of scenes is likely to be their echoes.
+    r"""Time bins of the bin-wise minimum of scenes that are probably echoes.
 
     Scenes :math:`B + E_1`, :math:`B + E_2` have the minimum
     :math:`B + \min(E_1, E_2)`: where one echo has not ended when the other begins, the
@@ -44,11 +44,11 @@ def overlap_of(sums: Floats) -> Floats:
     """
     smallest = sums.min(axis=0)
     apart = sums.max(axis=0) - smallest
-    seen = np.flatnonzero(apart > _SURE * np.sqrt(sums.sum(axis=0) + 1))
-    own = sums.argmax(axis=0)[seen]
+    significant = np.flatnonzero(apart > _SURE * np.sqrt(sums.sum(axis=0) + 1))
+    brightest = sums.argmax(axis=0)[significant]
     # Runs of bins in which the echo of one scene stands out.
-    starts = np.flatnonzero(np.diff(own, prepend=-1) != 0)
-    runs = np.split(seen, starts[1:])
+    starts = np.flatnonzero(np.diff(brightest, prepend=-1) != 0)
+    runs = np.split(significant, starts[1:])
     level = _smoothed(smallest)
     overlap = np.zeros(smallest.size)
     for before, after in pairwise(runs):
@@ -61,7 +61,7 @@ def overlap_of(sums: Floats) -> Floats:
 
 
 def _smoothed(values: Floats) -> Floats:
-    """Return means over an odd number of bins, the rim repeated."""
+    """Return the moving average over an odd number of bins, with the edge repeated."""
     half = values.size // _PARTS // 2
     padded = np.pad(values, half, mode="edge")
     width = 2 * half + 1
@@ -84,7 +84,7 @@ _FOAM_LICENCE = "MIT, (c) 2020 Stanford University"
 
 @dataclass(frozen=True, kw_only=True)
 class _Known:
-    """What is known of a published file and is not in it."""
+    """Facts of a published file that it does not contain."""
 
     title: str
     scan_side: float | None = None
@@ -175,7 +175,7 @@ def read_transients(
     echo has a larger phase. A medium answers linearly, so this is amplitude and phase
     of what an instrument with light modulated at :math:`f` sees; a short pulse is
     modulated as deeply as light can be, twice a sine of depth 1. A bin stands for its
-    centre. The bins damp the sum by :math:`\sin(\pi f w) / \pi f w`, 0.04 % at 1 GHz
+    center. The bins damp the sum by :math:`\sin(\pi f w) / \pi f w`, 0.04 % at 1 GHz
     and 16 ps; like the jitter of pulse and detector, this is not corrected. One volt
     stands for one count (`VOLTS_PER_COUNT`). The uncertainties are those of counting
     photons, see `amulor.io.histograms.transform`.
@@ -200,11 +200,13 @@ def read_transients(
     """
     histograms = read_histograms(path)
     frequency = checked_frequency(histograms, modulation_frequency)
-    known = _KNOWN.get(histograms.digest)
-    side = scan_side if scan_side is not None or known is None else known.scan_side
-    axis = first_axis or (known.first_axis if known else "down")
-    if repetition_frequency is None and known:
-        repetition_frequency = known.repetition_frequency
+    published = _KNOWN.get(histograms.digest)
+    side = (
+        scan_side if scan_side is not None or published is None else published.scan_side
+    )
+    axis = first_axis or (published.first_axis if published else "down")
+    if repetition_frequency is None and published:
+        repetition_frequency = published.repetition_frequency
     number = _scene(histograms, scene)
     weight = weights(
         histograms,
@@ -237,10 +239,10 @@ def read_transients(
         },
         attributes=cubes.attributes(
             "samples",
-            title=_title(histograms, known, number),
+            title=_title(histograms, published, number),
             source="measured photon histograms, Fourier coefficients",
-            references=_FOAM if known else None,
-            license=_FOAM_LICENCE if known else None,
+            references=_FOAM if published else None,
+            license=_FOAM_LICENCE if published else None,
             simulated=np.int32(0),
             input_digests=f"{histograms.name} {histograms.digest}",
             volts_per_count=VOLTS_PER_COUNT,
@@ -268,7 +270,7 @@ def medium_from_minimum(
     time_of_emission: float = 0.0,
     background_bins: tuple[int, int] | None = None,
 ) -> xr.Dataset:
-    r"""Estimate the signal of the medium from scenes with the target in two places.
+    r"""Estimate the signal of the medium from scenes with the target at two distances.
 
     Parameters
     ----------
@@ -343,18 +345,18 @@ def medium_from_minimum(
     sums = histograms.counts.sum(axis=(1, 2)).astype(float)
     # Transforms of fractions of counts, whose noise does not matter here.
     echo = transform(overlap_of(sums)[None], weight).signal[:, 0] * VOLTS_PER_COUNT
-    left = transform(sums - sums.min(axis=0), weight).signal * VOLTS_PER_COUNT
+    residual = transform(sums - sums.min(axis=0), weight).signal * VOLTS_PER_COUNT
     share = echo / shots.signal.shape[-1]
     outputs["common_in_phase_uncertainty"] = np.abs(share.real)[:, None]
     outputs["common_quadrature_uncertainty"] = np.abs(share.imag)[:, None]
     outputs["common_covariance"] = (share.real * share.imag)[:, None]
-    weakest = np.maximum(np.abs(left).min(axis=-1), np.finfo(float).tiny)
+    weakest = np.maximum(np.abs(residual).min(axis=-1), np.finfo(float).tiny)
     overlap = np.minimum(np.abs(echo) / weakest, 1.0)
     return cubes.open_water(outputs).assign_attrs(echo_overlap=overlap)
 
 
 def _evenly(shots: Coefficients) -> Coefficients:
-    """Return the same signals, each with the mean covariance of all."""
+    """Return the signals with the mean covariance of all."""
 
     def mean(part: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.broadcast_to(part.mean(axis=-1, keepdims=True), part.shape)
@@ -373,7 +375,7 @@ def _outputs(
     axis: int,
     missing: NDArray[np.bool_] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the variables of a cube, with an axis for the polarization."""
+    """Variables of a cube, with an axis for the polarization."""
     volt = VOLTS_PER_COUNT
     outputs = {
         "in_phase": volt * coefficients.signal.real,
@@ -435,8 +437,8 @@ def _at_least_one(index: float, name: str) -> float:
     return float(index)
 
 
-def _title(histograms: Histograms, known: _Known | None, scene: int) -> str:
-    title = known.title if known else histograms.path.stem
+def _title(histograms: Histograms, published: _Known | None, scene: int) -> str:
+    title = published.title if published else histograms.path.stem
     label = f", distance label {histograms.labels[scene]}" if histograms.labels else ""
     return title + label
 

@@ -17,7 +17,6 @@ from amulor._progress import tell
 from amulor.cube import tiles
 from amulor.io import recordings
 from amulor.io.netcdf import row_writer
-from amulor.io.recording_map import RecordingMap
 from amulor.io.recording_samples import (
     Places,
     Samples,
@@ -28,7 +27,7 @@ from amulor.io.recording_samples import (
     rounded_temperatures,
     samples_of,
 )
-from amulor.io.recording_table import table_parts
+from amulor.io.recording_table import RecordingMap, table_parts
 from amulor.survey import Survey
 
 __all__ = ["RecordedSummary", "import_file"]
@@ -307,7 +306,7 @@ def _typical(recording: recordings.Recording, folder: Path, size: int) -> Floats
     for rows in _bands(recording.survey, size):
         band = _band(recording, folder, size, rows)
         for at in np.ndindex(shape):
-            near = band.nearest[at][band.kept]
+            near = band.nearest[at][band.inner]
             with (folder / f"near {at}").open("ab") as file:
                 file.write(near[np.isfinite(near)].tobytes())
     result = np.full((*shape, 1, 1), np.nan)

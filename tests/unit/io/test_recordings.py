@@ -15,8 +15,7 @@ from amulor.cli import main
 from amulor.cube import UNUSABLE
 from amulor.errors import FormatError
 from amulor.io import read_cube
-from amulor.io.recording_map import RecordingMap
-from amulor.io.recording_table import read_table
+from amulor.io.recording_table import RecordingMap, read_table
 from amulor.io.recordings import BREAKDOWN, NO_NUMBER, ZERO, read_recordings
 from amulor.simulation import simulate
 from amulor.survey import Survey

@@ -11,7 +11,7 @@ import xarray as xr
 
 from amulor import io
 from amulor.errors import FormatError
-from amulor.io.recording_map import RecordingMap
+from amulor.io.recording_table import RecordingMap
 from amulor.io.recordings import BREAKDOWN, NO_NUMBER, ZERO, read_recordings
 from amulor.scale import recorded
 from amulor.survey import Survey
