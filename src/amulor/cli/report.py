@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from amulor.imaging.measure import Check
-    from amulor.imaging.thinning import Whole
+    from amulor.imaging.selection import Whole
 
 
 def report(
@@ -98,11 +98,11 @@ def _shown(
 ) -> tuple[xr.Dataset, Whole]:
     """Return an image, thinned if it is large, and counts of all of its pixels."""
     from amulor import pipeline
-    from amulor.imaging import thinning
+    from amulor.imaging import selection
     from amulor.io.netcdf import tile_rows
 
     with pipeline.opened(path, rows, level="range_image") as source:
-        return thinning.thinned(source, rows=rows or tile_rows(source), checks=checks)
+        return selection.thinned(source, rows=rows or tile_rows(source), checks=checks)
 
 
 def _check_of(text: str, number: int) -> Check:

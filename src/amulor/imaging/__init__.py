@@ -43,5 +43,5 @@ if not TYPE_CHECKING:
 
 
 def __dir__() -> list[str]:
-    """List the public names, not the modules that they come from."""
+    """List the public names without the modules that define them."""
     return sorted(__all__)

@@ -1,26 +1,25 @@
-"""The error budget of a range image: all terms, their sum, and what is not known."""
+"""Error budget of a range image: terms, sum, and errors that are not known."""
 
 from __future__ import annotations
 
+import datetime
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 
 from amulor.cube import error_unknown
 from amulor.cube.schema import RANGE_PREFIX, TERMS, Term
-from amulor.imaging.calibration import (
-    CALIBRATION_TERMS,
-    calibration_age,
-    calibration_terms,
-    joint_instrument_terms,
-)
 from amulor.imaging.late_light import LateFit, late_light
 from amulor.imaging.observation import Observation
 from amulor.imaging.ranges import Ranges
+from amulor.survey.calibration import Calibration
+from amulor.survey.properties import group_index_uncertainty
 
 Floats = NDArray[np.float64]
 
@@ -29,32 +28,32 @@ _SHAPE_KNOWN = 4
 
 
 def completed(
-    seen: Observation, ranges: Ranges, *, fit: LateFit | None = None
+    observation: Observation, ranges: Ranges, *, fit: LateFit | None = None
 ) -> tuple[Ranges, dict[str, Any], LateFit]:
-    """Subtract late light and add all known terms; attributes, statistics used."""
+    """Subtract late light and add all error terms; return attributes and statistics."""
     slant_range = np.where(ranges.usable, ranges.slant_range, np.nan)
-    light, fit = late_light(seen, slant_range, weight=ranges.weight, fit=fit)
-    ranges, shared = _without_instrument(seen, ranges)
+    light, fit = late_light(observation, slant_range, weight=ranges.weight, fit=fit)
+    ranges, shared = _without_instrument(observation, ranges)
     if light.note == "taken off":
-        ranges = _without_late_light(seen, ranges)
+        ranges = _without_late_light(observation, ranges)
     # What the survey states wins over what the estimation took for lack of it.
-    shared |= calibration_terms(seen, ranges.path, ranges.slope)
-    unknown = _unknown_of_water(seen.channel)
+    shared |= calibration_terms(observation, ranges.path, ranges.slope)
+    unknown = _unknown_of_water(observation.channel)
     unknown += [name for name in CALIBRATION_TERMS if name not in shared]
-    others = dict(ranges.others)
+    further = dict(ranges.others)
     if light.uncertainty is None:
         unknown.append("late_echo")
     elif light.note == "taken off":
         shared["late_echo"] = light.uncertainty
-        others["slant_range_late_echo"] = light.late
+        further["slant_range_late_echo"] = light.late
     attributes: dict[str, Any] = {
         "late_echo_correction": light.note,
         "uncertainty_unknown": " ".join(name for name in TERMS if name in unknown),
     }
-    calibration = None if seen.survey is None else seen.survey.calibration
+    calibration = None if observation.survey is None else observation.survey.calibration
     if calibration is not None and calibration.date is not None:
         attributes["delay_calibrated"] = calibration.date.isoformat()
-        age = calibration_age(seen.channel.attrs, calibration)
+        age = calibration_age(observation.channel.attrs, calibration)
         if age is not None:
             attributes["delay_calibration_age_days"] = age
     common, total = ranges.common, ranges.total
@@ -69,7 +68,7 @@ def completed(
             total=total,
             terms={**ranges.terms, **shared},
             common=common,
-            others=others,
+            others=further,
         ),
         attributes,
         fit,
@@ -77,93 +76,95 @@ def completed(
 
 
 def _without_instrument(
-    seen: Observation, ranges: Ranges
+    observation: Observation, ranges: Ranges
 ) -> tuple[Ranges, dict[str, Floats]]:
-    """Return ranges less what a joint estimation put in for the instrument, and that.
+    """Ranges without the instrument terms of a joint estimation, and these terms.
 
     It counts delay, index and place of the receiver in the common error of its ranges.
     """
-    terms = joint_instrument_terms(seen, ranges.path, ranges.slope)
+    terms = joint_instrument_terms(observation, ranges.path, ranges.slope)
     if not terms or ranges.common is None:
         return ranges, {}
-    known = np.sum([term**2 for term in terms.values()], axis=0)
+    counted = np.sum([term**2 for term in terms.values()], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         # Its derivatives and those here differ in their last digits.
-        scale = np.fmin(ranges.common / np.sqrt(known), 1.0)
+        scale = np.fmin(ranges.common / np.sqrt(counted), 1.0)
         terms = {name: term * scale for name, term in terms.items()}
-        known = known * scale**2
+        counted = counted * scale**2
         common, total = (
-            np.sqrt(np.maximum(values**2 - known, 0.0))
+            np.sqrt(np.maximum(values**2 - counted, 0.0))
             for values in (ranges.common, ranges.total)
         )
     divided = {**ranges.terms, "water_model": common}
     return replace(ranges, common=common, total=total, terms=divided), terms
 
 
-def _without_late_light(seen: Observation, ranges: Ranges) -> Ranges:
-    """Return ranges less what a joint estimation put in for late light.
+def _without_late_light(observation: Observation, ranges: Ranges) -> Ranges:
+    """Ranges without the late-light term of a joint estimation.
 
     It knows the light by its spread alone; the image knows the water, takes the delay
     off and states what is left. Few frequencies cannot show that the water has another
     shape than its model: there both are kept.
     """
-    stated = seen.joint_values("late_echo_uncertainty", "late_echo_spread_rad2_per_m")
-    if stated is None:
+    sizes = observation.joint_values(
+        "late_echo_uncertainty", "late_echo_spread_rad2_per_m"
+    )
+    if sizes is None:
         return ranges
-    if len(seen.frequency) < _SHAPE_KNOWN or ranges.common is None:
+    if len(observation.frequency) < _SHAPE_KNOWN or ranges.common is None:
         return ranges
-    part, spread = stated
-    depth = seen.geometry.depth(ranges.slant_range)
-    known = np.square(part * 0.25 * spread * np.square(depth))
+    part, spread = sizes
+    depth = observation.geometry.depth(ranges.slant_range)
+    counted = np.square(part * 0.25 * spread * np.square(depth))
     with np.errstate(invalid="ignore"):
         common, total = (
-            np.sqrt(np.maximum(values**2 - known, 0.0))
+            np.sqrt(np.maximum(values**2 - counted, 0.0))
             for values in (ranges.common, ranges.total)
         )
     divided = {**ranges.terms, "water_model": common}
     return replace(ranges, common=common, total=total, terms=divided)
 
 
-def _unknown_of_water(one: xr.Dataset) -> list[str]:
-    """Return the terms of the water signal that open-water shots leave open."""
+def _unknown_of_water(channel: xr.Dataset) -> list[str]:
+    """Names of water-signal errors that open-water shots do not determine."""
     unknown = []
-    drift = one.attrs.get("open_water_drift_uncertainty")
+    drift = channel.attrs.get("open_water_drift_uncertainty")
     if drift is not None and not np.all(np.isfinite(drift)):
         # Shots that repeat no direction show no change.
         unknown.append("drift")
-    if "open_water_degree" in one.attrs and "residual_in_phase" not in one:
+    if "open_water_degree" in channel.attrs and "residual_in_phase" not in channel:
         # No survey tells how much water is behind a target.
         unknown.append("column")
     return unknown
 
 
 def uncertainties(ranges: Ranges) -> dict[str, Floats]:
-    """Return the variables of an image that hold its uncertainty."""
-    found = {"slant_range_uncertainty": ranges.total}
+    """Uncertainty variables of an image."""
+    variables = {"slant_range_uncertainty": ranges.total}
     if ranges.common is not None:
-        found["slant_range_common_uncertainty"] = ranges.common
-    return found | {
+        variables["slant_range_common_uncertainty"] = ranges.common
+    return variables | {
         f"{RANGE_PREFIX}{name}": term for name, term in ranges.terms.items()
     }
 
 
 @dataclass(frozen=True, kw_only=True)
 class BudgetLine:
-    """One term of the error budget of an image, medians over its usable pixels."""
+    """One term of the error budget of an image, median over its usable pixels."""
 
     term: Term
-    """Which one, and whether it is of type A or B."""
+    """Name of the term, with its evaluation type A or B."""
     uncertainty: float
     """Standard uncertainty [m]."""
     share: float
     """Part of the combined variance [1]."""
     samples: int | None
-    """Measurements that a term of type A was found from, where the image says so."""
+    """Measurements behind a term of type A, where the image states them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorBudget:
-    """The error budget of a range image in the words of the GUM.
+    """Error budget of a range image in the terms of the GUM.
 
     Examples
     --------
@@ -181,24 +182,24 @@ class ErrorBudget:
     """
 
     lines: tuple[BudgetLine, ...]
-    """All terms that are known, in the order of `amulor.cube.schema`."""
+    """Known terms in the order of `amulor.cube.schema`."""
     combined: float
-    """Combined standard uncertainty, median over the usable pixels; not a number where
-    it is not known [m]."""
+    """Combined standard uncertainty, median over the usable pixels; NaN if not known
+    [m]."""
     common: float
-    """Part of it that all pixels share; not a number if the image does not say [m]."""
+    """Part of it shared by all pixels; NaN if the image does not state it [m]."""
     unknown: tuple[Term, ...]
-    """Terms that nobody knows, and that the combined uncertainty does not hold."""
+    """Unknown error terms, not included in the combined uncertainty."""
     late_echo: str
-    """Whether late light was taken off, or why not."""
+    """Treatment of late light, or the reason why it was not subtracted."""
     late: float
-    """What was taken off, median; not a number if nothing was [m]."""
+    """Subtracted late-light delay, median; NaN if none [m]."""
     calibrated: str
-    """Day on which the delay was calibrated; empty if the survey has none."""
+    """Date of the delay calibration; empty if the survey has none."""
     age: float
-    """Days from then to the scan; not a number where the cube has no date."""
+    """Age of the calibration at the scan; NaN if the cube has no date [days]."""
     error_unknown: str
-    """Why there is no combined uncertainty, or not for all pixels; else empty."""
+    """Reason for a missing combined uncertainty of all or some pixels; else empty."""
 
     @property
     def expanded(self) -> float:
@@ -274,7 +275,7 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
 
 
 def age_in_words(days: float) -> str:
-    """Return how old a calibration was, to follow its date."""
+    """Age of a calibration in words, to follow its date."""
     if math.isnan(days):
         return ""
     return f", {abs(days):.0f} days {'before' if days >= 0 else 'after'} the scan"
@@ -291,3 +292,103 @@ def _median_of(image: xr.Dataset, name: str, usable: NDArray[np.bool_]) -> float
 def _median(values: Floats) -> float:
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if finite.size else math.nan
+
+
+#: Terms of the error budget that a calibration states.
+CALIBRATION_TERMS = ("delay", "group_index", "geometry")
+#: Attributes that say when a cube was measured.
+_COVERAGE = ("time_coverage_start", "time_coverage_end")
+
+
+def calibration_terms(
+    observation: Observation, path: Floats, slope: Floats
+) -> dict[str, Floats]:
+    """Return the standard uncertainties of the instrument as stated by the survey.
+
+    By central differences of the slant range of a fixed path: by the group index, by
+    each coordinate of the receiver and by azimuth and elevation of the beams. The
+    errors are one and the same for all pixels. The delay is as uncertain as on the day
+    of its calibration, and by what it may have changed since with age and temperature,
+    in quadrature; its age needs a cube that says when it was measured.
+    """
+    terms: dict[str, Floats] = {}
+    survey = observation.survey
+    if survey is None:
+        return terms
+    index = group_index_uncertainty(survey)
+    if index is not None:
+        terms["group_index"] = observation.geometry.error_by_index(path, index)
+    calibration = survey.calibration
+    if calibration is None:
+        return terms
+    delay = _delay_uncertainty(observation.channel.attrs, calibration)
+    if delay is not None:
+        terms["delay"] = slope * speed_of_light * delay
+    place = calibration.receiver_position_uncertainty
+    turn = calibration.direction_uncertainty
+    if place is not None and turn is not None:
+        terms["geometry"] = observation.geometry.error_by_place(path, place, turn)
+    return terms
+
+
+def joint_instrument_terms(
+    observation: Observation, path: Floats, slope: Floats
+) -> dict[str, Floats]:
+    """Instrument terms included in a joint estimation."""
+    sizes = observation.joint_values(
+        "delay_uncertainty_s",
+        "group_index_uncertainty",
+        "receiver_position_uncertainty_m",
+    )
+    if sizes is None:
+        return {}
+    delay, index, place = sizes
+    terms = {
+        "delay": slope * speed_of_light * delay,
+        "group_index": observation.geometry.error_by_index(path, index),
+        "geometry": observation.geometry.error_by_place(path, place, 0.0, axes=2),
+    }
+    return {
+        name: term
+        for (name, term), size in zip(terms.items(), sizes, strict=True)
+        if size > 0
+    }
+
+
+def calibration_age(
+    attributes: Mapping[str, Any], calibration: Calibration | None
+) -> float | None:
+    """Age of the delay calibration at the middle of a scan [days]."""
+    start = attributes.get(_COVERAGE[0])
+    if calibration is None or calibration.date is None or start is None:
+        return None
+    ends = [_moment(attributes.get(name, start)) for name in _COVERAGE]
+    noon = datetime.datetime.combine(
+        calibration.date, datetime.time(12), tzinfo=datetime.UTC
+    )
+    middle = ends[0] + (ends[1] - ends[0]) / 2
+    return (middle - noon) / datetime.timedelta(days=1)
+
+
+def _moment(text: str) -> datetime.datetime:
+    """Point in time, in UTC if it has no time zone."""
+    moment = datetime.datetime.fromisoformat(text)
+    return moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
+
+
+def _delay_uncertainty(
+    attributes: Mapping[str, Any], calibration: Calibration
+) -> float | None:
+    """Return the standard uncertainty of the delay during the scan, None if unknown."""
+    if calibration.delay_uncertainty is None:
+        return None
+    changes = [calibration.delay_uncertainty]
+    if calibration.delay_growth is not None:
+        age = calibration_age(attributes, calibration)
+        if age is None:
+            return None
+        changes.append(calibration.delay_growth * abs(age))
+    warmer = calibration.instrument_temperature_uncertainty
+    if calibration.delay_per_degree is not None and warmer is not None:
+        changes.append(calibration.delay_per_degree * warmer)
+    return math.hypot(*changes)

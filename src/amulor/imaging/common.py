@@ -1,4 +1,4 @@
-"""What several steps ask of a range image: own errors, flags, turns of the phase."""
+"""Shared parts of imaging steps: noise variance, flags, phase differences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ROUNDED = 4 * np.finfo(float).eps
 
 
 def own_variance(image: xr.Dataset) -> Floats:
-    """Return the variance of slant ranges without what the pixels share."""
+    """Variance of slant ranges without errors shared between pixels."""
     variance: Floats = image["slant_range_uncertainty"].values ** 2
     if "slant_range_common_uncertainty" in image:
         shared = image["slant_range_common_uncertainty"].values ** 2
@@ -26,32 +26,34 @@ def own_variance(image: xr.Dataset) -> Floats:
     if unknown.any():
         # The joint estimation states what pixels share as its model of the water.
         joint = ("water_model",) if "slant_range_bound" in image else ()
-        own = [
+        parts = [
             image[f"{RANGE_PREFIX}{name}"].values ** 2
             for name in TERMS
             if name not in (*SHARED_TERMS, *ALIKE_TERMS, *joint)
             and f"{RANGE_PREFIX}{name}" in image
         ]
-        if own:
-            variance = np.where(unknown, np.sum(own, axis=0), variance)
+        if parts:
+            variance = np.where(unknown, np.sum(parts, axis=0), variance)
     return variance
 
 
 def with_flag(
-    image: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_] | bool
+    image: xr.Dataset, flag: QualityFlag, pixels: NDArray[np.bool_] | bool
 ) -> xr.Dataset:
-    """Return a range image with one more flag."""
+    """Range image with one more flag on some pixels."""
     old = image["quality_flag"]
-    new = np.where(where, old.values | flag, old.values).astype(np.int16)
+    new = np.where(pixels, old.values | flag, old.values).astype(np.int16)
     return image.assign(quality_flag=old.copy(data=new))
 
 
 def phase_cosines(image: xr.Dataset, distance: Floats) -> Floats:
-    """Return the cosines of phases between distances, the mean of all frequencies."""
+    """Cosines of the phase differences of distances, averaged over the frequencies."""
     group_index = float(image["geometry"].attrs["group_index"])
     frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
     turn = np.zeros((len(distance), len(distance)))
-    for each in frequency:
-        to_phase = ranging.phase_per_range(each, group_index=group_index)
+    for modulation_frequency in frequency:
+        to_phase = ranging.phase_per_range(
+            modulation_frequency, group_index=group_index
+        )
         turn += np.cos(to_phase * (distance[:, None] - distance)) / len(frequency)
     return turn

@@ -1,4 +1,4 @@
-"""Errors of means and differences of pixels that share a reference."""
+"""Uncertainty of means and differences of pixels with correlated errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOST_PIXELS = 4096
 
 @dataclass(frozen=True)
 class RangeFigure:
-    """A slant range, or a difference of two, with its uncertainty.
+    """Slant range, or difference of two, with its uncertainty.
 
     Examples
     --------
@@ -39,11 +39,11 @@ class RangeFigure:
     uncertainty: float
     """Standard uncertainty, shared errors included [m]."""
     random: float
-    """The part of it that comes from noise [m]."""
+    """Part of it from noise [m]."""
 
 
 def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
-    r"""Return the covariance of the slant ranges of some pixels.
+    r"""Covariance of the slant ranges of some pixels.
 
     Parameters
     ----------
@@ -113,8 +113,8 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
         for names in (ALIKE_TERMS, WATER_TERMS)
     )
     squares = image["slant_range_common_uncertainty"].values[which] ** 2
-    known = sum(term**2 for term in alike + of_water)
-    shared = np.sqrt(np.maximum(squares - known, 0.0))
+    explained = sum(term**2 for term in alike + of_water)
+    shared = np.sqrt(np.maximum(squares - explained, 0.0))
     turn = phase_cosines(image, image["slant_range"].values[which])
     matrix = np.outer(shared, shared) * _along_the_scan(image, which) * turn
     matrix += sum(np.outer(term, term) for term in of_water) * turn
@@ -124,7 +124,7 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
 
 
 def mean_range(image: xr.Dataset, region: ArrayLike) -> RangeFigure:
-    """Return the mean slant range of a region.
+    """Mean slant range of a region.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def mean_range(image: xr.Dataset, region: ArrayLike) -> RangeFigure:
 def range_difference(
     image: xr.Dataset, first: ArrayLike, second: ArrayLike
 ) -> RangeFigure:
-    """Return by how much one region is farther than another.
+    """Difference of the mean slant ranges of two regions.
 
     Parameters
     ----------
@@ -201,15 +201,15 @@ def range_difference(
     40.4 mm
     """
     image = cubes.checked(image, "range_image")
-    one, other = _usable(image, first), _usable(image, second)
-    if np.any(one & other):
+    near, far = _usable(image, first), _usable(image, second)
+    if np.any(near & far):
         raise CubeError(
-            f"the regions share {int(np.sum(one & other))} pixels; choose regions "
+            f"the regions share {int(np.sum(near & far))} pixels; choose regions "
             "apart from each other"
         )
-    both = one | other
-    weight = np.where(other[both], 1 / other.sum(), -1 / one.sum())
-    return _figure(image, both, weight)
+    union = near | far
+    weight = np.where(far[union], 1 / far.sum(), -1 / near.sum())
+    return _figure(image, union, weight)
 
 
 def _figure(image: xr.Dataset, which: NDArray[np.bool_], weight: Floats) -> RangeFigure:
@@ -238,7 +238,7 @@ def _usable(image: xr.Dataset, pixels: ArrayLike) -> NDArray[np.bool_]:
 
 
 def _along_the_scan(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
-    """Return the correlation of the polynomial of the reference at some pixels."""
+    """Correlation of the polynomial reference between pixels."""
     if "open_water_degree" not in image.attrs:
         return np.ones((int(which.sum()), int(which.sum())))
     degree = int(np.max(image.attrs["open_water_degree"]))
@@ -257,6 +257,6 @@ def _along_the_scan(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
     )
     basis, singular, _ = np.linalg.svd(columns, full_matrices=False)
     basis = basis[:, singular > 1e-9 * singular[0]]
-    own = basis[which.ravel()]
-    own /= np.linalg.norm(own, axis=1, keepdims=True)
-    return np.asarray(own @ own.T)
+    vectors = basis[which.ravel()]
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors @ vectors.T)

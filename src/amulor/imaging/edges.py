@@ -1,4 +1,4 @@
-"""Finds edges of objects: pixels that meet two surfaces at once, and steps."""
+"""Detection of edges: range steps, and mixed pixels whose beam hits two surfaces."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TINY = 1e-24
 def mixed_pixels(
     image: xr.Dataset, *, significance: float = 3.5, reach: int = 2
 ) -> NDArray[np.bool_]:
-    r"""Return which pixels lie between two surfaces, where nothing is.
+    r"""Mask of mixed pixels, whose range lies between two surfaces.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def mixed_pixels(
     Returns
     -------
     ndarray of bool, shape (row, column)
-        False where a neighbour that is needed has no range.
+        False where a neighbor that is needed has no range.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def mixed_pixels(
     between theirs as long as they are less than half an ambiguity interval apart. A
     pixel counts as mixed if its range lies between the surfaces to its left and right,
     or above and below, and clear of both: of their nearest pixels and of the straight
-    lines through the next two or four pixels. Noise alone counts, since what neighbours
+    lines through the next two or four pixels. Noise alone counts, since what neighbors
     share cancels. An edge that runs along rows or columns is looked at in means of five
     pixels along it as well, where these lie on a straight line within their noise: so a
     gap of a few times the noise is seen. Several frequencies see mixed pixels by
@@ -93,7 +93,7 @@ def mixed_pixels(
 
 
 def clear_of_both(image: xr.Dataset, *, reach: int = 2) -> Floats:
-    """Return standard errors by which pixels are clear of the surfaces around them.
+    """Distance of pixels from the surfaces around them in standard errors.
 
     Zero where they lie between none.
     """
@@ -112,7 +112,7 @@ def clear_of_both(image: xr.Dataset, *, reach: int = 2) -> Floats:
 def flag_mixed(
     image: xr.Dataset, *, significance: float = 3.5, reach: int = 2
 ) -> xr.Dataset:
-    """Return a range image with a map of the pixels whose beam meets two surfaces.
+    """Range image with mixed pixels flagged.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def flag_mixed(
 def steps(
     distance: Floats, variance: Floats
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return where the surface steps to the next column, and to the next row.
+    """Masks of range steps to the next column and to the next row.
 
     A line with a step in it, one slope for both sides, is fitted to four pixels of each
     side, means of 7 or 21 along the edge. Slopes, curves and gaps are no steps by
@@ -170,27 +170,29 @@ def steps(
 
 
 def _steps(distance: Floats, variance: Floats) -> NDArray[np.bool_]:
-    """Return where rows step between a column and the next one."""
-    score = np.maximum(*(_step_scores(distance, variance, each) for each in _BESIDE))
+    """Mask of range steps between a column and the next one."""
+    score = np.maximum(
+        *(_step_scores(distance, variance, offset) for offset in _BESIDE)
+    )
     beside = np.pad(score, ((0, 0), (_NEAR, _NEAR)))
     size = distance.shape[1]
     largest = np.max([beside[:, k : k + size] for k in range(2 * _NEAR + 1)], axis=0)
-    found: NDArray[np.bool_] = (score > _STEP) & (score >= largest)
-    return found
+    is_step: NDArray[np.bool_] = (score > _STEP) & (score >= largest)
+    return is_step
 
 
 def _step_scores(distance: Floats, variance: Floats, rows: int) -> Floats:
-    """Return steps to the next column over their standard errors, 0 where unknown."""
-    there = np.isfinite(distance) & np.isfinite(variance)
+    """Step heights to the next column over their standard errors, 0 where unknown."""
+    valid = np.isfinite(distance) & np.isfinite(variance)
 
     def summed(values: Floats) -> Floats:
         total = np.cumsum(np.pad(values, ((rows + 1, rows), (0, 0))), axis=0)
         return np.asarray(total[2 * rows + 1 :] - total[: -2 * rows - 1])
 
-    count = summed(there.astype(float))
-    middle = float(np.mean(distance, where=there)) if there.any() else 0.0
-    mean = summed(np.where(there, distance - middle, 0.0)) / np.maximum(count, 1)
-    spread = np.maximum(summed(np.where(there, variance, 0.0)), _TINY)
+    count = summed(valid.astype(float))
+    middle = float(np.mean(distance, where=valid)) if valid.any() else 0.0
+    mean = summed(np.where(valid, distance - middle, 0.0)) / np.maximum(count, 1)
+    spread = np.maximum(summed(np.where(valid, variance, 0.0)), _TINY)
     weight = np.where(count > 0, count**2 / spread, 0.0)
     padding = ((0, 0), (_SIDE, _SIDE))
     places, weights = np.pad(mean, padding), np.pad(weight, padding)
@@ -206,18 +208,22 @@ def _step_scores(distance: Floats, variance: Floats, rows: int) -> Floats:
             (w, w * x, w * x * x, y, y * x, y * y / np.maximum(w, _TINY), w > 0)
         ):
             side[at] += part
-    whole, x, xx, y, xy, yy, columns = sums.sum(axis=0)
+    weight_sum, x, xx, y, xy, yy, columns = sums.sum(axis=0)
     half, xh, _, hy, *_ = (sums[1] - sums[0]) / 2
-    whole = np.maximum(whole, _TINY)
-    xy, hy = xy - x * y / whole, hy - half * y / whole
-    xx, xh, hh = xx - x**2 / whole, xh - x * half / whole, whole / 4 - half**2 / whole
+    weight_sum = np.maximum(weight_sum, _TINY)
+    xy, hy = xy - x * y / weight_sum, hy - half * y / weight_sum
+    xx, xh, hh = (
+        xx - x**2 / weight_sum,
+        xh - x * half / weight_sum,
+        weight_sum / 4 - half**2 / weight_sum,
+    )
     determinant = hh * xx - xh**2
     settled = determinant > 1e-6 * hh * xx
     safe = np.where(settled, determinant, 1.0)
     step, slope = (hy * xx - xy * xh) / safe, (xy * hh - hy * xh) / safe
     # Noise that is stated too small shows in what the fit leaves.
-    left = yy - y**2 / whole - step * hy - slope * xy
-    excess = np.maximum(left / np.maximum(columns - 3, 1), 1.0)
+    residual = yy - y**2 / weight_sum - step * hy - slope * xy
+    excess = np.maximum(residual / np.maximum(columns - 3, 1), 1.0)
     error = np.sqrt(excess * np.maximum(xx, _TINY) / safe)
     return np.asarray(np.where(settled, np.abs(step) / error, 0.0))
 
@@ -228,20 +234,20 @@ def reached(
     pixel: tuple[int, int],
     reach: int,
 ) -> NDArray[np.bool_]:
-    """Return the pixels within reach without a step on the way.
+    """Mask of pixels within reach of a pixel without a step between.
 
     The way goes along the column, then along the row, as on the page.
     """
     row, column = pixel
     out = np.zeros(across.shape, dtype=bool)
     rows = _walked(down[:, column], row, reach)
-    for each in rows:
-        out[each, _walked(across[each], column, reach)] = True
+    for reached_row in rows:
+        out[reached_row, _walked(across[reached_row], column, reach)] = True
     return out
 
 
 def _walked(step: NDArray[np.bool_], start: int, reach: int) -> list[int]:
-    """Return places along a line within reach of one, up to the next step."""
+    """Return the indices along a line within reach of a start, up to the next step."""
     low = high = start
     while low > max(start - reach, 0) and not step[low - 1]:
         low -= 1
@@ -253,7 +259,7 @@ def _walked(step: NDArray[np.bool_], start: int, reach: int) -> list[int]:
 def _along_edge(
     distance: Floats, variance: Floats, axis: int
 ) -> tuple[Floats, Floats] | None:
-    """Return straight lines through five pixels along an axis, and their variance.
+    """Straight lines through five pixels along an axis, and their variance.
 
     Each line is taken at the pixel itself, in the middle of the five but at the rim;
     not a number where one is missing or the five are not on a line.
@@ -265,23 +271,25 @@ def _along_edge(
     place = np.arange(_ALONG) - (_ALONG - 1) / 2
     centred = place / (place @ place)
     values, errors = (
-        np.stack([np.take(each, begin + k, axis=axis) for k in range(_ALONG)], axis=-1)
-        for each in (distance, variance)
+        np.stack(
+            [np.take(values_of, begin + k, axis=axis) for k in range(_ALONG)], axis=-1
+        )
+        for values_of in (distance, variance)
     )
     mean, slope = values.mean(axis=-1), values @ centred
-    rest = values - mean[..., None] - slope[..., None] * place
-    straight = np.sum(rest**2 / errors, axis=-1) < _STRAIGHT_ALONG
-    here = np.arange(size) - begin - (_ALONG - 1) / 2
+    residual = values - mean[..., None] - slope[..., None] * place
+    straight = np.sum(residual**2 / errors, axis=-1) < _STRAIGHT_ALONG
+    offset = np.arange(size) - begin - (_ALONG - 1) / 2
     if axis == 0:
-        here = here[:, None]
-    gain = 1 / _ALONG + np.asarray(here)[..., None] * centred
+        offset = offset[:, None]
+    gain = 1 / _ALONG + np.asarray(offset)[..., None] * centred
     spread = np.sum(gain**2 * errors, axis=-1)
-    line = np.where(straight, mean + slope * here, np.nan)
+    line = np.where(straight, mean + slope * offset, np.nan)
     return np.asarray(line), np.asarray(spread)
 
 
 def _between(distance: Floats, variance: Floats, axis: int, step: int) -> Floats:
-    """Return how clear pixels are of the surfaces on both sides that they lie between.
+    """Distance in standard errors of pixels from the surfaces on both sides of them.
 
     In standard errors, 0 where they lie between none.
     """
@@ -310,7 +318,7 @@ def _between(distance: Floats, variance: Floats, axis: int, step: int) -> Floats
 def _off_lines(
     distance: Floats, variance: Floats, axis: int, first: int
 ) -> list[Floats]:
-    """Return how far pixels are off lines through the next two and four of one side.
+    """Deviation of pixels from lines through the next two and four on one side.
 
     In standard errors; not a number where a pixel is missing, or four are not straight.
     """
@@ -323,25 +331,25 @@ def _off_lines(
         gain = 1 / count - place.mean() * centred / (centred @ centred)
         along = [_shifted(distance, axis, side * int(k)) for k in place]
         errors = [_shifted(variance, axis, side * int(k)) for k in place]
-        line = sum(g * each for g, each in zip(gain, along, strict=True))
-        spread = sum(g**2 * each for g, each in zip(gain, errors, strict=True))
+        line = sum(g * value for g, value in zip(gain, along, strict=True))
+        spread = sum(g**2 * value for g, value in zip(gain, errors, strict=True))
         score = (distance - line) / np.sqrt(variance + spread)
         if count > 2:
             mean = sum(along) / count
-            slope = sum(c * each for c, each in zip(centred, along, strict=True)) / (
+            slope = sum(c * value for c, value in zip(centred, along, strict=True)) / (
                 centred @ centred
             )
-            rest = sum(
-                (each - mean - c * slope) ** 2 / error
-                for c, each, error in zip(centred, along, errors, strict=True)
+            misfit = sum(
+                (value - mean - c * slope) ** 2 / error
+                for c, value, error in zip(centred, along, errors, strict=True)
             )
-            score = np.where(rest < _STRAIGHT, score, np.nan)
+            score = np.where(misfit < _STRAIGHT, score, np.nan)
         off.append(np.asarray(score))
     return off
 
 
 def _shifted(values: Floats, axis: int, shift: int) -> Floats:
-    """Return the values of the neighbour so many pixels on, NaN beyond the rim."""
+    """Values of the neighbor a number of pixels away, NaN beyond the border."""
     moved = np.full(values.shape, np.nan)
     size = values.shape[axis]
     if abs(shift) >= size:
@@ -354,5 +362,5 @@ def _shifted(values: Floats, axis: int, shift: int) -> Floats:
 
 
 def _smaller(first: Floats, second: Floats) -> Floats:
-    """Return the one of smaller size."""
+    """Element-wise value of smaller magnitude."""
     return np.where(np.abs(first) < np.abs(second), first, second)

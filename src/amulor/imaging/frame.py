@@ -1,4 +1,4 @@
-"""Frames that points are handed over in: the instrument's, z up, or the world's."""
+"""Coordinate frames of products: the instrument's axes, z up, or the world's."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _TEXTS: dict[str, tuple[str, tuple[str, str, str]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """Axes of a product, and how the instrument's axes turn into them.
+    """Axes of a product, and the transformation from the instrument's axes.
 
     Examples
     --------
@@ -47,43 +47,43 @@ class Frame:
     """
 
     name: Axes
-    """Which of the three."""
+    """Kind of frame."""
     rotation: Floats
-    """From right, down, forward into the axes of the frame, shape (3, 3) [1]."""
+    """Rotation from right, down, forward into the frame, shape (3, 3) [1]."""
     position: Floats
     """Origin of the instrument's axes in the frame, shape (3,) [m]."""
     crs: str = ""
-    """Reference system that it belongs to; none if empty."""
+    """Coordinate reference system; none if empty."""
     crs_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """What to add for coordinates of that system [m]."""
+    """Offset to add for coordinates of that system [m]."""
     pose: Pose | None = None
-    """What it was made from."""
+    """Pose behind the frame."""
 
     @property
     def axes(self) -> str:
-        """What the axes mean, in a sentence."""
+        """Meaning of the axes in one sentence."""
         return _TEXTS[self.name][0]
 
     @property
     def meanings(self) -> tuple[str, str, str]:
-        """What each coordinate is."""
+        """Meaning of each coordinate."""
         return _TEXTS[self.name][1]
 
     @property
     def matrix(self) -> Floats:
-        """The whole transformation of homogeneous coordinates, shape (4, 4)."""
+        """Transformation of homogeneous coordinates, shape (4, 4)."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position
         return matrix
 
     @property
     def up(self) -> Floats:
-        """Upwards, shape (3,) [1]."""
+        """Upward direction, shape (3,) [1]."""
         axis = (0.0, -1.0, 0.0) if self.name == "instrument" else (0.0, 0.0, 1.0)
         return np.array(axis)
 
     def place(self, points: ArrayLike) -> Floats:
-        """Return points of the instrument's axes in this frame.
+        """Transform points from the instrument's axes into this frame.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class Frame:
         return np.asarray(points, dtype=float) @ self.rotation.T + self.position
 
     def turn(self, directions: ArrayLike) -> Floats:
-        """Return directions of the instrument's axes in this frame.
+        """Rotate directions from the instrument's axes into this frame.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class Frame:
         return np.asarray(directions, dtype=float) @ self.rotation.T
 
     def shared_errors(self, points: ArrayLike) -> Floats:
-        r"""Return how the errors of the pose move points, one vector for each.
+        r"""Displacement of points by each error of the pose, one vector per error.
 
         Parameters
         ----------
@@ -148,21 +148,21 @@ class Frame:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """What of the pose has no stated uncertainty."""
+        """Quantities of the pose without a stated uncertainty."""
         if self.pose is None:
             return ()
-        stated = {
+        uncertainties = {
             "position": self.pose.position_uncertainty,
             "heading": self.pose.heading_uncertainty,
             "level": self.pose.level_uncertainty,
         }
-        return tuple(name for name, value in stated.items() if value is None)
+        return tuple(name for name, value in uncertainties.items() if value is None)
 
 
 def frame_of(
     image: xr.Dataset, *, axes: Axes = "instrument", pose: Pose | None = None
 ) -> Frame:
-    """Return a frame for the points of a range image.
+    """Frame for the points of a range image.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def frame_of(
     if axes == "z-up":
         turned = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
         return Frame(name=axes, rotation=turned, position=np.zeros(3))
-    pose = pose or _stated(image)
+    pose = pose or _surveyed_pose(image)
     if pose is None:
         raise CubeError(
             "the survey of the image states no pose; write a section [pose] into a "
@@ -215,7 +215,7 @@ def frame_of(
 
 
 def _attitude(pose: Pose) -> Floats:
-    """Return right, down and forward in east, north, up as columns."""
+    """Right, down and forward as columns in east, north, up."""
     sine, cosine = np.sin(pose.heading), np.cos(pose.heading)
     level = np.array([sine, cosine, 0.0])
     up = np.array([0.0, 0.0, 1.0])
@@ -227,7 +227,7 @@ def _attitude(pose: Pose) -> Floats:
     return np.stack([rolled, down, forward], axis=1)
 
 
-def _stated(image: xr.Dataset) -> Pose | None:
-    """Return the pose in the survey of an image, None without one."""
+def _surveyed_pose(image: xr.Dataset) -> Pose | None:
+    """Pose from the survey of an image, None without one."""
     survey = readable_survey(image)
     return None if survey is None else survey.pose

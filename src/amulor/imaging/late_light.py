@@ -1,4 +1,4 @@
-"""How late the echoes of a cube are by light scattered on its way, and how sure."""
+"""Delay of echoes by light scattered in the water, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -38,36 +38,36 @@ _LARGEST_ASYMMETRY = 0.999
 
 @dataclass(frozen=True, kw_only=True)
 class LateFit:
-    """Statistics of a scan that the estimate of late light needs."""
+    """Scan-wide statistics for the estimate of late light."""
 
     depth: tuple[float, float] | None = None
     """Least and largest distance of the echoes [m]; None where no pixel has one."""
     span: Span | None = None
     """Directions of the scan; None where no pixel has a range."""
     in_view: bool = True
-    """Whether the receiver sees all echoes."""
+    """Whether all echoes lie in the receiver's view."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LateLight:
-    """What scattering on the way does to the ranges of an image."""
+    """Range error by late light, with its uncertainty."""
 
     late: Floats
-    """Estimate that has to be taken off, shape (row, column) [m]."""
+    """Estimated delay, to be subtracted, shape (row, column) [m]."""
     uncertainty: Floats | None
-    """Its standard uncertainty [m]; None where no estimate can be made."""
+    """Standard uncertainty; None without an estimate [m]."""
     note: str
-    """Whether it is taken off, or why not."""
+    """Whether it is subtracted, or the reason why not."""
 
 
 def late_light(
-    seen: Observation,
+    observation: Observation,
     slant_range: Floats,
     *,
     weight: Floats,
     fit: LateFit | None = None,
 ) -> tuple[LateLight, LateFit]:
-    """Return how late the echoes of one channel are, and the statistics used.
+    """Delay of the echoes of one channel by late light, and the statistics used.
 
     The water is that of the survey, a rectangular distribution between two ends: with
     an asymmetry between the Henyey-Greenstein function and half of its delay, since
@@ -76,27 +76,27 @@ def late_light(
     asymmetries of 0.90 to 0.98.
     """
     nothing = np.zeros(slant_range.shape)
-    survey = seen.survey
-    if not seen.has_late_light:
+    survey = observation.survey
+    if not observation.has_late_light:
         note = "absent from this simulation"
         return LateLight(late=nothing, uncertainty=nothing, note=note), LateFit()
     if survey is None:
         return _unknown(nothing, "no survey describes the water"), LateFit()
     usable = np.isfinite(slant_range)
-    ends, used, why = _delays(seen, survey, slant_range, weight, fit)
+    ends, used, why = _delays(observation, survey, slant_range, weight, fit)
     if ends is None:
         return _unknown(nothing, why), used
     lowest, highest = ends
     if fit is None:
-        known = np.isfinite(lowest[usable]) & np.isfinite(highest[usable])
-        used = replace(used, in_view=bool(np.all(known)))
+        bounded = np.isfinite(lowest[usable]) & np.isfinite(highest[usable])
+        used = replace(used, in_view=bool(np.all(bounded)))
     if not used.in_view:
         why = "the receiver looks past some of the echoes"
         return _unknown(nothing, why), used
     middle = np.where(usable, (lowest + highest) / 2, 0.0)
     calibration = survey.calibration
-    own = None if calibration is None else calibration.scattering_uncertainty
-    relative = math.hypot(late_echo.RELATIVE_UNCERTAINTY, own or 0.0)
+    calibrated = None if calibration is None else calibration.scattering_uncertainty
+    relative = math.hypot(late_echo.RELATIVE_UNCERTAINTY, calibrated or 0.0)
     spread = np.where(usable, highest - lowest, 0.0) / math.sqrt(12)
     light = LateLight(
         late=middle,
@@ -107,27 +107,27 @@ def late_light(
 
 
 def dispersion(
-    seen: Observation,
+    observation: Observation,
     slant_range: Floats,
     *,
     weight: Floats,
     fit: LateFit | None = None,
 ) -> tuple[tuple[Floats, Floats] | None, LateFit]:
-    """Return by how much late light turns the phases of frequencies differently.
+    """Difference of the late-light phase between frequencies.
 
     The higher the frequency, the less light that took many ways counts: a delay that
     differs with the frequency, which is no other distance and no other interval.
     """
-    survey = seen.survey
-    if len(weight) < 2 or survey is None or not seen.has_late_light:
+    survey = observation.survey
+    if len(weight) < 2 or survey is None or not observation.has_late_light:
         return None, LateFit()
     apart = np.eye(len(weight)) - weight
-    ends, used, _ = _delays(seen, survey, slant_range, apart, fit)
+    ends, used, _ = _delays(observation, survey, slant_range, apart, fit)
     if ends is None:
         return None, used
     lowest, highest = ends
     to_phase = ranging.phase_per_range(
-        seen.frequency[:, None, None],
+        observation.frequency[:, None, None],
         group_index=water_properties(survey).group_index,
     )
     turn = np.nan_to_num(to_phase * (lowest + highest) / 2)
@@ -135,15 +135,17 @@ def dispersion(
     return (turn, np.hypot(_DISPERSION_UNCERTAINTY * turn, spread)), used
 
 
-def _fit(seen: Observation, slant_range: Floats) -> LateFit:
-    """Reach of late light, and directions of the scan; nothing where no range is."""
+def _fit(observation: Observation, slant_range: Floats) -> LateFit:
+    """Distances and directions of the echoes; empty without any range."""
     if not np.isfinite(slant_range).any():
         return LateFit()
-    depth = seen.geometry.depth(slant_range)
+    depth = observation.geometry.depth(slant_range)
     depth = depth[np.isfinite(depth) & (depth > 0)]
     return LateFit(
         depth=(float(np.min(depth)), float(np.max(depth))),
-        span=span_of(seen.channel) if seen.span is None else seen.span,
+        span=span_of(observation.channel)
+        if observation.span is None
+        else observation.span,
     )
 
 
@@ -152,22 +154,22 @@ def _unknown(nothing: Floats, why: str) -> LateLight:
 
 
 def _delays(
-    seen: Observation,
+    observation: Observation,
     survey: Survey,
     slant_range: Floats,
     weight: Floats,
     fit: LateFit | None,
 ) -> tuple[tuple[Floats, Floats] | None, LateFit, str]:
-    """Delays as `_between`, the statistics used, and why there are no delays."""
-    fit = _fit(seen, slant_range) if fit is None else fit
+    """Delays as in `_between`, the statistics used, and the reason without delays."""
+    fit = _fit(observation, slant_range) if fit is None else fit
     try:
         water = water_properties(survey)
-        known = _phase_functions(water)
+        functions = _phase_functions(water)
         if fit.depth is None:
             return None, fit, "no pixel has a range"
         ends = _between(
-            seen, slant_range, survey=survey, water=water, weight=weight, known=known,
-            fit=fit,
+            observation, slant_range, survey=survey, water=water, weight=weight,
+            functions=functions, fit=fit,
         )  # fmt: skip
     except SurveyError as error:
         return None, fit, str(error)
@@ -181,10 +183,10 @@ def _between(
     survey: Survey,
     water: WaterProperties,
     weight: Floats,
-    known: tuple[tuple[PhaseFunction, float, float], ...],
+    functions: tuple[tuple[PhaseFunction, float, float], ...],
     fit: LateFit,
 ) -> tuple[Floats, Floats]:
-    """Return least and largest delay of each pixel that the known water allows [m].
+    """Least and largest delay of each pixel for the water's possible properties [m].
 
     Of delays at all frequencies, weighted by one row or by several.
     """
@@ -195,10 +197,10 @@ def _between(
     assert fit.depth is not None
     assert fit.span is not None
     ends = fit.depth
-    way = np.unique(np.geomspace(ends[0] * 0.999, ends[1] * 1.001, _DISTANCES))
+    distance = np.unique(np.geomspace(ends[0] * 0.999, ends[1] * 1.001, _DISTANCES))
     sides = [_spread(*fit.span.azimuth), _spread(*fit.span.elevation)]
     azimuth, elevation = np.meshgrid(*sides, indexing="ij")
-    seen = view(survey, azimuth, elevation)
+    geometry = view(survey, azimuth, elevation)
     frequency = observation.frequency
     shape = (*slant_range.shape, 3)
     place = np.empty(shape)
@@ -207,38 +209,38 @@ def _between(
     # What the sample of a scan in tiles has not reached counts as its end.
     reached = np.clip(depth, ends[0], ends[1])
     place[..., 2] = np.log(np.where(usable, reached, ends[0]))
-    found = []
-    for function, scattering, split in known:
-        each = late_echo.late_echo(
+    delays = []
+    for function, scattering, split in functions:
+        echo_delay = late_echo.late_echo(
             frequency[:, None, None, None],
-            depth=way,
+            depth=distance,
             scattering=scattering,
             phase_function=function,
             split_angle=split,
             group_index=water.group_index,
-            baseline=seen.baseline[..., None],
+            baseline=geometry.baseline[..., None],
             receiver_radius=survey.instrument.receiver.radius,
-            acceptance_angle=seen.acceptance,
-            tilt=seen.tilt[..., None],
-            cross_tilt=seen.cross_tilt[..., None],
-            standoff=seen.standoff[..., None],
+            acceptance_angle=geometry.acceptance,
+            tilt=geometry.tilt[..., None],
+            cross_tilt=geometry.cross_tilt[..., None],
+            standoff=geometry.standoff[..., None],
         )
-        mean = np.tensordot(np.atleast_2d(weight), each, axes=1)
+        mean = np.tensordot(np.atleast_2d(weight), echo_delay, axes=1)
         # Over the square of the distance it is nearly even, and so well interpolated.
         even = RegularGridInterpolator(
-            (*sides, np.log(way)), np.moveaxis(mean / way**2, 0, -1)
+            (*sides, np.log(distance)), np.moveaxis(mean / distance**2, 0, -1)
         )
         delay = even(place) * np.where(usable, depth, np.nan)[..., None] ** 2
-        found.append(
+        delays.append(
             np.moveaxis(delay, -1, 0).reshape(*weight.shape[:-1], *usable.shape)
         )
-    if len(found) == 1:
-        found.append(_LEAST_PART * found[0])
-    return np.min(found, axis=0), np.max(found, axis=0)
+    if len(delays) == 1:
+        delays.append(_LEAST_PART * delays[0])
+    return np.min(delays, axis=0), np.max(delays, axis=0)
 
 
 def _spread(low: float, high: float) -> Floats:
-    """Return a few angles over a span; the ends a little beyond."""
+    """Return a few angles over a span that is extended slightly."""
     margin = 1e-6 + 1e-6 * (high - low)
     return np.linspace(low - margin, high + margin, _DIRECTIONS)
 
@@ -246,39 +248,39 @@ def _spread(low: float, high: float) -> Floats:
 def _phase_functions(
     water: WaterProperties,
 ) -> tuple[tuple[PhaseFunction, float, float], ...]:
-    """Return what the water may be: phase function, its scattering, split angle."""
+    """Possible waters: phase function, its scattering, split angle."""
     right = math.pi / 2
     if water.scattering == 0:
         return ((_function(_ASYMMETRIES[0]), 0.0, right),)
-    stated = water.phase_function
-    if stated is not None:
-        if stated.asymmetry < _LEAST_ASYMMETRY:
+    from_survey = water.phase_function
+    if from_survey is not None:
+        if from_survey.asymmetry < _LEAST_ASYMMETRY:
             raise SurveyError(
-                f"the asymmetry of the water, {stated.asymmetry:g}, is below "
+                f"the asymmetry of the water, {from_survey.asymmetry:g}, is below "
                 f"{_LEAST_ASYMMETRY:g}, where small angles do not describe the light"
             )
-        return ((stated, water.scattering, right),)
+        return ((from_survey, water.scattering, right),)
     usual = tuple((_function(g), water.scattering, right) for g in _ASYMMETRIES)
     moment, split = water.second_moment, water.split_angle
-    own = _asymmetry(moment, split) if water.forward_scattering > 0 else None
-    if own is None:
+    fitted = _asymmetry(moment, split) if water.forward_scattering > 0 else None
+    if fitted is None:
         return usual
-    function = _function(own)
+    function = _function(fitted)
     # The forward part is the survey's, so the whole is that over the forward fraction.
-    whole = water.forward_scattering / function.forward_split(split)[0]
-    return (*usual, (function, whole, split))
+    scattering = water.forward_scattering / function.forward_split(split)[0]
+    return (*usual, (function, scattering, split))
 
 
 @lru_cache(maxsize=16)
 def _function(asymmetry: float) -> PhaseFunction:
-    """Return one and the same function each time: its transform is kept with it."""
+    """Phase function from a cache that keeps its transform."""
     return henyey_greenstein_function(asymmetry=asymmetry)
 
 
 def _asymmetry(moment: float, split_angle: float) -> float | None:
-    """Return the asymmetry whose forward part has a second moment, if there is one."""
+    """Asymmetry for a second moment of the forward part, None without one."""
     try:
-        found = asymmetry_of(moment, split=split_angle)
+        asymmetry = asymmetry_of(moment, split=split_angle)
     except SurveyError:
         return None
-    return found if _LEAST_ASYMMETRY <= found <= _LARGEST_ASYMMETRY else None
+    return asymmetry if _LEAST_ASYMMETRY <= asymmetry <= _LARGEST_ASYMMETRY else None

@@ -1,4 +1,4 @@
-"""Numbers that say how good an image is: flatness, step heights, contrast."""
+"""Quality metrics of an image: flatness, step heights, contrast."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneFit:
-    """How far a region is from flat.
+    """Deviation of a region from a plane.
 
     Examples
     --------
@@ -40,7 +40,7 @@ class PlaneFit:
     residual: float
     """Root mean square distance of the points from their plane [m]."""
     expected: float
-    """What the stated uncertainties let expect for it [m]."""
+    """Expected residual from the stated uncertainties [m]."""
     normal: tuple[float, float, float]
     """Unit normal, towards the instrument [1]."""
     points: int
@@ -60,17 +60,17 @@ class StepHeight:
     """
 
     height: float
-    """Distance of the second plane in front of the first [m]."""
+    """Distance of the second plane, towards the instrument, from the first [m]."""
     uncertainty: float
-    """Standard uncertainty: noise, shared reference and estimated residual bias; not a
-    number where the error of the ranges is not known [m]."""
+    """Standard uncertainty from noise, shared reference and residual bias; NaN if the
+    error of the ranges is not known [m]."""
     random: float
-    """The part of it that comes from noise [m]."""
+    """Part of it from noise [m]."""
 
 
 @dataclass(frozen=True)
 class Contrast:
-    """Brightness of the target against its surroundings.
+    """Contrast of the target with its surroundings.
 
     Examples
     --------
@@ -172,7 +172,7 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     weighted by the stated uncertainties; where the scatter is larger than they say,
     the errors are enlarged in proportion. The error shared by all pixels is counted in
     full and the difference of the bias estimates of the two planes is added, both in
-    quadrature: an upper limit, since neighbours share most of either. Of late light,
+    quadrature: an upper limit, since neighbors share most of either. Of late light,
     delay, group index and geometry, which move all pixels the same way, the difference
     between the two planes counts; so does that of drift and column, which turn with the
     phase of the target.
@@ -210,8 +210,8 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     solution, *_ = np.linalg.lstsq(
         design * root[:, None], points[:, 2] * root, rcond=None
     )
-    rest = (points[:, 2] - design @ solution) * root
-    scatter = max(float(rest @ rest) / (len(rest) - design.shape[1]), 1.0)
+    residual = (points[:, 2] - design @ solution) * root
+    scatter = max(float(residual @ residual) / (len(residual) - design.shape[1]), 1.0)
     inverse = np.linalg.inv((design * root[:, None]).T @ (design * root[:, None]))
     covariance = inverse * scatter
     lean = np.hypot(1.0, np.hypot(*solution[-2:]))
@@ -223,13 +223,15 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
         ]
         for names in (ALIKE_TERMS, WATER_TERMS)
     )
-    known = sum(term**2 for term in alike + of_water)
-    shared = np.sqrt(np.maximum(common**2 - known, 0.0))
-    stated = _mean_of(image, "slant_range_uncertainty", number, pixel, numbers)
+    explained = sum(term**2 for term in alike + of_water)
+    shared = np.sqrt(np.maximum(common**2 - explained, 0.0))
+    uncertainty = _mean_of(image, "slant_range_uncertainty", number, pixel, numbers)
     distance = _mean_of(image, "slant_range", number, pixel, numbers)
     # Images that do not say their frequencies have no such terms either.
-    said = "modulation_frequencies" in image.attrs
-    cosines = phase_cosines(image, distance) if said else np.eye(len(numbers))
+    has_frequencies = "modulation_frequencies" in image.attrs
+    cosines = (
+        phase_cosines(image, distance) if has_frequencies else np.eye(len(numbers))
+    )
     bias = _mean_of(image, "slant_range_bias", number, pixel, numbers)
     steps = []
     for i in range(len(numbers) - 1):
@@ -249,7 +251,7 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
                 for term in of_water
             )
         )
-        known_error = np.isfinite(stated[i] + stated[i + 1])
+        known_error = np.isfinite(uncertainty[i] + uncertainty[i + 1])
         steps.append(
             StepHeight(
                 height=float((solution[i] - solution[i + 1]) / lean),
@@ -261,7 +263,7 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
 
 
 def _refuse_a_line(places: Floats) -> None:
-    """Raise if points leave the slope of a plane open."""
+    """Raise if the points do not constrain the slope of a plane."""
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     if spread[1] < 1e-6 * spread[0]:
         raise CubeError(
@@ -271,7 +273,7 @@ def _refuse_a_line(places: Floats) -> None:
 
 
 def contrast(image: xr.Dataset, target: ArrayLike, surround: ArrayLike) -> Contrast:
-    """Compare the brightness of a target with what is around it.
+    """Contrast of a target with its surroundings.
 
     Parameters
     ----------
@@ -324,7 +326,7 @@ def contrast(image: xr.Dataset, target: ArrayLike, surround: ArrayLike) -> Contr
 def _regions(
     image: xr.Dataset, label: NDArray[np.intp], numbers: list[int]
 ) -> tuple[Floats, NDArray[np.intp], Floats, tuple[NDArray[np.intp], ...]]:
-    """Return points, region, own uncertainty and pixel of what is usable, labelled."""
+    """Return positions, region, noise and pixel number of usable labeled pixels."""
     if label.shape != image["quality_flag"].shape:
         raise CubeError(
             f"the regions have the shape {label.shape}, the image "

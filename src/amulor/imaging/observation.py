@@ -1,7 +1,8 @@
-"""One channel of a cube as ranges need it: phases, errors, geometry, survey."""
+"""One channel of a cube as input of ranging: phases, noise, geometry, survey."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.cube.error import flags_of_pixels
+from amulor.cube.schema import PHASE_PREFIX
 from amulor.cube.tiles import Span
 from amulor.errors import CubeError, SurveyError
-from amulor.imaging.noise import with_noise_scaled
 from amulor.optics import ambiguity, detection, ranging, rays
 from amulor.optics._geometry import Geometry
 from amulor.survey import Survey
@@ -31,14 +32,16 @@ _WINDOW = (
 
 
 def geometry_of(cube: xr.Dataset) -> Geometry:
-    """Return the geometry of the pixels of a cube of any level."""
-    stated = cube["geometry"].attrs
+    """Geometry of the pixels of a cube of any level."""
+    attributes = cube["geometry"].attrs
     emitter, receiver = (
-        np.asarray(stated[f"{name}_position"], dtype=float)
+        np.asarray(attributes[f"{name}_position"], dtype=float)
         for name in ("emitter", "receiver")
     )
     shape = (*cube["azimuth"].shape, 3)
-    starts, ends = (np.broadcast_to(each, shape).copy() for each in (emitter, receiver))
+    starts, ends = (
+        np.broadcast_to(position, shape).copy() for position in (emitter, receiver)
+    )
     for axis, name in enumerate(("origin_x", "origin_y", "origin_z")):
         if name in cube.coords:
             starts[..., axis] = cube[name].values
@@ -49,30 +52,30 @@ def geometry_of(cube: xr.Dataset) -> Geometry:
         emitter=starts,
         receiver=ends,
         medium=rays.Medium(
-            refractive_index=float(stated["refractive_index"]),
-            group_index=float(stated["group_index"]),
-            **{name: float(stated[name]) for name in _WINDOW if name in stated},
+            refractive_index=float(attributes["refractive_index"]),
+            group_index=float(attributes["group_index"]),
+            **{name: float(attributes[name]) for name in _WINDOW if name in attributes},
         ),
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """One channel of a target signal, each quantity read from it once.
+    """One channel of a target signal, with each quantity read once.
 
     Arrays run over (frequency, row, column), those of pixels over (row, column).
     """
 
     channel: xr.Dataset
-    """The channel: what its image takes over, and further variables."""
+    """Channel dataset, source of further variables and attributes of the image."""
     geometry: Geometry
     """Beams, receivers and media of the pixels."""
     survey: Survey | None
-    """The survey; None where the cube has none that can be read."""
+    """Survey; None if the cube has none that can be read."""
     most_outliers: float = ambiguity.BREAKDOWN
-    """Largest share of the frequencies of a pixel that may be left out [1]."""
+    """Largest share of the frequencies of a pixel that may be discarded [1]."""
     span: Span | None = None
-    """Directions of the scan; None where the channel is all of it."""
+    """Directions of the scan; None if the channel covers it."""
 
     @cached_property
     def frequency(self) -> Floats:
@@ -81,7 +84,7 @@ class Observation:
 
     @cached_property
     def path_per_phase(self) -> Floats:
-        """Optical paths, out and back: twice the range at a group index of 1 [m]."""
+        """Two-way optical path per radian of phase [m]."""
         return 2 * ranging.range_per_phase(
             self.frequency[:, None, None], group_index=1.0
         )
@@ -104,7 +107,7 @@ class Observation:
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """Pixels without an unusable flag."""
+        """Mask of pixels without an unusable flag."""
         return np.asarray((self.flag & UNUSABLE) == 0)
 
     @property
@@ -114,74 +117,74 @@ class Observation:
 
     @cached_property
     def sigma(self) -> Floats:
-        """Standard uncertainties of the phases, infinite where left out [rad]."""
+        """Standard uncertainties of the phases, infinite if discarded [rad]."""
         return np.where(self._flags[1], np.inf, self._sigma("", self.usable))
 
     @property
     def own_sigma(self) -> Floats:
-        """Uncertainties of the phases without what the pixels share [rad]."""
+        """Uncertainties of the phases without errors shared by pixels [rad]."""
         shared = self.shared_sigma(self.usable)
         if shared is None:
             return self.sigma
         return np.sqrt(np.maximum(self.sigma**2 - shared**2, 0.0))
 
     def shared_sigma(self, usable: NDArray[np.bool_]) -> Floats | None:
-        """Uncertainties of the phases that pixels share; None if not stated [rad]."""
+        """Uncertainties of the phases shared by pixels; None if not stated [rad]."""
         if "common_covariance" not in self.channel:
             return None
         return self._sigma("common_", usable)
 
     def _sigma(self, prefix: str, usable: NDArray[np.bool_]) -> Floats:
         """Phase uncertainty from the errors of the outputs, arbitrary if unusable."""
-        one, signal = self.channel, self.signal
-        cross = one["common_covariance"] if prefix else one.amulor.covariance
-        good = np.broadcast_to(usable, signal.shape)
+        channel, signal = self.channel, self.signal
+        cross = channel["common_covariance"] if prefix else channel.amulor.covariance
+        mask = np.broadcast_to(usable, signal.shape)
         in_phase, quadrature = (
-            np.where(good, one[f"{prefix}{output}_uncertainty"].values ** 2, 1.0)
+            np.where(mask, channel[f"{prefix}{output}_uncertainty"].values ** 2, 1.0)
             for output in ("in_phase", "quadrature")
         )
         return detection.phase_uncertainty(
-            np.where(good, signal, 1.0),
+            np.where(mask, signal, 1.0),
             in_phase_variance=in_phase,
             quadrature_variance=quadrature,
-            covariance=np.where(good, cross.values, 0.0),
+            covariance=np.where(mask, cross.values, 0.0),
         )
 
     @cached_property
     def shift(self) -> Floats:
-        """Shifts of the phases by water left in, NaN where not known [rad]."""
-        one = self.channel
-        if "residual_in_phase" in one:
-            left = one["residual_in_phase"].values
-            left = left + 1j * one["residual_quadrature"].values
-            return ranging.phase_shift(self.signal, residual=left)
-        taken_out = (one["quality_flag"].values & QualityFlag.NO_OPEN_WATER) == 0
+        """Phase shifts by residual water signal, NaN if unknown [rad]."""
+        channel = self.channel
+        if "residual_in_phase" in channel:
+            residual = channel["residual_in_phase"].values
+            residual = residual + 1j * channel["residual_quadrature"].values
+            return ranging.phase_shift(self.signal, residual=residual)
+        taken_out = (channel["quality_flag"].values & QualityFlag.NO_OPEN_WATER) == 0
         return np.where(taken_out, 0.0, np.nan)
 
     @property
     def has_late_light(self) -> bool:
-        """Whether scattered light may come late: measured, or simulated with it."""
-        stated = self.channel.attrs.get("late_echo")
-        if stated is None:
+        """Whether late light is possible: a measurement, or a simulation with it."""
+        simulated = self.channel.attrs.get("late_echo")
+        if simulated is None:
             return not self.channel.attrs.get("simulated", 0)
-        return str(stated) != "absent"
+        return str(simulated) != "absent"
 
     def joint_values(self, *names: str) -> tuple[float, ...] | None:
-        """Return attributes of a joint estimation; None where they are not there."""
-        stated = self.channel.attrs
+        """Attributes of a joint estimation; None if they are missing."""
+        attributes = self.channel.attrs
         if "joint_slant_range" not in self.channel:
             return None
-        if any(f"joint_{name}" not in stated for name in names):
+        if any(f"joint_{name}" not in attributes for name in names):
             return None
-        return tuple(float(stated[f"joint_{name}"]) for name in names)
+        return tuple(float(attributes[f"joint_{name}"]) for name in names)
 
     def with_noise(self, factor: float) -> Observation:
-        """Return the observation with larger errors of its own."""
+        """Observation with its noise multiplied by a factor."""
         return replace(self, channel=with_noise_scaled(self.channel, factor))
 
 
 def observe(channel: xr.Dataset, **options: Any) -> Observation:
-    """Return the observation of one channel of a target signal."""
+    """Observation of one channel of a target signal."""
     return Observation(
         channel=channel,
         geometry=geometry_of(channel),
@@ -191,7 +194,7 @@ def observe(channel: xr.Dataset, **options: Any) -> Observation:
 
 
 def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
-    """Return one polarization channel of a cube."""
+    """One polarization channel of a cube."""
     present = cube.amulor.polarizations
     if polarization is None and len(present) > 1:
         raise CubeError(
@@ -207,9 +210,115 @@ def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
 
 
 def readable_survey(cube: xr.Dataset) -> Survey | None:
-    """Return the survey of a cube; None if it has none that can be read."""
+    """Survey of a cube; None if it has none that can be read."""
     try:
         survey: Survey | None = cube.amulor.survey
     except SurveyError:
         return None
     return survey
+
+
+#: Pairs of neighbors that are enough to tell.
+_FEWEST = 30
+#: The scatter must stand out of chance by this many standard errors [1].
+_SURE = 4.0
+#: Median of chi-square with one degree of freedom, and the relative standard error of
+#: such a median times the root of the number of values [1].
+_MEDIAN, _OF_MEDIAN = 0.45494, 2.326
+#: Terms of the error that are drawn anew for each sample.
+_OWN_TERMS = ("counting", "fluctuation")
+
+
+def noise_scale(
+    path: ambiguity.Path,
+    error: Floats,
+    *,
+    path_per_phase: Floats,
+    refit: Callable[[float], ambiguity.Path],
+) -> float:
+    r"""Ratio of the observed noise of the phases to the stated one.
+
+    Phases at n frequencies leave n - 1 residuals a pixel when the range is taken out.
+    In the difference of two neighbors everything cancels that they share: water of
+    another shape, late light, errors of the reference. What is left is noise, and the
+    median of its chi-square over that of chance is the square of the factor (Birge
+    ratio). Edges, outliers and mixed pixels do not move a median. With errors that are
+    stated too small the tails of the noise are left out as outliers, so that what stays
+    scatters less; the factor is looked at once more with errors that are about right.
+    """
+    factor, chance = _factor(path, error * path_per_phase)
+    if not factor**2 > 1 + _SURE * chance:
+        return 1.0
+    again, _ = _factor(refit(factor), factor * error * path_per_phase)
+    return max(factor * again, 1.0)
+
+
+def _factor(path: ambiguity.Path, error: Floats) -> tuple[float, float]:
+    """Noise factor, and the standard error of its square.
+
+    The factor is 1 where there is too little to tell it.
+    """
+    valid = np.isfinite(path.length)
+    valid &= np.isfinite(error).all(axis=0) & (error > 0).all(axis=0)
+    freedom = len(error) - 1
+    if freedom < 1:
+        return 1.0, 0.0
+    scores = []
+    for axis in (0, 1):
+        first_of_pair, second_of_pair = _pairs(axis)
+        valid_pairs = valid[first_of_pair] & valid[second_of_pair]
+        indices = (slice(None), *first_of_pair), (slice(None), *second_of_pair)
+        square = (path.residual[indices[0]] - path.residual[indices[1]])[
+            :, valid_pairs
+        ] ** 2
+        first, second = (
+            _expected(path.weight[e], error[e])[:, valid_pairs] for e in indices
+        )
+        left_out = (path.left_out[indices[0]] | path.left_out[indices[1]])[
+            :, valid_pairs
+        ]
+        scores.append(np.where(left_out, np.nan, square / (first + second)))
+    score = np.concatenate(scores, axis=1)
+    sufficient = np.isfinite(score).sum(axis=1) >= _FEWEST
+    if not sufficient.any():
+        return 1.0, 0.0
+    squares = np.nanmedian(score[sufficient], axis=1) / _MEDIAN
+    # That of n - 1 residuals is known beside the others; pairs overlap two by two.
+    chance = _OF_MEDIAN * np.sqrt(2 / score.shape[1] / freedom)
+    return float(np.sqrt(np.mean(squares))), float(chance)
+
+
+def with_noise_scaled(target: xr.Dataset, factor: float) -> xr.Dataset:
+    """Target signal with the noise of its samples multiplied by a factor."""
+    if factor == 1:
+        return target
+    more = factor**2 - 1
+    changed: dict[str, xr.DataArray] = {}
+    for name in ("in_phase_uncertainty", "quadrature_uncertainty"):
+        independent = target[name] ** 2 - target.get(f"common_{name}", 0.0) ** 2
+        changed[name] = (target[name] ** 2 + more * independent.clip(min=0.0)) ** 0.5
+    if "in_phase_quadrature_covariance" in target:
+        cross = target["in_phase_quadrature_covariance"]
+        independent = cross - target.get("common_covariance", 0.0)
+        changed["in_phase_quadrature_covariance"] = cross + more * independent
+    for name in _OWN_TERMS:
+        if f"{PHASE_PREFIX}{name}" in target:
+            changed[f"{PHASE_PREFIX}{name}"] = factor * target[f"{PHASE_PREFIX}{name}"]
+    with_attributes = {
+        name: values.assign_attrs(target[name].attrs)
+        for name, values in changed.items()
+    }
+    return target.assign(with_attributes).assign_attrs(noise_scale=factor)
+
+
+def _pairs(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Slices of pixels and of their next neighbors along an axis."""
+    first, second = [slice(None)] * 2, [slice(None)] * 2
+    first[axis], second[axis] = slice(None, -1), slice(1, None)
+    return (first[0], first[1]), (second[0], second[1])
+
+
+def _expected(weight: Floats, error: Floats) -> Floats:
+    """Variance of residuals about a weighted mean of independent errors."""
+    of_mean = np.sum((weight * np.where(np.isfinite(error), error, 0.0)) ** 2, axis=0)
+    return np.asarray((1 - 2 * weight) * error**2 + of_mean)

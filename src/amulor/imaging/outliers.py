@@ -1,4 +1,4 @@
-"""Finds pixels that stand alone: a particle in the beam, a spike in the electronics."""
+"""Detection of outlying pixels: particles in the beam, spikes of the electronics."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from amulor.imaging.common import own_variance, with_flag
 
 Floats = NDArray[np.float64]
 
-#: Ways through a pixel along which its neighbours are compared: (rows, columns).
+#: Ways through a pixel along which its neighbors are compared: (rows, columns).
 _WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))
 #: At a rim, straight continuations of the next pixels: steps and their weights [1].
 _ONWARD = (((1, 1.0), (2, 0.5), (4, -0.5)), ((1, 2.0), (2, -1.0)))
@@ -41,7 +41,7 @@ _UNLIKE = 2.5
 _OF_MEDIAN = 0.3
 #: Half of normal deviates are smaller [1].
 _HALF = 0.6745
-#: A pixel with at most so many neighbours stands alone where none of them is as far,
+#: A pixel with at most so many neighbors stands alone where none of them is as far,
 _FEW_AROUND = 2
 #: but for so many standard errors and so steep a surface, depth over width [1].
 _AS_FAR, _STEEP = 4.0, 4.0
@@ -50,14 +50,14 @@ _AS_FAR, _STEEP = 4.0, 4.0
 def outlying_pixels(
     image: xr.Dataset, *, significance: float = 3.0
 ) -> NDArray[np.bool_]:
-    r"""Return which pixels stand off all their neighbours.
+    r"""Mask of pixels that deviate from all their neighbors.
 
     Parameters
     ----------
     image : xarray.Dataset
         Level `range_image`.
     significance : float
-        How many standard errors a pixel must stand off the line through its neighbours
+        How many standard errors a pixel must stand off the line through its neighbors
         in each of four ways, above 0 [1].
 
     Returns
@@ -75,26 +75,26 @@ def outlying_pixels(
     Notes
     -----
     Along rows, columns and both diagonals the range is compared with the mean of its
-    two neighbours, at the rim with the straight continuation of the next two. A pixel
+    two neighbors, at the rim with the straight continuation of the next two. A pixel
     is an outlier if it stands off to the same side in all of these ways, by
     `significance` standard errors and by three times as much as pixels around it do on
     average over their ways, in the median: so rough is the surface. Edges, ridges and
-    ropes go on in one of the ways and are none. What neighbours share cancels and does
+    ropes go on in one of the ways and are none. What neighbors share cancels and does
     not count.
 
     Where more pixels stand off than chance makes, as among spikes and particles, those
     that stand off less are likely to be outliers as well. The median of a pixel's ways
     is compared with its standard error, or with what it is around where that is more;
     each of its ways must have half of it, or be off it by less than 2.5 errors of its
-    own line. At the rim, where one way at least has neighbours on both sides, others
+    own line. At the rim, where one way at least has neighbors on both sides, others
     are continued through the next four. The smallest excess from 2.5 standard errors on
     is taken beyond which chance makes at most a tenth of the outliers that are there,
-    known ones included [1]_. Outliers are no neighbours of others for this, and since
+    known ones included [1]_. Outliers are no neighbors of others for this, and since
     those that are found no longer are, it is done twice. Among pixels that are all
     right this marks one in 10^4.
 
     Where nothing can be seen, noise passes for a target here and there. Such a pixel
-    has no neighbour at the same range: within four standard errors and what a surface
+    has no neighbor at the same range: within four standard errors and what a surface
     four times as deep as wide falls by. A rope one pixel wide has.
 
     References
@@ -118,29 +118,29 @@ def outlying_pixels(
 def _outlying(
     image: xr.Dataset, significance: float, limits: tuple[float, ...] | None = None
 ) -> tuple[NDArray[np.bool_], tuple[float, ...]]:
-    """Outlying pixels, and the largest chance [1] that counts in each round."""
+    """Mask of outlying pixels, and the largest chance accepted in each round [1]."""
     if not significance > 0:
         raise ValueError(f"significance must be above 0, got {significance:g}")
     distance = image["slant_range"].values
     variance = own_variance(image)
     stand = _standing(distance, variance, distance)
-    above = (stand.ways >= 2) & (stand.score > significance)
+    above = (stand.directions >= 2) & (stand.score > significance)
     rough = _median_around(stand.average, above)
     above[above] = stand.least[above] > ROUGHER * rough
-    known = (image["quality_flag"].values & QualityFlag.OUTLIER) != 0
-    found = known | above
+    flagged = (image["quality_flag"].values & QualityFlag.OUTLIER) != 0
+    candidates = flagged | above
     used = []
     for number in range(_ROUNDS):  # one found no longer hides another beside it
         limit = None if limits is None else limits[number]
-        more, limit = _more_than_chance(distance, variance, found, limit)
-        found |= more
+        more, limit = _more_than_chance(distance, variance, candidates, limit)
+        candidates |= more
         used.append(limit)
-    outlying = found & (above | ~known)
+    outlying = candidates & (above | ~flagged)
     return outlying | _alone(image, distance, variance), tuple(used)
 
 
 def stand_off(image: xr.Dataset) -> Floats:
-    """Return standard errors by which pixels stand off neighbours without `OUTLIER`."""
+    """Deviation of pixels from their neighbors in standard errors."""
     distance, variance = image["slant_range"].values, own_variance(image)
     outlying = (image["quality_flag"].values & QualityFlag.OUTLIER) != 0
     score = np.zeros(distance.shape)
@@ -152,12 +152,12 @@ def stand_off(image: xr.Dataset) -> Floats:
 
 
 def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.bool_]:
-    """Return pixels with hardly any neighbours and none at their range."""
+    """Mask of isolated pixels, with hardly any neighbors and none at their range."""
     angles = [image["azimuth"].values, image["elevation"].values]
     # Azimuths are closer together the higher they are looked at.
     angles[0] = angles[0] * np.cos(angles[1])
-    here = [distance, variance, *angles]
-    padded = [np.pad(values, 1, constant_values=np.nan) for values in here]
+    fields = [distance, variance, *angles]
+    padded = [np.pad(values, 1, constant_values=np.nan) for values in fields]
     rows, columns = distance.shape
     around = np.zeros(distance.shape, dtype=int)
     supported = np.zeros(distance.shape, dtype=bool)
@@ -167,7 +167,7 @@ def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.
                 continue
             place = (slice(down, down + rows), slice(right, right + columns))
             far, spread, azimuth, elevation = (values[place] for values in padded)
-            width = distance * np.hypot(azimuth - here[2], elevation - here[3])
+            width = distance * np.hypot(azimuth - fields[2], elevation - fields[3])
             allowed = _AS_FAR * np.sqrt(variance + spread) + _STEEP * width
             around += np.isfinite(far)
             with np.errstate(invalid="ignore"):
@@ -178,13 +178,15 @@ def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.
 
 
 def _more_than_chance(
-    distance: Floats, variance: Floats, known: NDArray[np.bool_], limit: float | None
+    distance: Floats, variance: Floats, flagged: NDArray[np.bool_], limit: float | None
 ) -> tuple[NDArray[np.bool_], float]:
-    """Pixels of which so many stand off so far that few do by chance, and the limit."""
-    stand = _standing(distance, variance, np.where(known, np.nan, distance))
+    """Outliers beyond the number expected by chance, and the limit."""
+    stand = _standing(distance, variance, np.where(flagged, np.nan, distance))
     with np.errstate(invalid="ignore", divide="ignore"):
         score = stand.middle / np.sqrt(variance + _OF_MEDIAN * stand.spread)
-    judged = (stand.ways >= 3) & (stand.between > 0) & np.isfinite(score) & ~known
+    judged = (
+        (stand.directions >= 3) & (stand.between > 0) & np.isfinite(score) & ~flagged
+    )
     alike = (stand.least > _ALIKE * stand.middle) | (stand.unlike < _UNLIKE)
     alone = stand.agreed & alike
     score = np.where(judged & alone, score, 0.0)
@@ -195,17 +197,17 @@ def _more_than_chance(
         score[far] = np.fmin(score[far], stand.middle[far] / rough)
     far &= score > LEAST
     chance = np.where(far, 2 * ndtr(-score), np.nan)
-    all_found = np.where(known, 0.0, chance)
+    all_found = np.where(flagged, 0.0, chance)
     if limit is None:
         limit = largest_discovered(
-            all_found, share=BY_CHANCE, tests=int((judged | known).sum())
+            all_found, share=BY_CHANCE, tests=int((judged | flagged).sum())
         )
     with np.errstate(invalid="ignore"):
         return np.asarray(chance <= limit), limit
 
 
 def _median_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
-    """Return the median of what is around some pixels, shape (n,)."""
+    """Median of the surroundings of some pixels, shape (n,)."""
     padded = np.pad(values, _AROUND, constant_values=np.nan)
     size = 2 * _AROUND + 1
     around = sliding_window_view(padded, (size, size))[at].reshape(-1, size**2).T
@@ -213,7 +215,7 @@ def _median_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
 
 
 def flag_outliers(image: xr.Dataset, *, significance: float = 3.0) -> xr.Dataset:
-    """Return a range image whose outlying pixels are flagged `OUTLIER`.
+    """Range image with outlying pixels flagged `OUTLIER`.
 
     Parameters
     ----------
@@ -252,7 +254,7 @@ def fitted_outliers(
     significance: float = 3.0,
     fit: tuple[float, ...] | None = None,
 ) -> tuple[xr.Dataset, tuple[float, ...]]:
-    """Range image with its outliers flagged, and the limits of chance used [1]."""
+    """Range image with flagged outliers, and the limits of chance used [1]."""
     image = cubes.checked(image, "range_image")
     outlying, fit = _outlying(image, significance, fit)
     image = with_flag(image, QualityFlag.OUTLIER, outlying)
@@ -261,90 +263,91 @@ def fitted_outliers(
 
 @dataclass(frozen=True, kw_only=True)
 class _Standing:
-    """How far pixels stand off the lines through them, over their ways."""
+    """Deviation of pixels from lines through their neighbors, over directions."""
 
     least: Floats
-    """The least of all ways [m]."""
+    """Smallest deviation over the directions [m]."""
     middle: Floats
-    """Their median, without its sign [m]."""
+    """Magnitude of their median [m]."""
     spread: Floats
     """Median variance of the lines [m^2]."""
     average: Floats
-    """Their average [m], not a number where there is none."""
+    """Mean magnitude, NaN without any [m]."""
     score: Floats
-    """The least in standard errors, 0 where ways disagree about the side [1]."""
+    """Smallest in standard errors, 0 if the signs differ [1]."""
     unlike: Floats
-    """How far the ways are off their median, at most, in errors of their lines [1]."""
+    """Largest difference from their median, in standard errors of the lines [1]."""
     agreed: NDArray[np.bool_]
-    """Where all ways have the pixel on one side."""
-    ways: NDArray[np.intp]
-    """How many there are."""
+    """Mask of pixels with deviations of equal sign."""
+    directions: NDArray[np.intp]
+    """Number of directions."""
     between: NDArray[np.intp]
-    """How many of them have a neighbour on either side."""
+    """Number of directions with neighbors on both sides."""
 
 
 def _standing(distance: Floats, variance: Floats, neighbours: Floats) -> _Standing:
-    """Return how far pixels stand off the lines through their neighbours."""
+    """Deviation of pixels from the lines through their neighbors."""
     padded = np.pad(neighbours, _REACH, constant_values=np.nan)
     errors = np.pad(variance, _REACH, constant_values=np.nan)
     rows, columns = distance.shape
 
-    def at(values: Floats, way: tuple[int, int], step: int) -> Floats:
-        down, right = _REACH + step * way[0], _REACH + step * way[1]
+    def at(values: Floats, axis: tuple[int, int], step: int) -> Floats:
+        down, right = _REACH + step * axis[0], _REACH + step * axis[1]
         return values[down : down + rows, right : right + columns]
 
-    each = np.full((len(_WAYS), *distance.shape), np.nan)
-    between = np.zeros(each.shape, dtype=bool)
-    scores, spreads = np.full((2, *each.shape), np.nan)
-    for index, way in enumerate(_WAYS):
-        one, other = at(padded, way, -1), at(padded, way, 1)
-        line = (one + other) / 2
-        spread = (at(errors, way, -1) + at(errors, way, 1)) / 4
+    deviation = np.full((len(_WAYS), *distance.shape), np.nan)
+    between = np.zeros(deviation.shape, dtype=bool)
+    scores, spreads = np.full((2, *deviation.shape), np.nan)
+    for index, axis in enumerate(_WAYS):
+        before, after = at(padded, axis, -1), at(padded, axis, 1)
+        line = (before + after) / 2
+        spread = (at(errors, axis, -1) + at(errors, axis, 1)) / 4
         between[index] = np.isfinite(line)
         for weights in _ONWARD:
             for side in (-1, 1):
                 onward = sum(
-                    weight * at(padded, way, side * step) for step, weight in weights
+                    weight * at(padded, axis, side * step) for step, weight in weights
                 )
                 wider = sum(
-                    weight**2 * at(errors, way, side * step) for step, weight in weights
+                    weight**2 * at(errors, axis, side * step)
+                    for step, weight in weights
                 )
                 missing = ~np.isfinite(line)
                 line = np.where(missing, onward, line)
                 spread = np.where(missing, wider, spread)
-        each[index] = distance - line
-        spreads[index] = np.where(np.isfinite(each[index]), spread, np.nan)
+        deviation[index] = distance - line
+        spreads[index] = np.where(np.isfinite(deviation[index]), spread, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
-            scores[index] = np.abs(each[index]) / np.sqrt(variance + spread)
-    there = np.isfinite(each)
-    ways = there.sum(axis=0)
-    sides = np.where(there, np.sign(each), 0.0).sum(axis=0)
-    agreed = (ways > 0) & (np.abs(sides) == ways)
-    size = np.where(there, np.abs(each), np.nan)
+            scores[index] = np.abs(deviation[index]) / np.sqrt(variance + spread)
+    valid = np.isfinite(deviation)
+    count = valid.sum(axis=0)
+    sides = np.where(valid, np.sign(deviation), 0.0).sum(axis=0)
+    agreed = (count > 0) & (np.abs(sides) == count)
+    size = np.where(valid, np.abs(deviation), np.nan)
     least = np.fmin.reduce(size, initial=np.inf)
-    middle = _median(each, ways)
+    middle = _median(deviation, count)
     with np.errstate(divide="ignore", invalid="ignore"):
-        unlike = np.abs(each - middle) / np.sqrt(spreads)
-    weakest = np.fmin.reduce(np.where(there, scores, np.nan), initial=np.inf)
+        unlike = np.abs(deviation - middle) / np.sqrt(spreads)
+    weakest = np.fmin.reduce(np.where(valid, scores, np.nan), initial=np.inf)
     return _Standing(
         least=least,
         middle=np.abs(middle),
         unlike=np.fmax.reduce(unlike, initial=0.0),
-        spread=_median(spreads, ways),
+        spread=_median(spreads, count),
         average=np.where(
-            ways > 0, np.nansum(size, axis=0) / np.maximum(ways, 1), np.nan
+            count > 0, np.nansum(size, axis=0) / np.maximum(count, 1), np.nan
         ),
         score=np.where(agreed, weakest, 0.0),
         agreed=agreed,
-        ways=ways,
+        directions=count,
         between=between.sum(axis=0),
     )
 
 
-def _median(each: Floats, ways: NDArray[np.intp]) -> Floats:
-    """Return the median of what is there, over the first axis."""
-    ordered = np.sort(each, axis=0)  # what is not there comes last
-    last = np.maximum(ways - 1, 0)
+def _median(values: Floats, count: NDArray[np.intp]) -> Floats:
+    """Median of the finite values over the first axis."""
+    ordered = np.sort(values, axis=0)  # what is not there comes last
+    last = np.maximum(count - 1, 0)
     two = [
         np.take_along_axis(ordered, half[None], axis=0)[0]
         for half in (last // 2, (last + 1) // 2)

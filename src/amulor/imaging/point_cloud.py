@@ -1,4 +1,4 @@
-"""From a range image to points in space."""
+"""Point cloud from a range image."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from amulor.imaging.observation import geometry_of
 
 
 def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
-    r"""Place every usable pixel of a range image in space.
+    r"""Position of every usable pixel of a range image in space.
 
     Parameters
     ----------
@@ -103,6 +103,6 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
 def _common(
     image: xr.Dataset, row: NDArray[np.intp], column: NDArray[np.intp]
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the part of the uncertainty that all points share, if the image has it."""
+    """Part of the uncertainty shared by all points, if the image has it."""
     name = "slant_range_common_uncertainty"
     return {name: image[name].values[row, column]} if name in image else {}

@@ -1,4 +1,4 @@
-"""From the phase of the target signal to slant ranges with their uncertainty."""
+"""Slant ranges and their uncertainty from the phase of the target signal."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from amulor.cube.tiles import Span
 from amulor.imaging import budget
 from amulor.imaging.common import with_flag
 from amulor.imaging.late_light import LateFit, dispersion
-from amulor.imaging.noise import noise_scale
-from amulor.imaging.observation import Observation, channel_of, observe
+from amulor.imaging.observation import Observation, channel_of, noise_scale, observe
 from amulor.imaging.ranges import (
     Ranges,
     RangesFit,
@@ -35,32 +34,32 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PathFit:
-    """Statistics of a scan that its optical paths need."""
+    """Scan-wide statistics for the optical paths."""
 
     first: ambiguity.Choices
-    """Choices before late light is removed."""
+    """Ambiguity statistics before late light is removed."""
     weight: Floats
-    """Weight of each frequency, 1 in all [1]."""
+    """Weight of each frequency, sum 1 [1]."""
     late: LateFit
-    """Late light that the first paths show."""
+    """Late light estimated from the first paths."""
     second: ambiguity.Choices | None = None
-    """Choices after that; None where no late light is removed."""
+    """Ambiguity statistics after that; None if no late light is removed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RangeImageFit:
-    """Statistics of a scan that its range image needs."""
+    """Scan-wide statistics for a range image."""
 
     ranges: RangesFit
-    """Weights of the frequencies, terms of the error."""
+    """Frequency weights and error terms."""
     late: LateFit
     """Late light in the final ranges."""
     path: PathFit | None = None
     """Optical paths; None after a joint estimation."""
     noise_scale: float = 1.0
-    """Factor of the stated noise that the scatter of the phases shows [1]."""
+    """Ratio of the phase scatter to the stated noise [1]."""
     rescaled: PathFit | None = None
-    """Optical paths with the noise enlarged."""
+    """Optical paths with enlarged noise."""
 
 
 def range_image(
@@ -69,7 +68,7 @@ def range_image(
     polarization: str | None = None,
     interval: tuple[float, float] | None = None,
 ) -> xr.Dataset:
-    """Turn the phase of the target signal into a slant range for every pixel.
+    """Slant range and uncertainty of every pixel from the phase of the target signal.
 
     Parameters
     ----------
@@ -136,42 +135,46 @@ def fitted_range_image(
     fit: RangeImageFit | None = None,
     span: Span | None = None,
 ) -> tuple[xr.Dataset, RangeImageFit]:
-    """Range image and the statistics used: `fit`, or by default those of the cube."""
+    """Range image, and its statistics: `fit`, or by default those of the cube."""
     cube = cubes.checked(cube, "target_signal")
     joint = "joint_slant_range" in cube
     if joint and polarization is None:
         polarization = cube.amulor.polarizations[0]
     most = JOINT_OUTLIERS if joint else ambiguity.BREAKDOWN
-    seen = observe(channel_of(cube, polarization), most_outliers=most, span=span)
+    observation = observe(channel_of(cube, polarization), most_outliers=most, span=span)
     of_ranges = None if fit is None else fit.ranges
     of_path = None if fit is None else fit.path
     rescaled = None if fit is None else fit.rescaled
     factor = 1.0 if fit is None else fit.noise_scale
     if joint:
-        ranges, of_ranges = ranges_of_joint(seen, interval=interval, fit=of_ranges)
+        ranges, of_ranges = ranges_of_joint(
+            observation, interval=interval, fit=of_ranges
+        )
     else:
         tell("ranges and their intervals", 0.0)
-        path, of_path = _settled_path(seen, interval, fit=of_path)
+        path, of_path = _settled_path(observation, interval, fit=of_path)
         if fit is None:
             factor = noise_scale(
                 path,
-                seen.own_sigma,
-                path_per_phase=seen.path_per_phase,
-                refit=lambda factor: _settled_path(seen.with_noise(factor), interval)[
-                    0
-                ],
+                observation.own_sigma,
+                path_per_phase=observation.path_per_phase,
+                refit=lambda factor: _settled_path(
+                    observation.with_noise(factor), interval
+                )[0],
             )
         if factor > 1:
             tell("ranges with the noise that shows", 0.3)
-            seen = seen.with_noise(factor)
-            path, rescaled = _settled_path(seen, interval, fit=rescaled)
-        ranges, of_ranges = ranges_of_path(seen, path, fit=of_ranges)
+            observation = observation.with_noise(factor)
+            path, rescaled = _settled_path(observation, interval, fit=rescaled)
+        ranges, of_ranges = ranges_of_path(observation, path, fit=of_ranges)
     tell("error budget", 0.6)
     late = None if fit is None else fit.late
-    image, late = _image(seen, ranges, interval=interval, fit=late)
+    image, late = _image(observation, ranges, interval=interval, fit=late)
     reason = ""
     if interval is None:
-        reason = unsettled_interval(seen.survey, modulation_frequency=seen.frequency)
+        reason = unsettled_interval(
+            observation.survey, modulation_frequency=observation.frequency
+        )
     if reason:
         image = with_flag(image, QualityFlag.RELATIVE, True)
         image = cubes.without_unknown_errors(image)
@@ -190,27 +193,29 @@ def fitted_range_image(
 
 
 def _settled_path(
-    seen: Observation,
+    observation: Observation,
     interval: tuple[float, float] | None,
     *,
     fit: PathFit | None = None,
 ) -> tuple[ambiguity.Path, PathFit]:
-    """Optical path that fits the phases of a channel best, and the statistics used."""
-    usable, phase = seen.usable, seen.phase
+    """Best-fitting optical path of a channel's phases, and the statistics used."""
+    usable, phase = observation.usable, observation.phase
     if fit is None:
-        weight = weight_of(seen.frequency, seen.sigma, usable)
+        weight = weight_of(observation.frequency, observation.sigma, usable)
     else:
         weight = fit.weight
-    shortest, longest = seen.geometry.path_limits(interval, seen.frequency)
-    doubt = np.nan_to_num(np.abs(seen.shift), nan=np.inf)
+    shortest, longest = observation.geometry.path_limits(
+        interval, observation.frequency
+    )
+    doubt = np.nan_to_num(np.abs(observation.shift), nan=np.inf)
 
     def path_of(
         phase: Floats, doubt: Floats, choices: ambiguity.Choices | None
     ) -> tuple[ambiguity.Path, ambiguity.Choices]:
         arguments: dict[str, Any] = {
             "phase": phase,
-            "uncertainty": seen.sigma,
-            "modulation_frequency": seen.frequency,
+            "uncertainty": observation.sigma,
+            "modulation_frequency": observation.frequency,
             "shortest": shortest,
             "longest": longest,
             "doubt": doubt,
@@ -221,8 +226,8 @@ def _settled_path(
 
     path, first = path_of(phase, doubt, None if fit is None else fit.first)
     late, late_fit = dispersion(
-        seen,
-        np.where(usable, seen.geometry.slant_range(path.length), np.nan),
+        observation,
+        np.where(usable, observation.geometry.slant_range(path.length), np.nan),
         weight=weight,
         fit=None if fit is None else fit.late,
     )
@@ -234,55 +239,60 @@ def _settled_path(
 
 
 def image_of_path(
-    seen: Observation, path: ambiguity.Path, *, interval: tuple[float, float] | None
+    observation: Observation,
+    path: ambiguity.Path,
+    *,
+    interval: tuple[float, float] | None,
 ) -> xr.Dataset:
-    """Return the range image that belongs to optical paths."""
-    return _image(seen, ranges_of_path(seen, path)[0], interval=interval)[0]
+    """Range image of optical paths."""
+    return _image(observation, ranges_of_path(observation, path)[0], interval=interval)[
+        0
+    ]
 
 
 def _image(
-    seen: Observation,
+    observation: Observation,
     ranges: Ranges,
     *,
     interval: tuple[float, float] | None,
     fit: LateFit | None = None,
 ) -> tuple[xr.Dataset, LateFit]:
     """Range image of a channel with its error budget, and the statistics used."""
-    ranges, said, fit = budget.completed(seen, ranges, fit=fit)
-    one, usable = seen.channel, ranges.usable
+    ranges, attributes, fit = budget.completed(observation, ranges, fit=fit)
+    channel, usable = observation.channel, ranges.usable
     variables: dict[str, NDArray[Any]] = {
         "slant_range": ranges.slant_range,
         **budget.uncertainties(ranges),
         **ranges.others,
     }
-    if "photon_noise_volt" in one.attrs:
-        variables["slant_range_photon_limit"] = _photon_limit(seen)
+    if "photon_noise_volt" in channel.attrs:
+        variables["slant_range_photon_limit"] = _photon_limit(observation)
     variables = {
         name: np.where(usable, values, np.nan) for name, values in variables.items()
     }
-    intensity = np.abs(seen.signal[0])
+    intensity = np.abs(observation.signal[0])
     image = cubes.build(
         "range_image",
         variables
         | {"intensity": intensity, "quality_flag": ranges.flag}
-        | _tests_of(one)
+        | _tests_of(channel)
         | ranges.tests,
         {
-            str(name): one[name].values
-            for name in one.coords
+            str(name): channel[name].values
+            for name in channel.coords
             if name not in ("geometry", "modulation_frequency", "polarization")
         },
-        geometry=one.amulor.geometry,
+        geometry=channel.amulor.geometry,
         attributes={
-            **one.attrs,
+            **channel.attrs,
             "level": "range_image",
-            "polarization": str(one["polarization"].item()),
-            "modulation_frequencies": seen.frequency,
+            "polarization": str(channel["polarization"].item()),
+            "modulation_frequencies": observation.frequency,
             **({} if interval is None else {"interval": np.array(interval)}),
-            **said,
+            **attributes,
         },
     )
-    truth = one.amulor.truth
+    truth = channel.amulor.truth
     if truth is not None:
         pixel_truth = truth[[n for n in truth if truth[n].dims == ("row", "column")]]
         image = cubes.attach(image, pixel_truth, "truth")
@@ -297,30 +307,32 @@ _OF_FREQUENCIES = {
 }
 
 
-def _tests_of(one: xr.Dataset) -> dict[str, NDArray[Any]]:
-    """Return what is known of the tests behind the flags of a channel's pixels."""
-    tests = {name: one[name].values for name in PIXEL_TESTS if name in one}
+def _tests_of(channel: xr.Dataset) -> dict[str, NDArray[Any]]:
+    """Test statistics behind the flags of a channel's pixels."""
+    tests = {name: channel[name].values for name in PIXEL_TESTS if name in channel}
     for name, reduce in _OF_FREQUENCIES.items():
-        if name in one:
-            tests[name] = reduce(one[name].values, axis=0)
-    if "water_residual_cause" in one:
-        cause = one["water_residual_cause"].values
+        if name in channel:
+            tests[name] = reduce(channel[name].values, axis=0)
+    if "water_residual_cause" in channel:
+        cause = channel["water_residual_cause"].values
         tests["water_residual_cause"] = np.bitwise_or.reduce(cause, axis=0)
     return tests
 
 
-def _photon_limit(seen: Observation) -> Floats:
-    """Return (2) for the photons of the target alone, all frequencies together [m]."""
-    stated = seen.channel.attrs
-    depth = float(stated["modulation_depth"])
-    amplitude = np.abs(seen.signal)
+def _photon_limit(observation: Observation) -> Floats:
+    """Return the range uncertainty (2) by photon noise of the target alone [m]."""
+    attributes = observation.channel.attrs
+    depth = float(attributes["modulation_depth"])
+    amplitude = np.abs(observation.signal)
     # The counting variance of an amplitude A is volt * A / depth = 2 A^2 / depth^2 N.
     with np.errstate(divide="ignore"):
-        photoelectrons = 2 * amplitude / (depth * float(stated["photon_noise_volt"]))
-        each = ranging.photon_limited_uncertainty(
+        photoelectrons = (
+            2 * amplitude / (depth * float(attributes["photon_noise_volt"]))
+        )
+        sigma = ranging.photon_limited_uncertainty(
             np.maximum(photoelectrons, np.finfo(float).tiny),
             modulation_depth=depth,
-            modulation_frequency=seen.frequency[:, None, None],
-            group_index=seen.geometry.medium.group_index,
+            modulation_frequency=observation.frequency[:, None, None],
+            group_index=observation.geometry.medium.group_index,
         )
-    return ranging.weights_and_uncertainty(each)[1]
+    return ranging.weights_and_uncertainty(sigma)[1]

@@ -1,4 +1,4 @@
-"""Slant ranges of one channel before delay, geometry and late light are counted."""
+"""Slant ranges of one channel before corrections for delay, geometry, late light."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _SLACK = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class RangesFit:
-    """Statistics of a scan that its ranges need."""
+    """Scan-wide statistics for slant ranges."""
 
     weight: Floats
-    """Weight of each frequency in the ranges of most pixels, 1 in all [1]."""
+    """Weight of each frequency in the ranges of most pixels, sum 1 [1]."""
     has_rest: bool = False
-    """Whether some error belongs to none of the terms that are stored."""
+    """Whether part of the error belongs to none of the stored terms."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,37 +42,37 @@ class Ranges:
     flag: NDArray[np.int16]
     """Quality flags."""
     weight: Floats
-    """Weight of each frequency, shape (frequencies,), 1 in all [1]."""
+    """Weight of each frequency, shape (frequencies,), sum 1 [1]."""
     total: Floats
     """Combined standard uncertainty of the slant range [m]."""
     terms: dict[str, Floats]
-    """Standard uncertainty of the slant range by its terms [m]."""
+    """Standard uncertainty of the slant range by error term [m]."""
     common: Floats | None
-    """Part of all of these that the pixels share; None if not known [m]."""
+    """Part of these shared by pixels; None if unknown [m]."""
     others: dict[str, Floats] = field(default_factory=dict)
-    """Further variables of the image, not a number where there is no range."""
+    """Additional variables of the image, NaN without a range."""
     tests: dict[str, Floats] = field(default_factory=dict)
     """Statistics behind flags."""
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """Where there is a range."""
+        """Mask of pixels with a range."""
         return np.asarray((self.flag & UNUSABLE) == 0)
 
 
 def ranges_of_path(
-    seen: Observation, path: ambiguity.Path, *, fit: RangesFit | None = None
+    observation: Observation, path: ambiguity.Path, *, fit: RangesFit | None = None
 ) -> tuple[Ranges, RangesFit]:
-    """Ranges that belong to optical paths, their errors, and the statistics used."""
-    frequency, channel = seen.frequency, seen.channel
-    slant_range, slope = seen.geometry.slant_range_and_slope(path.length)
+    """Ranges of optical paths, their errors, and the statistics used."""
+    frequency, channel = observation.frequency, observation.channel
+    slant_range, slope = observation.geometry.slant_range_and_slope(path.length)
     settled = path.settled & np.isfinite(slant_range) & np.isfinite(slope)
-    flag = _with_unsettled(seen, settled)
+    flag = _with_unsettled(observation, settled)
     usable = (flag & UNUSABLE) == 0
-    per_phase = path.weight * seen.path_per_phase
+    per_phase = path.weight * observation.path_per_phase
     variance = path.uncertainty**2
     together = None
-    shared = seen.shared_sigma(usable)
+    shared = observation.shared_sigma(usable)
     if shared is not None:
         # Errors that pixels share may be shared by the frequencies as well: a wrong
         # depolarization ratio is. Added as such, they make an upper limit. References
@@ -83,23 +83,25 @@ def ranges_of_path(
             together = np.sum(per_phase * shared, axis=0) ** 2
         variance = variance - apart + together
     total = slope * np.sqrt(variance)
-    others = {}
+    further = {}
     if "residual_in_phase" in channel:
-        others["slant_range_bias"] = slope * np.sum(per_phase * seen.shift, axis=0)
+        further["slant_range_bias"] = slope * np.sum(
+            per_phase * observation.shift, axis=0
+        )
     tests = {}
     if frequency.size > 1:
-        others["slant_range_wrong_interval"] = path.wrong
+        further["slant_range_wrong_interval"] = path.wrong
         tests = _tests_of(flag, path)
-    terms, rest = _terms(
+    terms, unassigned = _terms(
         channel, per_phase, total, None if together is None else slope**2 * together
     )
     if fit is None:
         fit = RangesFit(
-            weight=weight_of(frequency, seen.sigma, usable),
-            has_rest=rest is not None and bool(np.any(rest > 0)),
+            weight=weight_of(frequency, observation.sigma, usable),
+            has_rest=unassigned is not None and bool(np.any(unassigned > 0)),
         )
-    if rest is not None and fit.has_rest:
-        terms["signal"] = np.sqrt(rest)
+    if unassigned is not None and fit.has_rest:
+        terms["signal"] = np.sqrt(unassigned)
     ranges = Ranges(
         slant_range=slant_range,
         path=path.length,
@@ -109,21 +111,21 @@ def ranges_of_path(
         total=total,
         terms=terms,
         common=None if together is None else slope * np.sqrt(together),
-        others=others,
+        others=further,
         tests=tests,
     )
     return ranges, fit
 
 
 def ranges_of_joint(
-    seen: Observation,
+    observation: Observation,
     *,
     interval: tuple[float, float] | None,
     fit: RangesFit | None = None,
 ) -> tuple[Ranges, RangesFit]:
-    """Ranges that the joint estimation found, and the statistics used."""
-    found = {
-        name: seen.channel[f"joint_{name}"].values
+    """Ranges of a joint estimation, and the statistics used."""
+    estimate = {
+        name: observation.channel[f"joint_{name}"].values
         for name in (
             "slant_range",
             "slant_range_uncertainty",
@@ -132,24 +134,26 @@ def ranges_of_joint(
             "wrong_interval_probability",
         )
     }
-    distance, total = found["slant_range"], found["slant_range_uncertainty"]
-    common = found["slant_range_common_uncertainty"]
+    distance, total = estimate["slant_range"], estimate["slant_range_uncertainty"]
+    common = estimate["slant_range_common_uncertainty"]
     settled = np.isfinite(distance) & np.isfinite(total)
     if interval is not None:
         with np.errstate(invalid="ignore"):
             settled &= distance >= interval[0] - _SLACK * total
             settled &= distance <= interval[1] + _SLACK * total
-    flag = _with_unsettled(seen, settled)
-    geometry = seen.geometry
+    flag = _with_unsettled(observation, settled)
+    geometry = observation.geometry
     path = geometry.optical_path(
         np.where(np.isfinite(distance), distance, geometry.beam.length_before + 1.0)
     )
     _, slope = geometry.slant_range_and_slope(path)
     with np.errstate(invalid="ignore"):
-        own = np.sqrt(np.maximum(total**2 - common**2, 0.0))
+        noise = np.sqrt(np.maximum(total**2 - common**2, 0.0))
     if fit is None:
         usable = (flag & UNUSABLE) == 0
-        fit = RangesFit(weight=weight_of(seen.frequency, seen.sigma, usable))
+        fit = RangesFit(
+            weight=weight_of(observation.frequency, observation.sigma, usable)
+        )
     ranges = Ranges(
         slant_range=distance,
         path=path,
@@ -157,16 +161,16 @@ def ranges_of_joint(
         flag=flag,
         weight=fit.weight,
         total=total,
-        terms={"signal": own, "water_model": common},
+        terms={"signal": noise, "water_model": common},
         common=common,
         others={
-            "slant_range_wrong_interval": found["wrong_interval_probability"],
-            "slant_range_bound": found["slant_range_bound"],
+            "slant_range_wrong_interval": estimate["wrong_interval_probability"],
+            "slant_range_bound": estimate["slant_range_bound"],
         },
         tests={
             "ambiguous_interval_probability": np.where(
                 (flag & QualityFlag.AMBIGUOUS) != 0,
-                found["wrong_interval_probability"],
+                estimate["wrong_interval_probability"],
                 np.nan,
             )
         },
@@ -174,15 +178,17 @@ def ranges_of_joint(
     return ranges, fit
 
 
-def _with_unsettled(seen: Observation, settled: NDArray[np.bool_]) -> NDArray[np.int16]:
-    """Add `AMBIGUOUS` to the flags of usable pixels that are not settled."""
-    flag = seen.flag.copy()
-    flag[seen.usable & ~settled] |= QualityFlag.AMBIGUOUS
+def _with_unsettled(
+    observation: Observation, settled: NDArray[np.bool_]
+) -> NDArray[np.int16]:
+    """Add `AMBIGUOUS` to the flags of usable pixels without a unique range."""
+    flag = observation.flag.copy()
+    flag[observation.usable & ~settled] |= QualityFlag.AMBIGUOUS
     return flag
 
 
 def _tests_of(flag: NDArray[np.int16], path: ambiguity.Path) -> dict[str, Floats]:
-    """Return what speaks against the interval of ambiguous pixels."""
+    """Test statistics against the interval of ambiguous pixels."""
     from scipy.special import chdtrc
 
     ambiguous = (flag & QualityFlag.AMBIGUOUS) != 0
@@ -197,7 +203,7 @@ def _tests_of(flag: NDArray[np.int16], path: ambiguity.Path) -> dict[str, Floats
 
 
 def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Floats:
-    """Return how much each frequency counts in the ranges of most pixels."""
+    """Weight of each frequency in the ranges of most pixels."""
     if not usable.any():
         return np.full(frequency.size, 1 / frequency.size)
     error = np.maximum(np.median(sigma[:, usable], axis=1), 1e-9)
@@ -208,30 +214,30 @@ def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Fl
 def _terms(
     channel: xr.Dataset, per_phase: Floats, total: Floats, together: Floats | None
 ) -> tuple[dict[str, Floats], Floats | None]:
-    """Return the terms of a known total, in the proportion of their squares.
+    """Error terms scaled to a known total, in proportion to their squares.
 
     Terms that pixels and perhaps frequencies share divide what is `together`. Variance
     that no term explains comes second [m^2]; None where no term is stored.
     """
-    own: dict[str, Floats] = {}
+    variances: dict[str, Floats] = {}
     for name in SIGNAL_TERMS:
         if f"{PHASE_PREFIX}{name}" in channel:
             phase = channel[f"{PHASE_PREFIX}{name}"].values
-            own[name] = np.sum((per_phase * phase) ** 2, axis=0)
-    if not own:
+            variances[name] = np.sum((per_phase * phase) ** 2, axis=0)
+    if not variances:
         return {"signal": total}, None
-    groups = [list(own)]
+    groups = [list(variances)]
     amounts = [total**2]
     if together is not None:
-        shared = [name for name in own if name in SHARED_TERMS]
-        groups = [[name for name in own if name not in shared], shared]
+        shared = [name for name in variances if name in SHARED_TERMS]
+        groups = [[name for name in variances if name not in shared], shared]
         amounts = [np.maximum(total**2 - together, 0.0), together]
     terms: dict[str, Floats] = {}
-    rest = np.zeros(total.shape)
+    unassigned = np.zeros(total.shape)
     for names, amount in zip(groups, amounts, strict=True):
-        whole = np.sum([own[name] for name in names], axis=0, initial=0.0)
+        group_sum = np.sum([variances[name] for name in names], axis=0, initial=0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            scale = np.where(whole > 0, amount / whole, 0.0)
-        rest += np.where(whole > 0, 0.0, amount)
-        terms |= {name: np.sqrt(own[name] * scale) for name in names}
-    return {name: terms[name] for name in own}, rest
+            scale = np.where(group_sum > 0, amount / group_sum, 0.0)
+        unassigned += np.where(group_sum > 0, 0.0, amount)
+        terms |= {name: np.sqrt(variances[name] * scale) for name in names}
+    return {name: terms[name] for name in variances}, unassigned

@@ -1,4 +1,4 @@
-"""Range images of one ambiguous frequency, unwrapped from pixel to pixel."""
+"""Range images from one ambiguous frequency, unwrapped between neighboring pixels."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def unwrapped_range_image(
     polarization: str | None = None,
     modulation_frequency: float | None = None,
 ) -> xr.Dataset:
-    """Turn the phase at one frequency into slant ranges, by continuity of surfaces.
+    """Unwrap the phase at one frequency into slant ranges along continuous surfaces.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def unwrapped_range_image(
     Notes
     -----
     A fallback: several frequencies settle the interval pixel by pixel, without any
-    assumption about the scene (`range_image`). Here neighbours are taken to differ by
+    assumption about the scene (`range_image`). Here neighbors are taken to differ by
     less than half an ambiguity interval, by the reliability-ordered unwrapping of
     scikit-image (M. A. Herraez et al., Appl. Opt. 41, 7437 (2002)); a step of the scene
     that is higher comes out too low by whole intervals, which nothing can show. Parts
@@ -77,13 +77,15 @@ def unwrapped_range_image(
     1.43 m
     """
     cube = cubes.checked(cube, "target_signal")
-    one = channel_of(cube, polarization)
-    one = one.isel(modulation_frequency=[_frequency(one, modulation_frequency)])
-    seen = observe(one)
-    usable, sigma, phase = seen.usable, seen.sigma, seen.phase[0]
-    wavelength = float(speed_of_light / seen.frequency[0])
+    channel = channel_of(cube, polarization)
+    channel = channel.isel(
+        modulation_frequency=[_frequency(channel, modulation_frequency)]
+    )
+    observation = observe(channel)
+    usable, sigma, phase = observation.usable, observation.sigma, observation.phase[0]
+    wavelength = float(speed_of_light / observation.frequency[0])
     shortest, longest = np.broadcast_arrays(
-        *seen.geometry.path_limits(interval, seen.frequency)
+        *observation.geometry.path_limits(interval, observation.frequency)
     )
     length = np.zeros(phase.shape)
     settled = np.zeros(phase.shape, dtype=bool)
@@ -114,7 +116,7 @@ def unwrapped_range_image(
         strain=np.zeros(phase.shape),
         left_out=np.zeros((1, *phase.shape), dtype=bool),
     )
-    image = image_of_path(seen, chosen, interval=interval)
+    image = image_of_path(observation, chosen, interval=interval)
     return cubes.note(
         image, f"image, channel {image.attrs['polarization']}, unwrapped in space"
     )
@@ -124,19 +126,19 @@ def unwrapped_range_image(
 _SLACK = 4.0
 
 
-def _frequency(one: xr.Dataset, wanted: float | None) -> int:
-    there = one["modulation_frequency"].values
-    if wanted is None:
-        seen = observe(one)
-        if not seen.usable.any():
+def _frequency(channel: xr.Dataset, chosen: float | None) -> int:
+    available = channel["modulation_frequency"].values
+    if chosen is None:
+        observation = observe(channel)
+        if not observation.usable.any():
             return 0
-        error = np.median(seen.sigma[:, seen.usable], axis=1)
-        return int(np.argmin(error / there))
-    which = np.flatnonzero(np.isclose(there, wanted, rtol=1e-9))
+        error = np.median(observation.sigma[:, observation.usable], axis=1)
+        return int(np.argmin(error / available))
+    which = np.flatnonzero(np.isclose(available, chosen, rtol=1e-9))
     if len(which) == 0:
-        listed = ", ".join(f"{value / 1e6:g}" for value in there)
+        listed = ", ".join(f"{value / 1e6:g}" for value in available)
         raise CubeError(
-            f"the cube has no target signal at {wanted / 1e6:g} MHz, but at {listed} "
+            f"the cube has no target signal at {chosen / 1e6:g} MHz, but at {listed} "
             "MHz; choose one of these"
         )
     return int(which[0])
@@ -145,7 +147,7 @@ def _frequency(one: xr.Dataset, wanted: float | None) -> int:
 def _surfaces(
     usable: NDArray[np.bool_],
 ) -> list[tuple[tuple[slice, slice], NDArray[np.bool_]]]:
-    """Return the connected parts of the usable pixels: box, and pixels in it."""
+    """Return the connected parts of the usable pixels: bounding box and mask."""
     from scipy import ndimage
 
     label, _ = ndimage.label(usable)
@@ -154,7 +156,7 @@ def _surfaces(
 
 
 def _unwrapped(phase: Floats, surface: NDArray[np.bool_]) -> Floats:
-    """Return the phase, continuous over one connected surface [rad]."""
+    """Continuous phase of one connected surface [rad]."""
     try:
         from skimage.restoration import unwrap_phase
     except ImportError:

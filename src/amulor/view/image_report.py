@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor._progress import tell
 from amulor.imaging.measure import Check, compared
-from amulor.imaging.thinning import Whole
+from amulor.imaging.selection import Whole
 from amulor.view import figures
 from amulor.view.accuracy import (
     accuracy_statement,
@@ -54,7 +54,7 @@ def write(
         Known lengths, measured in each of the images.
     wholes : mapping of str to Whole, optional
         What is known of all pixels of images that are thinned
-        (`amulor.imaging.thinning.thinned`), check distances among it.
+        (`amulor.imaging.selection.thinned`), check distances among it.
     overwrite : bool
         Whether a file that is there may be replaced.
 

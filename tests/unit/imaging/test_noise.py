@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amulor.imaging.noise import noise_scale
+from amulor.imaging.observation import noise_scale
 from amulor.optics.ambiguity import Path, optical_path
 
 FREQUENCY = 5e6 + 9.4e6 * np.arange(16)

@@ -14,7 +14,7 @@ from amulor import io
 from amulor.cli import main
 from amulor.cube import QualityFlag, tiles
 from amulor.errors import CubeError
-from amulor.imaging import thinning
+from amulor.imaging import selection
 from amulor.imaging.measure import Check, compared
 
 CHECKS = (
@@ -47,10 +47,10 @@ def image() -> xr.Dataset:
 def test_what_is_shown_is_some_of_the_rows_and_columns(
     image: xr.Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(thinning, "LARGEST", 31 * 41 - 1)
-    monkeypatch.setattr(thinning, "SHOWN", 150)
+    monkeypatch.setattr(selection, "LARGEST", 31 * 41 - 1)
+    monkeypatch.setattr(selection, "SHOWN", 150)
     found = {
-        rows: thinning.thinned(tiles.InMemory(image), rows=rows, checks=CHECKS)
+        rows: selection.thinned(tiles.InMemory(image), rows=rows, checks=CHECKS)
         for rows in (1, 4, 31)
     }
     # sqrt(31 * 41 / 150) = 2.9: every third row and column, from the second one on.
@@ -72,11 +72,11 @@ def test_what_is_shown_is_some_of_the_rows_and_columns(
             assert dataclasses.asdict(checked) == dataclasses.asdict(alone)
     outside = Check(name="outside", first=(1, 2), second=(31, 3), expected=1.0)
     with pytest.raises(CubeError, match=r"\(31, 3\) is outside of the image"):
-        thinning.thinned(tiles.InMemory(image), checks=[outside])
+        selection.thinned(tiles.InMemory(image), checks=[outside])
 
 
 def test_an_image_that_can_be_drawn_is_left_as_it_is(image: xr.Dataset) -> None:
-    shown, whole = thinning.thinned(tiles.InMemory(image), rows=7)
+    shown, whole = selection.thinned(tiles.InMemory(image), rows=7)
     xr.testing.assert_identical(shown, image)
     assert whole.step == 1
 
@@ -97,8 +97,8 @@ def test_a_report_by_rows_says_what_it_shows(
 
     whole = report()
     assert report("--tile-rows", "4") == whole
-    monkeypatch.setattr(thinning, "LARGEST", 1000)
-    monkeypatch.setattr(thinning, "SHOWN", 150)
+    monkeypatch.setattr(selection, "LARGEST", 1000)
+    monkeypatch.setattr(selection, "SHOWN", 150)
     thin = report()
     assert thin == report("--tile-rows", "1")
     said = "image has 41 x 31 pixels: one row and column of every 3 is drawn"

@@ -1,4 +1,4 @@
-"""Lengths, angles, areas and shapes measured in range images, with their errors."""
+"""Lengths, angles, areas and fitted shapes in range images, with uncertainty."""
 
 from amulor.imaging.measure.figures import (
     Check,
@@ -36,5 +36,5 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """List the public names, not the modules that they come from."""
+    """List the public names without the modules that define them."""
     return sorted(__all__)

@@ -29,25 +29,25 @@ _STRAIGHT = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """A number read from a range image."""
+    """Quantity measured in a range image."""
 
     value: float
-    """In its unit."""
+    """Value in its unit."""
     uncertainty: float
-    """Standard uncertainty, the errors that pixels share included; not a number where
-    the error of the ranges is not known."""
+    """Standard uncertainty with shared errors; NaN if the error of the ranges is not
+    known."""
     random: float
-    """Part of it that is each pixel's own noise."""
+    """Part of it from noise of single pixels."""
     unit: str
     """m, m2 or rad."""
     pixels: int
-    """How many pixels it was read from [1]."""
+    """Number of pixels used [1]."""
 
 
 def distance(
     image: xr.Dataset, first: Pixel, second: Pixel, *, reach: int = 0
 ) -> Measurement:
-    r"""Return the straight distance of two points.
+    r"""Straight distance of two points.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def height(
     axis: ArrayLike = (0.0, -1.0, 0.0),
     reach: int = 0,
 ) -> Measurement:
-    """Return how far one point lies beyond another along an axis.
+    """Distance of a point beyond another along an axis.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def height(
 def angle(
     image: xr.Dataset, first: Pixel, corner: Pixel, second: Pixel, *, reach: int = 0
 ) -> Measurement:
-    """Return the angle between the directions from one point to two others.
+    """Angle at a point between the directions to two others.
 
     Parameters
     ----------
@@ -198,24 +198,24 @@ def angle(
     """
     picked, weight = _picked(image, [first, corner, second], reach)
     place = weight @ picked.position
-    one, other = place[0] - place[1], place[2] - place[1]
-    lengths = float(np.linalg.norm(one)), float(np.linalg.norm(other))
+    arm_a, arm_b = place[0] - place[1], place[2] - place[1]
+    lengths = float(np.linalg.norm(arm_a)), float(np.linalg.norm(arm_b))
     if min(lengths) == 0:
         raise CubeError("two of the points are the same; pick three that are apart")
-    one, other = one / lengths[0], other / lengths[1]
-    sine = float(np.linalg.norm(np.cross(one, other)))
-    cosine = float(one @ other)
+    arm_a, arm_b = arm_a / lengths[0], arm_b / lengths[1]
+    sine = float(np.linalg.norm(np.cross(arm_a, arm_b)))
+    cosine = float(arm_a @ arm_b)
     if sine < _STRAIGHT:
         raise CubeError("the three points lie on a line; pick a corner off it")
-    to_first = (cosine * one - other) / (sine * lengths[0])
-    to_second = (cosine * other - one) / (sine * lengths[1])
+    to_first = (cosine * arm_a - arm_b) / (sine * lengths[0])
+    to_second = (cosine * arm_b - arm_a) / (sine * lengths[1])
     gradient = np.stack([to_first, -to_first - to_second, to_second])
     value = float(np.arctan2(sine, cosine))
     return _measured(picked, weight, value, gradient, unit="rad")
 
 
 def area(image: xr.Dataset, corners: Sequence[Pixel], *, reach: int = 0) -> Measurement:
-    r"""Return the area of a polygon.
+    r"""Area of a polygon.
 
     Parameters
     ----------
@@ -272,14 +272,14 @@ def area(image: xr.Dataset, corners: Sequence[Pixel], *, reach: int = 0) -> Meas
 def _picked(
     image: xr.Dataset, pixels: Sequence[Pixel], reach: int
 ) -> tuple[Points, Floats]:
-    """Return all pixels that count, and the weight of each in each point."""
+    """Pixels used, and their weight in each point."""
     if reach < 0:
         raise ValueError(f"reach must be at least 0 pixels, got {reach}")
     usable = np.isfinite(image["slant_range"].values)
     rows, columns, owners = [], [], []
     for owner, (row, column) in enumerate(pixels):
         around = [(row, column)]
-        if reach and usable[_one(image, row, column)]:
+        if reach and usable[_single_pixel(image, row, column)]:
             wide = reach + STEP_MARGIN
             top, left = max(row - wide, 0), max(column - wide, 0)
             near = image.isel(
@@ -298,8 +298,8 @@ def _picked(
     return points_of(image, rows, columns), weight
 
 
-def _one(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
-    """Return a pixel, if the image has it."""
+def _single_pixel(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
+    """Single pixel, if the image has it."""
     shape = image["slant_range"].shape
     if not (0 <= row < shape[0] and 0 <= column < shape[1]):
         raise CubeError(
@@ -312,7 +312,7 @@ def _one(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
 def _measured(
     picked: Points, weight: Floats, value: float, gradient: Floats, *, unit: str
 ) -> Measurement:
-    """Return a number with the error that follows from its gradient at the points."""
+    """Measurement with the uncertainty propagated from its gradient at the points."""
     along = np.einsum("kx,ix,ki->i", gradient, picked.direction, weight)
     variance = float(along @ picked.covariance @ along)
     # A pixel that two points have in common is one and the same noise.
@@ -338,7 +338,7 @@ _Number = Annotated[int, Field(ge=0)]
 
 
 class Check(Description):
-    """A length between two pixels that is known from elsewhere.
+    """Reference length between two pixels.
 
     Examples
     --------
@@ -349,41 +349,41 @@ class Check(Description):
     """
 
     name: Annotated[str, Field(min_length=1, max_length=100)]
-    """What it is, such as "scale bar A-B"."""
+    """Name, such as "scale bar A-B"."""
     kind: Literal["distance", "relief"] = "distance"
-    """Straight distance, or how far the second stands nearer to the instrument."""
+    """Straight distance, or height of the second point towards the instrument."""
     first: tuple[_Number, _Number]
     """Row and column of one end."""
     second: tuple[_Number, _Number]
     """Row and column of the other."""
     reach: Annotated[int, Field(ge=0, le=20)] = 0
-    """Pixels around each end to every side that are averaged [1]."""
+    """Pixels averaged around each end in every direction [1]."""
     expected: Length
-    """The known length [m]."""
+    """Reference length [m]."""
     expected_uncertainty: Annotated[Length, Field(ge=0)] = 0.0
-    """Its standard uncertainty [m]."""
+    """Standard uncertainty of the reference length [m]."""
     tolerance: Annotated[Length, Field(gt=0)] | None = None
-    """Largest deviation that is allowed; without one, measured and known length have to
-    agree within their expanded uncertainty [m]."""
+    """Largest allowed deviation; by default the lengths have to agree within their
+    expanded uncertainty [m]."""
 
 
 class _Checks(Description):
-    """A file of check distances."""
+    """Content of a file of check distances."""
 
     checks: Annotated[tuple[Check, ...], Field(min_length=1)]
-    """Known lengths."""
+    """Reference lengths."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """A known length beside the measured one."""
+    """Reference length with its measured length."""
 
     check: Check
-    """What was known."""
+    """Reference length."""
     measured: Measurement
-    """What was measured."""
+    """Measured length."""
     deviation: float
-    """Measured less known [m]."""
+    """Measured minus reference length [m]."""
     expanded: float
     """Expanded uncertainty of the deviation, k = 2 [m]."""
     verdict: Verdict
@@ -433,7 +433,7 @@ def read_checks(path: str | Path) -> tuple[Check, ...]:
 
 
 def compared(image: xr.Dataset, check: Check) -> Checked:
-    r"""Measure a known length.
+    r"""Measure a reference length.
 
     Parameters
     ----------
@@ -476,9 +476,9 @@ def compared(image: xr.Dataset, check: Check) -> Checked:
     """
     try:
         if check.kind == "distance":
-            found = distance(image, check.first, check.second, reach=check.reach)
+            measured = distance(image, check.first, check.second, reach=check.reach)
         else:
-            found = height(
+            measured = height(
                 image,
                 check.first,
                 check.second,
@@ -487,12 +487,12 @@ def compared(image: xr.Dataset, check: Check) -> Checked:
             )
     except CubeError as error:
         raise CubeError(f"check {check.name!r}: {error}") from None
-    off = found.value - check.expected
-    combined = (found.uncertainty**2 + check.expected_uncertainty**2) ** 0.5
+    off = measured.value - check.expected
+    combined = (measured.uncertainty**2 + check.expected_uncertainty**2) ** 0.5
     expanded = COVERAGE_FACTOR * combined
     return Checked(
         check=check,
-        measured=found,
+        measured=measured,
         deviation=off,
         expanded=expanded,
         verdict=_verdict(abs(off), expanded, check.tolerance),

@@ -33,23 +33,23 @@ _GRAZING = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """A shape in space."""
+    """Fitted shape in space."""
 
     kind: str
-    """plane, circle, sphere or cylinder."""
+    """Kind: plane, circle, sphere or cylinder."""
     values: dict[str, float]
-    """What it is: lengths [m], parts of unit vectors [1]."""
+    """Parameters: lengths [m], components of unit vectors [1]."""
     uncertainties: dict[str, float]
-    """Standard uncertainty of each, the errors that pixels share included; not a number
-    where the error of the ranges is not known."""
+    """Standard uncertainty of each parameter with shared errors; NaN if the error of
+    the ranges is not known."""
     residual: float
-    """Root mean square of what is left between the points and the shape [m]."""
+    """Root mean square distance of the points from the shape [m]."""
     misfit: float
     """Chi-square per degree of freedom, about 1 if the shape is right. Where it is
     larger than chance makes it, the noise in the uncertainties is enlarged by it
     [1]."""
     pixels: int
-    """How many pixels it was fitted to [1]."""
+    """Number of fitted pixels [1]."""
     doubt: str = ""
     """Reason why the values must not be used, empty if they may: residuals exceed
     their errors, or the pixels do not constrain the radius."""
@@ -98,7 +98,7 @@ def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
     >>> print(f"chi-square per degree of freedom {board.misfit:.0f}: water is left in")
     chi-square per degree of freedom 29: water is left in
     """
-    points = _points(image, region, fewest=4, what="a plane")
+    points = _points(image, region, fewest=4, shape="a plane")
     middle, back, across, slopes = _flat(points)
 
     def normal(values: Floats) -> Floats:
@@ -123,7 +123,7 @@ def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
         }
 
     start = np.append(slopes, 0.0)
-    return _fitted("plane", points, residuals, [start], derived, shown=apart)
+    return _fitted("plane", points, residuals, [start], derived, displayed=apart)
 
 
 def circle(image: xr.Dataset, region: ArrayLike) -> Fit:
@@ -148,7 +148,7 @@ def circle(image: xr.Dataset, region: ArrayLike) -> Fit:
     CubeError
         If there are fewer than four usable pixels, or they lie on a line.
     """
-    points = _points(image, region, fewest=4, what="a circle")
+    points = _points(image, region, fewest=4, shape="a circle")
     middle = points.position.mean(axis=0)
     axes = _principal(points.position - middle)
     axes = axes if axes[2, 2] <= 0 else axes * [[1], [-1], [-1]]
@@ -204,7 +204,7 @@ def sphere(image: xr.Dataset, region: ArrayLike) -> Fit:
     Curvature is fitted instead of radius: that of a flat patch is zero within its
     error, and `doubt` says where the radius is below four standard errors.
     """
-    points = _points(image, region, fewest=5, what="a sphere")
+    points = _points(image, region, fewest=5, shape="a sphere")
     bent = _Bent(points)
 
     def derived(values: Floats) -> dict[str, float]:
@@ -213,7 +213,7 @@ def sphere(image: xr.Dataset, region: ArrayLike) -> Fit:
         return {"radius": float(1 / abs(values[3])), **_named("centre", centre)}
 
     return _fitted(
-        "sphere", points, bent.ranges, [bent.start()], derived, shown=bent.apart
+        "sphere", points, bent.ranges, [bent.start()], derived, displayed=bent.apart
     )
 
 
@@ -257,7 +257,7 @@ def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
     >>> print(board.doubt.partition(",")[0])
     radius not constrained by these pixels
     """
-    points = _points(image, region, fewest=6, what="a cylinder")
+    points = _points(image, region, fewest=6, shape="a cylinder")
     bent = _Bent(points)
     turns = np.arange(_AXES) * np.pi / _AXES
     starts = sorted(
@@ -277,12 +277,12 @@ def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
         }
 
     return _fitted(
-        "cylinder", points, bent.ranges, starts[:_TRIED], derived, shown=bent.apart
+        "cylinder", points, bent.ranges, starts[:_TRIED], derived, displayed=bent.apart
     )
 
 
 class _Bent:
-    """A sphere or cylinder by its normal and curvature where the points are.
+    """Sphere or cylinder, parametrized by its normal and curvature near the points.
 
     Parameters are two slopes and an offset of the tangent plane, the curvature, of a
     cylinder also the turn of its axis in that plane. A flat patch has curvature zero,
@@ -294,22 +294,24 @@ class _Bent:
         self.middle, self.back, self.across, self.slopes = _flat(points)
 
     def placed(self, values: Floats) -> tuple[Floats, Floats]:
-        """Return a point of the surface, and the normal there."""
+        """Point of the surface and the normal there."""
         vector = self.back - values[:2] @ self.across
         normal = vector / np.linalg.norm(vector)
         return self.middle + values[2] * normal, normal
 
     def axis(self, values: Floats, normal: Floats) -> Floats:
-        """Return the axis of a cylinder, a unit vector."""
-        one = self.across[0] - (self.across[0] @ normal) * normal
-        one = one / np.linalg.norm(one)
-        other = np.cross(normal, one)
-        return np.asarray(np.cos(values[4]) * one + np.sin(values[4]) * other)
+        """Return the unit vector along the axis of a cylinder."""
+        reference = self.across[0] - (self.across[0] @ normal) * normal
+        reference = reference / np.linalg.norm(reference)
+        perpendicular = np.cross(normal, reference)
+        return np.asarray(
+            np.cos(values[4]) * reference + np.sin(values[4]) * perpendicular
+        )
 
     def _gradient(
         self, values: Floats, position: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Return positions and normals that the distance and its gradient follow."""
+        """Positions and normals behind the distance and its gradient."""
         at, normal = self.placed(values)
         away = position - at
         if len(values) > 4:
@@ -319,13 +321,13 @@ class _Bent:
         return away, normal, outward
 
     def apart(self, values: Floats, position: Floats) -> Floats:
-        """Return distances from the surface [m]."""
+        """Distances from the surface [m]."""
         away, normal, outward = self._gradient(values, position)
         square = values[3] * (away**2).sum(axis=1) + 2 * away @ normal
         return np.asarray(square / (np.linalg.norm(outward, axis=1) + 1))[None]
 
     def ranges(self, values: Floats, position: Floats) -> Floats:
-        """Return distances along the beams, cut short where these graze the surface.
+        """Distances along the beams, limited where these graze the surface.
 
         On the far side they count more, since no beam gets there: otherwise a surface
         along the beams would explain any noise.
@@ -337,7 +339,7 @@ class _Bent:
         return np.asarray(self.apart(values, position) / cosine)
 
     def start(self, turn: float | None = None) -> Floats:
-        """Return the flat surface through the points, bent by least squares."""
+        """Start values: plane through the points, bent by least squares."""
         slopes = self.slopes
         flat = np.array(
             [slopes[0], slopes[1], 0.0, 0.0, *([] if turn is None else [turn])]
@@ -352,7 +354,7 @@ class _Bent:
 
 
 def _flat(points: Points) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return middle, direction back, two across it, and slopes of the plane there."""
+    """Centroid, normal, two tangents, and slopes of the plane through points."""
     middle = points.position.mean(axis=0)
     back = -points.direction.mean(axis=0)
     back /= np.linalg.norm(back)
@@ -367,19 +369,19 @@ def _flat(points: Points) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def _principal(away: Floats) -> Floats:
-    """Return the principal axes of points, the shortest last, right-handed."""
+    """Principal axes of points, the shortest last, right-handed."""
     axes = np.linalg.svd(away, full_matrices=False)[2]
     return np.asarray(axes * [[1], [1], [np.linalg.det(axes)]])
 
 
 def _round(away: Floats) -> Floats:
-    """Return centre and radius of a circle or sphere, algebraically."""
+    """Center and radius of a circle or sphere by linear least squares."""
     columns = np.concatenate([2 * away, np.ones((len(away), 1))], axis=1)
-    found, _, rank, _ = np.linalg.lstsq(columns, (away**2).sum(axis=1), rcond=1e-10)
+    solution, _, rank, _ = np.linalg.lstsq(columns, (away**2).sum(axis=1), rcond=1e-10)
     if rank < columns.shape[1]:
         raise CubeError("the pixels lie too straight for a round shape; take more")
-    centre = found[:-1]
-    radius = np.sqrt(max(found[-1] + centre @ centre, 0.0))
+    centre = solution[:-1]
+    radius = np.sqrt(max(solution[-1] + centre @ centre, 0.0))
     return np.append(centre, radius)
 
 
@@ -387,8 +389,8 @@ def _named(name: str, vector: Floats) -> dict[str, float]:
     return {f"{name}_{axis}": float(vector[at]) for at, axis in enumerate("xyz")}
 
 
-def _points(image: xr.Dataset, region: ArrayLike, *, fewest: int, what: str) -> Points:
-    """Return the usable pixels of a region, evenly thinned if there are many."""
+def _points(image: xr.Dataset, region: ArrayLike, *, fewest: int, shape: str) -> Points:
+    """Usable pixels of a region, thinned evenly if there are many."""
     mask = np.asarray(region, dtype=bool)
     if mask.shape != image["slant_range"].shape:
         raise CubeError(
@@ -398,12 +400,12 @@ def _points(image: xr.Dataset, region: ArrayLike, *, fewest: int, what: str) -> 
     row, column = np.nonzero(mask & np.isfinite(image["slant_range"].values))
     if len(row) < fewest:
         raise CubeError(
-            f"{what} needs at least {fewest} usable pixels, the region has {len(row)}"
+            f"{shape} needs at least {fewest} usable pixels, the region has {len(row)}"
         )
     step = int(np.ceil(np.sqrt(len(row) / MOST_PIXELS)))
     if step > 1:
-        kept = (row % step == 0) & (column % step == 0)
-        row, column = row[kept], column[kept]
+        chosen = (row % step == 0) & (column % step == 0)
+        row, column = row[chosen], column[chosen]
     return points_of(image, row, column)
 
 
@@ -414,9 +416,9 @@ def _fitted(
     starts: list[Floats],
     derived: Callable[[Floats], dict[str, float]],
     *,
-    shown: _Residuals | None = None,
+    displayed: _Residuals | None = None,
 ) -> Fit:
-    r"""Return the shape that is nearest to points, and its uncertainty.
+    r"""Shape nearest to points, with its uncertainty.
 
     With weights of the noise, :math:`G = (J^T W J)^{-1} J^T W S` takes errors of ranges
     to those of parameters, S being how residuals change with ranges; the covariance is
@@ -427,19 +429,21 @@ def _fitted(
     scale = float(np.median(sigma))
 
     def weighted(values: Floats) -> Floats:
-        left: Floats = residuals(values, points.position) * (scale / sigma)
-        return left.ravel()
+        weighted_residuals: Floats = residuals(values, points.position) * (
+            scale / sigma
+        )
+        return weighted_residuals.ravel()
 
-    found = min(
+    solution = min(
         (least_squares(weighted, start, method="lm", xtol=1e-12) for start in starts),
-        key=lambda one: float(one.cost),
+        key=lambda result: float(result.cost),
     )
-    jacobian = _slope(weighted, found.x)
+    jacobian = _slope(weighted, solution.x)
     normal = jacobian.T @ jacobian
     if np.linalg.cond(normal * np.outer(*[1 / np.sqrt(normal.diagonal())] * 2)) > 1e10:
         raise CubeError(f"the pixels do not settle a {kind}; take a larger part of it")
     inverse = np.linalg.inv(normal)
-    change = _along(residuals, found.x, points) * (scale / sigma)
+    change = _along(residuals, solution.x, points) * (scale / sigma)
     kinds, count = change.shape
     spread = np.zeros((kinds * count, count))
     for at in range(kinds):
@@ -447,26 +451,30 @@ def _fitted(
     gain = inverse @ jacobian.T @ spread
     left_over = spread - jacobian @ gain
     # Where the error of the ranges is not known, the misfit is against their noise.
-    known = np.isfinite(points.covariance).all()
-    scatter = points.covariance if known else np.diag(points.noise)
+    covariance_known = np.isfinite(points.covariance).all()
+    scatter = points.covariance if covariance_known else np.diag(points.noise)
     expected = float(np.einsum("ij,jk,ik->", left_over, scatter, left_over))
-    squares = float(2 * found.cost)
-    freedom = max(kinds * count - len(found.x), 1)
+    squares = float(2 * solution.cost)
+    freedom = max(kinds * count - len(solution.x), 1)
     misfit = squares / expected if expected > 0 else 1.0
     chance = 1 + _SURE * float(np.sqrt(2 / freedom))
     excess = misfit - 1 if misfit > chance else 0.0
     covariance = gain @ (scatter + np.diag(excess * points.noise)) @ gain.T
-    values = derived(found.x)
+    values = derived(solution.x)
     names = list(values)
-    to_values = _slope(lambda at: np.array([*derived(at).values()]), found.x, step=1e-6)
+    to_values = _slope(
+        lambda at: np.array([*derived(at).values()]), solution.x, step=1e-6
+    )
     of_values = np.einsum("ij,jk,ik->i", to_values, covariance, to_values)
     errors = np.sqrt(np.maximum(of_values, 0.0)).tolist()
     scattered: dict[str, float] = dict(zip(names, errors, strict=True))
-    plain = (shown or residuals)(found.x, points.position)
+    plain = (displayed or residuals)(solution.x, points.position)
     return Fit(
         kind=kind,
         values=values,
-        uncertainties=scattered if known else dict.fromkeys(names, float("nan")),
+        uncertainties=scattered
+        if covariance_known
+        else dict.fromkeys(names, float("nan")),
         residual=float(np.sqrt(np.mean((plain**2).sum(axis=0)))),
         misfit=misfit,
         pixels=count,
@@ -481,7 +489,7 @@ def _doubt(
     values: dict[str, float],
     uncertainties: dict[str, float],
 ) -> str:
-    """Return why a fit must not be used, empty if it may."""
+    """Reason why a fit must not be used, empty if it may."""
     # Pixels of a rim are picked by hand: their scatter is in the uncertainty.
     if kind != "circle" and misfit > max(chance, _MISFIT):
         return (
@@ -501,7 +509,7 @@ def _doubt(
 def _slope(
     function: Callable[[Floats], Floats], at: Floats, *, step: float = 1e-6
 ) -> Floats:
-    """Return derivatives by central differences, shape (results, parameters)."""
+    """Return the derivatives by central differences, shape (results, parameters)."""
     columns = []
     for number in range(len(at)):
         shift = np.zeros_like(at)
@@ -512,7 +520,7 @@ def _slope(
 
 
 def _along(residuals: _Residuals, values: Floats, points: Points) -> Floats:
-    """Return how residuals change with the range of their own point."""
+    """Return the derivative of residuals by the range of their point."""
     step = 1e-6
     more = residuals(values, points.position + step * points.direction)
     less = residuals(values, points.position - step * points.direction)

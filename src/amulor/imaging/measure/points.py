@@ -21,20 +21,20 @@ Numbers = NDArray[np.intp]
 
 @dataclass(frozen=True, kw_only=True)
 class Points:
-    """Points in space whose only error is that of their range."""
+    """Points in space with errors along their beams."""
 
     position: Floats
     """Right, down, forward, shape (n, 3) [m]."""
     direction: Floats
-    """Where each moves when its range grows, shape (n, 3) [1]."""
+    """Displacement of each point per unit of range, shape (n, 3) [1]."""
     covariance: Floats
-    """Of the slant ranges, shape (n, n) [m^2]."""
+    """Covariance of the slant ranges, shape (n, n) [m^2]."""
     noise: Floats
-    """Part of its diagonal that no two pixels share, shape (n,) [m^2]."""
+    """Part of its diagonal not shared by pixels, shape (n,) [m^2]."""
 
 
 def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
-    """Return pixels of a range image as points.
+    """Pixels of a range image as points in space.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
             f"pixel ({row[first]}, {column[first]}) holds no range: "
             f"{_reason(image, int(row[first]), int(column[first]))}; pick another"
         )
-    each, place = np.unique(row * shape[1] + column, return_inverse=True)
+    numbers, place = np.unique(row * shape[1] + column, return_inverse=True)
     mask = np.zeros(shape, dtype=bool)
-    mask.flat[each] = True
+    mask.flat[numbers] = True
     matrix = covariance(image, mask)[np.ix_(place, place)]
     beam = geometry_of(_only(image, row, column)).beam
     travelled = ranges - beam.length_before[0]
@@ -94,7 +94,7 @@ def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
 
 
 def _only(image: xr.Dataset, row: Numbers, column: Numbers) -> xr.Dataset:
-    """Return the directions of some pixels as an image of one row."""
+    """Directions of some pixels as an image of one row."""
     names = ("origin_x", "origin_y", "origin_z", "azimuth", "elevation")
     return xr.Dataset(
         coords={
@@ -109,16 +109,16 @@ def _only(image: xr.Dataset, row: Numbers, column: Numbers) -> xr.Dataset:
 
 
 def _reason(image: xr.Dataset, row: int, column: int) -> str:
-    """Say why a pixel has no range."""
+    """Reason in words why a pixel has no range."""
     flag = QualityFlag(int(image["quality_flag"].values[row, column]) & UNUSABLE)
-    names = [str(one.name).lower().replace("_", " ") for one in flag]
+    names = [str(bit.name).lower().replace("_", " ") for bit in flag]
     return ", ".join(names) or "not measured"
 
 
 def reference_basis(
     azimuth: ArrayLike, elevation: ArrayLike, *, degree: int
 ) -> dict[str, Any]:
-    r"""Return the basis in which errors of a polynomial reference correlate.
+    r"""Basis in which errors of a polynomial reference are correlated.
 
     Parameters
     ----------
@@ -159,8 +159,8 @@ def reference_basis(
     powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
     columns = np.stack([(axes[0] ** i * axes[1] ** j).ravel() for i, j in powers], 1)
     _, singular, turned = np.linalg.svd(columns, full_matrices=False)
-    kept = singular > 1e-9 * singular[0]
-    matrix = turned[kept].T / singular[kept]
+    significant = singular > 1e-9 * singular[0]
+    matrix = turned[significant].T / singular[significant]
     return {
         "middle": middle,
         "factor": factor,

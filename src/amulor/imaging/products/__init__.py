@@ -1,4 +1,4 @@
-"""What is made of a range image and handed over: rasters, contours, sections, changes.
+"""Products of a range image: rasters, contours, sections, deviations.
 
 Each carries the standard uncertainty of its numbers and the frame of its coordinates.
 """
@@ -25,5 +25,5 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """List the public names, not the modules that they come from."""
+    """List the public names without the modules that define them."""
     return sorted(__all__)

@@ -1,4 +1,4 @@
-"""Compiled loop that draws triangles into a raster, the nearest one on top."""
+"""Compiled loop that rasterizes triangles, with the nearest on top."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from amulor._compiled import numba
 
 @numba.njit(cache=True)
 def draw(corners: Any, triangles: Any, height: Any, owner: Any, weight: Any) -> None:
-    """Fill height, owner and weight of cells whose middle a triangle covers.
+    """Fill height, owner and weight of the cells whose center a triangle covers.
 
     `corners` are vertices in columns, rows and height; `owner` gets the number of the
     triangle, `weight` the shares of its first two vertices.
@@ -38,13 +38,13 @@ def draw(corners: Any, triangles: Any, height: Any, owner: Any, weight: Any) -> 
                 third = 1.0 - first - second
                 if first < -1e-9 or second < -1e-9 or third < -1e-9:
                     continue
-                found = (
+                candidate = (
                     first * corners[i, 2]
                     + second * corners[j, 2]
                     + third * corners[k, 2]
                 )
-                if not found <= height[row, column]:
-                    height[row, column] = found
+                if not candidate <= height[row, column]:
+                    height[row, column] = candidate
                     owner[row, column] = number
                     weight[row, column, 0] = first
                     weight[row, column, 1] = second

@@ -1,4 +1,4 @@
-"""How far a scan lies off a model or an earlier scan, and where that is significant."""
+"""Deviation of a scan from a model or an earlier scan, with its significance."""
 
 from __future__ import annotations
 
@@ -26,26 +26,25 @@ class Deviation:
 
     value: Floats
     """Distance from the reference along its normal, positive towards the instrument;
-    not a number where the beam meets no reference, shape (n,) [m]."""
+    NaN if the beam misses the reference, shape (n,) [m]."""
     uncertainty: Floats
-    """Combined standard uncertainty, that of an earlier scan included, shape (n,)
-    [m]."""
+    """Combined standard uncertainty, including an earlier scan's, shape (n,) [m]."""
     own: Floats
-    """Part of it that is noise of single pixels [m]."""
+    """Part of it from noise of single pixels [m]."""
     significant: NDArray[np.bool_]
-    """Where the deviation is none of chance, shape (n,)."""
+    """Mask of significant deviations, shape (n,)."""
     surface: Surface
-    """The scan."""
+    """Surface of the scan."""
     mean: float
     """Mean deviation [m]."""
     mean_uncertainty: float
-    """Its standard uncertainty, what the pixels share included [m]."""
+    """Standard uncertainty of the mean, including shared errors [m]."""
     spread: float
     """Root mean square about the mean [m]."""
 
     @property
     def compared(self) -> int:
-        """How many vertices have a deviation [1]."""
+        """Number of vertices with a deviation [1]."""
         return int(np.isfinite(self.value).sum())
 
 
@@ -122,14 +121,14 @@ def deviation(
     facing = np.einsum("ij,ij->i", ahead, normal)
     off = np.einsum("ij,ij->i", corner[:, 0] - start, normal) / facing
     value = off * np.abs(facing)
-    each = (facing * surface.own[hit]) ** 2
+    noise = (facing * surface.own[hit]) ** 2
     common = (facing * surface.shared[hit]) ** 2
     if own is not None or shared is not None:
         place = start + off[:, None] * ahead
         weight = _barycentric(corner, place)
         mine = np.zeros(len(vertices)) if own is None else own
         theirs = np.zeros(len(vertices)) if shared is None else shared
-        each += facing**2 * ((weight * mine[faces[face]]) ** 2).sum(axis=1)
+        noise += facing**2 * ((weight * mine[faces[face]]) ** 2).sum(axis=1)
         common += (facing * (weight * theirs[faces[face]]).sum(axis=1)) ** 2
     for frame in _poses(surface.frame, reference):
         pose = frame.shared_errors(start)
@@ -142,20 +141,20 @@ def deviation(
             "no pixel lies near the reference along its beam; look whether both are in "
             "the same frame (--axes) and unit (--unit), and at --farthest"
         )
-    return _result(surface, hit[near], value[near], each[near], common[near])
+    return _result(surface, hit[near], value[near], noise[near], common[near])
 
 
 def _met(
     surface: Surface, vertices: Floats, faces: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return which vertices' beams meet the reference, and in which triangle."""
+    """Mask of vertices whose beam hits the reference, and the triangle."""
     caster = RayCaster(vertices[faces])
     place, ahead = surface.position, surface.direction
     # Of surfaces before and behind the measured point the one that is next to it.
     met = np.full(len(place), -1)
     nearest = np.full(len(place), np.inf)
-    for way in (ahead, -ahead):
-        triangle = caster.first(place - caster.gap * way, way)
+    for direction in (ahead, -ahead):
+        triangle = caster.first(place - caster.gap * direction, direction)
         ray = np.flatnonzero(triangle >= 0)
         corner = vertices[faces[triangle[ray]]]
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -171,26 +170,26 @@ def _met(
 
 
 def _poses(frame: Frame, reference: Frame | None) -> tuple[Frame, ...]:
-    """Return the frames whose poses' errors stand between a scan and its reference."""
+    """Frames whose pose errors enter the comparison of a scan and its reference."""
     if reference is None:
         return (frame,)
     return () if reference.pose == frame.pose else (frame, reference)
 
 
 def _before(surface: Surface) -> Floats:
-    """Return how far before its point a beam starts: at the instrument [m]."""
+    """Distance of a beam's start, at the instrument, from its point [m]."""
     away = surface.position - surface.frame.position
     return np.asarray(np.linalg.norm(away, axis=1))
 
 
 def _barycentric(corner: Floats, place: Floats) -> Floats:
-    """Return the shares of the three corners at points of triangles."""
-    one, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    """Barycentric coordinates of points in triangles."""
+    edge_a, edge_b = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     off = place - corner[:, 0]
-    a = np.einsum("ij,ij->i", one, one)
-    b = np.einsum("ij,ij->i", one, other)
-    c = np.einsum("ij,ij->i", other, other)
-    x, y = np.einsum("ij,ij->i", off, one), np.einsum("ij,ij->i", off, other)
+    a = np.einsum("ij,ij->i", edge_a, edge_a)
+    b = np.einsum("ij,ij->i", edge_a, edge_b)
+    c = np.einsum("ij,ij->i", edge_b, edge_b)
+    x, y = np.einsum("ij,ij->i", off, edge_a), np.einsum("ij,ij->i", off, edge_b)
     below = a * c - b * b
     second, third = (c * x - b * y) / below, (a * y - b * x) / below
     return np.stack([1 - second - third, second, third], axis=1)
@@ -200,17 +199,17 @@ def _result(
     surface: Surface,
     hit: NDArray[np.intp],
     value: Floats,
-    each: Floats,
+    noise: Floats,
     common: Floats,
 ) -> Deviation:
     count = len(surface.position)
 
     def spread_out(values: Floats) -> Floats:
-        whole = np.full(count, np.nan)
-        whole[hit] = values
-        return whole
+        filled = np.full(count, np.nan)
+        filled[hit] = values
+        return filled
 
-    sigma = np.sqrt(each + common)
+    sigma = np.sqrt(noise + common)
     significant = np.zeros(count, dtype=bool)
     significant[hit] = _significant(value, sigma)
     mean = float(value.mean())
@@ -218,17 +217,17 @@ def _result(
     return Deviation(
         value=spread_out(value),
         uncertainty=spread_out(sigma),
-        own=spread_out(np.sqrt(each)),
+        own=spread_out(np.sqrt(noise)),
         significant=significant,
         surface=surface,
         mean=mean,
-        mean_uncertainty=float(np.hypot(np.sqrt(each.sum()) / len(value), shared)),
+        mean_uncertainty=float(np.hypot(np.sqrt(noise.sum()) / len(value), shared)),
         spread=float(value.std()),
     )
 
 
 def _significant(value: Floats, sigma: Floats) -> NDArray[np.bool_]:
-    """Return which values are not zero, with few false ones among them."""
+    """Mask of nonzero values at a limited false-discovery rate."""
     with np.errstate(divide="ignore", invalid="ignore"):
         chance = 2 * ndtr(-np.abs(value) / sigma)
     chance = np.where(np.isfinite(chance), chance, 1.0)

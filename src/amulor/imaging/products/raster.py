@@ -1,4 +1,4 @@
-"""Orthographic rasters of a surface: heights, their uncertainty, brightness."""
+"""Orthographic rasters of a surface: height, uncertainty, brightness."""
 
 from __future__ import annotations
 
@@ -25,40 +25,40 @@ _AT_ONCE = 2_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Raster:
-    """Cells of equal size over a drawing plane; the first row is the upper one."""
+    """Cells of equal size over a drawing plane, upper row first."""
 
     height: Floats
-    """Towards the viewer from the frame's origin, not a number where there is no
-    surface, shape (rows, columns) [m]."""
+    """Height towards the viewer from the frame's origin, NaN without surface, shape
+    (rows, columns) [m]."""
     uncertainty: Floats
-    """Combined standard uncertainty of the height at its place, errors of the frame's
-    pose included where they are stated [m]."""
+    """Combined standard uncertainty of the height at its place, including stated errors
+    of the pose [m]."""
     own: Floats
-    """Part of it that is noise of the pixels of a cell [m]."""
+    """Part of it from noise of the pixels of a cell [m]."""
     amplitude: Floats
     """Mean amplitude of the target signal [V]."""
     cell: float
-    """Size of a cell [m]."""
+    """Cell size [m]."""
     left: float
     """Coordinate of the left edge [m]."""
     top: float
     """Coordinate of the upper edge [m]."""
     plane: Plane
-    """What right, up and towards the viewer mean."""
+    """Drawing plane."""
     surface: Surface
-    """What it was made of."""
+    """Surface behind the raster."""
     layers: dict[str, Floats]
-    """Means of further values of the vertices."""
+    """Means of additional values of the vertices."""
 
     @property
     def columns(self) -> Floats:
-        """Coordinates of the middles of the columns [m]."""
+        """Coordinates of the column centers [m]."""
         count = self.height.shape[1]
         return np.asarray(self.left + self.cell * (np.arange(count) + 0.5))
 
     @property
     def rows(self) -> Floats:
-        """Coordinates of the middles of the rows, downwards in the raster [m]."""
+        """Coordinates of the row centers, downwards in the raster [m]."""
         count = self.height.shape[0]
         return np.asarray(self.top - self.cell * (np.arange(count) + 0.5))
 
@@ -70,7 +70,7 @@ def raster(
     cell: float,
     layers: Mapping[str, ArrayLike] | None = None,
 ) -> Raster:
-    r"""Return a surface in orthographic projection.
+    r"""Raster of a surface in orthographic projection.
 
     Parameters
     ----------
@@ -143,30 +143,30 @@ def raster(
     extra = {
         name: np.asarray(values, dtype=float) for name, values in (layers or {}).items()
     }
-    found, others = _averaged(
+    cells, layer_means = _averaged(
         surface, plane, flat[:, 2], (owner, weight), parts, list(extra.values())
     )
-    if not np.isfinite(found[0]).any():
+    if not np.isfinite(cells[0]).any():
         raise CubeError(
             f"no cell of {cell * 1e3:g} mm holds a surface seen from the {plane.side}; "
             "take smaller cells, or look from the other side"
         )
     return Raster(
-        height=found[0],
-        own=found[1],
-        uncertainty=_combined(surface, plane, found, left, top, cell),
-        amplitude=found[3],
+        height=cells[0],
+        own=cells[1],
+        uncertainty=_combined(surface, plane, cells, left, top, cell),
+        amplitude=cells[3],
         cell=cell,
         left=left,
         top=top,
         plane=plane,
         surface=surface,
-        layers=dict(zip(extra, others, strict=True)),
+        layers=dict(zip(extra, layer_means, strict=True)),
     )
 
 
 def gains(surface: Surface, towards: Floats) -> Floats:
-    """Return how the surface moves along an axis when a range grows."""
+    """Displacement of the surface along an axis per unit of range."""
     along = surface.direction @ towards
     across = np.einsum("ij,ij->i", surface.direction, surface.normal)
     facing = surface.normal @ towards
@@ -180,28 +180,28 @@ def _averaged(
     surface: Surface,
     plane: Plane,
     height: Floats,
-    drawn: tuple[NDArray[np.int32], Floats],
+    ownership: tuple[NDArray[np.int32], Floats],
     parts: int,
     layers: list[Floats],
 ) -> tuple[Floats, list[Floats]]:
-    """Return height, own error, shared error and amplitude of cells, and the layers."""
-    owner, weight = drawn
+    """Height, noise, shared error and amplitude of cells, and additional layers."""
+    owner, weight = ownership
     rows, columns = owner.shape[0] // parts, owner.shape[1] // parts
     gain = gains(surface, plane.axes[2])
-    own, shared = (gain * surface.own) ** 2, gain * surface.shared
-    found = np.full((4 + len(layers), rows, columns), np.nan)
+    noise, shared = (gain * surface.own) ** 2, gain * surface.shared
+    means = np.full((4 + len(layers), rows, columns), np.nan)
     band = max(1, _AT_ONCE // max(1, owner.shape[1] * parts))
     for start in range(0, rows, band):
         stop = min(rows, start + band)
         fine = slice(start * parts, stop * parts)
         part = owner[fine]
-        there = np.nonzero(part >= 0)
-        if not there[0].size:
+        covered = np.nonzero(part >= 0)
+        if not covered[0].size:
             continue
-        cells = there[0] // parts * columns + there[1] // parts
-        first, second = weight[fine][there].T
+        cells = covered[0] // parts * columns + covered[1] // parts
+        first, second = weight[fine][covered].T
         shares = np.concatenate([first, second, 1 - first - second])
-        vertices = surface.triangles[part[there]].T.ravel()
+        vertices = surface.triangles[part[covered]].T.ravel()
         matrix = sparse.csr_array(
             (shares, (np.tile(cells, 3), vertices)),
             shape=((stop - start) * columns, len(height)),
@@ -213,35 +213,35 @@ def _averaged(
         values = np.stack(
             [
                 matrix @ height * inverse,
-                np.sqrt(square @ own) * inverse,
+                np.sqrt(square @ noise) * inverse,
                 np.abs(matrix @ shared) * inverse,
                 matrix @ surface.amplitude * inverse,
             ]
         )
-        found[:4, start:stop] = values.reshape(4, stop - start, columns)
+        means[:4, start:stop] = values.reshape(4, stop - start, columns)
         for number, layer in enumerate(layers):
             there_is = np.isfinite(layer).astype(float)
             with np.errstate(invalid="ignore", divide="ignore"):
                 mean = matrix @ np.nan_to_num(layer) / (matrix @ there_is)
-            found[4 + number, start:stop] = mean.reshape(stop - start, columns)
-    return found[:4], list(found[4:])
+            means[4 + number, start:stop] = mean.reshape(stop - start, columns)
+    return means[:4], list(means[4:])
 
 
 def _combined(
-    surface: Surface, plane: Plane, found: Floats, left: float, top: float, cell: float
+    surface: Surface, plane: Plane, cells: Floats, left: float, top: float, cell: float
 ) -> Floats:
-    """Return the combined uncertainty of heights, with what the pose adds."""
-    variance = found[1] ** 2 + found[2] ** 2
+    """Return the combined uncertainty of heights including the pose."""
+    variance = cells[1] ** 2 + cells[2] ** 2
     if surface.frame.pose is None:
         return np.asarray(np.sqrt(variance))
-    rows, columns = found[0].shape
+    rows, columns = cells[0].shape
     at = np.stack(
         [
             np.broadcast_to(left + cell * (np.arange(columns) + 0.5), (rows, columns)),
             np.broadcast_to(
                 (top - cell * (np.arange(rows) + 0.5))[:, None], (rows, columns)
             ),
-            found[0],
+            cells[0],
         ],
         axis=-1,
     ).reshape(-1, 3)
@@ -255,32 +255,32 @@ def _combined(
 _MOST_LEVELS = 2000
 #: Cells on either side at which a line must stand apart from noise [1].
 _ASIDE = 3
-#: A line is drawn if its sides differ by so many standard errors. Neighbouring cells
+#: A line is drawn if its sides differ by so many standard errors. Neighboring cells
 #: share pixels, which makes the true ones up to half as large again [1].
 _SURE = 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contour:
-    """One line of equal height."""
+    """Contour line at one height."""
 
     level: float
     """Height towards the viewer from the frame's origin [m]."""
     points: Floats
-    """Right and up along the line, shape (n, 2) [m]."""
+    """Coordinates right and up along the line, shape (n, 2) [m]."""
     uncertainty: float
-    """Standard uncertainty of the height along it, the median [m]."""
+    """Median standard uncertainty of the height along the line [m]."""
 
 
 def contours(raster: Raster, *, interval: float) -> list[Contour]:
-    """Return the contour lines of a raster.
+    """Contour lines of a raster.
 
     Parameters
     ----------
     raster : Raster
         Heights; lines end where there is no surface.
     interval : float
-        Difference of height of neighbouring lines; levels are its whole multiples [m].
+        Difference of height of neighboring lines; levels are its whole multiples [m].
 
     Returns
     -------
@@ -336,48 +336,50 @@ def contours(raster: Raster, *, interval: float) -> list[Contour]:
         np.ma.masked_invalid(raster.height),
         corner_mask=False,
     )
-    found = []
+    contour_lines = []
     for number in range(first, last + 1):
         level = number * interval
         for line in lines.lines(level):
             points = np.asarray(line, dtype=float)
-            if len(points) > 1 and _stands_out(raster, points):
+            if len(points) > 1 and _is_significant(raster, points):
                 sigma = _along(raster, points)
-                found.append(Contour(level=level, points=points, uncertainty=sigma))
-    return found
+                contour_lines.append(
+                    Contour(level=level, points=points, uncertainty=sigma)
+                )
+    return contour_lines
 
 
-def _stands_out(raster: Raster, points: Floats) -> bool:
-    """Return whether the surface is higher on one side of a line, noise apart."""
+def _is_significant(raster: Raster, points: Floats) -> bool:
+    """Whether the height difference across a line is significant."""
     step = np.gradient(points, axis=0)
     length = np.linalg.norm(step, axis=1, keepdims=True)
     unit = step / np.where(length > 0, length, 1.0)
     across = raster.cell * np.stack([-unit[:, 1], unit[:, 0]], axis=1)
     for aside in range(_ASIDE, 0, -1):  # near a rim, as far as there is a surface
-        sides = [_cells(raster, points + way * aside * across) for way in (1, -1)]
+        sides = [_cells(raster, points + sign * aside * across) for sign in (1, -1)]
         pairs = np.unique(np.concatenate(sides, axis=1), axis=0)
         pairs = pairs[
             np.all((pairs >= 0) & (pairs < (2 * raster.height.shape)), axis=1)
         ]
         left, right = (pairs[:, 0], pairs[:, 1]), (pairs[:, 2], pairs[:, 3])
         apart = raster.height[left] - raster.height[right]
-        there = np.isfinite(apart)
-        if there.any():
+        finite = np.isfinite(apart)
+        if finite.any():
             noise = raster.own[left] ** 2 + raster.own[right] ** 2
-            error = float(np.sqrt(noise[there].sum()))
-            return bool(abs(float(apart[there].sum())) > _SURE * error)
+            error = float(np.sqrt(noise[finite].sum()))
+            return bool(abs(float(apart[finite].sum())) > _SURE * error)
     return False
 
 
 def _cells(raster: Raster, points: Floats) -> NDArray[np.intp]:
-    """Return row and column of the cells that hold some points."""
+    """Row and column of the cells that contain points."""
     column = np.floor((points[:, 0] - raster.left) / raster.cell)
     row = np.floor((raster.top - points[:, 1]) / raster.cell)
     return np.stack([row, column], axis=1).astype(np.intp)
 
 
 def _along(raster: Raster, points: Floats) -> float:
-    """Return the median uncertainty of the height of the cells that a line crosses."""
+    """Median height uncertainty of the cells crossed by a line."""
     row, column = _cells(raster, points).T
     rows, columns = raster.height.shape
     sigma = raster.uncertainty[row.clip(0, rows - 1), column.clip(0, columns - 1)]

@@ -1,4 +1,4 @@
-"""Sections of a surface along any line, with their uncertainty."""
+"""Sections of a surface along a line, with uncertainty."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """Where a plane cuts a surface; each piece is a line without gaps."""
+    """Section of a surface with a plane; each piece is a line without gaps."""
 
     along: Floats
     """Distance from the start of the line, shape (n,) [m]."""
@@ -24,17 +24,17 @@ class Section:
     uncertainty: Floats
     """Combined standard uncertainty across the profile, shape (n,) [m]."""
     own: Floats
-    """Part of it that is noise of single pixels [m]."""
+    """Part of it from noise of single pixels [m]."""
     piece: NDArray[np.intp]
-    """Number of the piece that a point belongs to, shape (n,) [1]."""
+    """Piece number of each point, shape (n,) [1]."""
     start: tuple[float, float]
-    """Where the line begins, right and up in the drawing [m]."""
+    """Start of the line, right and up in the drawing [m]."""
     end: tuple[float, float]
-    """Where it ends [m]."""
+    """End of the line [m]."""
     plane: Plane
-    """What right, up and towards the viewer mean."""
+    """Drawing plane."""
     surface: Surface
-    """What was cut."""
+    """Surface behind the section."""
 
 
 def section(
@@ -96,13 +96,20 @@ def section(
     distance = (points[:, :2] - first) @ along
     across = plane.axes[:2].T @ np.array([-along[1], along[0]])
     gain = _gain(surface, across)
-    own = np.hypot(
+    pixel_noise = np.hypot(
         (1 - share) * gain[i] * surface.own[i], share * gain[j] * surface.own[j]
     )
     shared = (1 - share) * gain[i] * surface.shared[i]
     shared += share * gain[j] * surface.shared[j]
     pose = _pose_errors(surface, points @ plane.axes, plane, along)
-    values = np.stack([distance, points[:, 2], np.sqrt(own**2 + shared**2 + pose), own])
+    values = np.stack(
+        [
+            distance,
+            points[:, 2],
+            np.sqrt(pixel_noise**2 + shared**2 + pose),
+            pixel_noise,
+        ]
+    )
     values, neighbours = _with_ends(values, neighbours, length)
     inside = (values[0] >= -1e-12) & (values[0] <= length + 1e-12)
     order, piece = _pieces(neighbours, inside, values[0])
@@ -125,7 +132,7 @@ def section(
 def _crossed(
     triangles: NDArray[np.intp], side: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return sides of triangles that the cut crosses, and which of them are joined.
+    """Triangle sides crossed by the cut, and the pairs joined by a triangle.
 
     A vertex on the cut counts as beyond it, so that every crossed triangle has two.
     """
@@ -143,12 +150,12 @@ def _crossed(
 def _with_ends(
     values: Floats, neighbours: NDArray[np.intp], length: float
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the points and the joints with those where the line itself ends."""
+    """Points and joints including the two ends of the line."""
     points, joints, many = [values], [neighbours], values.shape[1]
     for end in (0.0, length):
-        one, other = values[0][neighbours].T
-        passing = np.flatnonzero((one < end) != (other < end))
-        share = (end - one[passing]) / (other[passing] - one[passing])
+        before, after = values[0][neighbours].T
+        passing = np.flatnonzero((before < end) != (after < end))
+        share = (end - before[passing]) / (after[passing] - before[passing])
         i, j = neighbours[passing].T
         points.append(values[:, i] * (1 - share) + values[:, j] * share)
         numbers = many + np.arange(len(passing))
@@ -161,28 +168,28 @@ def _with_ends(
 def _pieces(
     neighbours: NDArray[np.intp], inside: NDArray[np.bool_], distance: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return points in order along lines without gaps, and the number of each line."""
+    """Points ordered along lines without gaps, and the number of each line."""
     joined: dict[int, list[int]] = {}
-    for one, other in neighbours.tolist():
-        if inside[one] and inside[other]:
-            joined.setdefault(one, []).append(other)
-            joined.setdefault(other, []).append(one)
+    for first, second in neighbours.tolist():
+        if inside[first] and inside[second]:
+            joined.setdefault(first, []).append(second)
+            joined.setdefault(second, []).append(first)
     lines: list[list[int]] = []
-    left = set(joined)
+    remaining = set(joined)
     # Ends of lines first; what is left then are rings.
-    starts = sorted(left, key=lambda p: (len(joined[p]) != 1, distance[p]))
+    starts = sorted(remaining, key=lambda p: (len(joined[p]) != 1, distance[p]))
     for begin in starts:
-        if begin not in left:
+        if begin not in remaining:
             continue
-        line, here = [begin], begin
-        left.discard(begin)
+        line, current = [begin], begin
+        remaining.discard(begin)
         while True:
-            onward = [p for p in joined[here] if p in left]
+            onward = [p for p in joined[current] if p in remaining]
             if not onward:
                 break
-            here = onward[0]
-            left.discard(here)
-            line.append(here)
+            current = onward[0]
+            remaining.discard(current)
+            line.append(current)
         if len(line) > 2 and begin in joined[line[-1]]:
             line.append(begin)
         lines.append(line)
@@ -193,7 +200,7 @@ def _pieces(
 
 
 def _gain(surface: Surface, across: Floats) -> Floats:
-    """Return how far the profile moves across itself when a range grows [1]."""
+    """Displacement of the profile across itself per unit of range [1]."""
     normal = surface.normal
     towards = np.einsum("ij,ij->i", surface.direction, normal)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -204,7 +211,7 @@ def _gain(surface: Surface, across: Floats) -> Floats:
 def _pose_errors(
     surface: Surface, points: Floats, plane: Plane, along: Floats
 ) -> Floats:
-    """Return the variance of points of a section by the pose, within the cut [m^2]."""
+    """Variance of section points by the pose, within the cut [m^2]."""
     shifts = surface.frame.shared_errors(points) @ plane.axes.T
     return np.asarray(
         ((shifts[..., :2] @ along) ** 2 + shifts[..., 2] ** 2).sum(axis=0)

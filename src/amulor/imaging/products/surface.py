@@ -1,4 +1,4 @@
-"""The plane that a drawing is projected on: an elevation or a plan."""
+"""Surface of a range image, and the plane of a drawing: elevation or plan."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ Side = Literal["front", "top"]
 
 @dataclass(frozen=True, kw_only=True)
 class Plane:
-    """Axes of a drawing in a frame."""
+    """Axes of a drawing within a frame."""
 
     side: Side
-    """From where it is seen."""
+    """Side from which it is viewed."""
     axes: Floats
-    """Right, up and towards the viewer, one a row, shape (3, 3) [1]."""
+    """Unit vectors right, up and towards the viewer as rows, shape (3, 3) [1]."""
     names: tuple[str, str, str]
-    """What the three coordinates of a drawing are called."""
+    """Names of the three coordinates of a drawing."""
 
 
 def plane_of(frame: Frame, side: Side = "front") -> Plane:
-    """Return the plane of an elevation or a plan.
+    """Drawing plane of an elevation or a plan.
 
     Parameters
     ----------
@@ -91,35 +91,35 @@ _SMOOTHED = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """Usable pixels as vertices, and the triangles between them."""
+    """Usable pixels as vertices, connected by triangles."""
 
     position: Floats
-    """Vertices in the frame, shape (n, 3) [m]."""
+    """Vertex positions in the frame, shape (n, 3) [m]."""
     direction: Floats
-    """Where each moves when its range grows, shape (n, 3) [1]."""
+    """Displacement of each vertex per unit of range, shape (n, 3) [1]."""
     normal: Floats
-    """Unit normals towards the instrument, means over neighbours; not a number where a
-    vertex has no triangle, shape (n, 3) [1]."""
+    """Unit normals towards the instrument, averaged over neighbors; NaN for a vertex
+    without triangle, shape (n, 3) [1]."""
     own: Floats
-    """Standard uncertainty of the range that is each pixel's own, shape (n,) [m]."""
+    """Standard uncertainty of the range from noise of single pixels, shape (n,) [m]."""
     shared: Floats
-    """Standard uncertainty of the range that the pixels share, shape (n,) [m]."""
+    """Standard uncertainty of the range shared by pixels, shape (n,) [m]."""
     amplitude: Floats
     """Amplitude of the target signal, shape (n,) [V]."""
     pixel: NDArray[np.intp]
     """Number of the pixel, row by row, shape (n,) [1]."""
     triangles: NDArray[np.intp]
-    """Numbers of vertices, counter-clockwise seen from the instrument, shape (m, 3)."""
+    """Vertex numbers, counter-clockwise seen from the instrument, shape (m, 3)."""
     shape: tuple[int, int]
     """Rows and columns of the scan."""
     frame: Frame
-    """What the positions mean."""
+    """Frame of the positions."""
     attributes: dict[str, object]
-    """Those of the range image."""
+    """Attributes of the range image."""
 
     @property
     def spacing(self) -> float:
-        """Median distance of neighbouring vertices [m]."""
+        """Median distance of neighboring vertices [m]."""
         corner = self.position[self.triangles]
         sides = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=-1)
         # The longest side is the diagonal between pixels.
@@ -132,7 +132,7 @@ def surface(
     frame: Frame | None = None,
     steepest: float = STEEPEST,
 ) -> Surface:
-    r"""Return the surface through the pixels of a range image.
+    r"""Surface through the pixels of a range image.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def surface(
     frame : Frame, optional
         Axes of the vertices; the instrument's by default.
     steepest : float
-        Largest angle between beam and normal over which neighbours belong together,
+        Largest angle between beam and normal over which neighbors belong together,
         below pi / 2 [rad].
 
     Returns
@@ -153,13 +153,13 @@ def surface(
     Raises
     ------
     CubeError
-        If no three neighbouring pixels have a range.
+        If no three neighboring pixels have a range.
     ValueError
         If the angle is not between 0 and pi / 2.
 
     Notes
     -----
-    Neighbours are apart, and no triangle joins them, if their ranges differ by more
+    Neighbors are apart, and no triangle joins them, if their ranges differ by more
     than the distance across the beams times tan(steepest), and by more than 3.5
     standard uncertainties of the difference of their own noise, so that noise tears no
     holes.
@@ -222,7 +222,7 @@ def _triangles(
     variance: Floats,
     steepness: float,
 ) -> NDArray[np.intp]:
-    """Return the pixels of triangles, each square of four divided along a diagonal."""
+    """Triangles of pixels: squares of four, divided along a diagonal."""
     numbers = np.arange(usable.size).reshape(usable.shape)
     a, b = numbers[:-1, :-1], numbers[:-1, 1:]
     c, d = numbers[1:, :-1], numbers[1:, 1:]
@@ -230,20 +230,20 @@ def _triangles(
     flat_range, flat_usable = distance.ravel(), usable.ravel()
     flat_direction, flat_variance = direction.reshape(-1, 3), variance.ravel()
 
-    def joined(one: NDArray[np.intp], other: NDArray[np.intp]) -> NDArray[np.bool_]:
-        both = flat_usable[one] & flat_usable[other]
-        step = np.abs(flat_range[one] - flat_range[other])
-        apart = np.linalg.norm(flat_direction[one] - flat_direction[other], axis=-1)
-        across = apart * np.minimum(flat_range[one], flat_range[other])
-        noise = np.sqrt(flat_variance[one] + flat_variance[other])
+    def joined(first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.bool_]:
+        pair_usable = flat_usable[first] & flat_usable[second]
+        step = np.abs(flat_range[first] - flat_range[second])
+        apart = np.linalg.norm(flat_direction[first] - flat_direction[second], axis=-1)
+        across = apart * np.minimum(flat_range[first], flat_range[second])
+        noise = np.sqrt(flat_variance[first] + flat_variance[second])
         return np.asarray(
-            both & ~((step > steepness * across) & (step > _SURE * noise))
+            pair_usable & ~((step > steepness * across) & (step > _SURE * noise))
         )
 
-    whole = [joined(i, j) & joined(j, k) & joined(k, i) for i, j, k in halves]
+    complete = [joined(i, j) & joined(j, k) & joined(k, i) for i, j, k in halves]
     # The diagonal that leaves more of the square; of two whole squares the shorter one.
-    falling = whole[2].astype(int) + whole[3]
-    rising = whole[0].astype(int) + whole[1]
+    falling = complete[2].astype(int) + complete[3]
+    rising = complete[0].astype(int) + complete[1]
     with np.errstate(invalid="ignore"):
         level = np.abs(flat_range[a] - flat_range[d]) < np.abs(
             flat_range[b] - flat_range[c]
@@ -251,15 +251,15 @@ def _triangles(
     take_falling = (falling > rising) | ((falling == rising) & level)
     chosen = []
     for number, corner in enumerate(halves):
-        where = whole[number] & (take_falling if number > 1 else ~take_falling)
-        chosen.append(np.stack([pixel[where] for pixel in corner], axis=1))
+        use = complete[number] & (take_falling if number > 1 else ~take_falling)
+        chosen.append(np.stack([pixel[use] for pixel in corner], axis=1))
     return np.concatenate(chosen)
 
 
 def _facing(
     triangles: NDArray[np.intp], place: Floats, direction: Floats
 ) -> NDArray[np.intp]:
-    """Return triangles counter-clockwise as the instrument sees them."""
+    """Triangles oriented counter-clockwise as seen from the instrument."""
     corner = place.reshape(-1, 3)[triangles]
     area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     away = np.einsum("ij,ij->i", area, direction.reshape(-1, 3)[triangles[:, 0]]) > 0
@@ -267,7 +267,7 @@ def _facing(
 
 
 def _normals(place: Floats, triangles: NDArray[np.intp]) -> Floats:
-    """Return means of the normals of the triangles around every pixel."""
+    """Mean normals of the triangles around every pixel."""
     corner = place.reshape(-1, 3)[triangles]
     area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     total = np.zeros((place.shape[0] * place.shape[1], 3))
