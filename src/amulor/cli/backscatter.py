@@ -121,13 +121,13 @@ def backscatter(
     except ValueError as problem:
         raise SurveyError(f"{survey}: {problem}") from None
     if plot is not None:
-        from amulor.view import sweep
+        from amulor.view import figures
 
         name = f"{model} model"
         relative = response["relative_amplitude"] * np.exp(1j * response["phase_rad"])
         errors = response.get("relative_amplitude_uncertainty")
         half_power = response["cut_off_hz"]
-        sweep.write(
+        figures.write_response_curves(
             plot,
             frequencies,
             {name: relative},

@@ -68,7 +68,7 @@ def _explain_pixel(words: tuple[str, ...], pixel: str, *, json: bool) -> None:
     from amulor.cli._arguments import check_inputs
     from amulor.cli._output import print_json, print_table
     from amulor.view import explanations
-    from amulor.view.pixel import reasons
+    from amulor.view.explanations import reasons
 
     if len(words) != 1:
         raise FormatError(

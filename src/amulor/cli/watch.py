@@ -97,7 +97,7 @@ def _on_screen(live: Live, channel: str, show: str, *, once: bool) -> None:
         return terminal.screen(
             live,
             channel=channel,
-            wanted=show,
+            layer=show,
             size=(console.width, console.height),
             plain=plain,
             now=datetime.now(),

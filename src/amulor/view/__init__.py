@@ -1,4 +1,4 @@
-"""Figures and reports."""
+"""Figures, reports and the browser page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a report says of instrument, water, registration and accuracy."""
+"""Report sections on instrument, water, registration, accuracy and error budget."""
 
 from __future__ import annotations
 
@@ -7,20 +7,25 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from amulor.cube.schema import ALIKE_TERMS, SHARED_TERMS
 from amulor.errors import AmulorError
-from amulor.imaging import error_budget, frame_of
+from amulor.imaging import ErrorBudget, error_budget, frame_of
+from amulor.imaging.budget import age_in_words
 from amulor.imaging.measure import Checked
 from amulor.imaging.observation import readable_survey
 from amulor.survey import Survey, water_properties
-from amulor.view.report import Heading, Paragraph, Part, Table
+from amulor.view.report import Heading, Paragraph, Part, Picture, Table
+from amulor.view.style import COLOURS, new_figure, style
 
 #: Share of the pixels within the second figure of an accuracy statement [%].
 _MOST = 95.0
 
 
 def instrument_and_water(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Return tables of the instrument and the water of range images."""
+    """Tables of the instrument and the water of range images."""
     groups: dict[str, list[str]] = {}
     for name, image in images.items():
         groups.setdefault(str(image.attrs.get("survey", "")), []).append(name)
@@ -38,7 +43,7 @@ def instrument_and_water(images: Mapping[str, xr.Dataset]) -> list[Part]:
 
 
 def registration(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Return where the instrument stood, as the surveys of range images say."""
+    """Table of the instrument's pose from the surveys of range images."""
     rows = []
     for name, image in images.items():
         survey = readable_survey(image)
@@ -55,7 +60,7 @@ def registration(images: Mapping[str, xr.Dataset]) -> list[Part]:
                     f"{math.degrees(v):.3g}"
                     for v in (pose.heading, pose.pitch, pose.roll)
                 ),
-                _shown(pose.position_uncertainty, 1e3, "mm"),
+                _or_not_known(pose.position_uncertainty, 1e3, "mm"),
                 "!not known: " + ", ".join(frame.unknown)
                 if frame.unknown
                 else "stated",
@@ -82,10 +87,10 @@ def registration(images: Mapping[str, xr.Dataset]) -> list[Part]:
 def accuracy_statement(
     images: Mapping[str, xr.Dataset], checks: Mapping[str, Sequence[Checked]]
 ) -> list[Part]:
-    """Return how accurate range images are, in the terms of the GUM."""
+    """Accuracy statement of range images in the terms of the GUM."""
     parts: list[Part] = [Heading("Accuracy")]
     rows = []
-    said = []
+    sentences = []
     for name, image in images.items():
         budget = error_budget(image)
         if budget.error_unknown:
@@ -95,11 +100,11 @@ def accuracy_statement(
         sigma = image["slant_range_uncertainty"].values
         sigma = sigma[np.isfinite(sigma)]
         # max() of a number that is none would be zero.
-        own = math.sqrt(float(np.maximum(budget.combined**2 - budget.common**2, 0.0)))
+        noise = math.sqrt(float(np.maximum(budget.combined**2 - budget.common**2, 0.0)))
         rows.append(
             [
                 name,
-                _millimetres(own),
+                _millimetres(noise),
                 _millimetres(budget.common),
                 f"{budget.combined * 1e3:.3g}",
                 f"{budget.expanded * 1e3:.3g}",
@@ -107,7 +112,7 @@ def accuracy_statement(
             ]
         )
         missing = ", ".join(term.name.replace("_", " ") for term in budget.unknown)
-        said.append(
+        sentences.append(
             f"{name}: the slant range of a single pixel has the expanded uncertainty "
             f"U = {budget.expanded * 1e3:.3g} mm (median; coverage factor k = 2, level "
             "of confidence about 95 %)."
@@ -137,37 +142,37 @@ def accuracy_statement(
                 "over the pixels; the last column is the expanded uncertainty that 95 "
                 "of 100 pixels stay below.",
             ),
-            *(Paragraph(text) for text in said),
+            *(Paragraph(text) for text in sentences),
         ]
     return parts + _check_parts(checks)
 
 
 def _check_parts(checks: Mapping[str, Sequence[Checked]]) -> list[Part]:
-    """Return the table of check distances and what it amounts to."""
+    """Table of check distances with a summary."""
     rows, verdicts = [], []
-    for name, found in checks.items():
-        for one in found:
-            tolerance = one.check.tolerance
-            mark = "" if one.verdict == "pass" else "!"
+    for name, checked_lengths in checks.items():
+        for checked in checked_lengths:
+            tolerance = checked.check.tolerance
+            mark = "" if checked.verdict == "pass" else "!"
             rows.append(
                 [
-                    one.check.name,
+                    checked.check.name,
                     name,
-                    f"{one.check.expected * 1e3:.2f}",
-                    f"{one.measured.value * 1e3:.2f}",
-                    f"{one.deviation * 1e3:+.2f}",
-                    f"{one.expanded * 1e3:.2f}"
-                    if math.isfinite(one.expanded)
+                    f"{checked.check.expected * 1e3:.2f}",
+                    f"{checked.measured.value * 1e3:.2f}",
+                    f"{checked.deviation * 1e3:+.2f}",
+                    f"{checked.expanded * 1e3:.2f}"
+                    if math.isfinite(checked.expanded)
                     else "!not known",
                     "" if tolerance is None else f"{tolerance * 1e3:.2f}",
-                    f"{mark}{one.verdict}",
+                    f"{mark}{checked.verdict}",
                 ]
             )
-            verdicts.append(one)
+            verdicts.append(checked)
     if not rows:
         return [Paragraph("No check distances were given.")]
-    passed = sum(one.verdict == "pass" for one in verdicts)
-    rms = math.sqrt(sum(one.deviation**2 for one in verdicts) / len(verdicts))
+    passed = sum(checked.verdict == "pass" for checked in verdicts)
+    rms = math.sqrt(sum(checked.deviation**2 for checked in verdicts) / len(verdicts))
     return [
         Table(
             [
@@ -245,5 +250,141 @@ def _millimetres(value: float) -> str:
     return f"{value * 1e3:.3g}" if math.isfinite(value) else "not known"
 
 
-def _shown(value: float | None, factor: float, unit: str) -> str:
+def _or_not_known(value: float | None, factor: float, unit: str) -> str:
     return "not known" if value is None else f"{value * factor:.3g} {unit}"
+
+
+#: Terms that pixels have in common, of the whole scan or of their surroundings.
+_SHARED = {*ALIKE_TERMS, *SHARED_TERMS}
+
+
+def error_budgets(images: Mapping[str, xr.Dataset]) -> list[Part]:
+    """Report sections on the error terms of range images."""
+    parts: list[Part] = [Heading("Where the uncertainty comes from")]
+    for name, image in images.items():
+        budget = error_budget(image)
+        if budget.lines and math.isfinite(budget.combined):
+            parts += [
+                Picture(
+                    budget_figure({name: budget}),
+                    _key(budget),
+                ),
+                _table(name, budget),
+                Paragraph(_limits(budget)),
+            ]
+    return parts if len(parts) > 1 else []
+
+
+def _key(budget: ErrorBudget) -> str:
+    """Caption of the bars, limited to what is drawn."""
+    parts = ["Standard uncertainty of each term, median over the usable pixels."]
+    if any(line.term.name in _SHARED for line in budget.lines):
+        parts.append("Dark terms are shared by pixels: a mean keeps them.")
+    if budget.unknown:
+        parts.append("Hatched terms are not known and not in the combined one.")
+    return " ".join(parts)
+
+
+def budget_figure(budgets: Mapping[str, ErrorBudget]) -> Figure:
+    """Draw the terms of error budgets as bars."""
+    most = max(len(b.lines) + len(b.unknown) + 1 for b in budgets.values())
+    with style():
+        figure = new_figure(6.4 * len(budgets), 0.5 + 0.24 * most)
+        panels = figure.subplots(1, len(budgets), squeeze=False)[0]
+        for axis, (name, budget) in zip(panels, budgets.items(), strict=True):
+            _bars(axis, budget)
+            axis.set_title(name)
+    return figure
+
+
+def _bars(axis: Axes, budget: ErrorBudget) -> None:
+    """Draw one bar per term, the largest at the right end of the axis."""
+    names = [line.term.name for line in budget.lines]
+    names += [term.name for term in budget.unknown] + ["combined"]
+    uncertainties = [line.uncertainty * 1e3 for line in budget.lines]
+    colours = [
+        COLOURS[0] if name in _SHARED else COLOURS[5]
+        for name in names[: len(uncertainties)]
+    ]
+    place = list(range(len(names)))
+    axis.barh(place[: len(uncertainties)], uncertainties, color=colours, height=0.7)
+    for number, value in enumerate(uncertainties):
+        axis.text(value, number, f" {value:.3g}", va="center", fontsize=7)
+    unsaid = place[len(uncertainties) : -1]
+    longest = budget.combined * 1e3
+    axis.barh(
+        unsaid, longest, color="none", edgecolor="#d9d9d9", hatch="////", height=0.7
+    )
+    for number in unsaid:
+        axis.text(0, number, "  not known", va="center", fontsize=7)
+    axis.barh(place[-1], longest, color=COLOURS[6], height=0.7)
+    axis.text(longest, place[-1], f" {longest:.3g}", va="center", fontsize=7)
+    axis.set_yticks(place, [name.replace("_", " ") for name in names])
+    axis.invert_yaxis()
+    axis.set_xlim(0, 1.12 * longest)
+    axis.set_xlabel("standard uncertainty [mm]")
+
+
+def _table(name: str, budget: ErrorBudget) -> Table:
+    rows = [
+        [
+            line.term.name.replace("_", " "),
+            line.term.meaning,
+            line.term.kind,
+            "" if line.samples is None else f"{line.samples} shots",
+            f"{line.uncertainty * 1e3:.3g}",
+            f"{line.share:.1%}",
+        ]
+        for line in budget.lines
+    ]
+    for term in budget.unknown:
+        rows.append(
+            [term.name.replace("_", " "), term.meaning, term.kind, "", "!not known", ""]
+        )
+    rows.append(
+        ["combined", "all that are known", "", "", f"{budget.combined * 1e3:.3g}", ""]
+    )
+    rows.append(
+        [
+            "expanded, k = 2",
+            "about 95 of 100 errors lie within",
+            "",
+            "",
+            f"{budget.expanded * 1e3:.3g}",
+            "",
+        ]
+    )
+    return Table(
+        ["term", "what it is", "type", "found from", "standard [mm]", "of variance"],
+        rows,
+        f"{name}: standard uncertainty of the slant range, medians over the usable "
+        "pixels. Type A is found from the scatter of measurements, type B from other "
+        "knowledge (GUM). The squares of the terms add up to that of the combined one.",
+    )
+
+
+def _limits(budget: ErrorBudget) -> str:
+    """Sentences on what the combined uncertainty includes and excludes."""
+    sentences = []
+    if math.isfinite(budget.common):
+        sentences.append(
+            f"All pixels share {budget.common * 1e3:.3g} mm of it: no mean over "
+            "pixels takes that away."
+        )
+    if math.isfinite(budget.late):
+        sentences.append(
+            f"Light scattered on its way made the echoes {budget.late * 1e3:.3g} mm "
+            "late; that is taken off."
+        )
+    elif budget.late_echo:
+        sentences.append(f"Late light: {budget.late_echo}.")
+    if budget.calibrated:
+        old = age_in_words(budget.age)
+        sentences.append(f"The delay was calibrated on {budget.calibrated}{old}.")
+    if budget.unknown:
+        names = ", ".join(term.name.replace("_", " ") for term in budget.unknown)
+        sentences.append(
+            f"Not in it, since nobody says how large they are: {names}. The section "
+            "[calibration] of the survey states them."
+        )
+    return " ".join(sentences)

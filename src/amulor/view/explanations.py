@@ -1,4 +1,4 @@
-"""What flags and warnings mean: what is compared, how often by chance, what to do."""
+"""Explanations of flags and warnings, and the numbers behind the flags of a pixel."""
 
 from __future__ import annotations
 
@@ -6,14 +6,33 @@ import difflib
 import inspect
 import math
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from amulor.cube import DOUBTFUL, ERROR_UNKNOWN, UNUSABLE, QualityFlag
+import numpy as np
+import xarray as xr
+
+from amulor import cube as cubes
+from amulor.cube import (
+    DOUBTFUL,
+    ERROR_UNKNOWN,
+    UNUSABLE,
+    QualityFlag,
+    WaterResidualCause,
+)
 from amulor.cube.schema import TERMS, flag_words
-from amulor.errors import FormatError
+from amulor.errors import CubeError, FormatError
+from amulor.imaging import edges, outliers
+from amulor.io.netcdf import open_rows
+from amulor.optics import ambiguity, ranging
+from amulor.rejection import quality, subtraction
+from amulor.rejection.covariance import covariance_of, isotropic
+from amulor.rejection.joint import cube as joint
+from amulor.rejection.joint.scatter import DETECTION
+from amulor.rejection.reference import presence
 
 #: Kinds of names, by the tables of amulor/cube/flags.toml.
 _KINDS = {
@@ -26,28 +45,28 @@ _KINDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Explanation:
-    """What a flag, a warning or a term of the error budget means."""
+    """Explanation of a flag, a warning or a term of the error budget."""
 
     name: str
-    """As files, pages and messages name it, in capitals with underscores."""
+    """Name in files, pages and messages, in capitals with underscores."""
     kind: str
-    """Where it is met."""
+    """Kind of the name: flag, warning or error term."""
     meaning: str
-    """What it says."""
+    """Meaning."""
     compared: str
-    """What is compared with what, and the limit."""
+    """Quantities compared, and the limit."""
     chance: str
-    """How often chance alone does it, where that is known."""
+    """Rate by chance alone, if known."""
     consequence: str
-    """What becomes of the range, or of the sample."""
+    """Consequence for the range or the sample."""
     remedy: str
-    """What to do."""
+    """Remedy."""
 
 
 def explanations() -> dict[str, Explanation]:
-    """Return all explanations by their names, pixel flags first."""
+    """All explanations by name, pixel flags first."""
     limits, texts = _limits(), ("meaning", "compared", "chance", "remedy")
-    found = {
+    by_name = {
         name: Explanation(
             name=name,
             kind=kind,
@@ -57,37 +76,41 @@ def explanations() -> dict[str, Explanation]:
         for table, kind in _KINDS.items()
         for name, words in flag_words()[table].items()
     }
-    return found | {one.name: one for one in _terms()}
+    return by_name | {explanation.name: explanation for explanation in _terms()}
 
 
 def find(words: str) -> list[Explanation]:
-    """Return the explanations that a name or a message asks for, the best first."""
-    known = explanations()
+    """Explanations for a name or a message, best match first."""
+    by_name = explanations()
     plain = re.sub(r"[^a-z]+", "_", words.lower()).strip("_")
-    if plain.upper() in known:
-        return [known[plain.upper()]]
+    if plain.upper() in by_name:
+        return [by_name[plain.upper()]]
     # Messages first: they name other things on their way.
-    found = [
-        known[name]
+    matches = [
+        by_name[name]
         for table in ("warning", "pixel")
         for name, words in flag_words()[table].items()
         if "message" in words and re.search(words["message"], plain)
     ]
-    if not found:
+    if not matches:
         padded = f"_{plain}_"
-        found = [one for name, one in known.items() if f"_{name.lower()}_" in padded]
-    if not found:
-        close = difflib.get_close_matches(plain, [name.lower() for name in known], 1)
-        found = [known[name.upper()] for name in close]
-    if not found:
+        matches = [
+            explanation
+            for name, explanation in by_name.items()
+            if f"_{name.lower()}_" in padded
+        ]
+    if not matches:
+        close = difflib.get_close_matches(plain, [name.lower() for name in by_name], 1)
+        matches = [by_name[name.upper()] for name in close]
+    if not matches:
         raise FormatError(
-            f"nothing is known of {words[:60]!r}; there are {', '.join(known)}"
+            f"nothing is known of {words[:60]!r}; there are {', '.join(by_name)}"
         )
-    return found
+    return matches
 
 
 def _limits() -> dict[str, Any]:
-    """Return the limits and shares by chance that the words name in braces."""
+    """Limits and chance rates, by the words in braces that stand for them."""
     from amulor.imaging import edges, outliers
     from amulor.optics import ambiguity
     from amulor.rejection import quality, subtraction
@@ -120,7 +143,7 @@ def _limits() -> dict[str, Any]:
 
 
 def _consequence(table: str, name: str) -> str:
-    """Return what becomes of a pixel or sample with a flag."""
+    """Consequence of a flag for a pixel or sample."""
     if table == "sample":
         from amulor.acquisition.sampler import SPOILED, SampleFlag
 
@@ -158,38 +181,293 @@ def _terms() -> list[Explanation]:
     ]
 
 
-def lines_of(one: Explanation) -> list[str]:
-    """Return an explanation as lines of text."""
+def lines_of(explanation: Explanation) -> list[str]:
+    """Explanation as lines of text."""
     parts: Iterable[tuple[str, str]] = (
-        ("means", one.meaning),
-        ("test", one.compared),
-        ("by chance", one.chance),
-        ("effect", one.consequence),
-        ("what to do", one.remedy),
+        ("means", explanation.meaning),
+        ("test", explanation.compared),
+        ("by chance", explanation.chance),
+        ("effect", explanation.consequence),
+        ("what to do", explanation.remedy),
     )
     return [f"{label:>10}: {text}" for label, text in parts if text]
 
 
 def hint(names: Iterable[str]) -> str:
-    """Return how to ask for the meaning of flags, for a message."""
+    """Command that explains flags, for a message."""
     first = next(iter(names), "")
     name = first.upper().replace(" ", "_")
     return f"amulor explain {name}" if name else ""
 
 
 def default_of(function: object, name: str) -> float:
-    """Return the default of an argument, which is a limit."""
+    """Default value of an argument that is a limit."""
     value = inspect.signature(function).parameters[name].default  # type: ignore[arg-type]
     return float(value)
 
 
 def _tail(sigma: float) -> float:
-    """Return how often a normal error is larger than so many standard deviations."""
+    """Probability that a normal error exceeds a number of standard deviations."""
     return 0.5 * math.erfc(sigma / math.sqrt(2))
 
 
 def _share(share: float) -> str:
-    """Return a small share in words that go before what it is a share of."""
+    """Small share in words, to precede its noun."""
     if share >= 1e-3:
         return f"{share * 100:.2g} % of the"
     return f"1 of {float(f'{1 / share:.2g}'):,.0f}"
+
+
+#: Rows and columns around a pixel of an image on which its flags depend.
+_AROUND = 12
+_NO_FLAGS = (
+    "no flags of pixels; name a target signal (amulor reject) or a range image "
+    "(amulor image)"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reason:
+    """Flag of a pixel with a number behind it."""
+
+    flag: str
+    """Name of the flag."""
+    cause: str
+    """Cause of WATER_RESIDUAL; empty for other flags."""
+    modulation_frequencies: tuple[float, ...] = ()
+    """Frequencies of the samples; empty for the whole pixel [Hz]."""
+    quantity: str
+    """Quantity compared with a limit, or a statement in place of a number."""
+    value: float | None = None
+    """Measured value; None without one."""
+    limit: str = ""
+    """Relation to the limit behind the flag, such as "> 0.3"."""
+    unit: str = ""
+    """Unit of both."""
+
+
+def reasons(path: Path, row: int, column: int) -> dict[str, list[Reason]]:
+    """Return the flags of a pixel with the numbers behind them, by channel."""
+    if path.suffix.lower() not in (".nc", ".nc4"):
+        raise FormatError(f"{path} has {_NO_FLAGS}")
+    with open_rows(path, check_digest=False) as rows:
+        level = str(rows.head.attrs.get("level"))
+        if level not in ("target_signal", "range_image"):
+            raise CubeError(f"{path}: is of level {level}, which has {_NO_FLAGS}")
+        for name, place, size in (
+            ("row", row, rows.rows),
+            ("column", column, rows.columns),
+        ):
+            if not 0 <= place < size:
+                raise CubeError(
+                    f"{path}: {name} {place} is outside the scan; needed is a {name} "
+                    f"from 0 to {size - 1}"
+                )
+        around = 0 if level == "target_signal" else _AROUND
+        first, left = max(row - around, 0), max(column - around, 0)
+        tile = rows.tile(first, min(row + around + 1, rows.rows))
+    tile = tile.isel(column=slice(left, column + around + 1))
+    cubes.check(tile, level, name=str(path))
+    if level == "range_image":
+        channel = str(tile.attrs["polarization"])
+        return {channel: list(_of_image(tile, row - first, column - left))}
+    return {
+        channel: list(_of_samples(tile, number))
+        for number, channel in enumerate(tile.amulor.polarizations)
+    }
+
+
+def _of_samples(tile: xr.Dataset, channel: int) -> Iterator[Reason]:
+    """Yield the flags of a channel's samples, equal ones of all frequencies once."""
+    cube = tile.isel(polarization=[channel])
+    frequencies = cube["modulation_frequency"].values
+    at: dict[Reason, tuple[float, ...]] = {}
+    for number, frequency in enumerate(frequencies):
+        samples = cube.isel(modulation_frequency=[number])
+        for reason in _reasons(_numbers_of(samples) | _phases(samples), cube.attrs):
+            at[reason] = (*at.get(reason, ()), float(frequency))
+    for reason, some in at.items():
+        alone = len(some) < len(frequencies) or len(frequencies) == 1
+        yield replace(reason, modulation_frequencies=some if alone else ())
+
+
+def _of_image(tile: xr.Dataset, row: int, column: int) -> Iterator[Reason]:
+    """Yield the flags of a pixel of a range image."""
+    numbers = _numbers_of(tile.isel(row=[row], column=[column]))
+    numbers["clear_of_both"] = float(edges.clear_of_both(tile)[row, column])
+    numbers["stand_off"] = float(outliers.stand_off(tile)[row, column])
+    yield from _reasons(numbers, tile.attrs)
+
+
+def _numbers_of(part: xr.Dataset) -> dict[str, float]:
+    """Numbers of a single sample or pixel."""
+    numbers = {
+        str(name): float(variable.item())
+        for name, variable in part.data_vars.items()
+        if variable.size == 1
+    }
+    near, far = "joint_nearer_surface", "joint_farther_surface"
+    if near in numbers:
+        numbers["apart"] = numbers[far] - numbers[near]
+    return numbers
+
+
+def _phases(sample: xr.Dataset) -> dict[str, float]:
+    """Phase errors of a sample, and its shift by residual water [rad]."""
+    signal = sample.amulor.signal.values
+    errors = covariance_of(sample)
+    measured = np.isfinite(signal)
+    phases = {"phase_error": quality.phase_error(signal, errors, measured).item()}
+    if "residual_in_phase" in sample:
+        parts = (
+            sample[f"residual_{part}"].values for part in ("in_phase", "quadrature")
+        )
+        in_phase, quadrature = parts
+        residual = in_phase + 1j * quadrature
+        shift = ranging.phase_shift(signal, residual=residual)
+        phases["residual_phase"] = float(np.abs(shift).item())
+        errors = errors + isotropic(math.sqrt(2) * np.nan_to_num(np.abs(residual)))
+    phases["open_phase"] = quality.phase_error(signal, errors, measured).item()
+    return phases
+
+
+@dataclass(frozen=True)
+class _Test:
+    """Number behind a flag, and the limit beyond which the flag is set."""
+
+    flag: QualityFlag | WaterResidualCause
+    key: str
+    quantity: str
+    relation: str = ""
+    limit: float = math.nan
+    unit: str = "1"
+
+    def of(self, flag: QualityFlag, causes: WaterResidualCause) -> bool:
+        """Whether it belongs to a flag with these causes."""
+        if isinstance(self.flag, WaterResidualCause):
+            return flag == QualityFlag.WATER_RESIDUAL and self.flag in causes
+        return self.flag == flag
+
+    def given_by(self, value: float) -> bool:
+        """Whether the value sets the flag; causes are stored in the file."""
+        if not self.relation or isinstance(self.flag, WaterResidualCause):
+            return not math.isnan(value)
+        return value < self.limit if self.relation == "<" else value >= self.limit
+
+
+def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[_Test]:
+    """All tests with the limits of a sample or pixel."""
+    flag, cause = QualityFlag, WaterResidualCause
+    channels = np.atleast_1d(attributes.get("channel_disagreement_limit", math.nan))
+    margin = math.exp(-ambiguity.MARGIN / 2)
+    wrong = joint.WRONG if "joint_detection" in numbers else margin / (1 + margin)
+    phase = numbers.get("phase_error", math.nan)
+    return [
+        _Test(flag.NO_TARGET, "no_target_probability",
+              "chance of so large a chi-square without a target", ">", presence.SIZE),
+        _Test(flag.NO_TARGET, "joint_detection",
+              "fall of chi-square by a target", "<", DETECTION),
+        _Test(flag.NO_TARGET, "signal_significance",
+              "target signal off zero, in standard errors", "<",
+              quality.DETECTION_THRESHOLD),
+        _Test(flag.NO_TARGET, "open_phase", "standard uncertainty of the phase", ">",
+              quality.LARGEST_PHASE_ERROR, "rad"),
+        _Test(flag.AMBIGUOUS, "joint_wrong_interval_probability",
+              "probability of another interval", ">", joint.WRONG),
+        _Test(flag.AMBIGUOUS, "ambiguous_interval_probability",
+              "probability of another interval", ">", wrong),
+        _Test(flag.AMBIGUOUS, "ambiguous_misfit_probability",
+              "chance of phases that disagree so much", "<", ambiguity.DISAGREEMENT),
+        _Test(cause.PHASE_SHIFT, "residual_phase", "phase shift by residual water", ">",
+              phase, "rad"),
+        _Test(cause.PHASE_SHIFT, "residual_phase_ratio",
+              "phase shift by residual water over the phase error", ">", 1.0),
+        _Test(cause.STRONG_COLUMN, "column_over_target",
+              "water signal behind the target over target signal", ">",
+              subtraction.TOO_STRONG),
+        _Test(cause.WATER_SHAPE, "water_shape_significance",
+              "signal of the shape of the water, in standard errors", ">",
+              quality.DETECTION_THRESHOLD),
+        _Test(cause.WATER_SHAPE, "water_shape_probability",
+              "chance of so large a rest besides it", ">", quality.PLAUSIBLE),
+        _Test(cause.MODEL_MISFIT, "joint_misfit_probability",
+              "chance of so large a misfit to the model", "<", joint.DISAGREEMENT),
+        _Test(cause.MODEL_DEPARTURE, "joint_departure",
+              "shift of the range by departures from the model", ">",
+              numbers.get("joint_departure_limit", math.nan), "m"),
+        _Test(flag.WATER_RESIDUAL, "slant_range_bias",
+              "estimated bias of the range", unit="m"),
+        _Test(flag.NO_OPEN_WATER, "slant_range_bias",
+              "estimated bias of the range", unit="m"),
+        _Test(flag.MIXED, "clear_of_both",
+              "off both surfaces around it, in standard errors", ">",
+              default_of(edges.flag_mixed, "significance")),
+        _Test(flag.MIXED, "apart", "distance of the two surfaces", unit="m"),
+        _Test(flag.OUTLIER, "channel_disagreement",
+              "phase off another channel, in units of its scatter", ">",
+              float(channels.min())),
+        _Test(flag.OUTLIER, "stand_off", "off its neighbours, in standard errors", ">",
+              outliers.LEAST),
+    ]  # fmt: skip
+
+
+def _reasons(
+    numbers: dict[str, float], attributes: Mapping[Any, Any]
+) -> Iterator[Reason]:
+    """Yield a reason for each number beyond its limit, at least one per flag."""
+    flags = QualityFlag(int(numbers["quality_flag"]))
+    causes = WaterResidualCause(int(numbers.get("water_residual_cause", 0)))
+    if "residual_phase" in numbers:  # the angle says more than its ratio
+        numbers.pop("residual_phase_ratio", None)
+    if "joint_detection" in numbers:  # which looks for a target in all samples together
+        numbers.pop("open_phase", None)
+    tests = _tests(numbers, attributes)
+    for flag in (bit for bit in QualityFlag if bit & flags):
+        # Bits of flags and causes are alike as numbers: told apart by their names.
+        of_water = flag == QualityFlag.WATER_RESIDUAL and causes
+        unexplained = [str(bit.name) for bit in (causes if of_water else flag)]
+        for test in tests:
+            value = numbers.get(test.key, math.nan)
+            if test.of(flag, causes) and test.given_by(value):
+                name = str(test.flag.name)
+                unexplained = [bit for bit in unexplained if bit != name]
+                yield Reason(
+                    flag=str(flag.name),
+                    cause="" if name == flag.name else name,
+                    quantity=test.quantity,
+                    value=value,
+                    limit=f"{test.relation} {test.limit:.3g}" if test.relation else "",
+                    unit=test.unit,
+                )
+        for name in unexplained:
+            yield Reason(
+                flag=str(flag.name),
+                cause="" if name == flag.name else name,
+                quantity=_words(name, attributes),
+            )
+
+
+def _words(name: str, attributes: Mapping[Any, Any]) -> str:
+    """Words for a flag or cause without a number in the file."""
+    if name == "RELATIVE":
+        return str(attributes.get("interval_unsettled", "no interval is stated"))
+    numbers = (
+        f"{label} {float(np.squeeze(attributes[key])):.2g}"
+        for label, key in (
+            ("relative change of the water", "open_water_change"),
+            ("departure of the shots from the model", "open_water_misfit"),
+        )
+        if key in attributes
+    )
+    of_water = ", ".join(numbers) or "not stored"
+    return {
+        "WATER_CHANGED": of_water,
+        "INSTRUMENT": of_water,
+        "MISSING": "no number in phase or in quadrature",
+        "NO_TARGET": "too few samples that can be used",
+        "SATURATED": "overload reported with the sample",
+        "AMBIGUOUS": "outside the interval, or alike within departures",
+        "NO_OPEN_WATER": "bias of the range by the water not known",
+        "OUTLIER": "sample contradicts the others of its pixel",
+        "PHASE_SHIFT": "residual water signal not known",
+    }.get(name, "not stored: file of an older version")

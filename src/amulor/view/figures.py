@@ -1,8 +1,9 @@
-"""Figures of cubes and range images; each returns a figure and draws nothing else."""
+"""Figures of cubes and range images, and of response curves."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from amulor.cube import error_unknown
+from amulor.errors import FormatError
 from amulor.imaging import point_cloud
+from amulor.io.files import atomic_output
 from amulor.view.maps import Map, draw_maps, quality_map, usual_limits
 from amulor.view.style import (
     BRIGHTNESS_MAP,
@@ -75,11 +78,11 @@ def signal_images(cube: xr.Dataset, *, frequency: int = 0) -> Figure:
             ),
         ]
     with style():
-        return draw_maps([(cube, drawn) for drawn in maps])
+        return draw_maps([(cube, panel) for panel in maps])
 
 
 def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
-    """Draw slant range before and after rejection, its uncertainty and its flags.
+    """Draw slant range before and after rejection with uncertainty and flags.
 
     Parameters
     ----------
@@ -89,7 +92,7 @@ def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Four panels; both ranges in the same colours.
+        Four panels; both ranges in the same colors.
 
     Examples
     --------
@@ -132,7 +135,7 @@ def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
         ),
     ]
     with style():
-        return draw_maps([(after, drawn) for drawn in maps])
+        return draw_maps([(after, panel) for panel in maps])
 
 
 def image_overview(image: xr.Dataset) -> Figure:
@@ -163,10 +166,10 @@ def image_overview(image: xr.Dataset) -> Figure:
         ("uncertainty", "slant_range_uncertainty", "mm", ERROR_MAP),
         ("brightness", "intensity", "mV", BRIGHTNESS_MAP),
     )
-    said = {"uncertainty": "uncertainty: not known"} if error_unknown(image) else {}
+    titles = {"uncertainty": "uncertainty: not known"} if error_unknown(image) else {}
     maps = [
         Map(
-            title=said.get(title, title),
+            title=titles.get(title, title),
             values=image[name].values * 1e3,
             label=label,
             colours=colours,
@@ -174,11 +177,11 @@ def image_overview(image: xr.Dataset) -> Figure:
         for title, name, label, colours in panels
     ]
     with style():
-        return draw_maps([(image, drawn) for drawn in (*maps, quality_map(image))])
+        return draw_maps([(image, panel) for panel in (*maps, quality_map(image))])
 
 
 def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
-    """Draw all rows of range images over each other, as line profiles.
+    """Draw all rows of range images superimposed, as line profiles.
 
     Of more rows than can be told apart, the median and the bands that hold 68 and 95
     of 100 rows are drawn.
@@ -303,7 +306,7 @@ def _even(values: Floats) -> tuple[float, float]:
 
 
 def _grid(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:
-    """Return x, y and height above the farthest plane over (row, column) [mm]."""
+    """Coordinates x, y and height above the farthest plane over (row, column) [mm]."""
     cloud = point_cloud(image)
     shape = image["quality_flag"].shape
     place = (cloud["row"].values, cloud["column"].values)
@@ -323,18 +326,18 @@ def _grid(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:
 
 
 def _rows_of(axis: Axes, across: Floats, height: Floats, colour: str) -> None:
-    """Draw rows as lines, or many of them as a band."""
+    """Draw rows as lines, or a large number of them as a band."""
     if len(height) <= _MOST_LINES:
         axis.plot(across.T, height.T, color=colour, lw=0.4, alpha=0.35)
         return
-    there = np.isfinite(height).sum(axis=0) > 0.02 * len(height)
-    if not there.any():
+    covered = np.isfinite(height).sum(axis=0) > 0.02 * len(height)
+    if not covered.any():
         return
-    right = np.median(across[:, there], axis=0)
+    right = np.median(across[:, covered], axis=0)
     low, under, middle, over, high = np.nanquantile(
-        height[:, there], [0.025, 0.16, 0.5, 0.84, 0.975], axis=0
+        height[:, covered], [0.025, 0.16, 0.5, 0.84, 0.975], axis=0
     )
-    gap = np.flatnonzero(np.diff(np.flatnonzero(there)) > 1) + 1
+    gap = np.flatnonzero(np.diff(np.flatnonzero(covered)) > 1) + 1
     right, low, under, middle, over, high = (
         np.insert(values, gap, np.nan)
         for values in (right, low, under, middle, over, high)
@@ -367,3 +370,66 @@ def _shaded(height: Floats, low: float, high: float) -> NDArray[np.float64]:
     shaded[..., :3] *= (0.55 + 0.45 * light)[..., None]
     shaded[~np.isfinite(height), 3] = 0.0
     return np.asarray(shaded, dtype=float)
+
+
+def response_curves(
+    modulation_frequency: NDArray[np.float64],
+    responses: Mapping[str, NDArray[np.complex128]],
+    *,
+    cut_off: float | None = None,
+    errors: Mapping[str, NDArray[np.float64]] | None = None,
+    title: str = "",
+) -> Figure:
+    """Draw relative amplitude and phase of the water signal."""
+    with style():
+        canvas = new_figure(4.8, 4.4)
+        top, bottom = canvas.subplots(2, 1, sharex=True)
+        for name, response in responses.items():
+            (line,) = top.plot(modulation_frequency / 1e6, np.abs(response), label=name)
+            if errors is not None and name in errors:
+                top.fill_between(
+                    modulation_frequency / 1e6,
+                    np.abs(response) - errors[name],
+                    np.abs(response) + errors[name],
+                    color=line.get_color(),
+                    alpha=0.3,
+                    lw=0,
+                )
+            phase = np.degrees(np.unwrap(np.angle(response)))
+            bottom.plot(modulation_frequency / 1e6, phase, label=name)
+        if cut_off is not None:
+            top.axhline(np.sqrt(0.5), color="#999999", lw=0.6, ls="--")
+            top.plot(
+                cut_off / 1e6,
+                np.sqrt(0.5),
+                "o",
+                color="black",
+                ms=4,
+                label=f"cut-off {cut_off / 1e6:.1f} MHz",
+            )
+        top.set_ylim(0, 1.02)
+        top.set_ylabel("amplitude over that at 0 MHz")
+        top.legend()
+        top.set_title(title)
+        bottom.set_ylabel("phase delay [degrees]")
+        bottom.set_xlabel("modulation frequency [MHz]")
+        for axis in (top, bottom):
+            axis.grid(True)
+    return canvas
+
+
+def write_response_curves(
+    path: Path,
+    modulation_frequency: NDArray[np.float64],
+    responses: Mapping[str, NDArray[np.complex128]],
+    *,
+    overwrite: bool = False,
+    **options: Any,
+) -> None:
+    """Write the figure of response curves as PNG or SVG."""
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("png", "svg"):
+        raise FormatError(f"{path}: pictures are written as .png or .svg; rename it")
+    canvas = response_curves(modulation_frequency, responses, **options)
+    with atomic_output(path, overwrite=overwrite) as temporary, style():
+        canvas.savefig(temporary, format=kind, dpi=160)

@@ -1,4 +1,4 @@
-"""The report of any range images: pictures, numbers, flags, history."""
+"""Report of range images: pictures, numbers, flags, history."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from amulor.imaging.selection import Whole
 from amulor.view import figures
 from amulor.view.accuracy import (
     accuracy_statement,
+    error_budgets,
     instrument_and_water,
     registration,
 )
-from amulor.view.error_budget import error_budgets
 from amulor.view.explanations import hint
 from amulor.view.report import (
     Heading,
@@ -69,18 +69,18 @@ def write(
         cubes.check(image, "range_image", name=name)
     first = next(iter(images.values()))
     tell("measuring check distances", 0.0)
-    known = wholes or {}
+    statistics = wholes or {}
     measured = {
-        name: list(known[name].checks)
-        if name in known
+        name: list(statistics[name].checks)
+        if name in statistics
         else [compared(image, check) for check in checks]
         for name, image in images.items()
     }
-    parts: list[Part] = [Paragraph(_origin(images)), _numbers(images, known)]
+    parts: list[Part] = [Paragraph(_origin(images)), _numbers(images, statistics)]
     parts += [
-        Paragraph(_thinning(name, whole))
-        for name, whole in known.items()
-        if whole.step > 1
+        Paragraph(_thinning(name, image_statistics))
+        for name, image_statistics in statistics.items()
+        if image_statistics.step > 1
     ]
     parts += accuracy_statement(images, measured)
     tell("working out the error budget", 0.1)
@@ -92,7 +92,8 @@ def write(
         parts += [
             Heading(name),
             Picture(
-                figures.image_overview(image), flag_sentence(image, known.get(name))
+                figures.image_overview(image),
+                flag_sentence(image, statistics.get(name)),
             ),
         ]
     # A surface needs two rows and two columns, and something to be drawn of them.
@@ -126,7 +127,7 @@ def write(
 
 
 def flag_sentence(image: xr.Dataset, whole: Whole | None = None) -> str:
-    """Return a sentence that counts the flags of a range image.
+    """Sentence with the number of flagged pixels of a range image.
 
     Parameters
     ----------
@@ -149,17 +150,17 @@ def flag_sentence(image: xr.Dataset, whole: Whole | None = None) -> str:
     >>> print(flag_sentence(image)[27:68])
     Flags, of 4000 pixels: 4000 no open water
     """
-    found = cubes.flag_counts(image) if whole is None else whole.flags
+    counted = cubes.flag_counts(image) if whole is None else whole.flags
     counts = [
-        f"{count} {meaning.replace('_', ' ')}" for meaning, count in found.items()
+        f"{count} {meaning.replace('_', ' ')}" for meaning, count in counted.items()
     ]
     listed = "; ".join(counts) if counts else "none"
     pixels = image["quality_flag"].size if whole is None else whole.rows * whole.columns
     words = cubes.error_unknown(image)
     error = f" {words[0].upper()}{words[1:]}." if words else ""
-    asked = f" What they mean: {hint(found)}." if counts else ""
+    hints = f" What they mean: {hint(counted)}." if counts else ""
     return (
-        f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{asked}{error}"
+        f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{hints}{error}"
     )
 
 
@@ -168,12 +169,12 @@ _PATH = re.compile(r"""(["'])(?:/|[A-Za-z]:[\\/]|\\\\)[^"'\n]*[\\/]([^"'\\/\n]+)
 
 
 def _without_folders(text: str) -> str:
-    """Return a text in which files have names only: folders are of one computer."""
+    """Text with file names only, without folders of one computer."""
     return _PATH.sub(r"\1\2\1", text)
 
 
 def interactive(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Return range images as pages that can be turned, for reports.
+    """Range images as interactive 3D pages for reports.
 
     Parameters
     ----------
@@ -206,12 +207,12 @@ def interactive(images: Mapping[str, xr.Dataset]) -> list[Part]:
                 )
             )
             continue
-        shown = page.saved_page(page.recording_of(image, name=name))
+        html = page.saved_page(page.recording_of(image, name=name))
         parts.append(
             Interactive(
                 f"{name}: drag to turn it, pick two points to measure their distance "
                 "with its uncertainty.",
-                shown,
+                html,
             )
         )
     return parts

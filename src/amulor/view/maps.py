@@ -1,4 +1,4 @@
-"""Maps of a scan: all of one shape, side by side as its own shape wants it."""
+"""Maps of a scan side by side, arranged by the scan's shape."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from amulor.view.style import MISSING_COLOUR
 
 Floats = NDArray[np.float64]
 
-#: Good, doubtful and missing pixels; what has no range is grey in every map.
+#: Good, doubtful and missing pixels; what has no range is gray in every map.
 QUALITY = {"good": "#ffffff", "doubtful": "#E69F00", "no range": MISSING_COLOUR}
 
 # Sizes [inch]: the whole figure, and what stands beside a map.
@@ -38,25 +38,25 @@ class Map:
     """One map of a scan."""
 
     title: str
-    """What it shows."""
+    """Title."""
     values: Floats
-    """Shape (row, column)."""
+    """Values, shape (row, column)."""
     label: str
-    """Unit, for the bar of colours."""
+    """Unit, for the color bar."""
     colours: str
-    """Name of the colours; "quality" for flags."""
+    """Name of the color scale; "quality" for flags."""
     limits: tuple[float, float] | None = None
-    """Values of the ends of the colours; most of the values by default."""
+    """Limits of the color scale; by default those of most values."""
 
 
 def draw_maps(maps: Sequence[tuple[xr.Dataset, Map]]) -> Figure:
-    """Draw maps of equal shape, as large as a page lets them be."""
+    """Draw maps of equal shape as large as a page allows."""
     ratio = max(_ratio(cube) for cube, _ in maps)
     rows, columns, width, height = _layout(len(maps), ratio)
     total = rows * (height + _ABOVE + _BELOW) + 0.04
     figure = Figure(figsize=(_WIDE, total))
     room = _WIDE / columns
-    for number, (cube, drawn) in enumerate(maps):
+    for number, (cube, panel) in enumerate(maps):
         row, column = divmod(number, columns)
         left = column * room + _LEFT + (room - _LEFT - _RIGHT - width) / 2
         low = total - (row + 1) * (height + _ABOVE + _BELOW) + _BELOW
@@ -65,21 +65,21 @@ def draw_maps(maps: Sequence[tuple[xr.Dataset, Map]]) -> Figure:
         bar = figure.add_axes(
             ((left + width + 0.06) / _WIDE, box[1], 0.08 / _WIDE, box[3])
         )
-        _draw(axis, bar, cube, drawn, (width, height))
-        title = textwrap.wrap(drawn.title, max(10, int((room - 0.2) * 12)))
+        _draw(axis, bar, cube, panel, (width, height))
+        title = textwrap.wrap(panel.title, max(10, int((room - 0.2) * 12)))
         axis.set_title("\n".join(title[:2]))
     return figure
 
 
 def quality_map(image: xr.Dataset) -> Map:
-    """Return the map of good, doubtful and missing pixels."""
+    """Map of good, doubtful and missing pixels."""
     flag = image["quality_flag"].values
     state = np.where(flag == 0, 0.0, np.where((flag & UNUSABLE) == 0, 1.0, 2.0))
     return Map(title="quality", values=state, label="", colours="quality")
 
 
 def usual_limits(values: Floats, margin: float = 0.0) -> tuple[float, float]:
-    """Return limits that a few stray pixels do not stretch."""
+    """Color limits insensitive to a few outliers."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return 0.0, 1.0
@@ -89,7 +89,7 @@ def usual_limits(values: Floats, margin: float = 0.0) -> tuple[float, float]:
 
 
 def _ratio(cube: xr.Dataset) -> float:
-    """Return height over width of a scan, in angles or, without them, in pixels."""
+    """Height over width of a scan, in angles or, without them, in pixels."""
     azimuth, elevation = cube["azimuth"].values, cube["elevation"].values
     wide, high = float(np.ptp(azimuth)), float(np.ptp(elevation))
     if _flat(cube):
@@ -103,7 +103,7 @@ def _flat(cube: xr.Dataset) -> bool:
 
 
 def _layout(count: int, ratio: float) -> tuple[int, int, float, float]:
-    """Return rows, columns, width and height of maps that are as large as can be."""
+    """Rows, columns, width and height of the largest maps that fit."""
     best = (0.0, (1, 1, 1.0, 1.0))
     for columns in range(1, min(count, 4) + 1):
         rows = -(-count // columns)
@@ -118,7 +118,7 @@ def _layout(count: int, ratio: float) -> tuple[int, int, float, float]:
 
 
 def _draw(
-    axis: Axes, bar: Axes, cube: xr.Dataset, drawn: Map, size: tuple[float, float]
+    axis: Axes, bar: Axes, cube: xr.Dataset, panel: Map, size: tuple[float, float]
 ) -> None:
     azimuth = np.degrees(cube["azimuth"].values)
     elevation = np.degrees(cube["elevation"].values)
@@ -129,14 +129,14 @@ def _draw(
         else (azimuth[0, 0], azimuth[0, -1], elevation[-1, 0], elevation[0, 0])
     )
     options: dict[str, Any] = {"extent": extent, "interpolation": "none"}
-    if drawn.colours == "quality":
+    if panel.colours == "quality":
         options["cmap"] = ListedColormap(list(QUALITY.values()))
         options["norm"] = BoundaryNorm([-0.5, 0.5, 1.5, 2.5], 3)
     else:
-        low, high = drawn.limits or usual_limits(drawn.values)
-        options["cmap"] = colormaps[drawn.colours].with_extremes(bad=MISSING_COLOUR)
+        low, high = panel.limits or usual_limits(panel.values)
+        options["cmap"] = colormaps[panel.colours].with_extremes(bad=MISSING_COLOUR)
         options |= {"vmin": low, "vmax": high}
-    picture = axis.imshow(drawn.values, aspect="auto", **options)
+    picture = axis.imshow(panel.values, aspect="auto", **options)
     axis.set_xlabel("column" if flat else "azimuth [°]", labelpad=1)
     axis.set_ylabel("row" if flat else "elevation [°]", labelpad=1)
     axis.xaxis.set_major_locator(MaxNLocator(max(1, int(size[0] / 0.42)), integer=flat))
@@ -144,11 +144,11 @@ def _draw(
     assert axis.figure is not None
     colours = axis.figure.colorbar(picture, cax=bar)
     colours.outline.set_linewidth(0.4)
-    if drawn.colours == "quality":
+    if panel.colours == "quality":
         colours.set_ticks([0, 1, 2], labels=list(QUALITY))
         bar.tick_params(length=0)
         colours.minorticks_off()
     else:
-        colours.set_label(drawn.label, labelpad=1)
+        colours.set_label(panel.label, labelpad=1)
         colours.locator = MaxNLocator(max(2, int(size[1] / 0.4)))
         colours.update_ticks()

@@ -1,4 +1,4 @@
-"""A self-contained HTML report: text, tables and pictures in one file."""
+"""Self-contained HTML report: text, tables and pictures in one file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from amulor.view.style import style
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A piece of running text.
+    """Running text.
 
     Examples
     --------
@@ -33,7 +33,7 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Heading:
-    """The title of what follows.
+    """Section title.
 
     Examples
     --------
@@ -48,7 +48,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with its caption.
+    """Figure with its caption.
 
     Examples
     --------
@@ -59,9 +59,9 @@ class Picture:
     """
 
     figure: Figure
-    """What is drawn."""
+    """Figure."""
     caption: str
-    """What is to be seen, in a sentence or two."""
+    """Caption of one or two sentences."""
 
 
 @dataclass(frozen=True)
@@ -79,16 +79,16 @@ class Table:
     """
 
     header: Sequence[str]
-    """Titles of the columns."""
+    """Column titles."""
     rows: Sequence[Sequence[str]]
-    """Cells; a cell that starts with "!" is marked as a warning."""
+    """Cells; one that starts with "!" is marked as a warning."""
     caption: str
-    """What the numbers are."""
+    """Caption."""
 
 
 @dataclass(frozen=True)
 class Listing:
-    """A text to be read as it is, folded away at first.
+    """Preformatted text, initially folded.
 
     Examples
     --------
@@ -98,14 +98,14 @@ class Listing:
     """
 
     title: str
-    """What it is."""
+    """Title."""
     text: str
-    """The text."""
+    """Text."""
 
 
 @dataclass(frozen=True)
 class Interactive:
-    """A page inside the report; on paper a picture stands in its place.
+    """Interactive page inside the report; a picture replaces it on paper.
 
     Examples
     --------
@@ -115,9 +115,9 @@ class Interactive:
     """
 
     title: str
-    """What it shows."""
+    """Title."""
     page: str
-    """HTML, as of `amulor.view.page.saved_page`."""
+    """HTML, as from `amulor.view.page.saved_page`."""
 
 
 Part = Heading | Paragraph | Picture | Table | Listing | Interactive
@@ -126,7 +126,7 @@ Part = Heading | Paragraph | Picture | Table | Listing | Interactive
 def write_report(
     path: str | Path, title: str, parts: Sequence[Part], *, overwrite: bool = False
 ) -> None:
-    """Write a report as one HTML file that needs nothing beside it.
+    """Write a report as one self-contained HTML file.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def write_report(
 
 
 def png(figure: Figure, *, dots_per_inch: int = 160) -> bytes:
-    """Return a figure as the content of a PNG file."""
+    """Figure as the content of a PNG file."""
     buffer = io.BytesIO()
     with style():
         figure.savefig(
@@ -225,7 +225,7 @@ def _table(table: Table) -> str:
 
 
 def _is_text(column: Sequence[str]) -> bool:
-    """Return whether a column holds words, which are read from the left."""
+    """Whether a column contains words, which are left-aligned."""
     return any(re.match(r"!?[^\W\d]{3}", cell) for cell in column) and not any(
         re.match(r"!?[-+]?\d", cell) for cell in column
     )

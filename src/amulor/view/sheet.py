@@ -1,4 +1,4 @@
-"""Drawing sheets at a stated scale: picture, grid, scale bar, statements."""
+"""Drawing sheets at scale: picture, grid, scale bar, title block."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ _SHEETS = {
 # Border of the sheet, room for numbers beside the picture, and below it [mm].
 _BORDER, _TICKS, _BLOCK = 10.0, 16.0, 52.0
 _INCH = 25.4
-# Where a scan has a surface, but nothing to be coloured.
+# Where a scan has a surface, but nothing to be colored.
 _GREY = (226, 226, 226, 255)
-#: Part of the cells that limits of colours may leave out on either side [%].
+#: Part of the cells that limits of colors may leave out on either side [%].
 _STRAY = 1.0
 _COLOURS = {
     "amplitude": BRIGHTNESS_MAP,
@@ -55,35 +55,35 @@ _COLOURS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
-    """What stands on a sheet beside the picture."""
+    """Content of a sheet besides the picture."""
 
     title: str
-    """What is drawn."""
+    """Title."""
     scale: float
-    """Metres of the object to one of the paper; 20 for 1:20 [1]."""
+    """Scale denominator; 20 for 1:20 [1]."""
     statements: Sequence[str]
-    """Frame, errors and provenance, one statement each."""
+    """Statements about frame, errors and provenance."""
     contours: Sequence[Contour] = ()
-    """Lines drawn over the picture."""
+    """Contour lines drawn over the picture."""
 
 
 def colours_of(
     raster: Raster, show: Shown, *, values: Floats | None = None
 ) -> tuple[NDArray[np.uint8], tuple[float, float], str]:
-    """Return a raster as a picture."""
+    """Picture of a raster."""
     if show == "relief":
         return _relief(raster), (0.0, 1.0), ""
     unit = "mV" if show == "amplitude" else "mm"
-    shown = {
+    values_shown = {
         "amplitude": raster.amplitude,
         "height": raster.height,
         "uncertainty": raster.uncertainty,
         "deviation": values,
     }[show]
-    if shown is None:
+    if values_shown is None:
         raise ValueError("deviations are needed to be shown")
-    shown = shown * 1e3
-    finite = shown[np.isfinite(shown)]
+    values_shown = values_shown * 1e3
+    finite = values_shown[np.isfinite(values_shown)]
     if not finite.size:
         raise CubeError(
             f"the {show} of no cell is known; show another quantity, or look at the "
@@ -96,23 +96,23 @@ def colours_of(
     if not high > low:
         low, high = low - 0.5, low + 0.5
     pixels = colormaps[_COLOURS[show]](
-        Normalize(low, high, clip=True)(shown), bytes=True
+        Normalize(low, high, clip=True)(values_shown), bytes=True
     )
     pixels = np.array(pixels, dtype=np.uint8)
-    pixels[~np.isfinite(shown)] = 0
+    pixels[~np.isfinite(values_shown)] = 0
     if show == "deviation":
-        pixels[np.isfinite(raster.height) & ~np.isfinite(shown)] = _GREY
+        pixels[np.isfinite(raster.height) & ~np.isfinite(values_shown)] = _GREY
     return pixels, (low, high), unit
 
 
 def sheet(
-    raster: Raster, said: Sheet, *, show: Shown, values: Floats | None = None
+    raster: Raster, content: Sheet, *, show: Shown, values: Floats | None = None
 ) -> Figure:
-    """Draw a raster on the smallest ISO sheet that holds it at its scale."""
+    """Draw a raster on the smallest ISO sheet that fits it at its scale."""
     rows, columns = raster.height.shape
-    wide = columns * raster.cell / said.scale * 1e3
-    high = rows * raster.cell / said.scale * 1e3
-    name, width, height = _paper(wide, high, said.scale)
+    wide = columns * raster.cell / content.scale * 1e3
+    high = rows * raster.cell / content.scale * 1e3
+    name, width, height = _paper(wide, high, content.scale)
     pixels, limits, unit = colours_of(raster, show, values=values)
     with style():
         figure = Figure(figsize=(width / _INCH, height / _INCH))
@@ -129,19 +129,19 @@ def sheet(
             raster.top,
         )
         axis.imshow(pixels, extent=extent, interpolation="none", aspect="auto")
-        for line in said.contours:
+        for line in content.contours:
             axis.plot(*line.points.T, color="#D55E00", lw=0.35)
         axis.set_xlim(extent[:2])
         axis.set_ylim(extent[2:])
-        _grid(axis, said.scale, raster.plane.names)
-        _block(figure, (width, height), said, name, raster)
+        _grid(axis, content.scale, raster.plane.names)
+        _block(figure, (width, height), content, name, raster)
         if unit:
             _colour_bar(figure, (width, height), show, limits, unit)
     return figure
 
 
 def _paper(wide: float, high: float, scale: float) -> tuple[str, float, float]:
-    """Return the smallest sheet for a picture of some size [mm]."""
+    """Smallest sheet for a picture of some size [mm]."""
     needed = wide + 2 * _BORDER + _TICKS, high + 2 * _BORDER + _TICKS + _BLOCK
     for name, (short, long) in _SHEETS.items():
         for width, height in ((long, short), (short, long)):
@@ -155,13 +155,13 @@ def _paper(wide: float, high: float, scale: float) -> tuple[str, float, float]:
 
 
 def _rounded(value: float) -> float:
-    """Return the next 1, 2 or 5 times a power of ten that is not below a value."""
+    """Smallest 1, 2 or 5 times a power of ten not below a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(s * power for s in (1, 2, 5, 10) if s * power >= value * 0.999))
 
 
 def _grid(axis: Axes, scale: float, names: tuple[str, str, str]) -> None:
-    """Draw crossing lines every 20 to 50 mm of paper, with their coordinates."""
+    """Draw grid lines every 20 to 50 mm of paper with their coordinates."""
     step = _rounded(0.02 * scale)
     if max(np.ptp(axis.get_xlim()), np.ptp(axis.get_ylim())) < 4 * step:
         step = _rounded(0.008 * scale)
@@ -185,11 +185,11 @@ def _grid(axis: Axes, scale: float, names: tuple[str, str, str]) -> None:
 def _block(
     figure: Figure,
     size: tuple[float, float],
-    said: Sheet,
+    content: Sheet,
     paper: str,
     raster: Raster,
 ) -> None:
-    """Write the title block with the scale bar below the picture."""
+    """Draw the title block with the scale bar below the picture."""
     width, height = size
     frame = figure.add_axes((0, 0, 1, _BLOCK / height + _BORDER / height))
     frame.set_xlim(0, width)
@@ -201,23 +201,23 @@ def _block(
         )
     )
     top = _BORDER + _BLOCK - 4
-    words = textwrap.shorten(said.title, 90, placeholder=" ...")
+    words = textwrap.shorten(content.title, 90, placeholder=" ...")
     frame.text(_BORDER + 4, top - 6, words, fontsize=10, weight="bold", va="center")
     frame.text(
         width - _BORDER - 4,
         top - 6,
-        f"1:{said.scale:g} on {paper}",
+        f"1:{content.scale:g} on {paper}",
         fontsize=10,
         weight="bold",
         va="center",
         ha="right",
     )
-    _scale_bar(frame, said.scale, (_BORDER + 6, top - 16))
+    _scale_bar(frame, content.scale, (_BORDER + 6, top - 16))
     room = width - 2 * _BORDER - 8
     letters = int(room / 1.16)
     lines = [
         line
-        for statement in said.statements
+        for statement in content.statements
         for line in textwrap.wrap(statement, letters, subsequent_indent="   ")
     ]
     size_of_text = 6.0 if len(lines) <= 9 else 6.0 * 9 / len(lines)
@@ -225,7 +225,7 @@ def _block(
 
 
 def _scale_bar(frame: Axes, scale: float, at: tuple[float, float]) -> None:
-    """Draw a bar of four parts whose length on paper is true."""
+    """Draw a scale bar of four parts, true on paper."""
     length = _rounded(0.03 * scale)
     size = length / scale * 1e3
     for part in range(4):
@@ -254,7 +254,7 @@ def _colour_bar(
     limits: tuple[float, float],
     unit: str,
 ) -> None:
-    """Draw what the colours mean at the right of the title block."""
+    """Draw the color scale right of the title block."""
     width, height = size
     long = 50.0
     axis: Any = figure.add_axes(
@@ -276,16 +276,16 @@ def _colour_bar(
 
 
 def _relief(raster: Raster) -> NDArray[np.uint8]:
-    """Return a raster lit from the upper left, over means of 3 x 3 cells."""
-    there = np.isfinite(raster.height)
-    filled = np.where(there, raster.height, 0.0)
-    weight = ndimage.uniform_filter(there.astype(float), 3)
+    """Picture of a raster lit from the upper left, averaged over 3 x 3 cells."""
+    covered = np.isfinite(raster.height)
+    filled = np.where(covered, raster.height, 0.0)
+    weight = ndimage.uniform_filter(covered.astype(float), 3)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = ndimage.uniform_filter(filled, 3) / weight
-    mean = np.where(there, mean, np.nanmean(raster.height))
+    mean = np.where(covered, mean, np.nanmean(raster.height))
     light = LightSource(azdeg=315, altdeg=40).hillshade(
         mean, dx=raster.cell, dy=raster.cell
     )
     grey = (255 * np.clip(light, 0, 1)).astype(np.uint8)
-    opacity = np.where(there, 255, 0).astype(np.uint8)
+    opacity = np.where(covered, 255, 0).astype(np.uint8)
     return np.stack([grey, grey, grey, opacity], axis=-1)

@@ -1,4 +1,4 @@
-"""The report of a site: poses, plan, weak places, change between visits."""
+"""Report of a site: poses, plan, weak places, change between visits."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ def write(
 
 
 def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
-    """Return the site from above."""
+    """Draw the site from above."""
     figure = new_figure(7.0, 5.6)
     axes = figure.add_subplot()
     some = _thinned(np.flatnonzero(~cloud.moving))
     place = cloud.position[some]
     order = np.argsort(place[:, 2])
-    drawn = axes.scatter(
+    points = axes.scatter(
         place[order, 0],
         place[order, 1],
         c=place[order, 2],
@@ -86,8 +86,8 @@ def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
         linewidths=0,
         rasterized=True,
     )
-    figure.colorbar(drawn, ax=axes, label="height [m]", shrink=0.8)
-    epochs = [one.name for one in site.epoch]
+    figure.colorbar(points, ax=axes, label="height [m]", shrink=0.8)
+    epochs = [visit.name for visit in site.epoch]
     first = site.scan[0].name
     for scan in site.scan:
         pose = registration.poses[scan.name]
@@ -123,16 +123,16 @@ def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
 
 
 def errors(cloud: Merged) -> Figure:
-    """Return the uncertainty of the points from above, and how often each occurs."""
+    """Draw the uncertainty of the points from above, with its histogram."""
     figure = new_figure(7.0, 3.4)
     axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
     some = _thinned(np.flatnonzero(~cloud.moving))
     largest = np.sqrt(np.linalg.eigvalsh(cloud.covariance[some])[:, -1]) * 1e3
-    drawn = axes[0].scatter(
+    points = axes[0].scatter(
         *cloud.position[some, :2].T, c=largest, s=0.6, cmap=ERROR_MAP, linewidths=0,
         vmin=0, vmax=float(np.quantile(largest, 0.99)), rasterized=True,
     )  # fmt: skip
-    figure.colorbar(drawn, ax=axes[0], label="standard uncertainty [mm]")
+    figure.colorbar(points, ax=axes[0], label="standard uncertainty [mm]")
     axes[0].set_aspect("equal")
     axes[0].set_xlabel("east [m]")
     axes[0].set_ylabel("north [m]")
@@ -143,30 +143,32 @@ def errors(cloud: Merged) -> Figure:
 
 
 def change_map(change: Change, places: Sequence[Region]) -> Figure:
-    """Return the change from above, what is significant, and its distribution."""
+    """Draw the change from above with its significance and distribution."""
     figure = new_figure(7.0, 3.6)
     axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
-    known = np.isfinite(change.value)
-    still, sure = known & ~change.significant, known & change.significant
+    both = np.isfinite(change.value)
+    still, sure = both & ~change.significant, both & change.significant
     value = change.value * 1e3
-    limit = max(float(np.quantile(np.abs(value[known]), 0.995)), 1e-3)
+    limit = max(float(np.quantile(np.abs(value[both]), 0.995)), 1e-3)
     colours = {"cmap": DIFFERENCE_MAP, "vmin": -limit, "vmax": limit, "linewidths": 0}
     axes[0].scatter(*change.position[still, :2].T, c=value[still], s=3, **colours)
-    drawn = axes[0].scatter(
+    points = axes[0].scatter(
         *change.position[sure, :2].T, c=value[sure], s=12, **colours
     )
-    figure.colorbar(drawn, ax=axes[0], label="change along the normal [mm]")
-    for number, one in enumerate(places):
+    figure.colorbar(points, ax=axes[0], label="change along the normal [mm]")
+    for number, place in enumerate(places):
         ring = Circle(
-            (float(one.centre[0]), float(one.centre[1])), one.reach * 1.15, fill=False
+            (float(place.centre[0]), float(place.centre[1])),
+            place.reach * 1.15,
+            fill=False,
         )
         axes[0].add_patch(ring)
-        corner = (one.centre[0] + one.reach, one.centre[1] + one.reach)
+        corner = (place.centre[0] + place.reach, place.centre[1] + place.reach)
         axes[0].annotate(str(number + 1), corner)
     if places:
-        # No centimetre among empty metres.
+        # No centimeter among empty meters.
         low, high = (
-            pick([sign * one.reach + one.centre[:2] for one in places], axis=0)
+            pick([sign * place.reach + place.centre[:2] for place in places], axis=0)
             for pick, sign in ((np.min, -1), (np.max, 1))
         )
         margin = max(float((high - low).max()), 10 * change.spacing) / 2
@@ -175,7 +177,7 @@ def change_map(change: Change, places: Sequence[Region]) -> Figure:
     axes[0].set_aspect("equal")
     axes[0].set_xlabel("east [m]")
     axes[0].set_ylabel("north [m]")
-    score = change.value[known] / change.uncertainty[known]
+    score = change.value[both] / change.uncertainty[both]
     bins = np.linspace(-6, 6, 61)
     axes[1].hist(
         np.clip(score, -6, 6), bins=list(bins), density=True, color=COLOURS[5],
@@ -242,7 +244,7 @@ def _poses(site: Site, registration: Registration) -> Table:
 
 
 def _largest(covariance: Floats) -> tuple[float, float]:
-    """Return the largest standard uncertainty of shift and turn [mm, mrad]."""
+    """Largest standard uncertainty of shift and turn [mm, mrad]."""
     shift, turn = (
         np.sqrt(max(float(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1]), 0))
         for k in (0, 3)
@@ -252,13 +254,13 @@ def _largest(covariance: Floats) -> tuple[float, float]:
 
 def _warnings(registration: Registration) -> list[Part]:
     parts: list[Part] = []
-    for one in registration.disagreements:
-        first, second = one["scans"]
+    for worst in registration.disagreements:
+        first, second = worst["scans"]
         parts.append(
             Paragraph(
                 f"{first} on {second} contradicts all others by "
-                f"{one['shift'] * 1e3:.2f} mm and {one['turn'] * 1e3:.3f} mrad; it "
-                f"counts {one['trust']:.0%}."
+                f"{worst['shift'] * 1e3:.2f} mm and {worst['turn'] * 1e3:.3f} mrad; it "
+                f"counts {worst['trust']:.0%}."
             )
         )
     for weak in registration.weaknesses:
@@ -322,16 +324,16 @@ def _scans(site: Site, cloud: Merged) -> Table:
 def _changed(
     change: Change, places: Sequence[Region], motions: Mapping[int, Motion]
 ) -> list[Part]:
-    known = np.isfinite(change.value)
+    both = np.isfinite(change.value)
     share = change.significant.sum()
     parts: list[Part] = [
         Heading(f"Change from {change.epochs[0]} to {change.epochs[1]}"),
         Paragraph(
-            f"{int(known.sum())} places {change.spacing * 1e3:.0f} mm apart were "
+            f"{int(both.sum())} places {change.spacing * 1e3:.0f} mm apart were "
             f"compared, in cylinders of {change.radius * 1e3:.0f} mm radius; "
             f"{int(share)} changed, of which at most {change.false_alarms:.0%} by "
             "chance. Median standard uncertainty "
-            f"{np.nanmedian(change.uncertainty[known]) * 1e3:.2f} mm, poses included."
+            f"{np.nanmedian(change.uncertainty[both]) * 1e3:.2f} mm, poses included."
         ),
         Picture(
             change_map(change, places),
@@ -342,7 +344,7 @@ def _changed(
     if not places:
         return [*parts, Paragraph("No place changed.")]
     rows = []
-    for number, one in enumerate(places):
+    for number, place in enumerate(places):
         motion = motions.get(number)
         moved = ["", "", "", ""]
         first = next((k for k in sorted(motions) if motions[k] is motion), number)
@@ -361,11 +363,11 @@ def _changed(
         rows.append(
             [
                 str(number + 1),
-                ", ".join(f"{v:.2f}" for v in one.centre),
-                f"{one.area * 1e4:.0f}",
-                f"{one.mean * 1e3:+.2f} ± {one.mean_uncertainty * 1e3:.2f}",
-                f"{one.volume * 1e6:+.0f} ± {one.volume_uncertainty * 1e6:.0f}",
-                f"{one.lost * 1e4:.0f}",
+                ", ".join(f"{v:.2f}" for v in place.centre),
+                f"{place.area * 1e4:.0f}",
+                f"{place.mean * 1e3:+.2f} ± {place.mean_uncertainty * 1e3:.2f}",
+                f"{place.volume * 1e6:+.0f} ± {place.volume_uncertainty * 1e6:.0f}",
+                f"{place.lost * 1e4:.0f}",
                 *moved,
             ]
         )

@@ -1,4 +1,4 @@
-"""A running scan as text: its picture in half blocks, how it goes, what to do."""
+"""Running scan as text: picture in half blocks, progress, advice."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ __all__ = ["CHOICES", "going", "map_name", "picture", "screen", "signal_to_noise
 
 Floats = NDArray[np.float64]
 
-#: Maps that can be watched, and the colours that tell them.
+#: Maps that can be watched, and the colors that tell them.
 CHOICES = {
     "range": DISTANCE_MAP,
     "amplitude": BRIGHTNESS_MAP,
     "uncertainty": "magma",
 }
-#: From little to much, on terminals without colours.
+#: From little to much, on terminals without colors.
 _SHADES = " .:-=+*#%@"
 #: A cell of the terminal holds this pixel above another one.
 _HALF = "▀"
 _UNITS = {layer.name: layer.unit for layer in MAPS.values()}
 
 
-def map_name(live: Live, channel: str, wanted: str) -> str:
-    """Return the name of a map, before rejection as long as there is none after it."""
-    after = np.isfinite(live.now(channel, wanted)).any()
-    return wanted if after else f"{wanted}_before"
+def map_name(live: Live, channel: str, layer: str) -> str:
+    """Name of a map, before rejection until there is one after it."""
+    after = np.isfinite(live.now(channel, layer)).any()
+    return layer if after else f"{layer}_before"
 
 
 def shrunk(values: Floats, rows: int, columns: int) -> Floats:
-    """Return the means of blocks, of what is known in them."""
+    """Means of the finite values in blocks."""
     times = min(rows // values.shape[0], columns // values.shape[1])
     if times > 1:
         return values.repeat(times, axis=0).repeat(times, axis=1)
@@ -55,34 +55,37 @@ def shrunk(values: Floats, rows: int, columns: int) -> Floats:
     padded = np.full((shape[0] * step, shape[1] * step), np.nan)
     padded[: values.shape[0], : values.shape[1]] = values
     blocks = padded.reshape(shape[0], step, shape[1], step)
-    known = np.isfinite(blocks)
-    count = known.sum(axis=(1, 3))
-    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
+    valid = np.isfinite(blocks)
+    count = valid.sum(axis=(1, 3))
+    total = np.where(valid, blocks, 0.0).sum(axis=(1, 3))
     mean: Floats = np.divide(total, count, out=np.full(shape, np.nan), where=count > 0)
     return mean
 
 
 def limits(values: Floats) -> tuple[float, float]:
-    """Return what the ends of the colours stand for: 2 and 98 % of the pixels."""
-    known = values[np.isfinite(values)]
-    if known.size == 0:
+    """Limits of the color scale: 2 and 98 % quantiles of the pixels."""
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
         return 0.0, 1.0
-    low, high = np.quantile(known, [0.02, 0.98])
+    low, high = np.quantile(finite, [0.02, 0.98])
     return float(low), float(high if high > low else low + max(abs(low), 1e-12) * 1e-3)
 
 
 def picture(values: Floats, *, colours: str, plain: bool = False) -> Text:
-    """Return a map as lines of half blocks, two rows of pixels to a line."""
+    """Map as lines of half blocks, two rows of pixels per line."""
     from rich.text import Text
 
     low, high = limits(values)
-    known = np.isfinite(values)
-    part = np.where(known, np.clip((values - low) / (high - low), 0.0, 1.0), 0.0)
+    valid = np.isfinite(values)
+    part = np.where(valid, np.clip((values - low) / (high - low), 0.0, 1.0), 0.0)
     if plain:
         shade = (part * (len(_SHADES) - 2)).round().astype(int) + 1
         lines = (
-            "".join(_SHADES[s] if there else " " for s, there in zip(*row, strict=True))
-            for row in zip(shade, known, strict=True)
+            "".join(
+                _SHADES[s] if is_valid else " "
+                for s, is_valid in zip(*row, strict=True)
+            )
+            for row in zip(shade, valid, strict=True)
         )
         return Text("\n".join(lines), no_wrap=True)
     red_green_blue = (matplotlib.colormaps[colours](part)[..., :3] * 255).astype(int)
@@ -91,8 +94,8 @@ def picture(values: Floats, *, colours: str, plain: bool = False) -> Text:
         if top:
             text.append("\n")
         for column in range(values.shape[1]):
-            above = _colour(red_green_blue, known, top, column)
-            below = _colour(red_green_blue, known, top + 1, column)
+            above = _colour(red_green_blue, valid, top, column)
+            below = _colour(red_green_blue, valid, top + 1, column)
             if above is None and below is None:
                 text.append(" ")
             elif above is None:
@@ -103,32 +106,35 @@ def picture(values: Floats, *, colours: str, plain: bool = False) -> Text:
 
 
 def _colour(
-    shades: NDArray[np.int_], known: NDArray[np.bool_], row: int, column: int
+    shades: NDArray[np.int_], valid: NDArray[np.bool_], row: int, column: int
 ) -> str | None:
-    """Return the colour of a pixel as rich names it, None where there is none."""
-    if row >= len(known) or not known[row, column]:
+    """Color of a pixel in the notation of rich, None without a value."""
+    if row >= len(valid) or not valid[row, column]:
         return None
     red, green, blue = shades[row, column]
     return f"rgb({red},{green},{blue})"
 
 
 def signal_to_noise(live: Live, channel: str) -> float | None:
-    """Return the median amplitude over its standard uncertainty."""
+    """Median amplitude over its standard uncertainty."""
     samples = live.recording.samples
     if samples is None or channel not in samples.amulor.polarizations:
         return None
-    one = samples.sel(polarization=channel)
-    size = np.hypot(one["in_phase"].values, one["quadrature"].values)
+    channel_samples = samples.sel(polarization=channel)
+    size = np.hypot(
+        channel_samples["in_phase"].values, channel_samples["quadrature"].values
+    )
     error = np.hypot(
-        one["in_phase_uncertainty"].values, one["quadrature_uncertainty"].values
+        channel_samples["in_phase_uncertainty"].values,
+        channel_samples["quadrature_uncertainty"].values,
     )
     ratio = size / np.where(error > 0, error / math.sqrt(2), np.nan)
-    known = ratio[np.isfinite(ratio)]
-    return float(np.median(known)) if known.size else None
+    finite = ratio[np.isfinite(ratio)]
+    return float(np.median(finite)) if finite.size else None
 
 
 def going(status: Mapping[str, Any], *, ratio: float | None, now: datetime) -> str:
-    """Return how a scan goes in one line."""
+    """Progress of a scan in one line."""
     done, total = int(status.get("done", 0)), int(status.get("total", 0))
     words = [str(status.get("state", "not begun"))]
     if words[0] == "running":
@@ -139,8 +145,8 @@ def going(status: Mapping[str, Any], *, ratio: float | None, now: datetime) -> s
         words.append(f"{status['rate']:.0f}/s")
     if status.get("left") is not None:
         ends = now + timedelta(seconds=float(status["left"]))
-        left = timedelta(seconds=int(status["left"]))
-        words.append(f"{left} left, ends at {ends:%H:%M}")
+        remaining = timedelta(seconds=int(status["left"]))
+        words.append(f"{remaining} left, ends at {ends:%H:%M}")
     flagged = status.get("flagged") or {}
     words += [f"{count:,} {name}" for name, count in sorted(flagged.items())]
     if ratio is not None:
@@ -156,36 +162,38 @@ def screen(
     live: Live,
     *,
     channel: str,
-    wanted: str,
+    layer: str,
     size: tuple[int, int],
     plain: bool,
     now: datetime,
 ) -> RenderableType:
-    """Return all that a terminal shows of a scan."""
+    """Terminal display of a scan."""
     from rich.console import Group
     from rich.text import Text
 
     status = live.status
-    name = map_name(live, channel, wanted)
+    name = map_name(live, channel, layer)
     values = live.now(channel, name)
     wide, high = size
-    said = [Text(str(line), style="bold yellow") for line in status.get("advice", [])]
+    notices = [
+        Text(str(line), style="bold yellow") for line in status.get("advice", [])
+    ]
     if "error" in status:
-        said.append(Text(str(status["error"]), style="bold red"))
-    room = max(2, high - 5 - sum(-(-len(line.plain) // wide) for line in said))
+        notices.append(Text(str(status["error"]), style="bold red"))
+    room = max(2, high - 5 - sum(-(-len(line.plain) // wide) for line in notices))
     small = shrunk(values, room if plain else 2 * room, max(2, wide - 1))
     low, top = limits(small)
-    unit = _UNITS.get(wanted, "")
-    scale = f"{wanted} {low:.4g} to {top:.4g} {unit}"
+    unit = _UNITS.get(layer, "")
+    scale = f"{layer} {low:.4g} to {top:.4g} {unit}"
     if not np.isfinite(small).any():
-        scale = f"{wanted}: nothing measured yet"
-    elif name != wanted:
+        scale = f"{layer}: nothing measured yet"
+    elif name != layer:
         scale += ", water left in"
     ratio = signal_to_noise(live, channel)
     return Group(
         Text(f"{live.name}, {channel}", style="bold"),
-        picture(small, colours=CHOICES[wanted], plain=plain),
+        picture(small, colours=CHOICES[layer], plain=plain),
         Text(scale, style="dim"),
         Text(going(status, ratio=ratio, now=now)),
-        *said,
+        *notices,
     )

@@ -18,8 +18,7 @@ from amulor.cube.schema import ALIKE_TERMS, SHARED_TERMS
 from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.view import Picture, Table, image_report, write_report
-from amulor.view.accuracy import accuracy_statement
-from amulor.view.error_budget import error_budgets
+from amulor.view.accuracy import accuracy_statement, error_budgets
 from amulor.view.report import Heading, Paragraph, png
 from amulor.view.style import COLOURS
 

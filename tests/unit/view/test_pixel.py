@@ -14,7 +14,7 @@ from scipy.constants import speed_of_light
 from amulor import imaging, io, rejection, samples
 from amulor.cli import main
 from amulor.cube import QualityFlag
-from amulor.view.pixel import reasons
+from amulor.view.explanations import reasons
 
 SIGMA = 1e-3
 

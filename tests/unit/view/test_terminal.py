@@ -96,7 +96,7 @@ def test_the_screen_fits_and_shows_the_scan(folder: Path, plain: bool) -> None:
     live.stop()
     console = Console(file=io.StringIO(), width=60, height=24, force_terminal=True)
     shown = terminal.screen(
-        live, channel="VH", wanted="range", size=(60, 24), plain=plain, now=NOW
+        live, channel="VH", layer="range", size=(60, 24), plain=plain, now=NOW
     )
     with console.capture() as taken:
         console.print(shown)
@@ -113,7 +113,7 @@ def test_the_screen_fits_and_shows_the_scan(folder: Path, plain: bool) -> None:
 def test_nothing_measured_is_said(folder: Path) -> None:
     live = Live(folder)
     shown = terminal.screen(
-        live, channel="VV", wanted="range", size=(60, 24), plain=True, now=NOW
+        live, channel="VV", layer="range", size=(60, 24), plain=True, now=NOW
     )
     console = Console(file=io.StringIO(), width=60)
     with console.capture() as taken:

@@ -1,1 +1,1 @@
-"""Which instrument: figures, report and the page with sliders."""
+"""Instrument design: figures, report and the page with sliders."""

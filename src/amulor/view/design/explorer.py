@@ -1,4 +1,4 @@
-"""What the page with sliders shows: any instrument's map, fast enough to drag."""
+"""Model behind the design page: error map of an instrument, fast enough for sliders."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _SHAPE = (44, 24)
 
 @dataclass(frozen=True)
 class _Slider:
-    """One number that can be dragged."""
+    """Number on a slider."""
 
     label: str
     unit: str
     factor: float
-    """From SI to what is shown."""
+    """Factor from SI to the displayed unit."""
     span: float
     """Largest change up and down, as a factor."""
     least: float = 0.0
@@ -53,18 +53,18 @@ _SLIDERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """One place of the map where an accuracy is asked for."""
+    """Required accuracy at one point of the map."""
 
     distance: float
     """Slant range [m]."""
     attenuation: float
     """Attenuation coefficient of the water [1/m]."""
     accuracy: float
-    """Total error that is allowed [m]."""
+    """Largest allowed total error [m]."""
 
 
 class Explorer:
-    """An instrument whose numbers are dragged, and the map of its errors."""
+    """Instrument with adjustable numbers, and the map of its errors."""
 
     def __init__(
         self,
@@ -79,9 +79,11 @@ class Explorer:
         self.survey, self.method = survey, method
         self.asked, self._interval = tuple(asked), interval
         self.own = water_properties(survey)
-        near, far = distances or _around([one.distance for one in asked], (0.5, 10), 2)
+        near, far = distances or _around(
+            [place.distance for place in asked], (0.5, 10), 2
+        )
         clear, murky = attenuations or _around(
-            [one.attenuation for one in asked] or [max(self.own.attenuation, 1e-2)],
+            [place.attenuation for place in asked] or [max(self.own.attenuation, 1e-2)],
             (0.05, 3.0),
             4,
         )
@@ -90,7 +92,7 @@ class Explorer:
         self._waters: dict[str, Survey] = {"own": survey}
 
     def describe(self) -> dict[str, Any]:
-        """Return what the page begins with."""
+        """Return the initial content of the page."""
         channels = "+".join(self.survey.instrument.polarizations)
         light = f"{self.survey.instrument.wavelength * 1e9:.0f} nm"
         return {
@@ -110,34 +112,34 @@ class Explorer:
                 *({"name": name, "label": text} for name, (text, _) in WATERS.items()),
             ],
             "water": "own",
-            "asked": [[one.distance, one.attenuation] for one in self.asked],
+            "asked": [[place.distance, place.attenuation] for place in self.asked],
         }
 
     def map(self, settings: Mapping[str, Any], *, water: str = "own") -> dict[str, Any]:
-        """Return the errors of an instrument over the map."""
+        """Errors of an instrument over the map."""
         begun = time.perf_counter()
         survey, common = self._asked_of(settings, water)
-        found = evaluate(
+        errors = evaluate(
             survey, distance=self.distance, attenuation=self.attenuation, **common
         ).squeeze(drop=True)
-        found = found.transpose("attenuation", "distance")
+        errors = errors.transpose("attenuation", "distance")
         flags = sum(
-            found[name].values.astype(int) << number
+            errors[name].values.astype(int) << number
             for number, (name, _, _) in enumerate(REGIONS)
         )
-        error = found["total_error"].values * 1e3
+        error = errors["total_error"].values * 1e3
         return {
             "error": [
                 float(f"{value:.4g}") if math.isfinite(value) else None
                 for value in error.ravel()
             ],
             "flags": np.asarray(flags).ravel().tolist(),
-            "term": found["binding_term"].values.ravel().tolist(),
+            "term": errors["binding_term"].values.ravel().tolist(),
             "milliseconds": round((time.perf_counter() - begun) * 1e3, 1),
         }
 
     def as_survey(self, settings: Mapping[str, Any], *, water: str = "own") -> str:
-        """Return an instrument as the text of a survey file."""
+        """Survey file of an instrument as text."""
         survey, axes = self._instrument(settings, water)
         frequencies = axes.pop(
             "frequencies", [survey.instrument.modulation_frequencies]
@@ -151,8 +153,10 @@ class Explorer:
             "instrument.modulation_frequencies": list(frequencies[0])
         }
         if "dwell" in axes:
-            own = survey.instrument.lock_in.time_constant
-            changes["instrument.lock_in.time_constant"] = min(own, axes["dwell"] / 6)
+            time_constant = survey.instrument.lock_in.time_constant
+            changes["instrument.lock_in.time_constant"] = min(
+                time_constant, axes["dwell"] / 6
+            )
         for name, place in (
             ("power", "instrument.power"),
             ("radius", "instrument.receiver.radius"),
@@ -167,20 +171,20 @@ class Explorer:
         return survey.with_(changes).to_toml()
 
     def _slider(self, name: str) -> dict[str, Any]:
-        one, value = _SLIDERS[name], self._stated(name)
+        slider, value = _SLIDERS[name], self._survey_value(name)
         return {
             "name": name,
-            "label": one.label,
-            "unit": one.unit,
-            "factor": one.factor,
+            "label": slider.label,
+            "unit": slider.unit,
+            "factor": slider.factor,
             "scale": "log",
             "value": value,
-            "low": max(value / one.span, one.least),
-            "high": min(value * one.span, one.most),
+            "low": max(value / slider.span, slider.least),
+            "high": min(value * slider.span, slider.most),
         }
 
-    def _stated(self, name: str) -> float:
-        """Return the survey's own value of a slider."""
+    def _survey_value(self, name: str) -> float:
+        """Value of a slider in the survey."""
         instrument = self.survey.instrument
         receiver = instrument.receiver
         apart = np.subtract(receiver.position, instrument.emitter.position)[:2]
@@ -198,30 +202,32 @@ class Explorer:
     def _instrument(
         self, settings: Mapping[str, Any], water: str
     ) -> tuple[Survey, dict[str, Any]]:
-        """Return the survey in a water, and the axes that sliders have moved."""
+        """Survey in a water, and the axes changed by sliders."""
         axes: dict[str, Any] = {}
-        for name, given in settings.items():
+        for name, setting in settings.items():
             if name not in _SLIDERS:
                 raise SurveyError(f"there is no slider {str(name)[:40]!r}")
-            if not isinstance(given, int | float) or not math.isfinite(given):
-                raise SurveyError(f"{name} must be a number, found {str(given)[:40]!r}")
-            if not math.isclose(given, self._stated(name), rel_tol=1e-6):
-                axes[name] = float(given)
+            if not isinstance(setting, int | float) or not math.isfinite(setting):
+                raise SurveyError(
+                    f"{name} must be a number, found {str(setting)[:40]!r}"
+                )
+            if not math.isclose(setting, self._survey_value(name), rel_tol=1e-6):
+                axes[name] = float(setting)
         if "frequency" in axes:
-            own = self.survey.instrument.modulation_frequencies
-            factor = axes.pop("frequency") / own[-1]
-            axes["frequencies"] = [[value * factor for value in own]]
+            frequencies = self.survey.instrument.modulation_frequencies
+            factor = axes.pop("frequency") / frequencies[-1]
+            axes["frequencies"] = [[value * factor for value in frequencies]]
         return self._in(water), axes
 
     def _asked_of(
         self, settings: Mapping[str, Any], water: str
     ) -> tuple[Survey, dict[str, Any]]:
-        """Return a survey, and what `evaluate` is asked besides distances."""
+        """Survey, and the arguments of `evaluate` except distances."""
         survey, axes = self._instrument(settings, water)
         return survey, {"method": self.method, "interval": self._interval, **axes}
 
     def _in(self, name: str) -> Survey:
-        """Return the survey in a water that goes by a name."""
+        """Survey in a named water."""
         if name not in self._waters:
             if name not in WATERS:
                 raise SurveyError(f"there is no water {name[:40]!r}")
@@ -231,36 +237,40 @@ class Explorer:
     def met(
         self, settings: Mapping[str, Any], *, water: str = "own"
     ) -> list[dict[str, Any]]:
-        """Return whether an instrument meets what is asked for, place by place."""
+        """Verdict on each required accuracy, with the reason."""
         if not self.asked:
             return []
         survey, common = self._asked_of(settings, water)
-        places = [(one.distance, one.attenuation) for one in self.asked]
+        places = [(place.distance, place.attenuation) for place in self.asked]
         distance, attenuation = (
             xr.DataArray(list(values), dims="place")
             for values in zip(*places, strict=True)
         )
-        found = evaluate(survey, distance=distance, attenuation=attenuation, **common)
-        found = found.squeeze([dim for dim in found.dims if dim != "place"], drop=True)
-        said = []
-        for number, one in enumerate(self.asked):
-            here = found.isel(place=number)
-            error = float(here["total_error"])
-            wrong = [text for name, text, _ in REGIONS if bool(here[name])]
-            term = TERMS[int(here["binding_term"])].replace("_", " ")
+        errors = evaluate(survey, distance=distance, attenuation=attenuation, **common)
+        errors = errors.squeeze(
+            [dim for dim in errors.dims if dim != "place"], drop=True
+        )
+        verdicts = []
+        for number, place in enumerate(self.asked):
+            at_place = errors.isel(place=number)
+            error = float(at_place["total_error"])
+            wrong = [text for name, text, _ in REGIONS if bool(at_place[name])]
+            term = TERMS[int(at_place["binding_term"])].replace("_", " ")
             because = ", ".join(wrong) if wrong else f"binds: {term}"
             text = (
-                f"{one.distance:.3g} m, {one.attenuation:.2g} 1/m: {error * 1e3:.3g} "
-                f"of {one.accuracy * 1e3:.3g} mm; {because}"
+                f"{place.distance:.3g} m, {place.attenuation:.2g} 1/m: "
+                f"{error * 1e3:.3g} of {place.accuracy * 1e3:.3g} mm; {because}"
             )
-            said.append({"text": text, "met": error <= one.accuracy and not wrong})
-        return said
+            verdicts.append(
+                {"text": text, "met": error <= place.accuracy and not wrong}
+            )
+        return verdicts
 
 
 def _around(
     values: Sequence[float], usual: tuple[float, float], factor: float
 ) -> tuple[float, float]:
-    """Return ends of a map around what is asked for."""
+    """Return the ends of a map around the required points."""
     if not values:
         return usual
     return min(values) / factor, max(values) * factor

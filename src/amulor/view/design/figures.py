@@ -1,4 +1,4 @@
-"""Figures of a recommendation: map, fronts, what to measure, what would change it."""
+"""Figures of a design: error map, Pareto fronts, sensitivity."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def error_map(
     with style():
         figure = new_figure(5.6, 3.9)
         axes = figure.add_subplot()
-        drawn = _mapped(axes, found)
-        bar = figure.colorbar(drawn, ax=axes, label="total error [mm]", extend="both")
+        mesh = _mapped(axes, found)
+        bar = figure.colorbar(mesh, ax=axes, label="total error [mm]", extend="both")
         bar.ax.yaxis.set_major_formatter(FuncFormatter(_plain))
         _rings(axes, asked)
         _legend(axes, found, bool(asked))
@@ -56,18 +56,18 @@ def error_map(
 def error_maps(
     found: Mapping[str, xr.Dataset], *, asked: Sequence[tuple[float, float]] = ()
 ) -> Figure:
-    """Draw several maps beside each other, in the same colours."""
+    """Draw several maps beside each other in the same colors."""
     with style():
         figure = new_figure(1.2 + 2.5 * len(found), 3.1)
         panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
-        for axes, (title, one) in zip(panels, found.items(), strict=True):
-            drawn = _mapped(axes, one)
+        for axes, (title, errors) in zip(panels, found.items(), strict=True):
+            mesh = _mapped(axes, errors)
             _rings(axes, asked)
             axes.set_xlabel("distance [m]")
             axes.set_title(title)
         panels[0].set_ylabel("attenuation [1/m]")
         bar = figure.colorbar(
-            drawn, ax=list(panels), label="total error [mm]", extend="both"
+            mesh, ax=list(panels), label="total error [mm]", extend="both"
         )
         bar.ax.yaxis.set_major_formatter(FuncFormatter(_plain))
         handles: list[Artist] = list(panels[0].get_legend_handles_labels()[0])
@@ -80,37 +80,39 @@ def error_maps(
     return figure
 
 
-def _rings(axes: Axes, asked: Sequence[tuple[float, float]]) -> None:
-    if not asked:
+def _rings(axes: Axes, places: Sequence[tuple[float, float]]) -> None:
+    if not places:
         return
-    distance, attenuation = zip(*asked, strict=True)
+    distance, attenuation = zip(*places, strict=True)
     axes.plot(
         distance, attenuation, "o", color="white", markeredgecolor="black",
         markersize=4.5, zorder=5, label="asked for",
     )  # fmt: skip
 
 
-def _hatched(found: Sequence[xr.Dataset]) -> list[Patch]:
-    """Return what explains the regions that there are."""
+def _hatched(maps: Sequence[xr.Dataset]) -> list[Patch]:
+    """Legend entries for the hatched regions of the maps."""
     return [
         Patch(facecolor="#7c7b78", edgecolor="white", hatch=hatch, label=text)
         for name, text, hatch in REGIONS
-        if any(bool(one[name].any()) for one in found)
+        if any(bool(errors[name].any()) for errors in maps)
     ]
 
 
-def _mapped(axes: Axes, found: xr.Dataset) -> Any:
-    found = found.transpose("attenuation", "distance")
-    x, y = found["distance"].values, found["attenuation"].values
-    error = found["total_error"].values * 1e3
-    shown = np.clip(np.where(np.isfinite(error), error, np.nan), 1e-6, 1e9)
-    drawn = axes.pcolormesh(
-        x, y, shown, cmap=ERROR_MAP, norm=LogNorm(*_LIMITS), shading="nearest",
+def _mapped(axes: Axes, errors: xr.Dataset) -> Any:
+    errors = errors.transpose("attenuation", "distance")
+    x, y = errors["distance"].values, errors["attenuation"].values
+    error = errors["total_error"].values * 1e3
+    clipped = np.clip(np.where(np.isfinite(error), error, np.nan), 1e-6, 1e9)
+    mesh = axes.pcolormesh(
+        x, y, clipped, cmap=ERROR_MAP, norm=LogNorm(*_LIMITS), shading="nearest",
         rasterized=True,
     )  # fmt: skip
-    lines = [level for level in CONTOURS if np.nanmin(shown) < level < np.nanmax(shown)]
+    lines = [
+        level for level in CONTOURS if np.nanmin(clipped) < level < np.nanmax(clipped)
+    ]
     if lines:
-        drawn_lines = axes.contour(x, y, np.log(shown), np.log(lines), colors="white")
+        drawn_lines = axes.contour(x, y, np.log(clipped), np.log(lines), colors="white")
         edge: list[AbstractPathEffect] = [
             withStroke(linewidth=2.2, foreground="#0b1c26b0")
         ]
@@ -123,7 +125,7 @@ def _mapped(axes: Axes, found: xr.Dataset) -> Any:
         for text in texts:
             text.set_path_effects(edge)
     for name, _, hatch in REGIONS:
-        region = found[name].values.astype(float)
+        region = errors[name].values.astype(float)
         if region.any() and min(region.shape) > 1:
             axes.contourf(
                 x, y, region, [0.5, 1.5], colors="none", hatches=[hatch]
@@ -135,15 +137,15 @@ def _mapped(axes: Axes, found: xr.Dataset) -> Any:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter(FuncFormatter(_plain))
         axes.yaxis.set_minor_formatter(NullFormatter())
-    return drawn
+    return mesh
 
 
-def _legend(axes: Axes, found: xr.Dataset, asked: bool) -> None:
-    there = _hatched([found])
-    lines = axes.get_legend_handles_labels()[0] if asked else []
-    if there or lines:
+def _legend(axes: Axes, errors: xr.Dataset, has_places: bool) -> None:
+    hatches = _hatched([errors])
+    lines = axes.get_legend_handles_labels()[0] if has_places else []
+    if hatches or lines:
         axes.legend(
-            handles=[*lines, *there], loc="upper center", bbox_to_anchor=(0.5, -0.14),
+            handles=[*lines, *hatches], loc="upper center", bbox_to_anchor=(0.5, -0.14),
             ncols=4, handlelength=2.2, handleheight=1.2,
         )  # fmt: skip
 
@@ -209,17 +211,17 @@ def _front(axes: Axes, cost: Floats, error: Floats, best: int) -> None:
         ruler.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ruler.set_major_formatter(FuncFormatter(_plain))
         ruler.set_minor_formatter(NullFormatter())
-    shown = error[usable]
-    if shown.size:
-        low = min(float(shown.min()), float(error[best]))
-        axes.set_ylim(low / 1.6, min(float(shown.max()) * 1.6, low * 3e3))
+    usable_errors = error[usable]
+    if usable_errors.size:
+        low = min(float(usable_errors.min()), float(error[best]))
+        axes.set_ylim(low / 1.6, min(float(usable_errors.max()) * 1.6, low * 3e3))
     axes.grid(True)
 
 
 def sensitivity_bars(
     names: Sequence[str], shares: ArrayLike, errors: ArrayLike
 ) -> Figure:
-    """Draw which number the error depends on most: total Sobol indices."""
+    """Draw the total Sobol indices of the error."""
     shares, errors = np.asarray(shares, dtype=float), np.asarray(errors, dtype=float)
     order = np.argsort(shares)
     with style():

@@ -1,4 +1,4 @@
-"""The report of a design on one page: what to build, why, and what would change it."""
+"""Report of a design on one page: recommendation, reasons, alternatives."""
 
 from __future__ import annotations
 
@@ -45,24 +45,24 @@ _SHAPE = (72, 44)
 
 @dataclass(frozen=True, kw_only=True)
 class Reasons:
-    """What was found out about a recommendation besides itself."""
+    """Analyzes that support a recommendation."""
 
     trade: Trade
-    """Other dwells and frequencies."""
+    """Trade-off with other dwell times and frequencies."""
     sensitivity: Sensitivity | None
-    """Which number to measure; None where nothing is uncertain."""
+    """Sensitivity of the error; None without uncertain inputs."""
     turns: Sequence[Turn] = ()
-    """Where the runner-up wins."""
+    """Values of each assumption at which the runner-up wins."""
     confirmations: Sequence[Confirmation] = ()
-    """What scans and photons say; empty if they were not asked."""
+    """Results of simulated scans and photon transport; empty if not requested."""
 
 
 def error_of(goal: Goal, chosen: Parameters) -> xr.Dataset:
-    """Return the errors of an instrument over distance and attenuation."""
+    """Errors of an instrument over distance and attenuation."""
     survey = survey_of(goal, chosen)
-    held = {
-        name: middle(each)
-        for name, each in spreads_of(goal).items()
+    middles = {
+        name: middle(spread)
+        for name, spread in spreads_of(goal).items()
         if name not in ("attenuation", "absorption", "scattering")
     }
     clear, murky = waters_of(goal, chosen)
@@ -76,27 +76,27 @@ def error_of(goal: Goal, chosen: Parameters) -> xr.Dataset:
         method=chosen.method,
         interval=goal.limits,
         wrong_interval=goal.accuracy.wrong_interval,
-        **{**goal.assumed, **held},
+        **{**goal.assumed, **middles},
     )
 
 
 def waters_of(goal: Goal, chosen: Parameters) -> tuple[float, float]:
-    """Return the least and the largest attenuation that is asked for."""
-    stated = goal.waters.attenuation
-    if stated is None:
-        own = water_properties(survey_of(goal, chosen)).attenuation
-        return own, own
+    """Smallest and largest attenuation of the goal."""
+    attenuation_range = goal.waters.attenuation
+    if attenuation_range is None:
+        attenuation = water_properties(survey_of(goal, chosen)).attenuation
+        return attenuation, attenuation
     scale = water_scale(goal, chosen).get("attenuation", 1.0)
-    return stated.low * scale, stated.high * scale
+    return attenuation_range.low * scale, attenuation_range.high * scale
 
 
-def figures_of(found: Recommendation, reasons: Reasons) -> dict[str, Figure]:
-    """Return the figures of a recommendation."""
-    goal = found.goal
-    drawn = {"map": _map(goal, found.best, "Recommended")}
-    if found.runner_up is not None:
-        drawn["runner-up-map"] = _map(goal, found.runner_up, "Runner-up")
-    drawn["fronts"] = figures.fronts(
+def figures_of(recommendation: Recommendation, reasons: Reasons) -> dict[str, Figure]:
+    """Figures of a recommendation."""
+    goal = recommendation.goal
+    drawings = {"map": _map(goal, recommendation.best, "Recommended")}
+    if recommendation.runner_up is not None:
+        drawings["runner-up-map"] = _map(goal, recommendation.runner_up, "Runner-up")
+    drawings["fronts"] = figures.fronts(
         reasons.trade.error,
         scan_time=reasons.trade.scan_time,
         top_frequency=reasons.trade.top_frequency,
@@ -104,23 +104,23 @@ def figures_of(found: Recommendation, reasons: Reasons) -> dict[str, Figure]:
         target=goal.accuracy.total_error,
     )
     if reasons.sensitivity is not None:
-        drawn["sensitivity"] = figures.sensitivity_bars(
-            [one.label for one in reasons.sensitivity.numbers],
+        drawings["sensitivity"] = figures.sensitivity_bars(
+            [number.label for number in reasons.sensitivity.numbers],
             reasons.sensitivity.total,
             reasons.sensitivity.total_error,
         )
-    return drawn
+    return drawings
 
 
 def _map(goal: Goal, choice: Choice, title: str) -> Figure:
     clear, murky = waters_of(goal, choice.parameters)
     ends = sorted({clear, murky})
-    asked = [(distance, water) for distance in goal.asked for water in ends]
+    places = [(distance, water) for distance in goal.asked for water in ends]
     megahertz = ", ".join(f"{f / 1e6:.4g}" for f in choice.parameters.frequencies)
     chosen = choice.parameters
     return figures.error_map(
         error_of(goal, chosen),
-        asked=asked,
+        asked=places,
         title=f"{title}: {chosen.laser}, {megahertz} MHz, {chosen.polarization} by "
         f"{chosen.method}",
     )
@@ -128,70 +128,76 @@ def _map(goal: Goal, choice: Choice, title: str) -> Figure:
 
 def write(
     path: str | Path,
-    found: Recommendation,
+    recommendation: Recommendation,
     reasons: Reasons,
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the report of a design as one HTML file that needs nothing beside it."""
-    drawn = figures_of(found, reasons)
-    parts: list[Part] = [*_answer(found), *_edges(found)]
+    """Write the report of a design as one self-contained HTML file."""
+    drawings = figures_of(recommendation, reasons)
+    parts: list[Part] = [*_answer(recommendation), *_edges(recommendation)]
     parts += [
         Heading("What it is made of"),
-        _components(found),
+        _components(recommendation),
         Heading("What is asked for"),
-        _requirements(found.best),
+        _requirements(recommendation.best),
         Heading("Where it works"),
         Picture(
-            drawn["map"],
+            drawings["map"],
             "Total error of one pixel, noise and bias together, in median conditions. "
             "Rings stand where it is asked for, in the clearest and the most turbid "
             "water. Where it is hatched no range is to be trusted.",
         ),
     ]
-    if "runner-up-map" in drawn:
-        parts.append(Picture(drawn["runner-up-map"], "The same for the runner-up."))
+    if "runner-up-map" in drawings:
+        parts.append(Picture(drawings["runner-up-map"], "The same for the runner-up."))
     parts += [
         Heading("What time and frequency buy"),
         Picture(
-            drawn["fronts"],
+            drawings["fronts"],
             "The recommended instrument with other dwells and frequencies, whatever "
             "they cost. At the knee more begins to buy little.",
         ),
     ]
-    parts += _measure(reasons.sensitivity, drawn)
-    parts += _turns(found, reasons.turns)
+    judged = recommendation.looked_at
+    parts += _measure(reasons.sensitivity, drawings)
+    parts += _turns(recommendation, reasons.turns)
     parts += _confirmed(reasons.confirmations)
     parts += [
         Heading("What this rests on"),
         Paragraph(
-            f"{found.looked_at:,} instruments were judged by the total error of one "
+            f"{judged:,} instruments were judged by the total error of one "
             "pixel that the asked share of waters and targets keeps within, from the "
             "small-angle model with the whole phase function and from the noise of "
             "laser, detector and lock-in. Eye safety, prices and limits of components "
             "are inputs as the goal states them, and no certificate."
         ),
-        Listing("Survey of the recommended instrument", found.best.survey),
+        Listing("Survey of the recommended instrument", recommendation.best.survey),
     ]
-    if found.runner_up is not None:
-        parts.append(Listing("Survey of the runner-up", found.runner_up.survey))
-    write_report(path, found.goal.name, parts, overwrite=overwrite)
+    if recommendation.runner_up is not None:
+        parts.append(
+            Listing("Survey of the runner-up", recommendation.runner_up.survey)
+        )
+    write_report(path, recommendation.goal.name, parts, overwrite=overwrite)
 
 
-def _answer(found: Recommendation) -> list[Part]:
-    best, goal = found.best, found.goal
+def _answer(recommendation: Recommendation) -> list[Part]:
+    best, goal = recommendation.best, recommendation.goal
     reached = (
         f"{best.error * 1e3:.3g} mm at {best.worst_distance:.3g} m in "
         f"{goal.accuracy.share:.0%} of the waters and targets, with "
         f"{goal.accuracy.total_error * 1e3:.3g} mm asked for"
     )
-    if found.impossible:
+    if recommendation.impossible:
         return [
             Paragraph(
                 f"No instrument of these components does it. The nearest one is "
                 f"{parameters_text(best.parameters)}: {reached}."
             ),
-            *(Paragraph(f"What must give: {one.text}.") for one in found.impossible),
+            *(
+                Paragraph(f"What must give: {conflict.text}.")
+                for conflict in recommendation.impossible
+            ),
         ]
     cost = f", for {best.cost:,.0f}" if best.cost else ""
     return [
@@ -203,14 +209,14 @@ def _answer(found: Recommendation) -> list[Part]:
     ]
 
 
-def _edges(found: Recommendation) -> list[Part]:
-    return [Paragraph(f"At an edge: {one.text}.") for one in found.bounds]
+def _edges(recommendation: Recommendation) -> list[Part]:
+    return [Paragraph(f"At an edge: {bound.text}.") for bound in recommendation.bounds]
 
 
-def _components(found: Recommendation) -> Table:
-    choices = [("recommended", found.best)]
-    if found.runner_up is not None:
-        choices.append(("runner-up", found.runner_up))
+def _components(recommendation: Recommendation) -> Table:
+    choices = [("recommended", recommendation.best)]
+    if recommendation.runner_up is not None:
+        choices.append(("runner-up", recommendation.runner_up))
     rows: list[list[str]] = []
     names = {
         "laser": "laser",
@@ -224,15 +230,17 @@ def _components(found: Recommendation) -> Table:
         "dwell": "dwell for a sample",
     }
     for name, label in names.items():
-        rows.append([label, *(_written(one.parameters, name) for _, one in choices)])
+        rows.append(
+            [label, *(_written(choice.parameters, name) for _, choice in choices)]
+        )
     more: list[tuple[str, Any]] = [
-        ("error at the worst distance", lambda one: f"{one.error * 1e3:.3g} mm"),
-        ("share of waters and targets", lambda one: f"{one.share:.0%}"),
-        ("binds", lambda one: one.binding.replace("_", " ")),
-        ("time of a scan", lambda one: f"{one.scan_time / 60:.3g} min"),
-        ("cost", lambda one: f"{one.cost:,.0f}" if one.cost else "not stated"),
+        ("error at the worst distance", lambda choice: f"{choice.error * 1e3:.3g} mm"),
+        ("share of waters and targets", lambda choice: f"{choice.share:.0%}"),
+        ("binds", lambda choice: choice.binding.replace("_", " ")),
+        ("time of a scan", lambda choice: f"{choice.scan_time / 60:.3g} min"),
+        ("cost", lambda choice: f"{choice.cost:,.0f}" if choice.cost else "not stated"),
     ]
-    rows += [[label, *(text(one) for _, one in choices)] for label, text in more]
+    rows += [[label, *(text(choice) for _, choice in choices)] for label, text in more]
     return Table(
         ["", *(title for title, _ in choices)],
         rows,
@@ -275,18 +283,20 @@ def _requirements(choice: Choice) -> Table:
     )
 
 
-def _measure(found: Sensitivity | None, drawn: dict[str, Figure]) -> list[Part]:
-    if found is None:
+def _measure(
+    sensitivity: Sensitivity | None, drawings: dict[str, Figure]
+) -> list[Part]:
+    if sensitivity is None:
         return []
-    largest = found.largest
+    largest = sensitivity.largest
     return [
         Heading("What to measure before buying"),
         Paragraph(
             f"The error depends most on: {largest.label}. All together change it by a "
-            f"factor of {np.exp(found.spread):.2f} (one standard deviation)."
+            f"factor of {np.exp(sensitivity.spread):.2f} (one standard deviation)."
         ),
         Picture(
-            drawn["sensitivity"],
+            drawings["sensitivity"],
             "Total Sobol indices with standard errors: the share of the variance of "
             "the logarithm of the error that goes with each number. Ranges are those "
             "of the goal; numbers that it assumes were varied by a factor of two.",
@@ -294,17 +304,19 @@ def _measure(found: Sensitivity | None, drawn: dict[str, Figure]) -> list[Part]:
     ]
 
 
-def _turns(found: Recommendation, turns: Sequence[Turn]) -> list[Part]:
-    if found.runner_up is None or not turns:
+def _turns(recommendation: Recommendation, turns: Sequence[Turn]) -> list[Part]:
+    if recommendation.runner_up is None or not turns:
         return []
     rows = [
         [
-            one.label,
-            f"{one.value:.3g} {one.unit}" if one.unit != "1" else f"{one.value:.3g}",
-            "not within a factor of 10" if one.turns_at is None else _at(one),
-            "" if one.factor is None else f"{one.factor:.3g}",
+            turn.label,
+            f"{turn.value:.3g} {turn.unit}"
+            if turn.unit != "1"
+            else f"{turn.value:.3g}",
+            "not within a factor of 10" if turn.turns_at is None else _at(turn),
+            "" if turn.factor is None else f"{turn.factor:.3g}",
         ]
-        for one in turns
+        for turn in turns
     ]
     return [
         Heading("What would change the answer"),
@@ -317,21 +329,25 @@ def _turns(found: Recommendation, turns: Sequence[Turn]) -> list[Part]:
     ]
 
 
-def _at(one: Turn) -> str:
-    return f"{one.turns_at:.3g} {'' if one.unit == '1' else one.unit}".strip()
+def _at(turn: Turn) -> str:
+    return f"{turn.turns_at:.3g} {'' if turn.unit == '1' else turn.unit}".strip()
 
 
-def _confirmed(found: Sequence[Confirmation]) -> list[Part]:
-    if not found:
+def _confirmed(confirmations: Sequence[Confirmation]) -> list[Part]:
+    if not confirmations:
         return []
     parts: list[Part] = [Heading("Confirmed by scans and photons")]
-    parts += [Paragraph(f"{line}.") for one in found for line in one.said]
+    parts += [
+        Paragraph(f"{line}.")
+        for confirmation in confirmations
+        for line in confirmation.said
+    ]
     rows = []
-    for one in found:
-        scans, photons = one.scans, one.photons
+    for confirmation in confirmations:
+        scans, photons = confirmation.scans, confirmation.photons
         mark = "" if scans.holds else "!"
         row = [
-            one.name,
+            confirmation.name,
             f"{scans.distance:.3g} m",
             f"{scans.predicted * 1e3:.3g}",
             f"{scans.achieved * 1e3:.3g}",
@@ -349,13 +365,14 @@ def _confirmed(found: Sequence[Confirmation]) -> list[Part]:
                 f"{photons.echo[top]:.3f} ± {photons.echo_error[top]:.3f}",
                 f"{photons.water[top]:.3f} ± {photons.water_error[top]:.3f}",
                 f"{shift:.2f} ± {rough:.2f}",
-                f"{one.late * 1e3:.2f}",
+                f"{confirmation.late * 1e3:.2f}",
             ]
         )
     header = ["instrument", "at", "predicted [mm]", "achieved [mm]", "ratio"]
     header += ["offset [mm]", "echo", "water", "late by [mm]", "stated [mm]"]
+    ranges = confirmations[0].scans.ranges
     caption = (
-        f"{found[0].scans.ranges} simulated ranges of each, through the chosen way to "
+        f"{ranges} simulated ranges of each, through the chosen way to "
         "take the water out; the ratio is to be 0.9 to 1.1. Echo and water before the "
         "target by photon transport over those of the model, at the highest frequency; "
         "how late the echo is, of which imaging takes three quarters off, and what is "

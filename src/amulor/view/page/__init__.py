@@ -1,4 +1,4 @@
-"""The browser page: a server for this computer, and pages saved as one file.
+"""Browser page: a local server, and pages saved as one file.
 
 Saving a scan needs no package beyond those of amulor; serving needs the extra `view`.
 """
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from amulor.view.page.live import Live
     from amulor.view.page.recording import Recording, opened, recording_of
     from amulor.view.page.saved import save_page, saved_page
-    from amulor.view.page.serving import background, serve
+    from amulor.view.page.server import background, serve
 
 __all__ = [
     "Live",
@@ -31,11 +31,11 @@ if not TYPE_CHECKING:
         origin={
             "Live": "amulor.view.page.live",
             "Recording": "amulor.view.page.recording",
-            "background": "amulor.view.page.serving",
+            "background": "amulor.view.page.server",
             "opened": "amulor.view.page.recording",
             "recording_of": "amulor.view.page.recording",
             "save_page": "amulor.view.page.saved",
             "saved_page": "amulor.view.page.saved",
-            "serve": "amulor.view.page.serving",
+            "serve": "amulor.view.page.server",
         },
     )

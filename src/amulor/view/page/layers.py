@@ -1,4 +1,4 @@
-"""Maps of the page: their names and words, and their numbers as they travel."""
+"""Maps of the page: names, descriptions, and binary encoding."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from amulor.cube.schema import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 
 @dataclass(frozen=True, kw_only=True)
 class Layer:
-    """One number for every pixel of a scan."""
+    """Map: one number for every pixel of a scan."""
 
     name: str
     """Name in addresses."""
     label: str
-    """Name on the page."""
+    """Label on the page."""
     unit: str
-    """Unit that the numbers have when they travel."""
+    """Unit of the encoded numbers."""
     kind: Literal["range", "amplitude", "error", "signed", "chance", "flags", "hidden"]
-    """Which colours tell it."""
+    """Kind of color scale."""
     before: bool = False
-    """Whether it is of the picture before rejection."""
+    """Whether it belongs to the picture before rejection."""
 
     @property
     def is_error(self) -> bool:
-        """Whether it holds an error of the range, or a term of it."""
+        """Whether it is an error of the range, or a term of it."""
         return self.kind == "error" or self.name.startswith(("common", "term_"))
 
 
@@ -64,7 +64,7 @@ BEFORE = ("slant_range", "intensity", "quality_flag", "slant_range_uncertainty")
 
 
 def flag_words() -> list[dict[str, Any]]:
-    """Return every quality flag with its bit, its name and its words."""
+    """Quality flags with bit, name and description."""
     words = schema.flag_words()["pixel"]
     return [
         {
@@ -79,12 +79,12 @@ def flag_words() -> list[dict[str, Any]]:
 
 
 def described(layer: Layer) -> dict[str, Any]:
-    """Return a layer as the page reads it."""
+    """Layer description for the page."""
     return asdict(layer)
 
 
 def stored(values: np.ndarray, layer: Layer) -> bytes:
-    """Return numbers as they travel: flags in 16 bits, all else in 32, little end."""
+    """Numbers as bytes: flags with 16 bits, others with 32, little-endian."""
     form = "<u2" if layer.kind == "flags" else "<f4"
     return np.ascontiguousarray(values).astype(form).tobytes()
 
@@ -94,12 +94,12 @@ _LEVEL = 4
 
 
 def packed(content: bytes, *, width: int) -> str:
-    """Return bytes as text."""
+    """Bytes as base64 text."""
     sorted_bytes = np.frombuffer(content, np.uint8).reshape(-1, width).T.tobytes()
     return base64.b64encode(zlib.compress(sorted_bytes, _LEVEL)).decode()
 
 
 def unpacked(text: str, *, width: int) -> bytes:
-    """Return the bytes that `packed` was given."""
+    """Bytes from the text of `packed`."""
     content = zlib.decompress(base64.b64decode(text))
     return np.frombuffer(content, np.uint8).reshape(width, -1).T.tobytes()

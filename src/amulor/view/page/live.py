@@ -1,4 +1,4 @@
-"""A running scan, followed by reading its journal."""
+"""Live view of a running scan from its journal."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ _PHASE_ERROR = 0.02
 
 
 def quick_layers(
-    one: xr.Dataset, signal: NDArray[np.complex128], ending: str
+    row: xr.Dataset, signal: NDArray[np.complex128], ending: str
 ) -> dict[str, NDArray[np.float64]]:
-    """Return range and amplitude of a row that has just been measured.
+    """Range and amplitude of a newly measured row.
 
     Phases to paths to slant ranges as `amulor.imaging.range_image`, but all frequencies
     with one phase error, and without late light: within what that takes off, the same.
     """
-    frequency = np.atleast_1d(one["modulation_frequency"].values)
-    geometry = geometry_of(one)
+    frequency = np.atleast_1d(row["modulation_frequency"].values)
+    geometry = geometry_of(row)
     shortest, longest = geometry.path_limits(None, frequency)
-    there = np.isfinite(signal).all(axis=0)
-    filled = np.where(there, signal, 1.0)[:, None]
+    valid = np.isfinite(signal).all(axis=0)
+    filled = np.where(valid, signal, 1.0)[:, None]
     path = ambiguity.optical_path(
         np.angle(filled),
         np.full(filled.shape, _PHASE_ERROR),
@@ -58,8 +58,8 @@ def quick_layers(
     ranges = geometry.slant_range(path.length)[0]
     amplitude = np.abs(filled[0, 0])
     return {
-        f"range{ending}": np.where(there, ranges, np.nan),
-        f"amplitude{ending}": np.where(there, amplitude, np.nan),
+        f"range{ending}": np.where(valid, ranges, np.nan),
+        f"amplitude{ending}": np.where(valid, amplitude, np.nan),
     }
 
 
@@ -75,7 +75,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Rows:
-    """One row of one channel as a page gets it, before all are worked out again."""
+    """One row of one channel as sent to the page before all are recomputed."""
 
     version: int
     channel: str
@@ -84,7 +84,7 @@ class Rows:
 
 
 class Live:
-    """A scan folder whose journal is read while it grows, and never written."""
+    """Scan folder whose growing journal is read, never written."""
 
     def __init__(
         self, folder: Path, *, clock: Callable[[], float] = time.monotonic
@@ -114,17 +114,17 @@ class Live:
 
     @property
     def polarizations(self) -> list[str]:
-        """Names of the channels that the scan measures."""
+        """Names of the measured channels."""
         return list(self._survey.instrument.polarizations)
 
     def start(self) -> None:
-        """Begin to follow, in a thread."""
+        """Start following in a thread."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, daemon=True)
             self._thread.start()
 
     def stop(self) -> None:
-        """End following, and leave the journal to others."""
+        """Stop following, and release the journal."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(10)
@@ -137,7 +137,7 @@ class Live:
             self._stop.wait(POLL)
 
     def look(self) -> None:
-        """Read what is new, once; what stands in the way is said in the status."""
+        """Read new samples once; errors go to the status."""
         with self._reading:
             try:
                 self._look()
@@ -169,15 +169,15 @@ class Live:
         resume = None if in_use(self.folder) else resume_command(self.folder)
         segments = self._journal.segments()
         with self._lock:
-            self._rows.update({(one.channel, one.row): one for one in rows})
+            self._rows.update({(row.channel, row.row): row for row in rows})
             self.status = self._progress.status(segments, resume=resume)
         self._maybe_all()
 
     def _patched(self) -> list[Rows]:
-        """Return rows that are whole, by the water that was known at the last time."""
+        """Complete rows, corrected with the last estimate of the water."""
         rows = []
         for channel, row in sorted(self._changed):
-            if not self._progress.whole(channel, row):
+            if not self._progress.is_complete(channel, row):
                 continue
             self._changed.discard((channel, row))
             layers = self._quick(channel, row)
@@ -187,19 +187,22 @@ class Live:
         return rows
 
     def _quick(self, channel: str, row: int) -> dict[str, Floats]:
-        """Return range and amplitude of a row, less the water of the last picture."""
-        one = self.recording.one_row(channel, row)
-        if one is None:
+        """Range and amplitude of a row, corrected with the last water estimate."""
+        row_cube = self.recording.one_row(channel, row)
+        if row_cube is None:
             return {}
         measured = self._progress.row_signal(channel, row)
-        layers = quick_layers(one, measured, "_before")
-        if "water_in_phase" in one:
-            water = one["water_in_phase"].values + 1j * one["water_quadrature"].values
-            layers |= quick_layers(one, measured - water[:, 0], "")
+        layers = quick_layers(row_cube, measured, "_before")
+        if "water_in_phase" in row_cube:
+            water = (
+                row_cube["water_in_phase"].values
+                + 1j * row_cube["water_quadrature"].values
+            )
+            layers |= quick_layers(row_cube, measured - water[:, 0], "")
         return layers
 
     def _maybe_all(self) -> None:
-        """Work out all pixels again, if there is something new and it is time."""
+        """Recompute all pixels if there are new ones and it is time."""
         now = self._clock()
         pause = max(_AGAIN, self._took / _SHARE)
         finished = self.status.get("state") != "running"
@@ -207,49 +210,49 @@ class Live:
             return
         if not finished and now - self._worked_out_at < pause:
             return
-        seen = self._progress.seen
+        samples_seen = self._progress.seen
         begun = self._clock()
         assert self._journal is not None
         with contextlib.suppress(AmulorError), warnings.catch_warnings():
             # A scan that has begun has means of nothing in it.
             warnings.simplefilter("ignore", RuntimeWarning)
             cube = acquisition.build(self._journal)
-            found = recording_of(cube, name=self.name)
-            for channel in found.channels:
-                found.channel(channel)
+            picture = recording_of(cube, name=self.name)
+            for channel in picture.channels:
+                picture.channel(channel)
             with self._lock:
-                self.recording = found
+                self.recording = picture
                 self.pictures += 1
                 self._rows.clear()
-        self._known = seen
+        self._known = samples_seen
         self._worked_out_at = self._clock()
         self._took = self._worked_out_at - begun
 
     def snapshot(self, version: int) -> tuple[int, dict[str, Any], list[Rows]]:
-        """Return number of the picture, status, and rows newer than a version."""
+        """Picture number, status, and rows newer than a version."""
         with self._lock:
-            rows = [one for one in self._rows.values() if one.version > version]
+            rows = [row for row in self._rows.values() if row.version > version]
             return self.pictures, dict(self.status), sorted(rows, key=_by_version)
 
     def now(self, channel: str, name: str) -> Floats:
-        """Return a map as it is now, rows newer than the last picture included."""
+        """Return the current map, including rows newer than the last picture."""
         with self._lock:
             recording, rows = self.recording, list(self._rows.values())
         values = np.full(recording.channel().shown.shape, np.nan)
         if channel in recording.channels and name in recording.layers(channel):
             values[:] = recording.layer(channel, name, 1)
-        for one in rows:
-            if one.channel == channel and name in one.layers:
-                values[one.row] = one.layers[name]
+        for row in rows:
+            if row.channel == channel and name in row.layers:
+                values[row.row] = row.layers[name]
         return values
 
 
-def _by_version(one: Rows) -> int:
-    return one.version
+def _by_version(row: Rows) -> int:
+    return row.version
 
 
 def blank(survey: Survey, name: str) -> Recording:
-    """Return a scan of which nothing is measured yet."""
+    """Return a scan without measured pixels."""
     azimuth, elevation, _ = scan_directions(survey)
     nothing = np.full(azimuth.shape, np.nan)
     image = cubes.build(

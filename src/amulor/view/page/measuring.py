@@ -1,4 +1,4 @@
-"""Measurements and products that the page may ask for."""
+"""Measurements and products requested by the page."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from amulor.view.page.recording import Recording
 
 @dataclass(frozen=True, kw_only=True)
 class Made:
-    """A product as it goes to the browser, which keeps it."""
+    """Product file for download."""
 
     name: str
-    """Name of the file."""
+    """File name."""
     content: bytes
-    """The file."""
+    """File content."""
     said: str
-    """What it is, in a few words and numbers."""
+    """Description in a few words and numbers."""
 
 
 class Products(Protocol):
-    """Makes products of range images."""
+    """Source of products of range images."""
 
     def offered(self) -> list[dict[str, Any]]:
-        """Return products with their labels, endings and options, for the page."""
+        """Products with labels, endings and options, for the page."""
 
     def make(self, image: xr.Dataset, wanted: dict[str, Any], *, stem: str) -> Made:
         """Make a product."""
@@ -56,18 +56,18 @@ _FIGURES = {"distance": 2, "height": 2, "angle": 3}
 
 
 def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
-    """Measure what a page asks for."""
+    """Measure a quantity requested by the page."""
     kind = str(request.get("kind", ""))
     channel = str(request.get("channel", recording.channels[0]))
     picture = recording.channel(channel).shown
     if kind in _FITS and "region" in request:
-        found = _fit(picture, kind, _region(picture, request["region"]))
+        result = _fit(picture, kind, _region(picture, request["region"]))
     elif kind in (*_FIGURES, *_FITS, "area"):
         pixels = _pixels(picture, request.get("pixels"))
         if kind in _FITS:
-            found = _fit(picture, kind, pixels)
+            result = _fit(picture, kind, pixels)
         else:
-            found = _figure(picture, kind, pixels, request)
+            result = _figure(picture, kind, pixels, request)
     else:
         raise CubeError(
             f"{kind[:40]!r} cannot be measured, only "
@@ -79,17 +79,17 @@ def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
         "group_index": float(picture.geometry["group_index"]),
         "error_unknown": picture.error_unknown,
         "unknown": str(picture.attributes.get("uncertainty_unknown", "")),
-        **found,
+        **result,
     }
 
 
 def _figure(
     picture: Picture, kind: str, pixels: list[tuple[int, int]], request: dict[str, Any]
 ) -> dict[str, Any]:
-    wanted = _FIGURES.get(kind)
-    if wanted is not None and len(pixels) != wanted:
-        raise CubeError(f"{kind} needs {wanted} points, got {len(pixels)}")
-    reach = _whole(request.get("reach", 0), "reach", 0, _LARGEST_REACH)
+    points_needed = _FIGURES.get(kind)
+    if points_needed is not None and len(pixels) != points_needed:
+        raise CubeError(f"{kind} needs {points_needed} points, got {len(pixels)}")
+    reach = _integer(request.get("reach", 0), "reach", 0, _LARGEST_REACH)
     # Which neighbors count depends on the steps around them.
     wide = reach + STEP_MARGIN if reach else 0
     image = picture.around(
@@ -98,20 +98,20 @@ def _figure(
     )
     at = [picture.place(*pixel) for pixel in pixels]
     if kind == "distance":
-        found = measure.distance(image, at[0], at[1], reach=reach)
+        figure = measure.distance(image, at[0], at[1], reach=reach)
     elif kind == "height":
         axis = _axis(request.get("axis", (0.0, -1.0, 0.0)))
-        found = measure.height(image, at[0], at[1], axis=axis, reach=reach)
+        figure = measure.height(image, at[0], at[1], axis=axis, reach=reach)
     elif kind == "angle":
-        found = measure.angle(image, at[0], at[1], at[2], reach=reach)
+        figure = measure.angle(image, at[0], at[1], at[2], reach=reach)
     else:
-        found = measure.area(image, at, reach=reach)
-    numbers = asdict(found)
-    line = {name: _known(numbers[name]) for name in ("value", "uncertainty", "unit")}
+        figure = measure.area(image, at, reach=reach)
+    numbers = asdict(figure)
+    line = {name: _or_none(numbers[name]) for name in ("value", "uncertainty", "unit")}
     return {
         "lines": [{"label": kind, **line}],
-        "random": found.random,
-        "pixels": found.pixels,
+        "random": figure.random,
+        "pixels": figure.pixels,
     }
 
 
@@ -129,7 +129,7 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
         {
             "label": name.replace("_", " "),
             "value": value,
-            "uncertainty": _known(fit.uncertainties[name]),
+            "uncertainty": _or_none(fit.uncertainties[name]),
             "unit": units.get(
                 name, "m" if name.startswith(("centre", "point")) else "1"
             ),
@@ -144,7 +144,7 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
             double = {
                 "label": "diameter",
                 "value": 2 * float(str(radius["value"])),
-                "uncertainty": _known(2 * fit.uncertainties["radius"]),
+                "uncertainty": _or_none(2 * fit.uncertainties["radius"]),
                 "unit": "m",
             }
             lines.insert(0, double)
@@ -157,19 +157,19 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
     }
 
 
-def _known(value: Any) -> Any:
-    """Return a value, None for a number that is not known."""
+def _or_none(value: Any) -> Any:
+    """Value, or None if it is NaN."""
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _region(picture: Picture, corners: Any) -> list[tuple[int, int]]:
-    """Return pixels of a rectangle, evenly thinned where they are many."""
+    """Pixels of a rectangle, evenly thinned if there are many."""
     if not isinstance(corners, list) or len(corners) != 4:
         raise CubeError(
             "a region has a first row and column, and a last row and column"
         )
     ends = [
-        _whole(value, "a corner of the region", 0, picture.shape[at % 2] - 1)
+        _integer(value, "a corner of the region", 0, picture.shape[at % 2] - 1)
         for at, value in enumerate(corners)
     ]
     rows = np.arange(min(ends[0], ends[2]), max(ends[0], ends[2]) + 1)
@@ -178,20 +178,20 @@ def _region(picture: Picture, corners: Any) -> list[tuple[int, int]]:
     return [(int(r), int(c)) for r in rows[::step] for c in columns[::step]]
 
 
-def _pixels(picture: Picture, given: Any) -> list[tuple[int, int]]:
-    if not isinstance(given, list) or not 1 <= len(given) <= _MOST_PICKS:
+def _pixels(picture: Picture, request: Any) -> list[tuple[int, int]]:
+    if not isinstance(request, list) or not 1 <= len(request) <= _MOST_PICKS:
         raise CubeError(f"pick 1 to {_MOST_PICKS} pixels")
-    found = []
-    for pixel in given:
+    pixels = []
+    for pixel in request:
         if not isinstance(pixel, list) or len(pixel) != 2:
             raise CubeError("a pixel is a row and a column")
-        row = _whole(pixel[0], "row", 0, picture.shape[0] - 1)
-        column = _whole(pixel[1], "column", 0, picture.shape[1] - 1)
-        found.append((row, column))
-    return found
+        row = _integer(pixel[0], "row", 0, picture.shape[0] - 1)
+        column = _integer(pixel[1], "column", 0, picture.shape[1] - 1)
+        pixels.append((row, column))
+    return pixels
 
 
-def _whole(value: Any, name: str, least: int, most: int) -> int:
+def _integer(value: Any, name: str, least: int, most: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
         raise CubeError(f"{name} must be a whole number")
     if not least <= value <= most:
@@ -199,9 +199,9 @@ def _whole(value: Any, name: str, least: int, most: int) -> int:
     return value
 
 
-def _axis(given: Any) -> tuple[float, float, float]:
+def _axis(request: Any) -> tuple[float, float, float]:
     try:
-        x, y, z = (float(part) for part in given)
+        x, y, z = (float(part) for part in request)
     except (TypeError, ValueError):
         raise CubeError("an axis is three numbers: right, down, forward") from None
     if not 0 < x * x + y * y + z * z < math.inf:
@@ -210,7 +210,7 @@ def _axis(given: Any) -> tuple[float, float, float]:
 
 
 def _near(places: list[int], reach: int, size: int) -> list[int]:
-    """Return rows or columns within reach of some."""
+    """Rows or columns within reach of some."""
     return sorted(
         {
             near

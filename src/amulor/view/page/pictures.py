@@ -1,4 +1,4 @@
-"""Range images as the page reads them: maps, beams, pixels, shared errors."""
+"""Range images as maps for the page, with beams, pixels and shared errors."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ _CHECKED = 30_000
 
 
 class BeamReader(Protocol):
-    """Beams of some rows and columns of a scan."""
+    """Function that returns the beams of some rows and columns of a scan."""
 
     def __call__(self, rows: Numbers, columns: Numbers, /) -> Floats:
-        """Return an array over (row, column, value)."""
+        """Beams over (row, column, value)."""
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Beams at the nodes of a coarse grid; those between follow by interpolation."""
+    """Beams at the nodes of a coarse grid; others follow by interpolation."""
 
     rows: Numbers
-    """Rows of the nodes, the first and the last row among them [1]."""
+    """Rows of the nodes, including the first and the last row [1]."""
     columns: Numbers
     """Columns of the nodes [1]."""
     values: NDArray[np.float32]
-    """Place where the slant range is zero [m], direction [1], azimuth and elevation
-    [rad]; shape (node rows, node columns, 8)."""
+    """Point of zero slant range [m], direction [1], azimuth and elevation [rad]; shape
+    (node rows, node columns, 8)."""
 
 
 def reader_of(image: xr.Dataset) -> BeamReader:
-    """Return what reads the beams of a range image in memory."""
+    """Beam reader of a range image in memory."""
 
     def read(rows: Numbers, columns: Numbers) -> Floats:
         part = image.isel(row=rows, column=columns)
@@ -62,7 +62,7 @@ def reader_of(image: xr.Dataset) -> BeamReader:
 
 
 def values_of(part: xr.Dataset) -> Floats:
-    """Return the beams of a range image."""
+    """Beams of a range image."""
     beam = geometry_of(part).beam
     base = beam.entry - beam.length_before[..., None] * beam.direction
     angles = np.stack([part["azimuth"].values, part["elevation"].values], axis=-1)
@@ -72,7 +72,7 @@ def values_of(part: xr.Dataset) -> Floats:
 def nodes_of(
     read: BeamReader, shape: tuple[int, int], *, farthest: float, stride: int = 1
 ) -> Nodes:
-    """Choose the coarsest grid of beams that keeps every point within a tolerance."""
+    """Coarsest grid of beams that places every point within a tolerance."""
     step = _FIRST_STEP
     while step > stride:
         nodes = _grid(read, shape, step)
@@ -83,7 +83,7 @@ def nodes_of(
 
 
 def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
-    """Return beams between nodes, as the page works them out."""
+    """Beams between nodes, interpolated as the page does."""
     up, low = _between(nodes.rows, rows), _between(nodes.columns, columns)
     values = nodes.values.astype(float)
     top = values[up[0]][:, low[0]], values[up[0]][:, low[1]]
@@ -96,7 +96,7 @@ def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
 
 
 def _between(nodes: Numbers, at: Numbers) -> tuple[Numbers, Numbers, Floats]:
-    """Return the node before, the node after, and the share of the second."""
+    """Preceding node, following node, and the weight of the latter."""
     before = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 1)
     after = np.minimum(before + 1, len(nodes) - 1)
     width = np.maximum(nodes[after] - nodes[before], 1)
@@ -115,7 +115,7 @@ def _places(size: int, step: int) -> Numbers:
 def _error(
     read: BeamReader, shape: tuple[int, int], nodes: Nodes, farthest: float
 ) -> float:
-    """Return the largest shift of a point, at the nearest and the farthest range."""
+    """Largest displacement of a point, at the nearest and the farthest range."""
     rows, columns = (np.arange(size) for size in shape)
     thin = max(1, int(np.ceil(np.sqrt(rows.size * columns.size / _CHECKED))))
     rows, columns = rows[::thin], columns[::thin]
@@ -125,7 +125,7 @@ def _error(
 
 
 class Picture(Protocol):
-    """A range image that is read map by map."""
+    """Range image that is read map by map."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -141,33 +141,33 @@ class Picture(Protocol):
 
     @property
     def error_unknown(self) -> str:
-        """Why its ranges state no error; empty if they do."""
+        """Reason why its ranges have no error; empty if they have."""
 
     def has(self, variable: str) -> bool:
-        """Return whether there is a variable."""
+        """Whether a variable exists."""
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Return every so many rows and columns of a variable."""
+        """Variable at a stride of rows and columns."""
 
     def beams(self) -> BeamReader:
-        """Return what reads the beams."""
+        """Beam reader."""
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
-        """Return an image that holds some pixels, and the scan they belong to."""
+        """Range image with some pixels and their surroundings."""
 
     def place(self, row: int, column: int) -> tuple[int, int]:
-        """Return where a pixel of the scan is in the image of `around`."""
+        """Position of a pixel of the scan in the image of `around`."""
 
     def whole(self) -> xr.Dataset:
-        """Return the image, or raise `CubeError` if it is too large for that."""
+        """Whole image in memory; raises `CubeError` if it is too large."""
 
 
 @dataclass(frozen=True)
 class MemoryPicture:
-    """A range image in memory."""
+    """Range image in memory."""
 
     image: xr.Dataset
-    """Level `range_image`."""
+    """Range image, level `range_image`."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -187,46 +187,46 @@ class MemoryPicture:
 
     @property
     def error_unknown(self) -> str:
-        """Why its ranges state no error; empty if they do."""
+        """Reason why its ranges have no error; empty if they have."""
         return error_unknown(self.image)
 
     def has(self, variable: str) -> bool:
-        """Return whether there is a variable."""
+        """Whether a variable exists."""
         return variable in self.image
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Return every so many rows and columns of a variable."""
+        """Variable at a stride of rows and columns."""
         return np.asarray(self.image[variable].values[::stride, ::stride])
 
     def beams(self) -> BeamReader:
-        """Return what reads the beams."""
+        """Beam reader."""
         return reader_of(self.image)
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
-        """Return the whole image."""
+        """Whole image."""
         return self.image
 
     def place(self, row: int, column: int) -> tuple[int, int]:
-        """Return the pixel itself."""
+        """Pixel itself."""
         return row, column
 
     def whole(self) -> xr.Dataset:
-        """Return the image."""
+        """Whole image."""
         return self.image
 
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """The pictures of one channel."""
+    """Pictures of one channel."""
 
     after: Picture | None
-    """Water taken out, if it was."""
+    """Picture after rejection, if there is one."""
     before: Picture | None
-    """Water left in, if it is known."""
+    """Picture before rejection, if it is known."""
 
     @property
     def shown(self) -> Picture:
-        """The picture that measuring takes: the corrected one where there is one."""
+        """Picture used for measuring: the corrected one if there is one."""
         picture = self.after or self.before
         assert picture is not None
         return picture
@@ -244,15 +244,15 @@ def large_picture(path: Path) -> LargePicture:
     digest = hashlib.sha256()
     with path.open("rb") as file:
         file.seek(-_SEAL_LENGTH, 2)
-        left = file.tell()
+        remaining = file.tell()
         seal = file.read()
         file.seek(0)
-        while left > 0 and (part := file.read(min(left, 1 << 22))):
+        while remaining > 0 and (part := file.read(min(remaining, 1 << 22))):
             digest.update(part)
-            left -= len(part)
+            remaining -= len(part)
     # What another program wrote has no seal.
-    said = f"\namulor sha256:{digest.hexdigest()}\n".encode()
-    if seal.startswith(b"\namulor sha256:") and seal != said:
+    expected = f"\namulor sha256:{digest.hexdigest()}\n".encode()
+    if seal.startswith(b"\namulor sha256:") and seal != expected:
         raise FormatError(
             f"{path} is damaged: its bytes are not the ones that amulor wrote; copy it "
             "again, or make it again"
@@ -261,7 +261,7 @@ def large_picture(path: Path) -> LargePicture:
 
 
 class LargePicture:
-    """A range image in a file."""
+    """Range image in a file, read in bands."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -277,11 +277,11 @@ class LargePicture:
         self.error_unknown = error_unknown(xr.Dataset(flags, attrs=self.attributes))
 
     def has(self, variable: str) -> bool:
-        """Return whether there is a variable."""
+        """Whether a variable exists."""
         return variable in self._file
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Return every so many rows and columns of a variable, floats in 32 bits."""
+        """Variable at a stride of rows and columns, floats with 32 bits."""
         rows, columns = (-(-size // stride) for size in self.shape)
         kind = self._read(variable, slice(0, 1), slice(0, 1)).dtype.kind
         out = np.empty((rows, columns), np.uint16 if kind in "iu" else np.float32)
@@ -295,7 +295,7 @@ class LargePicture:
         return out
 
     def beams(self) -> BeamReader:
-        """Return what reads the beams."""
+        """Beam reader."""
 
         def read(rows: Numbers, columns: Numbers) -> Floats:
             names = [name for name in _BEAM_NAMES if name in self._file]
@@ -304,13 +304,13 @@ class LargePicture:
         return read
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
-        """Return an image of the rows and columns asked for and a mesh of others."""
+        """Range image of the requested rows and columns and a coarse mesh."""
         self._kept = [
             np.union1d(
                 np.linspace(0, size - 1, min(size, _MESH)).astype(np.intp),
-                np.asarray(wanted, dtype=np.intp),
+                np.asarray(indices, dtype=np.intp),
             )
-            for size, wanted in zip(self.shape, (rows, columns), strict=True)
+            for size, indices in zip(self.shape, (rows, columns), strict=True)
         ]
         names = [
             str(name)
@@ -320,15 +320,15 @@ class LargePicture:
         return without_unknown_errors(self._part(names, *self._kept))
 
     def place(self, row: int, column: int) -> tuple[int, int]:
-        """Return where a pixel of the scan is in the last image of `around`."""
+        """Position of a pixel of the scan in the last image of `around`."""
         first, second = (
-            int(np.searchsorted(kept, value))
-            for kept, value in zip(self._kept, (row, column), strict=True)
+            int(np.searchsorted(indices, value))
+            for indices, value in zip(self._kept, (row, column), strict=True)
         )
         return first, second
 
     def whole(self) -> xr.Dataset:
-        """Refuse: what is read band by band is not held at once."""
+        """Refuse: a picture read in bands is never in memory at once."""
         raise CubeError(
             f"{self._path.name} is too large for products beside a page: "
             f"{self.shape[0]} x {self.shape[1]} pixels; use amulor export, or "
@@ -378,8 +378,8 @@ _STRUCTURE = ("DIMENSION", "CLASS", "NAME", "REFERENCE", "_Netcdf4", "_FillValue
 
 
 def _plain(attributes: Any) -> dict[str, Any]:
-    """Return attributes as Python has them."""
-    found: dict[str, Any] = {}
+    """Attributes as plain Python values."""
+    plain: dict[str, Any] = {}
     for name, value in attributes.items():
         if name.startswith(_STRUCTURE):
             continue
@@ -389,12 +389,12 @@ def _plain(attributes: Any) -> dict[str, Any]:
             value = ""
         elif isinstance(value, np.ndarray) and value.shape == (1,):
             value = value[0]
-        found[name] = value
-    return found
+        plain[name] = value
+    return plain
 
 
 def sharing_of(picture: Picture) -> dict[str, Any] | None:
-    """Return how errors of two pixels correlate, for the page to work it out alone."""
+    """Parameters by which the page computes the correlation between two pixels."""
     if not picture.has("slant_range_common_uncertainty") or picture.error_unknown:
         return None
     names = {

@@ -1,4 +1,4 @@
-"""Progress of a scan from its journal, drift of the open water, and advice."""
+"""Progress of a scan from its journal, drift of the open-water signal, and advice."""
 
 from __future__ import annotations
 
@@ -27,36 +27,36 @@ _CONTRASTS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """Relative change of the open water."""
+    """Relative change of the open-water signal."""
 
     size: float = 0.0
-    """Per unit of the water signal [1]."""
+    """Size in units of the water signal [1]."""
     error: float = math.inf
     """Standard error [1]."""
     chance: float = 1.0
-    """Largest probability that a scan in steady water ever shows such a change [1]."""
+    """Upper bound of the probability of such a change in steady water [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Change of the open water over the complete rounds of shots."""
+    """Change of the open-water signal over the complete rounds of shots."""
 
     elapsed: Sequence[float] = ()
-    """Time of each round, of the scan's clock [s]."""
+    """Time of each round on the scan's clock [s]."""
     change: Sequence[float] = ()
-    """Of each round from the mean of all rounds, per unit of the water signal [1]."""
+    """Change of each round from the mean of all, in units of the water signal [1]."""
     error: Sequence[float] = ()
     """Standard error of each [1]."""
     total: Change = field(default_factory=Change)
-    """From the first to the last round, along a straight line over time."""
+    """Change from the first to the last round along a straight line over time."""
     newest: Change = field(default_factory=Change)
-    """Of the newest round from the mean of all before it."""
+    """Change of the newest round from the mean of the earlier ones."""
 
 
 def drift_of(
     signal: ArrayLike, *, cluster: ArrayLike, elapsed: ArrayLike, rounds: int
 ) -> Drift:
-    """Return the change of the open water between rounds of shots.
+    """Drift of the open-water signal between rounds of shots.
 
     Each series has a level of its own, the mean of all its rounds, so that no round is
     the one that all others are compared with. Changes of a round are the same in all
@@ -81,22 +81,22 @@ def drift_of(
     scores = np.zeros((weight.size, count))
     np.add.at(scores, members, score)
     change = scores.sum(axis=0) / power
-    rest = scores - weight[:, np.newaxis] * change
+    residual = scores - weight[:, np.newaxis] * change
     # Fluctuations are in proportion to the level; so much of them is left in the rest.
     square = float(share @ share)
-    left = 1 - 2 * float(np.sum(share**3)) / square + square
+    effective = 1 - 2 * float(np.sum(share**3)) / square + square
     freedom = (count - 1) * (square**2 / float(np.sum(share**4)) - 1)
-    variance = float(np.sum(rest**2)) / ((count - 1) * left) / power**2
+    variance = float(np.sum(residual**2)) / ((count - 1) * effective) / power**2
 
     def tested(contrast: NDArray[np.float64]) -> Change:
-        found = float(contrast @ change)
-        own = float(np.sum((rest @ contrast) ** 2)) / left / power**2
-        error = math.sqrt(max(float(contrast @ contrast) * variance, own))
+        estimate = float(contrast @ change)
+        weighted = float(np.sum((residual @ contrast) ** 2)) / effective / power**2
+        error = math.sqrt(max(float(contrast @ contrast) * variance, weighted))
         tests = _CONTRASTS * (max(rounds, count) - 1)
         return Change(
-            size=found,
+            size=estimate,
             error=error,
-            chance=min(1.0, tests * _two_sided(found, error, freedom)),
+            chance=min(1.0, tests * _two_sided(estimate, error, freedom)),
         )
 
     line = times - times.mean()
@@ -114,7 +114,7 @@ def drift_of(
 
 
 def _two_sided(value: float, error: float, freedom: float) -> float:
-    """Return how probable chance makes a value at least as far from zero."""
+    """Probability of a deviation at least as large by chance."""
     from scipy.special import stdtr
 
     if value == 0:
@@ -137,32 +137,32 @@ _SHORTEST = 15.0
 
 @dataclass(frozen=True, kw_only=True)
 class Going:
-    """How a scan goes."""
+    """State of a scan."""
 
     running: bool
     """Whether a part of it has begun and not ended."""
     done: int
     """Samples in the journal [1]."""
     scanned: int
-    """Those of them that are of the scan itself [1]."""
+    """Samples of the scan itself [1]."""
     open_water: int
-    """Those that are of open water [1]."""
+    """Samples of open water [1]."""
     dark: int
-    """Those without light [1]."""
+    """Samples without light [1]."""
     flagged: dict[str, int] = field(default_factory=dict)
-    """How many samples carry each flag [1]."""
+    """Number of samples by flag [1]."""
     rate: float = math.nan
-    """Samples a second [1/s]."""
+    """Sampling rate [1/s]."""
     silent: float = 0.0
     """Time since the last sample [s]."""
     drift: Drift = field(default_factory=Drift)
-    """Of the open water."""
+    """Drift of the open-water signal."""
     total: int = 0
-    """Samples that a finished scan has [1]."""
+    """Samples of the finished scan [1]."""
     resume: str | None = None
-    """Command that goes on with a scan to which no program writes."""
+    """Command that resumes a scan without a running program."""
     reason: str = ""
-    """How its last part ended."""
+    """Reason why its last part ended."""
 
 
 _FLAGS = {
@@ -175,10 +175,10 @@ _FLAGS = {
 
 
 def advice(going: Going) -> list[str]:
-    """Return what is worth doing, the most important first."""
-    said = []
+    """Advice to the operator, most important first."""
+    lines = []
     if going.resume is not None:
-        said.append(
+        lines.append(
             f"stopped ({going.reason}) at {going.done:,} of {going.total:,} samples; "
             f"resume with: {going.resume}"
         )
@@ -186,7 +186,7 @@ def advice(going: Going) -> list[str]:
     if going.rate > 0:
         patience = max(_SHORTEST, _PATIENCE / going.rate)
     if going.running and going.silent > patience:
-        said.append(
+        lines.append(
             f"no sample for {going.silent:.0f} s: see whether the instrument still runs"
         )
     for change, words in (
@@ -194,7 +194,7 @@ def advice(going: Going) -> list[str]:
         (going.drift.newest, "the newest shots of open water jumped"),
     ):
         if abs(change.size) >= WORTH_A_REFERENCE and change.chance < CHANCE:
-            said.append(
+            lines.append(
                 f"{words} {change.size * 100:+.1f} % (± {change.error * 100:.2g} %): "
                 "take a reference"
             )
@@ -202,12 +202,12 @@ def advice(going: Going) -> list[str]:
     for name, words in _FLAGS.items():
         share = going.flagged.get(name, 0) / max(going.done, 1)
         if share >= WORTH_A_WORD:
-            said.append(f"{share:.0%} of the samples {words}")
+            lines.append(f"{share:.0%} of the samples {words}")
     if going.scanned and not going.open_water:
-        said.append("no open-water shots so far: the water cannot be taken out yet")
+        lines.append("no open-water shots so far: the water cannot be taken out yet")
     if going.scanned and not going.dark:
-        said.append("no dark readings: offsets of the instrument stay in the samples")
-    return said
+        lines.append("no dark readings: offsets of the instrument stay in the samples")
+    return lines
 
 
 #: Frequency, channel, row and column of shots in one direction.
@@ -217,7 +217,7 @@ _RECENT = 400
 
 
 class Progress:
-    """Counts what comes, and keeps the signals of the scan."""
+    """Sample counter that keeps the signals of the scan."""
 
     def __init__(
         self, survey: Survey, meta: Mapping[str, str], *, clock: Callable[[], float]
@@ -270,7 +270,7 @@ class Progress:
         return self._counts[plan.SCAN]
 
     def take(self, key: Key, record: Record) -> tuple[str, int] | None:
-        """Take over a sample; returns channel and row of one that is of the scan."""
+        """Add a sample; return channel and row if it belongs to the scan."""
         self.seen += 1
         self._counts[key.kind] += 1
         # References after a break, and retakes.
@@ -294,20 +294,20 @@ class Progress:
         else:
             at = self._frequency[key.frequency], self._channel[key.polarization]
             self._signal[(*at, key.row, key.column)] = signal
-            where = key.polarization, key.row
-            self._filled[where] += key.repeat == 0
-            if self._filled[where] == self._signal[:, 0, 0].size:
+            row = key.polarization, key.row
+            self._filled[row] += key.repeat == 0
+            if self._filled[row] == self._signal[:, 0, 0].size:
                 self._row = key.row
-            return where
+            return row
         return None
 
-    def whole(self, channel: str, row: int) -> bool:
-        """Return whether all of a row has been measured."""
+    def is_complete(self, channel: str, row: int) -> bool:
+        """Whether all pixels of a row have been measured."""
         part = self._signal[:, self._channel[channel], row]
         return bool(np.isfinite(part).all())
 
     def row_signal(self, channel: str, row: int) -> NDArray[np.complex128]:
-        """Return the signals of a row, dark output taken off, (frequency, column)."""
+        """Signals of a row minus the dark output, shape (frequency, column)."""
         part = self._signal[:, self._channel[channel], row].copy()
         for frequency, at in self._frequency.items():
             dark = self._dark.get((frequency, channel))
@@ -316,30 +316,30 @@ class Progress:
         return part
 
     def drift(self) -> Drift:
-        """Return the change of the open water over its complete rounds of shots."""
-        rounds = [r for r, taken in self._rounds.items() if taken >= self._round_size]
-        series = [one for one in self._shots if one not in self._spoiled]
+        """Drift of the open-water signal over its complete rounds of shots."""
+        rounds = [r for r, count in self._rounds.items() if count >= self._round_size]
+        series = [key for key in self._shots if key not in self._spoiled]
         if not (rounds and series):
             return Drift()
-        known = len(rounds), len(series), self._counts[plan.DARK]
-        if self._drift[0] != known:
-            shots = np.array([[self._shots[one][r] for r in rounds] for one in series])
-            dark = [np.mean(self._dark.get(one[:2], [0.0])) for one in series]
+        state = len(rounds), len(series), self._counts[plan.DARK]
+        if self._drift[0] != state:
+            shots = np.array([[self._shots[key][r] for r in rounds] for key in series])
+            dark = [np.mean(self._dark.get(key[:2], [0.0])) for key in series]
             elapsed = shots[..., 1].real.mean(axis=0)
             order = np.argsort(elapsed)
-            found = drift_of(
+            change = drift_of(
                 (shots[..., 0] - np.array(dark)[:, np.newaxis])[:, order],
                 cluster=[f"{name} {row} {column}" for _, name, row, column in series],
                 elapsed=elapsed[order],
                 rounds=self._planned[plan.OPEN_WATER],
             )
-            self._drift = known, found
+            self._drift = state, change
         return self._drift[1]
 
     def status(
         self, segments: list[dict[str, Any]], *, resume: str | None
     ) -> dict[str, Any]:
-        """Return how the scan goes, for the page."""
+        """State of the scan, for the page."""
         now = self._clock()
         last = segments[-1] if segments else {"ended": "", "reason": "not begun"}
         # Devices that are not safe may follow the word.
@@ -375,7 +375,7 @@ class Progress:
         state = "stopped" if resume is not None else str(last["reason"])
         if running:
             state = "running"
-        left = (total - self.seen) / rate if running and rate > 0 else None
+        remaining = (total - self.seen) / rate if running and rate > 0 else None
         return {
             "state": state,
             "resume": resume,
@@ -384,7 +384,7 @@ class Progress:
             "done": self.seen,
             "total": total,
             "rate": rate if running and rate > 0 else None,
-            "left": None if left is None else round(left),
+            "left": None if remaining is None else round(remaining),
             "elapsed": self._elapsed,
             "flagged": dict(self._flags),
             "drift": _plain(asdict(drift)),
@@ -392,8 +392,8 @@ class Progress:
         }
 
     def _rate(self, now: float) -> float:
-        """Return samples a second over the last minute."""
-        recent = [(at, seen) for at, seen in self._recent if now - at < 60]
+        """Return the sampling rate over the last minute."""
+        recent = [(at, count) for at, count in self._recent if now - at < 60]
         if len(recent) < 2:
             return float("nan")
         span = now - recent[0][0]
@@ -401,7 +401,7 @@ class Progress:
 
 
 def _plain(value: Any) -> Any:
-    """Return the same with None for numbers that JSON does not have."""
+    """Copy with None in place of numbers that JSON lacks."""
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Pictures of each channel of one file, before and after rejection."""
+"""Maps of a file for the page: each channel before and after rejection."""
 
 from __future__ import annotations
 
@@ -39,22 +39,24 @@ Cubes = Mapping[str, xr.Dataset | None]
 def spectrum(
     cubes: Cubes, channel: str, row: int, column: int
 ) -> dict[str, Any] | None:
-    """Return amplitude and phase of a pixel over the modulation frequency."""
+    """Amplitude and phase of a pixel over the modulation frequency."""
     parts: dict[str, Any] = {}
     frequency: NDArray[np.float64] | None = None
     for name, cube in cubes.items():
         if cube is None or channel not in cube.amulor.polarizations:
             continue
-        one = cube.sel(polarization=channel).isel(row=row, column=column)
+        pixel = cube.sel(polarization=channel).isel(row=row, column=column)
         frequency = np.atleast_1d(cube["modulation_frequency"].values)
-        signal = one["in_phase"].values + 1j * one["quadrature"].values
+        signal = pixel["in_phase"].values + 1j * pixel["quadrature"].values
         error = np.hypot(
-            one["in_phase_uncertainty"].values,
-            one["quadrature_uncertainty"].values,
+            pixel["in_phase_uncertainty"].values,
+            pixel["quadrature_uncertainty"].values,
         )
         parts[name] = _line(signal, error / math.sqrt(2))
         if name == "after":
-            water = one["water_in_phase"].values + 1j * one["water_quadrature"].values
+            water = (
+                pixel["water_in_phase"].values + 1j * pixel["water_quadrature"].values
+            )
             parts["water"] = _line(water, None)
     if frequency is None:
         return None
@@ -62,27 +64,27 @@ def spectrum(
 
 
 def spectra(cubes: Cubes, channel: str, *, most: int) -> dict[str, NDArray[np.float32]]:
-    """Return all spectra of a channel for a page that has no server."""
-    found = {}
+    """All spectra of a channel, for a page without a server."""
+    encoded = {}
     for name, cube in cubes.items():
         if cube is None or channel not in cube.amulor.polarizations:
             continue
-        one = cube.sel(polarization=channel)
-        if 6 * one["in_phase"].size > most:
+        samples = cube.sel(polarization=channel)
+        if 6 * samples["in_phase"].size > most:
             return {}
         error = np.hypot(
-            one["in_phase_uncertainty"].values,
-            one["quadrature_uncertainty"].values,
+            samples["in_phase_uncertainty"].values,
+            samples["quadrature_uncertainty"].values,
         )
-        parts = one["in_phase"].values, one["quadrature"].values, error / 2**0.5
-        found[name] = np.stack(parts).astype("<f4")
-    return found
+        parts = samples["in_phase"].values, samples["quadrature"].values, error / 2**0.5
+        encoded[name] = np.stack(parts).astype("<f4")
+    return encoded
 
 
 def _line(
     signal: NDArray[np.complex128], error: NDArray[np.float64] | None
 ) -> dict[str, Any]:
-    """Return amplitude and phase of a spectrum as lists."""
+    """Amplitude and phase of a spectrum as lists."""
     signal = np.atleast_1d(signal)
     line = {"amplitude": np.abs(signal), "phase": np.angle(signal)}
     if error is not None:
@@ -105,7 +107,7 @@ LONGEST_SIDE = 8192
 
 
 class Recording:
-    """A file as the page sees it; pictures are made when they are asked for."""
+    """File as the page shows it; pictures are made on demand."""
 
     def __init__(
         self,
@@ -134,34 +136,34 @@ class Recording:
         """Names of the polarization channels."""
         for cube in (self._target, self._samples):
             if cube is not None:
-                known: list[str] = cube.amulor.polarizations
+                names: list[str] = cube.amulor.polarizations
                 break
         else:
-            known = []
+            names = []
         if self._given is not None:
-            own = str(self._given.attributes.get("polarization", "none"))
-            return [own]
-        return known
+            name = str(self._given.attributes.get("polarization", "none"))
+            return [name]
+        return names
 
     @property
     def samples(self) -> xr.Dataset | None:
-        """Level `samples`, if it is known."""
+        """Cube of level `samples`, if it is known."""
         return self._samples
 
     def channel(self, name: str | None = None) -> Channel:
-        """Return the pictures of a channel, the first one if none is named."""
-        wanted = self.channels[0] if name is None else name
-        if wanted not in self.channels:
+        """Pictures of a channel, by default the first one."""
+        chosen = self.channels[0] if name is None else name
+        if chosen not in self.channels:
             raise CubeError(
-                f"{self.name} has no channel {wanted!r}, only "
+                f"{self.name} has no channel {chosen!r}, only "
                 f"{', '.join(self.channels)}"
             )
         with self._lock:
-            if wanted not in self._channels:
-                self._channels[wanted] = self._made(wanted)
-            return self._channels[wanted]
+            if chosen not in self._channels:
+                self._channels[chosen] = self._pictures_of(chosen)
+            return self._channels[chosen]
 
-    def _made(self, name: str) -> Channel:
+    def _pictures_of(self, name: str) -> Channel:
         before = None if self._samples is None else self._imaged(self._raw(), name)
         after = self._given
         if after is None and self._target is not None:
@@ -183,7 +185,7 @@ class Recording:
         return MemoryPicture(image)
 
     def one_row(self, channel: str, row: int) -> xr.Dataset | None:
-        """Return water signal and beams of one row."""
+        """Water signal and beams of one row."""
         if self._samples is None or channel not in self._samples.amulor.polarizations:
             return None
         cube = self._samples
@@ -200,16 +202,16 @@ class Recording:
 
     @property
     def cubes(self) -> dict[str, xr.Dataset | None]:
-        """Signals with the water in them, and without, as far as they are known."""
+        """Signals with and without the water signal, as far as known."""
         return {"before": self._samples, "after": self._target}
 
     @property
     def has_spectrum(self) -> bool:
-        """Whether samples are known, not only ranges."""
+        """Whether samples are known in addition to ranges."""
         return self._samples is not None or self._target is not None
 
     def stride(self, channel: str) -> int:
-        """Return of how many rows and columns one is drawn."""
+        """Stride of the rows and columns that are drawn."""
         rows, columns = self.channel(channel).shown.shape
         stride = 1
         while (
@@ -220,9 +222,9 @@ class Recording:
         return stride
 
     def layers(self, channel: str) -> dict[str, tuple[Layer, Picture, str]]:
-        """Return the maps of a channel: layer, picture and variable of each name."""
+        """Return the maps of a channel: layer, picture and variable by name."""
         pictures = self.channel(channel)
-        found: dict[str, tuple[Layer, Picture, str]] = {}
+        layers: dict[str, tuple[Layer, Picture, str]] = {}
         for picture, before in ((pictures.after, False), (pictures.before, True)):
             if picture is None:
                 continue
@@ -233,25 +235,25 @@ class Recording:
                 if layer.is_error and unknown:
                     continue
                 name = f"{layer.name}_before" if before else layer.name
-                found[name] = (
+                layers[name] = (
                     replace(layer, name=name, before=before),
                     picture,
                     variable,
                 )
             name = f"{STEPS.name}_before" if before else STEPS.name
-            found[name] = (replace(STEPS, name=name, before=before), picture, "")
-        return found
+            layers[name] = (replace(STEPS, name=name, before=before), picture, "")
+        return layers
 
     def layer(self, channel: str, name: str, stride: int) -> NDArray[Any]:
-        """Return one map, every so many rows and columns."""
-        known = self.layers(channel)
-        if name not in known:
+        """One map at a stride of rows and columns."""
+        layers = self.layers(channel)
+        if name not in layers:
             raise CubeError(f"{self.name} has no map {name!r} in channel {channel}")
-        _, picture, variable = known[name]
+        _, picture, variable = layers[name]
         return picture.values(variable, stride) if variable else _steps(picture, stride)
 
     def nodes(self, channel: str) -> Nodes:
-        """Return the beams of a channel on a coarse grid."""
+        """Beams of a channel on a coarse grid."""
         if channel not in self._nodes:
             self._nodes[channel] = self._nodes_of(channel)
         return self._nodes[channel]
@@ -269,7 +271,7 @@ class Recording:
         )
 
     def describe(self, channel: str | None = None) -> dict[str, Any]:
-        """Return all that the page needs to know before it asks for maps."""
+        """Return the description of the file that the page needs before any map."""
         channel = channel or self.channels[0]
         pictures = self.channel(channel)
         picture = pictures.shown
@@ -302,12 +304,12 @@ class Recording:
 
 
 def _water_in(picture: Picture) -> bool:
-    """Return whether a picture has the water left in."""
+    """Whether the water signal was not removed from a picture."""
     return WATER_NOT_REMOVED in picture.error_unknown
 
 
 def _steps(picture: Picture, stride: int) -> NDArray[Any]:
-    """Return 1 where a surface steps to the next column, plus 2 to the next row."""
+    """Step map: 1 for a step to the next column, plus 2 to the next row."""
     names = ["slant_range", "slant_range_uncertainty", "slant_range_common_uncertainty"]
     names += ["slant_range_bound", *(f"{RANGE_PREFIX}{term}" for term in TERMS)]
     maps = {
@@ -364,22 +366,22 @@ def recording_of(
     samples: xr.Dataset | None = None,
     interval: Interval = None,
 ) -> Recording:
-    """Return a cube in memory as the page sees it."""
+    """Page content of a cube in memory."""
     level = str(cube.attrs.get("level"))
     if level == "range_image":
-        found = Recording(name, image=cube, interval=interval)
+        recording = Recording(name, image=cube, interval=interval)
         if samples is not None:
-            own = ("row", "column")
-            if any(samples.sizes.get(axis) != cube.sizes[axis] for axis in own):
+            axes = ("row", "column")
+            if any(samples.sizes.get(axis) != cube.sizes[axis] for axis in axes):
                 raise CubeError(
                     f"the samples have {dict(samples.sizes)}, {name} has "
                     f"{dict(cube.sizes)}; name the cube that the image was made from"
                 )
-            raw, target = _levels(samples, found.notes)
+            raw, target = _levels(samples, recording.notes)
             return Recording(
                 name, image=cube, target=target, samples=raw, interval=interval
             )
-        return found
+        return recording
     if level not in ("samples", "target_signal"):
         raise CubeError(
             f"{name} is of level {level!r}; the page shows samples, target_signal and "
@@ -391,7 +393,7 @@ def recording_of(
 
 
 def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset | None]:
-    """Return samples with the water in them, and the target signal if there is one."""
+    """Return the samples with water, and the target signal if there is one."""
     if cube.attrs["level"] == "target_signal":
         return _with_water(cube), cube
     if cube.amulor.open_water is None:
@@ -407,17 +409,17 @@ def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset 
 
 
 def _rejected(cube: xr.Dataset) -> xr.Dataset:
-    """Return samples less their open water, of a scan that goes on channel by channel.
+    """Return the samples minus open water of a scan whose channels follow each other.
 
     A target that one channel has not seen yet would count as none at all.
     """
-    there = np.isfinite(cube["in_phase"].values).all(axis=0)
-    if bool((there == there[:1]).all()):
+    finite = np.isfinite(cube["in_phase"].values).all(axis=0)
+    if bool((finite == finite[:1]).all()):
         return rejection.open_water(cube)
     begun = [
         name
-        for name, seen in zip(cube.amulor.polarizations, there, strict=True)
-        if seen.any()
+        for name, measured in zip(cube.amulor.polarizations, finite, strict=True)
+        if measured.any()
     ]
     parts = [rejection.open_water(cube.sel(polarization=[name])) for name in begun]
     return xr.concat(
@@ -432,7 +434,7 @@ def _rejected(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _with_water(target: xr.Dataset) -> xr.Dataset:
-    """Return the samples that a target signal was, water and target together."""
+    """Return the samples behind a target signal: water and target together."""
     names = [
         str(name)
         for name in cubes.LEVELS["samples"].variables

@@ -1,4 +1,4 @@
-"""A page as one file that opens without a server, and asks nobody for anything."""
+"""Page as one file that opens without a server and makes no request."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _POLICY = (
 
 
 def static_files() -> dict[str, bytes]:
-    """Return the files of the page by name."""
+    """Return the static files of the page by name."""
     folder = resources.files("amulor.view.page") / "static"
     return {
         entry.name: entry.read_bytes()
@@ -63,12 +63,12 @@ def save_page(
 def saved_page(
     recording: Recording, *, measurements: Sequence[Mapping[str, Any]] = ()
 ) -> str:
-    """Return a page as one text."""
+    """Page as one HTML text."""
     files = static_files()
     scenes = {name: recording.describe(name) for name in _carried(recording)}
     content = {
         "scenes": scenes,
-        "measurements": [dict(one) for one in measurements],
+        "measurements": [dict(measurement) for measurement in measurements],
     }
     scripts = [_data("amulor-scene", json.dumps(content, allow_nan=False))]
     for channel in scenes:
@@ -85,11 +85,11 @@ def saved_page(
 
 
 def saved_space(space: Space, *, measurements: Sequence[Mapping[str, Any]] = ()) -> str:
-    """Return the page of a cloud or a mesh as one text."""
+    """Page of a cloud or a mesh as one HTML text."""
     scene = space.describe()
     content = {
         "scenes": {"space": scene},
-        "measurements": [dict(one) for one in measurements],
+        "measurements": [dict(measurement) for measurement in measurements],
     }
     scripts = [_data("amulor-scene", json.dumps(content, allow_nan=False))]
     names = ["position", *(str(layer["name"]) for layer in scene["layers"])]
@@ -103,7 +103,7 @@ def saved_space(space: Space, *, measurements: Sequence[Mapping[str, Any]] = ())
 
 
 def _carried(recording: Recording) -> list[str]:
-    """Return the channels that fit into one page together."""
+    """Channels that fit into one page together."""
     rows, columns = recording.channel().shown.shape
     room = max(1, MOST_PIXELS // max(rows * columns, 1))
     return recording.channels[:room]
@@ -127,7 +127,7 @@ def _data(name: str, text: str) -> str:
 def _assembled(
     files: Mapping[str, bytes], data: Sequence[str], *, page: str, starts: str
 ) -> str:
-    """Return a page with all of its files in it."""
+    """Page with all of its files embedded."""
     text = files[f"{page}.html"].decode()
     style = files["page.css"].decode()
     modules = {
@@ -168,17 +168,17 @@ def _assembled(
 
 
 def _modules(files: Mapping[str, bytes], starts: str) -> set[str]:
-    """Return the modules that one needs, itself included."""
-    found: set[str] = set()
-    left = [starts]
-    while left:
-        name = left.pop()
-        if name not in found:
-            found.add(name)
-            left += re.findall(r'from\s+"\./([\w-]+\.js)"', files[name].decode())
-    return found
+    """Modules imported by a module, itself included."""
+    modules: set[str] = set()
+    pending = [starts]
+    while pending:
+        name = pending.pop()
+        if name not in modules:
+            modules.add(name)
+            pending += re.findall(r'from\s+"\./([\w-]+\.js)"', files[name].decode())
+    return modules
 
 
 def _bare(module: str) -> str:
-    """Return a module that imports by names of the import map, not by places."""
+    """Return the module that imports by names of the import map instead of paths."""
     return re.sub(r'(from\s+|import\s+)"\./([\w-]+\.js)"', r'\1"page/\2"', module)

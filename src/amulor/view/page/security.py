@@ -1,4 +1,4 @@
-"""Who may ask the page's server: this computer's browser with the token, nobody else.
+"""Access to the page's server: only this computer's browser with the token.
 
 A page of another site must not reach it: not by a form or a script (`Origin`), not by a
 name that it lets point here (`Host`), and not without the token of the address.
@@ -37,12 +37,12 @@ HEADERS = {
 
 
 def new_token() -> str:
-    """Return a token that nobody guesses, for an address."""
+    """Unguessable token for an address."""
     return secrets.token_urlsafe(24)
 
 
 def host_of(header: str) -> str:
-    """Return the name in a `Host` header, without the port and without brackets."""
+    """Name in a `Host` header without port and brackets."""
     if header.startswith("["):
         return header[1:].partition("]")[0].lower()
     return header.partition(":")[0].lower()
@@ -57,7 +57,7 @@ def _is_number(host: str) -> bool:
 
 
 class Guard:
-    """Refuses requests without the token, from elsewhere, or that are too large."""
+    """Middleware that refuses requests without token, from elsewhere, or too large."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class Guard:
         self._beyond = beyond
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, refuse, or pass on."""
+        """Answer, refuse, or pass on a request."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -81,8 +81,8 @@ class Guard:
         if status:
             await _refuse(scope, receive, send, *status)
             return
-        rest = scope["path"][len(self._token) + 1 :] or "/"
-        inner = {**scope, "path": rest, "raw_path": rest.encode()}
+        path = scope["path"][len(self._token) + 1 :] or "/"
+        inner = {**scope, "path": path, "raw_path": path.encode()}
         await self._app(inner, _limited(receive), _with_headers(send))
 
     def _refused(
@@ -111,14 +111,14 @@ class Guard:
 
 
 def _limited(receive: Receive) -> Receive:
-    """Return what receives a body of limited size, whatever its header says."""
-    left = LARGEST_BODY
+    """Receiver that limits the size of a body, whatever its header says."""
+    remaining = LARGEST_BODY
 
     async def limited() -> Message:
-        nonlocal left
+        nonlocal remaining
         message = await receive()
-        left -= len(message.get("body", b""))
-        if left < 0:
+        remaining -= len(message.get("body", b""))
+        if remaining < 0:
             return {"type": "http.disconnect"}
         return message
 
@@ -128,13 +128,13 @@ def _limited(receive: Receive) -> Receive:
 def _with_headers(send: Send) -> Send:
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
-            there = {name.lower() for name, _ in message["headers"]}
+            present = {name.lower() for name, _ in message["headers"]}
             message["headers"] = [
                 *message["headers"],
                 *(
                     (name.encode(), value.encode())
                     for name, value in HEADERS.items()
-                    if name.encode() not in there
+                    if name.encode() not in present
                 ),
             ]
         await send(message)

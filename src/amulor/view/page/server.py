@@ -1,17 +1,20 @@
-"""The page's server: its routes and answers."""
+"""HTTP server of the page: routes, answers, start and stop."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import json
+import socket
 import struct
-from collections.abc import Awaitable, Callable, Collection
+import threading
+from collections.abc import Awaitable, Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
@@ -20,14 +23,14 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from amulor.errors import AmulorError, CubeError, SurveyError
+from amulor.errors import AmulorError, CubeError, FormatError, SurveyError
 from amulor.view.design.explorer import Explorer
 from amulor.view.page.layers import stored
 from amulor.view.page.live import POLL, Live, Rows
 from amulor.view.page.measuring import Made, Products, measured
 from amulor.view.page.recording import Recording, spectrum
 from amulor.view.page.saved import TYPES, saved_page, saved_space, static_files
-from amulor.view.page.security import Guard
+from amulor.view.page.security import Guard, new_token
 from amulor.view.page.space import Space
 
 #: Measurements that a saved page may begin with [1].
@@ -35,7 +38,7 @@ _MOST_MEASUREMENTS = 500
 
 
 class Files:
-    """Answers with the files of the page, and with no other."""
+    """Endpoint for the static files of the page."""
 
     def __init__(self, first: str) -> None:
         self._first = first
@@ -46,7 +49,7 @@ class Files:
         return Response(self._files[self._first], media_type=TYPES[".html"])
 
     async def static(self, request: Request) -> Response:
-        """Answer with a file by its name."""
+        """Answer with a static file."""
         name = request.path_params["name"]
         if name not in self._files:
             return JSONResponse({"error": "no such file"}, status_code=404)
@@ -54,15 +57,17 @@ class Files:
 
 
 async def measurements_of(request: Request) -> list[dict[str, Any]]:
-    """Return the measurements that a page wants to be saved with it."""
-    kept = (await object_of(request)).get("measurements", [])
-    if not isinstance(kept, list) or len(kept) > _MOST_MEASUREMENTS:
+    """Measurements to save with the page."""
+    measurements = (await object_of(request)).get("measurements", [])
+    if not isinstance(measurements, list) or len(measurements) > _MOST_MEASUREMENTS:
         raise CubeError(f"at most {_MOST_MEASUREMENTS} measurements are kept")
-    return [one for one in kept if isinstance(one, dict)]
+    return [
+        measurement for measurement in measurements if isinstance(measurement, dict)
+    ]
 
 
 async def object_of(request: Request) -> dict[str, Any]:
-    """Return the JSON object of a request."""
+    """JSON object of a request."""
     try:
         content = json.loads(await request.body())
     except (ValueError, RecursionError):
@@ -75,38 +80,38 @@ async def object_of(request: Request) -> dict[str, Any]:
 
 
 def numbers(content: bytes) -> Response:
-    """Return bytes as an answer."""
+    """Response with bytes."""
     return Response(content, media_type="application/octet-stream")
 
 
-def downloaded(made: Made) -> Response:
-    """Return a product that the browser keeps as a file, and what it is in a header."""
-    name = quote(made.name, safe="")
+def downloaded(product: Made) -> Response:
+    """Response with a product for download, described in a header."""
+    name = quote(product.name, safe="")
     return Response(
-        made.content,
+        product.content,
         media_type="application/octet-stream",
         headers={
             "content-disposition": f"attachment; filename*=UTF-8''{name}",
-            "amulor-said": quote(made.said),
+            "amulor-said": quote(product.said),
         },
     )
 
 
-async def answered(made: Callable[[], Response]) -> Response:
-    """Return what was made in a thread, or why it could not be, for the page."""
-    return await explained(run_in_threadpool(made))
+async def answered(answer: Callable[[], Response]) -> Response:
+    """Response computed in a thread, or the reason why it failed."""
+    return await explained(run_in_threadpool(answer))
 
 
-async def explained(made: Awaitable[Response]) -> Response:
-    """Return what is being made, or why it could not be, in words for the page."""
+async def explained(answer: Awaitable[Response]) -> Response:
+    """Response of an awaitable, or the reason in words why it failed."""
     try:
-        return await made
+        return await answer
     except (AmulorError, ValueError) as error:
         return JSONResponse({"error": str(error)}, status_code=422)
 
 
 async def follow(live: Live, socket: WebSocket) -> None:
-    """Send a page what is new in a scan until the page is gone."""
+    """Send new parts of a scan to a page until the page is closed."""
     live.start()
     gone = asyncio.create_task(_until_gone(socket))
     sent_picture, sent_version = live.pictures, 0
@@ -118,8 +123,8 @@ async def follow(live: Live, socket: WebSocket) -> None:
                 await socket.send_text(json.dumps({"type": "picture"}))
                 sent_picture = picture
             if rows:
-                for one in rows:
-                    await socket.send_bytes(message_of(one))
+                for row in rows:
+                    await socket.send_bytes(message_of(row))
                 sent_version = rows[-1].version
             if status and status != sent_status:
                 await socket.send_text(json.dumps({"type": "status", **status}))
@@ -136,7 +141,7 @@ async def _until_gone(socket: WebSocket) -> None:
 
 
 def message_of(rows: Rows) -> bytes:
-    """Return a row as it travels: length of a JSON head, head, numbers of 32 bits."""
+    """Row as a message: length of a JSON head, head, numbers of 32 bits."""
     head = json.dumps(
         {
             "type": "rows",
@@ -150,43 +155,46 @@ def message_of(rows: Rows) -> bytes:
     return struct.pack("<I", len(head)) + head + b"".join(numbers)
 
 
-def design_routes(shown: Explorer) -> list[Any]:
-    """Return what is answered of a design."""
+def design_routes(explorer: Explorer) -> list[Any]:
+    """Routes of a design."""
     files = Files("design.html")
 
     async def scene(request: Request) -> Response:
-        return await answered(lambda: JSONResponse(shown.describe()))
+        return await answered(lambda: JSONResponse(explorer.describe()))
 
     async def dragged(request: Request) -> tuple[dict[str, Any], str]:
-        wanted = await object_of(request)
-        settings, water = wanted.get("settings", {}), wanted.get("water", "own")
+        request_body = await object_of(request)
+        settings, water = (
+            request_body.get("settings", {}),
+            request_body.get("water", "own"),
+        )
         if not isinstance(settings, dict) or not isinstance(water, str):
             raise SurveyError("settings must be an object, and water a name")
         return settings, water
 
     async def errors(request: Request) -> Response:
-        async def made() -> Response:
+        async def answer() -> Response:
             settings, water = await dragged(request)
-            found = await run_in_threadpool(shown.map, settings, water=water)
-            return JSONResponse(found)
+            result = await run_in_threadpool(explorer.map, settings, water=water)
+            return JSONResponse(result)
 
-        return await explained(made())
+        return await explained(answer())
 
     async def met(request: Request) -> Response:
-        async def made() -> Response:
+        async def answer() -> Response:
             settings, water = await dragged(request)
-            found = await run_in_threadpool(shown.met, settings, water=water)
-            return JSONResponse(found)
+            result = await run_in_threadpool(explorer.met, settings, water=water)
+            return JSONResponse(result)
 
-        return await explained(made())
+        return await explained(answer())
 
     async def survey(request: Request) -> Response:
-        async def made() -> Response:
+        async def answer() -> Response:
             settings, water = await dragged(request)
-            text = await run_in_threadpool(shown.as_survey, settings, water=water)
+            text = await run_in_threadpool(explorer.as_survey, settings, water=water)
             return numbers(text.encode())
 
-        return await explained(made())
+        return await explained(answer())
 
     return [
         Route("/", files.index),
@@ -199,7 +207,7 @@ def design_routes(shown: Explorer) -> list[Any]:
 
 
 def space_routes(space: Space) -> list[Any]:
-    """Return what is answered of a cloud or a mesh."""
+    """Routes of a cloud or a mesh."""
     files = Files("space.html")
 
     async def scene(request: Request) -> Response:
@@ -210,12 +218,14 @@ def space_routes(space: Space) -> list[Any]:
         return await answered(lambda: numbers(space.values(name)))
 
     async def save(request: Request) -> Response:
-        async def made() -> Response:
-            kept = await measurements_of(request)
-            page = await run_in_threadpool(saved_space, space, measurements=kept)
+        async def answer() -> Response:
+            measurements = await measurements_of(request)
+            page = await run_in_threadpool(
+                saved_space, space, measurements=measurements
+            )
             return numbers(page.encode())
 
-        return await explained(made())
+        return await explained(answer())
 
     return [
         Route("/", files.index),
@@ -227,27 +237,27 @@ def space_routes(space: Space) -> list[Any]:
 
 
 def application(
-    shown: Recording | Live | Space | Explorer,
+    content: Recording | Live | Space | Explorer,
     *,
     token: str,
     hosts: Collection[str] = (),
     beyond: bool = False,
     products: Products | None = None,
 ) -> ASGIApp:
-    """Return the page of a file, a scan or a design as an ASGI application."""
-    if isinstance(shown, Space):
-        routes = space_routes(shown)
-    elif isinstance(shown, Explorer):
-        routes = design_routes(shown)
+    """ASGI application for the page of a file, a scan or a design."""
+    if isinstance(content, Space):
+        routes = space_routes(content)
+    elif isinstance(content, Explorer):
+        routes = design_routes(content)
     else:
-        routes = _routes(shown, products)
+        routes = _routes(content, products)
     inner = Starlette(routes=routes)
     return Guard(inner, token=token, hosts=hosts, beyond=beyond)
 
 
-def _routes(shown: Recording | Live, products: Products | None) -> list[Any]:
-    """Return what is answered of a picture or a scan."""
-    pages, files = _Pages(shown, products), Files("index.html")
+def _routes(content: Recording | Live, products: Products | None) -> list[Any]:
+    """Routes of a picture or a scan."""
+    pages, files = _Pages(content, products), Files("index.html")
     return [
         Route("/", files.index),
         Route("/static/{name}", files.static),
@@ -263,8 +273,8 @@ def _routes(shown: Recording | Live, products: Products | None) -> list[Any]:
 
 
 class _Pages:
-    def __init__(self, shown: Recording | Live, products: Products | None) -> None:
-        self._shown, self._products = shown, products
+    def __init__(self, content: Recording | Live, products: Products | None) -> None:
+        self._shown, self._products = content, products
 
     @property
     def _recording(self) -> Recording:
@@ -273,7 +283,7 @@ class _Pages:
     async def scene(self, request: Request) -> Response:
         channel = request.query_params.get("channel")
 
-        def made() -> Response:
+        def answer() -> Response:
             return JSONResponse(
                 {
                     **self._recording.describe(channel),
@@ -281,78 +291,78 @@ class _Pages:
                 }
             )
 
-        return await answered(made)
+        return await answered(answer)
 
     async def layer(self, request: Request) -> Response:
         channel, name = (request.path_params[key] for key in ("channel", "name"))
 
-        def made() -> Response:
+        def answer() -> Response:
             recording = self._recording
             if name == "beams":
                 values = recording.nodes(channel).values
                 return numbers(np.ascontiguousarray(values, "<f4").tobytes())
-            known = recording.layers(channel)
-            if name not in known:
+            layers = recording.layers(channel)
+            if name not in layers:
                 raise CubeError(f"there is no map {name[:40]!r}")
             stride = recording.stride(channel)
             values = recording.layer(channel, name, stride)
-            return numbers(stored(values, known[name][0]))
+            return numbers(stored(values, layers[name][0]))
 
-        return await answered(made)
+        return await answered(answer)
 
     async def spectrum(self, request: Request) -> Response:
         place = request.path_params
 
-        def made() -> Response:
+        def answer() -> Response:
             recording = self._recording
             rows, columns = recording.channel(place["channel"]).shown.shape
             if not (place["row"] < rows and place["column"] < columns):
                 raise CubeError("this pixel is outside of the scan")
             at = (place["row"], place["column"])
-            found = spectrum(recording.cubes, place["channel"], *at)
-            return JSONResponse(found)
+            values = spectrum(recording.cubes, place["channel"], *at)
+            return JSONResponse(values)
 
-        return await answered(made)
+        return await answered(answer)
 
     async def measure(self, request: Request) -> Response:
-        async def made() -> Response:
-            wanted = await object_of(request)
-            found = await run_in_threadpool(measured, self._recording, wanted)
-            return JSONResponse(found)
+        async def answer() -> Response:
+            query = await object_of(request)
+            result = await run_in_threadpool(measured, self._recording, query)
+            return JSONResponse(result)
 
-        return await explained(made())
+        return await explained(answer())
 
     async def save(self, request: Request) -> Response:
-        async def made() -> Response:
-            kept = await measurements_of(request)
+        async def answer() -> Response:
+            measurements = await measurements_of(request)
             page = await run_in_threadpool(
-                saved_page, self._recording, measurements=kept
+                saved_page, self._recording, measurements=measurements
             )
             return Response(page.encode(), media_type="application/octet-stream")
 
-        return await explained(made())
+        return await explained(answer())
 
     async def products(self, request: Request) -> Response:
         offered = [] if self._products is None else self._products.offered()
         return JSONResponse(offered)
 
     async def product(self, request: Request) -> Response:
-        async def made() -> Response:
-            wanted = await object_of(request)
-            return downloaded(await run_in_threadpool(self._product, wanted))
+        async def answer() -> Response:
+            query = await object_of(request)
+            return downloaded(await run_in_threadpool(self._product, query))
 
-        return await explained(made())
+        return await explained(answer())
 
-    def _product(self, wanted: dict[str, Any]) -> Made:
+    def _product(self, query: dict[str, Any]) -> Made:
         if self._products is None:
             raise CubeError("this server makes no products")
         recording = self._recording
-        channel = str(wanted.get("channel", recording.channels[0]))
+        channel = str(query.get("channel", recording.channels[0]))
         image = recording.channel(channel).shown.whole()
         stem = recording.name.rpartition(".")[0] or recording.name
         if len(recording.channels) > 1:
             stem = f"{stem}-{channel}"
-        return self._products.make(image, wanted, stem=stem)
+        return self._products.make(image, query, stem=stem)
 
     async def live(self, socket: WebSocket) -> None:
         if not isinstance(self._shown, Live):
@@ -363,3 +373,97 @@ class _Pages:
             await follow(self._shown, socket)
         except WebSocketDisconnect:
             return
+
+
+#: What a page says on a websocket is a word or two [byte].
+_LARGEST_MESSAGE = 4096
+_EVERYWHERE = ("0.0.0.0", "::")
+
+
+def serve(
+    content: Recording | Live | Space | Explorer,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    announce: Callable[[str], None] = lambda address: None,
+    token: str | None = None,
+    products: Products | None = None,
+) -> None:
+    """Serve a page until Ctrl-C."""
+    with contextlib.closing(_listener(host, port)) as listener:
+        address, server = _server(
+            content, host, listener, token or new_token(), products
+        )
+        announce(address)
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[listener])
+
+
+@contextlib.contextmanager
+def background(
+    content: Recording | Live | Space | Explorer,
+    *,
+    token: str | None = None,
+    products: Products | None = None,
+) -> Iterator[str]:
+    """Serve a page in the background, as in a notebook."""
+    with contextlib.closing(_listener("127.0.0.1", 0)) as listener:
+        address, server = _server(
+            content, "127.0.0.1", listener, token or new_token(), products
+        )
+        thread = threading.Thread(
+            target=server.run, kwargs={"sockets": [listener]}, daemon=True
+        )
+        thread.start()
+        try:
+            yield address
+        finally:
+            server.should_exit = True
+            thread.join(10)
+
+
+def _listener(host: str, port: int) -> socket.socket:
+    """Return the listening socket; requests before the server starts wait in it."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen(64)
+    except OSError as error:
+        listener.close()
+        raise FormatError(
+            f"{host}, port {port}, cannot be listened at: "
+            f"{error.strerror or error}; leave out --port, or name another"
+        ) from error
+    return listener
+
+
+def _server(
+    content: Recording | Live | Space | Explorer,
+    host: str,
+    listener: socket.socket,
+    token: str,
+    products: Products | None,
+) -> tuple[str, uvicorn.Server]:
+    """Address of a page and the server behind it."""
+    name = socket.gethostname() if host in _EVERYWHERE else host
+    in_address = f"[{name}]" if ":" in name else name
+    config = uvicorn.Config(
+        application(
+            content,
+            token=token,
+            hosts=[name],
+            products=products,
+            beyond=host not in ("127.0.0.1", "::1", "localhost"),
+        ),
+        access_log=False,
+        log_level="error",
+        server_header=False,
+        ws="websockets-sansio",
+        ws_max_size=_LARGEST_MESSAGE,
+        lifespan="off",
+        timeout_graceful_shutdown=1,
+    )
+    port = listener.getsockname()[1]
+    return f"http://{in_address}:{port}/{token}/", uvicorn.Server(config)

@@ -1,4 +1,4 @@
-"""Point clouds and meshes as the page shows them: opened, thinned, described."""
+"""Point clouds and meshes for the page: opened, thinned, described."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _MESHES = (".stl", ".obj", ".off", ".glb")
 _METRES = (".laz", ".las", ".e57", ".glb")
 ENDINGS = (".ply", ".laz", ".las", ".e57", *_TEXT, *_MESHES)
 
-#: Points by which the distance of neighbours is judged [1].
+#: Points by which the distance of neighbors is judged [1].
 _SOME = 100_000
 
-#: Label, unit and kind of colours of the numbers that the page has words for.
+#: Label, unit and kind of colors of the numbers that the page has words for.
 _WORDS = {
     "uncertainty": ("Uncertainty", "m", "error"),
     "amplitude": ("Amplitude", "V", "amplitude"),
@@ -50,7 +50,7 @@ _LENGTHS = ("common", "sigma_x", "sigma_y", "sigma_z")
 
 
 def is_space(path: Path) -> bool:
-    """Return whether a file is shown in space: by its ending, or a cloud in netCDF."""
+    """Whether a file is a cloud or mesh, by its ending or as a cloud in netCDF."""
     if path.is_dir():  # of a scan, whatever its name
         return False
     if path.suffix.lower() in ENDINGS:
@@ -95,12 +95,12 @@ def opened(path: Path, *, unit: float | None = None) -> Space:
 def _read(path: Path, ending: str, unit: float | None) -> Shape:
     if ending == ".ply":
         shape = read_ply(path, unit=unit or 1.0)
-        own = any(line.startswith("axes:") for line in shape.statements)
-        if own and unit is not None:
+        from_amulor = any(line.startswith("axes:") for line in shape.statements)
+        if from_amulor and unit is not None:
             raise FormatError(
                 f"{path.name}: amulor wrote it, in metres; leave out --unit"
             )
-        if shape.faces is not None and not own and unit is None:
+        if shape.faces is not None and not from_amulor and unit is None:
             raise _without_unit(path)
         return shape
     if ending in (".laz", ".las"):
@@ -124,7 +124,7 @@ def _without_unit(path: Path) -> FormatError:
 
 
 def _cloud(path: Path) -> Shape:
-    """Return a point cloud of amulor's own format."""
+    """Point cloud in amulor's own format."""
     cloud = read_cube(path)
     if str(cloud.attrs.get("level")) != "point_cloud":
         raise CubeError(f"{path.name} is no point cloud")
@@ -140,8 +140,8 @@ def _cloud(path: Path) -> Shape:
     return Shape(
         position=position,
         scalars={
-            own: cloud[name].values.astype(float)
-            for name, own in names.items()
+            variable: cloud[name].values.astype(float)
+            for name, variable in names.items()
             if name in cloud
         },
         up="-y" if cloud.attrs.get("frame", "instrument") == "instrument" else "z",
@@ -156,7 +156,7 @@ def _cloud(path: Path) -> Shape:
 
 
 class Space:
-    """A point cloud or a mesh that the page shows."""
+    """Point cloud or mesh of the page."""
 
     def __init__(self, name: str, shape: Shape, *, notes: Sequence[str] = ()) -> None:
         self.name = name
@@ -182,30 +182,30 @@ class Space:
         self._statements = [line for line in shape.statements if line.strip()]
         self._notes = list(notes)
         self._beams = shape.up == "-y"
-        own = {"sigma_x", "sigma_y", "sigma_z"}
-        if "uncertainty" not in self.scalars and own <= set(self.scalars):
-            parts = [self.scalars[name] for name in sorted(own)]
+        coordinate_errors = {"sigma_x", "sigma_y", "sigma_z"}
+        if "uncertainty" not in self.scalars and coordinate_errors <= set(self.scalars):
+            parts = [self.scalars[name] for name in sorted(coordinate_errors)]
             self.scalars["uncertainty"] = np.sqrt(sum(p**2 for p in parts))
 
     @property
     def layers(self) -> list[dict[str, str]]:
         """Names, labels, units and kinds of the numbers of its points."""
-        found = []
+        entries = []
         for name in self.scalars:
             plain = name.replace("_", " ").capitalize()
             of_length = "m" if name in _LENGTHS else ""
             label, unit, kind = _WORDS.get(name, (plain, of_length, "range"))
             if name in _HIDDEN:
                 kind = "hidden"
-            found.append({"name": name, "label": label, "unit": unit, "kind": kind})
+            entries.append({"name": name, "label": label, "unit": unit, "kind": kind})
         order = ["uncertainty", "amplitude", "intensity"]
-        found.sort(key=lambda one: (
-            order.index(one["name"]) if one["name"] in order else len(order)
+        entries.sort(key=lambda entry: (
+            order.index(entry["name"]) if entry["name"] in order else len(order)
         ))  # fmt: skip
-        return found
+        return entries
 
     def values(self, name: str) -> bytes:
-        """Return numbers as they travel."""
+        """Numbers encoded for the page."""
         if name == "position":
             return self.position.tobytes()
         if name == "faces" and self.faces is not None:
@@ -217,11 +217,11 @@ class Space:
         raise CubeError(f"{self.name} has no numbers {name[:40]!r}")
 
     def describe(self) -> dict[str, Any]:
-        """Return all that the page needs to know before it asks for numbers."""
+        """Return the description of the cloud that the page needs before any number."""
         count = len(self.position)
         return {
             "name": self.name,
-            "title": self._said("title") or self.name,
+            "title": self._statement("title") or self.name,
             "simulated": any(line.startswith("simulated") for line in self._statements),
             "mesh": self.faces is not None,
             "points": count,
@@ -239,7 +239,7 @@ class Space:
             "notes": self._all_notes(),
         }
 
-    def _said(self, key: str) -> str:
+    def _statement(self, key: str) -> str:
         for line in self._statements:
             if line.startswith(f"{key}:"):
                 return line.partition(":")[2].strip()
@@ -260,29 +260,29 @@ class Space:
                 "The file has no uncertainties, so lengths have none here; PLY, LAZ "
                 "and text that amulor exports have them."
             )
-        wanted = ("axes", "reference system", "uncertainty", "not shown")
+        prefixes = ("axes", "reference system", "uncertainty", "not shown")
         notes += [
             f"{line[0].upper()}{line[1:]}."
             for line in self._statements
-            if line.startswith(wanted)
+            if line.startswith(prefixes)
         ]
         return notes
 
     def _spacing(self) -> float:
-        """Return how far neighbours are apart [m], so that dots close a surface."""
+        """Distance of neighbors, for dots large enough to close a surface [m]."""
         points = self.position[np.isfinite(self.position).all(axis=1)]
         some = points[:: max(1, len(points) // _SOME)].astype(float)
         if len(some) < 2:
             return float(np.max(self.size)) or 1e-3
-        asked = some[:: max(1, len(some) // 2000)]
-        away = cKDTree(some).query(asked, k=2)[0][:, 1]
+        sample = some[:: max(1, len(some) // 2000)]
+        away = cKDTree(some).query(sample, k=2)[0][:, 1]
         # Of a surface a part of the points is as much wider apart as its root.
         near = float(np.median(away)) * math.sqrt(len(some) / len(points))
         return near or float(np.max(self.size)) / 1000 or 1e-3
 
 
 def _single(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return numbers as they travel; what is too large for that is missing."""
+    """Numbers with 32 bits; too large ones become NaN."""
     with np.errstate(over="ignore"):
         single = values.astype("<f4")
     single[~np.isfinite(single)] = np.nan
