@@ -1,9 +1,10 @@
-"""The shape of the code in figures: files and imports a room, compiled functions.
+"""The shape of the code in figures: files, imports, climbs, compiled functions.
 
 Run with ``python benchmarks/measure_structure.py [CHECKOUT]``. A room is a folder. The
 imports counted are those between files of one floor (a folder directly below
 src/amulor); the level of a file is the longest chain of such imports below it. Lines
-of a compiled function count from its ``def`` on, the docstring left out.
+of a compiled function count from its ``def`` on, the docstring left out. Climbs are
+those of `follow_value.py`.
 """
 
 from __future__ import annotations
@@ -122,6 +123,8 @@ def lines_of(text, tree):
 
 def main():
     """Print the figures."""
+    import follow_value
+
     root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1])
     source = root / "src"
     edges = imports(root)
@@ -138,6 +141,9 @@ def main():
     print(f"files of fewer than 60 lines {sum(code < 60 for code, _ in counts)}")
     contracts = (root / "pyproject.toml").read_text("utf-8")
     print(f"import contracts {contracts.count('[[tool.importlinter.contracts]]')}")
+    print("\nclimbs of a value                  stations  climbs")
+    for title, stations, _, climbs, _ in follow_value.climbs(root):
+        print(f"{title:34}{stations:9}{climbs:8}")
     print("\nroom                                  files")
     for room in sorted(rooms):
         print(f"{room:38}{rooms[room]:5}")
