@@ -30,8 +30,8 @@ from amulor.rejection.joint import (
 )
 from amulor.rejection.joint.estimate import joint
 from amulor.rejection.joint.overlap import frame_of
-from amulor.rejection.joint.priors import trends_of
-from amulor.rejection.joint.samples import flat
+from amulor.rejection.joint.priors import clock_of, trends_of
+from amulor.rejection.observation import observe_scan
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -94,20 +94,17 @@ class Problem:
 
     def __init__(self, columns=100, rows=60):
         self.cube = scene(columns, rows)
-        signal, errors, usable = flat(self.cube)
-        azimuth = self.cube["azimuth"].values.ravel()
-        elevation = self.cube["elevation"].values.ravel()
-        self.frame = frame_of(self.cube, azimuth, elevation)
+        scan = observe_scan(self.cube)
+        pixels = scan.tile(0, scan.rows)
+        azimuth, elevation = pixels.azimuth.ravel(), pixels.elevation.ravel()
+        self.frame = frame_of(scan.head, azimuth, elevation)
         self.pixels = joint_samples.pixels_of(
             self.frame,
-            signal,
-            errors,
-            usable,
+            pixels.flat(),
             azimuth,
             elevation,
             interval=INTERVAL,
-            modulation_frequency=FREQUENCIES,
-            trends=trends_of(self.cube),
+            trends=trends_of(pixels, clock_of(scan)),
         )
         self.transfer = np.ones(FREQUENCIES.size, dtype=complex)
         some = self.pixels.part(np.linspace(0, len(self.pixels) - 1, 256).astype(int))

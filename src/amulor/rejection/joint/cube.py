@@ -14,7 +14,7 @@ from amulor import cube as cubes
 from amulor.cube import QualityFlag, WaterResidualCause
 from amulor.optics._geometry import Geometry
 from amulor.rejection.build import target_cube
-from amulor.rejection.covariance import Covariance, covariance_of
+from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint.overlap import Frame
 from amulor.rejection.joint.priors import (
     DECISIVE,
@@ -28,6 +28,7 @@ from amulor.rejection.joint.priors import (
 )
 from amulor.rejection.joint.search import Estimates
 from amulor.rejection.joint.solve import Result
+from amulor.rejection.observation import Observation
 
 Floats = NDArray[np.float64]
 
@@ -123,11 +124,12 @@ def _known(
     return total
 
 
-def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
-    """Return the target-signal cube of some pixels."""
+def cube_of(rows: Observation, scan: Scan, result: Result) -> xr.Dataset:
+    """Target-signal cube of some rows or of a part of them."""
     frame, shared = scan.frame, scan.shared
-    rows_columns = cube["azimuth"].shape
-    shape = cube["in_phase"].shape
+    rows_columns = rows.azimuth.shape
+    signal, stated = rows.signal, rows.covariance
+    shape = signal.shape
 
     def over_pixels(values: NDArray[Any]) -> NDArray[Any]:
         return values.reshape(rows_columns)
@@ -135,10 +137,8 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
     def over_samples(values: NDArray[Any]) -> NDArray[Any]:
         return np.ascontiguousarray(values.transpose(2, 1, 0)).reshape(shape)
 
-    signal = cube.amulor.signal.values
     water = over_samples(result.water_signal)
     common = Covariance(*(over_samples(each) for each in vars(result.common).values()))
-    stated = covariance_of(cube)
     if shared.noise_scale > 1:
         square = shared.noise_scale**2
         stated = Covariance(
@@ -152,10 +152,7 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
         )
     estimates = result.estimates
     path, detected = estimates.path, result.detected
-    geometry = frame.geometry(
-        cube["azimuth"].values.ravel().astype(float),
-        cube["elevation"].values.ravel().astype(float),
-    )
+    geometry = frame.geometry(rows.azimuth.ravel(), rows.elevation.ravel())
     slant_range, slope = geometry.slant_range_and_slope(path)
     slant_range = np.where(detected, slant_range, np.nan)
     known = _known(geometry, result, scan.instrument, scan.late_spread)
@@ -182,7 +179,7 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
     flag[cause != 0] |= QualityFlag.WATER_RESIDUAL
     flag[~detected | ~result.enough] |= QualityFlag.NO_TARGET
     target = target_cube(
-        cube,
+        rows.cube,
         signal - water,
         total,
         water_signal=water,
@@ -195,8 +192,8 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
     missing = ~np.isfinite(signal)
     flags = np.broadcast_to(over_pixels(flag), shape).copy()
     flags[over_samples(result.left_out)] |= QualityFlag.OUTLIER
-    if "saturated" in cube:
-        flags[cube["saturated"].values != 0] |= QualityFlag.SATURATED
+    if rows.saturated is not None:
+        flags[rows.saturated] |= QualityFlag.SATURATED
     flags[missing] = QualityFlag.MISSING
     target["quality_flag"].values[...] = flags
     causes = np.broadcast_to(over_pixels(cause), shape)

@@ -14,8 +14,8 @@ from amulor import cube as cubes
 from amulor._progress import tell
 from amulor.cube import tiles
 from amulor.errors import CubeError
+from amulor.optics._geometry import Geometry
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint import samples as joint_samples
 from amulor.rejection.joint import shared as joint_shared
 from amulor.rejection.joint._kernels.compiled import each
 from amulor.rejection.joint.cube import (
@@ -29,7 +29,6 @@ from amulor.rejection.joint.priors import (
     DECISIVE,
     DIRECTION,
     LATE_ECHO,
-    Bands,
     Clock,
     Instrument,
     Shared,
@@ -40,16 +39,16 @@ from amulor.rejection.joint.samples import (
     FEWEST_FREQUENCIES,
     SHARING,
     Pixels,
-    count,
-    flat,
+    pixels_of,
     refuse_errors_of_zero,
     refuse_other_windows,
-    refuse_what_cannot_be_told_apart,
+    refuse_single_frequency,
     shot_directions,
     shot_pixels,
 )
 from amulor.rejection.joint.solve import solve
 from amulor.rejection.methods import method
+from amulor.rejection.observation import Observation, ScanObservation
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -87,80 +86,67 @@ class _Extent:
 
 
 def common_of(
-    source: tiles.Source,
+    scan: ScanObservation,
     *,
     interval: tuple[float, float] | None,
     transfer: Complex,
     instrument: Instrument,
 ) -> Common:
-    """Return what all pixels share, estimated from a sample of them."""
-    head = source.head
-    frequency = head["modulation_frequency"].values
-    bands = list(tiles.bands(source))
-    extent = _extent_of(source, bands)
-    shots = head.amulor.open_water
+    """Estimate the parameters that all pixels share, from a sample of the pixels."""
+    extent = _extent_of(scan)
+    shots = scan.head.shots
     places = shot_directions((extent.azimuth[2], extent.elevation[2]), shots)
     frame = frame_of(
-        head,
+        scan.head,
         np.concatenate([extent.azimuth[:2], places[0]]),
         np.concatenate([extent.elevation[:2], places[1]]),
     )
-    for begin, end in bands:
-        if "origin_z" in head.coords or "origin_z" in source.tile(begin, end).coords:
-            refuse_other_windows(source.tile(begin, end), frame)
-        else:
+    for begin, end in scan.bands:
+        origin_z = scan.tile(begin, end).origin_z
+        if origin_z is None:
             break
-    chosen = np.flatnonzero(extent.enough)
-    if not len(chosen):
+        refuse_other_windows(origin_z, frame)
+    sample = np.flatnonzero(extent.enough)
+    if not len(sample):
         raise CubeError(
             "no pixel has usable samples at two frequencies or more; look at the "
             "flags of the samples (missing, saturated) and measure again"
         )
-    chosen = chosen[
-        np.linspace(0, len(chosen) - 1, min(SHARING, len(chosen))).astype(int)
+    sample = sample[
+        np.linspace(0, len(sample) - 1, min(SHARING, len(sample))).astype(int)
     ]
-    clock = clock_of(source, bands)
-    some = _joined(
-        [
-            _pixels(
-                frame, source.tile(begin, end), begin, clock, interval=interval,
-                which=which - begin * source.columns,
-            )
-            for begin, end in bands
-            if len(which := _within(chosen, begin, end, source.columns))
-        ]
-    )  # fmt: skip
+    clock = clock_of(scan)
+    pixels, geometry = _sampled(scan, sample, frame, clock, interval)
     tell("water that all pixels share", 0.0)
 
     def fitted(shots: Pixels | None) -> Shared:
         return joint_shared.fit(
             frame,
-            some,
+            pixels,
             shots,
             transfer=transfer,
-            deepest=float(some.depths.max()),
+            deepest=float(pixels.depths.max()),
             turn_width=instrument.direction,
         )
 
-    of_water = shot_pixels(frame, shots, places, frequency)
+    of_water = shot_pixels(frame, shots, places)
     shared = fitted(of_water)
-    found = solve(frame, some, shared, transfer)
-    geometry = frame.geometry(*_directions_at(source, bands, chosen))
-    late_spread, known = typical_of(frame, geometry, found, shared, instrument)
+    result = solve(frame, pixels, shared, transfer)
+    late_spread, uncertainty = typical_of(frame, geometry, result, shared, instrument)
     doubted = False
     if of_water is not None and shared.evidence > DECISIVE and shared.water_departs:
-        # Shots of other water hide what is wrong with the echo: ask without them.
-        alone = fitted(None)
-        by_itself = solve(frame, some, alone, transfer)
-        doubted = refuses_its_echo(geometry, by_itself, alone, instrument)
+        # Shots of other water hide an echo that departs: fit without them.
+        without_shots = fitted(None)
+        alone = solve(frame, pixels, without_shots, transfer)
+        doubted = refuses_its_echo(geometry, alone, without_shots, instrument)
     return Common(
         scan=Scan(
             frame=frame,
             shared=shared,
             instrument=instrument,
-            span=float((some.longest - some.shortest).max()),
+            span=float((pixels.longest - pixels.shortest).max()),
             late_spread=late_spread,
-            instrument_uncertainty=known,
+            instrument_uncertainty=uncertainty,
             echo_is_doubted=doubted,
         ),
         transfer=transfer,
@@ -170,7 +156,7 @@ def common_of(
 
 
 def of_rows(tile: xr.Dataset, common: Common, first: int = 0) -> xr.Dataset:
-    """Return the target signal of some rows of a scan."""
+    """Target signal of some rows of a scan."""
     rows, columns = tile["azimuth"].shape
     wide = min(columns, _AT_ONCE)
     high = max(1, _AT_ONCE // wide)
@@ -181,21 +167,28 @@ def of_rows(tile: xr.Dataset, common: Common, first: int = 0) -> xr.Dataset:
         for row in range(0, rows, high)
         for column in range(0, columns, wide)
     ]
+    frame, clock = common.scan.frame, common.clock
 
     def estimated(place: tuple[int, int]) -> xr.Dataset:
         row, column = place
-        block = bare.isel(
-            row=slice(row, row + high), column=slice(column, column + wide)
+        block = Observation(
+            cube=bare.isel(
+                row=slice(row, row + high), column=slice(column, column + wide)
+            )
         )
-        pixels = _pixels(
-            common.scan.frame, block, first + row, common.clock,
-            interval=common.interval, column=column,
-        )  # fmt: skip
-        result = solve(common.scan.frame, pixels, common.scan.shared, common.transfer)
+        pixels = pixels_of(
+            frame,
+            block.flat(),
+            block.azimuth.ravel(),
+            block.elevation.ravel(),
+            interval=common.interval,
+            trends=trends_of(block, clock, row=first + row, column=column),
+        )
+        result = solve(frame, pixels, common.scan.shared, common.transfer)
         return cube_of(block, common.scan, result)
 
     for (row, column), part in zip(places, each(estimated, places), strict=True):
-        tell(f"ranges of row {first + row:,}", _share(common.clock, first + row))
+        tell(f"ranges of row {first + row:,}", _share(clock, first + row))
         whole.put(part, row, column)
     target = whole.made()
     truth = tile.amulor.truth
@@ -206,69 +199,58 @@ def _share(clock: Clock, row: int) -> float:
     return _SHARED_TAKES + (1 - _SHARED_TAKES) * row / max(clock.rows, 1)
 
 
-def _pixels(
+def _sampled(
+    scan: ScanObservation,
+    sample: NDArray[np.intp],
     frame: Frame,
-    cube: xr.Dataset,
-    first: int,
     clock: Clock,
-    *,
     interval: tuple[float, float] | None,
-    column: int = 0,
-    which: NDArray[np.intp] | None = None,
-) -> Pixels:
-    """Return samples of a block that begins at a row and a column of the scan."""
-    signal, errors, usable = flat(cube)
-    azimuth = cube["azimuth"].values.ravel().astype(float)
-    elevation = cube["elevation"].values.ravel().astype(float)
-    trends = trends_of(cube, clock, row=first, column=column)
-    if which is not None:
-        signal, usable, trends = signal[which], usable[which], trends[which]
-        azimuth, elevation = azimuth[which], elevation[which]
-        errors = Covariance(*(each[which] for each in vars(errors).values()))
-    return joint_samples.pixels_of(
-        frame,
-        signal,
-        errors,
-        usable,
-        azimuth,
-        elevation,
-        interval=interval,
-        modulation_frequency=cube["modulation_frequency"].values,
-        trends=trends,
-    )
-
-
-def _extent_of(source: tiles.Source, bands: Bands) -> _Extent:
-    """Return what a look at all samples tells; refuse errors of zero."""
-    enough, lowest, highest, means = [], [], [], []
-    for begin, end in bands:
-        tile = source.tile(begin, end)
-        usable, errors = count(tile)
-        refuse_errors_of_zero(errors, usable)
-        enough.append(usable.any(axis=1).sum(axis=0) >= FEWEST_FREQUENCIES)
-        angles = np.stack(
-            [tile[name].values.astype(float) for name in ("azimuth", "elevation")]
+) -> tuple[Pixels, Geometry]:
+    """Pixels of a sample of the scan, and their geometry."""
+    parts, directions = [], []
+    for begin, end in scan.bands:
+        index = sample - begin * scan.columns
+        index = index[(index >= 0) & (index < (end - begin) * scan.columns)]
+        if not len(index):
+            continue
+        rows = scan.tile(begin, end)
+        azimuth = rows.azimuth.ravel()[index]
+        elevation = rows.elevation.ravel()[index]
+        parts.append(
+            pixels_of(
+                frame,
+                rows.flat().part(index),
+                azimuth,
+                elevation,
+                interval=interval,
+                trends=trends_of(rows, clock, row=begin)[index],
+            )
         )
+        directions.append((azimuth, elevation))
+    azimuth, elevation = map(np.concatenate, zip(*directions, strict=True))
+    return _joined(parts), frame.geometry(azimuth, elevation)
+
+
+def _extent_of(scan: ScanObservation) -> _Extent:
+    """Directions and usable pixels of a scan; errors of zero are refused."""
+    enough, lowest, highest, means = [], [], [], []
+    for begin, end in scan.bands:
+        rows = scan.tile(begin, end)
+        refuse_errors_of_zero(rows.covariance, rows.usable)
+        enough.append(rows.usable.any(axis=1).sum(axis=0) >= FEWEST_FREQUENCIES)
+        angles = np.stack([rows.azimuth, rows.elevation])
         lowest.append(angles.min(axis=(1, 2)))
         highest.append(angles.max(axis=(1, 2)))
         means += [row.mean(axis=-1) for row in np.moveaxis(angles, 1, 0)]
-    parts = np.min(lowest, axis=0), np.max(highest, axis=0), np.mean(means, axis=0)
-    both = np.stack(parts, axis=1)
+    extremes = np.min(lowest, axis=0), np.max(highest, axis=0), np.mean(means, axis=0)
+    azimuth, elevation = np.stack(extremes, axis=1)
     return _Extent(
-        azimuth=both[0], elevation=both[1], enough=np.concatenate(enough, axis=0)
+        azimuth=azimuth, elevation=elevation, enough=np.concatenate(enough, axis=0)
     )
 
 
-def _within(
-    chosen: NDArray[np.intp], begin: int, end: int, columns: int
-) -> NDArray[np.intp]:
-    """Return the chosen pixels of a band of rows."""
-    some = chosen[(chosen >= begin * columns) & (chosen < end * columns)]
-    return np.asarray(some)
-
-
 def _joined(parts: list[Pixels]) -> Pixels:
-    """Return the pixels of several tiles as one."""
+    """Pixels of several tiles together."""
     if len(parts) == 1:
         return parts[0]
     joined = {
@@ -281,25 +263,6 @@ def _joined(parts: list[Pixels]) -> Pixels:
         for name in ("in_phase", "quadrature", "cross")
     ]
     return Pixels(covariance=Covariance(*errors), **joined)
-
-
-def _directions_at(
-    source: tiles.Source, bands: Bands, chosen: NDArray[np.intp]
-) -> tuple[Floats, Floats]:
-    """Return where chosen pixels look [rad]."""
-    found: list[tuple[Floats, Floats]] = []
-    for begin, end in bands:
-        which = _within(chosen, begin, end, source.columns) - begin * source.columns
-        if len(which):
-            tile = source.tile(begin, end)
-            found.append(
-                (
-                    tile["azimuth"].values.ravel().astype(float)[which],
-                    tile["elevation"].values.ravel().astype(float)[which],
-                )
-            )
-    azimuth, elevation = (np.concatenate(each) for each in zip(*found, strict=True))
-    return azimuth, elevation
 
 
 def _fit(source: tiles.Source, **options: Any) -> tiles.OfRows:
@@ -447,15 +410,15 @@ def prepared(
     late_echo_uncertainty: float | None = None,
 ) -> Common:
     """Return what all pixels share, for the joint estimation of any rows of a scan."""
-    head = source.head
-    refuse_what_cannot_be_told_apart(head)
-    frequency = head["modulation_frequency"].values
+    scan = ScanObservation(source=source)
+    frequency = scan.head.frequency
+    refuse_single_frequency(frequency)
     instrument = Instrument.checked(
         delay=delay_uncertainty,
         group_index=group_index_uncertainty,
         position=receiver_position_uncertainty,
         direction=receiver_direction_uncertainty,
-        late_echo=_late_echo(head)
+        late_echo=(LATE_ECHO if scan.head.has_late_light else 0.0)
         if late_echo_uncertainty is None
         else late_echo_uncertainty,
     )
@@ -463,7 +426,7 @@ def prepared(
     # work, ten times longer where other programs have the processors.
     with threadpool_limits(limits=1, user_api="blas"):
         return common_of(
-            source,
+            scan,
             interval=interval,
             transfer=_checked_transfer(echo_transfer, frequency),
             instrument=instrument,
@@ -484,12 +447,3 @@ def _checked_transfer(
             f"{frequency.size} modulation frequencies, got shape {given.shape}"
         )
     return given
-
-
-def _late_echo(cube: xr.Dataset) -> float:
-    """Return how uncertain the delay of scattered light is, over its theory."""
-    stated = cube.attrs.get("late_echo")
-    if stated is None:
-        # Models that say nothing of late light send none.
-        return 0.0 if cube.attrs.get("simulated", 0) else LATE_ECHO
-    return 0.0 if str(stated) == "absent" else LATE_ECHO

@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.polynomial import chebyshev, legendre
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
@@ -21,6 +20,7 @@ from amulor.optics._geometry import Geometry
 from amulor.optics.late_echo import late_echo
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.rejection.joint._kernels import model as kernels
+from amulor.rejection.observation import Observation
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import (
     kernel_arguments,
@@ -367,6 +367,7 @@ class Frame:
         properties = water_properties(survey)
         self.survey = survey
         self.medium = medium_of(survey)
+        self.frequency = modulation_frequency
         #: Phase per optical path, 2 pi f / c_0 [rad/m].
         self.phase_per_path = 2 * np.pi * modulation_frequency / speed_of_light
         end = survey.water.column_end
@@ -581,18 +582,12 @@ def unseen() -> CubeError:
     )
 
 
-def frame_of(cube: xr.Dataset, azimuth: Floats, elevation: Floats) -> Frame:
-    """Return the frame of a cube whose survey describes the receiver."""
-    survey = cube.amulor.survey
-    if survey is None:
+def frame_of(scan: Observation, azimuth: Floats, elevation: Floats) -> Frame:
+    """Frame of a scan whose survey describes the receiver."""
+    if scan.survey is None:
         raise CubeError(
             "the cube has no attribute 'survey', from which the geometry of the "
             "receiver is taken; add the text of a survey file that describes the "
             "instrument, or use the open-water method"
         )
-    return Frame(
-        survey,
-        azimuth,
-        elevation,
-        modulation_frequency=cube["modulation_frequency"].values,
-    )
+    return Frame(scan.survey, azimuth, elevation, modulation_frequency=scan.frequency)

@@ -6,23 +6,20 @@ import dataclasses
 from dataclasses import dataclass, replace
 
 import numpy as np
-import xarray as xr
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 from scipy.linalg import solve_triangular
 
-from amulor.cube import tiles
 from amulor.optics import rays
 from amulor.optics._geometry import Geometry
 from amulor.rejection.covariance import times
 from amulor.rejection.joint.overlap import COEFFICIENTS, Shape
 from amulor.rejection.joint.samples import Pixels
 from amulor.rejection.joint.tables import Table
+from amulor.rejection.observation import Observation, ScanObservation
 
 Floats = NDArray[np.float64]
-#: First row and end of each tile that a scan is read in.
-Bands = list[tuple[int, int]]
 
 #: Standard uncertainty of the axis of a receiver about which nothing is said [rad].
 DIRECTION = float(np.radians(1.0))
@@ -146,9 +143,9 @@ class Clock:
     """Time from the first to the last [s], or pixels."""
 
 
-def clock_of(source: tiles.Source, bands: Bands) -> Clock:
-    """Return when a scan was measured."""
-    rows, columns = source.rows, source.columns
+def clock_of(scan: ScanObservation) -> Clock:
+    """Return the times of a scan: stated, or by the order of its pixels."""
+    rows, columns = scan.rows, scan.columns
     row_by_row = Clock(
         rows=rows,
         columns=columns,
@@ -157,27 +154,22 @@ def clock_of(source: tiles.Source, bands: Bands) -> Clock:
         length=float(max(rows * columns - 1, 0)),
     )
     first, last = np.inf, -np.inf
-    for begin, end in bands:
-        tile = source.tile(begin, end)
-        if "time" not in tile:
-            return row_by_row
-        time = tile["time"].values.astype(float)
-        if not np.isfinite(time).all():
+    for begin, end in scan.bands:
+        time = scan.tile(begin, end).time
+        if time is None:
             return row_by_row
         first, last = min(first, float(time.min())), max(last, float(time.max()))
     return replace(row_by_row, stated=True, begin=first, length=last - first)
 
 
 def trends_of(
-    cube: xr.Dataset, clock: Clock | None = None, *, row: int = 0, column: int = 0
+    rows: Observation, clock: Clock, *, row: int = 0, column: int = 0
 ) -> Floats:
-    """Return the polynomials that make up the change, at the time of each pixel."""
-    if clock is None:
-        memory = tiles.InMemory(cube)
-        clock = clock_of(memory, list(tiles.bands(memory)))
-    shape = cube["azimuth"].shape
+    """Legendre polynomials of the time of each pixel, (pixel, trend) [1]."""
+    shape = rows.azimuth.shape
     if clock.stated:
-        time = cube["time"].values.ravel().astype(float)
+        assert rows.time is not None
+        time = rows.time.ravel()
     else:
         first = np.arange(row, row + shape[0])[:, None] * clock.columns
         time = (first + np.arange(column, column + shape[1])).ravel().astype(float)

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.errors import CubeError
 from amulor.optics import rays
-from amulor.rejection.covariance import Covariance, covariance_of, times
+from amulor.rejection.covariance import Covariance, times
 from amulor.rejection.joint._kernels import bundles
 from amulor.rejection.joint._kernels import model as kernels
 from amulor.rejection.joint.overlap import Frame, frame_of
 from amulor.rejection.joint.tables import Table, to_pairs
+from amulor.rejection.observation import FlatSamples, Observation
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -27,147 +26,74 @@ FEWEST_FREQUENCIES = 2
 _SAME_PLACE = 1e-4
 
 
-def flat(cube: xr.Dataset) -> tuple[Complex, Covariance, NDArray[np.bool_]]:
-    """Return samples over (pixel, channel, frequency), their errors, which count."""
-
-    def flat(values: NDArray[Any]) -> NDArray[Any]:
-        wide = values.reshape(*values.shape[:2], -1)
-        return np.ascontiguousarray(wide.transpose(2, 1, 0))
-
-    signal = flat(cube.amulor.signal.values)
-    stated = covariance_of(cube)
-    errors = Covariance(
-        flat(stated.in_phase), flat(stated.quadrature), flat(stated.cross)
-    )
-    usable = np.isfinite(signal) & np.isfinite(
-        errors.in_phase + errors.quadrature + errors.cross
-    )
-    if "saturated" in cube:
-        usable &= flat(cube["saturated"].values) == 0
-    return signal, errors, usable
-
-
-def count(cube: xr.Dataset) -> tuple[NDArray[np.bool_], Covariance]:
-    """Return which samples count, and their errors, all of the shape of the samples."""
-    errors = covariance_of(cube)
-    total = cube["in_phase"].values + cube["quadrature"].values
-    for each in (errors.in_phase, errors.quadrature, errors.cross):
-        total += each
-    usable: NDArray[np.bool_] = np.isfinite(total)
-    if "saturated" in cube:
-        usable &= cube["saturated"].values == 0
-    return usable, errors
-
-
 def shot_directions(
-    middle: tuple[float, float], shots: xr.Dataset | None
+    middle: tuple[float, float], shots: Observation | None
 ) -> tuple[Floats, Floats]:
-    """Return where the open-water shots point; to the middle if that is not known."""
+    """Directions of the open-water shots; the middle of the scan by default [rad]."""
     if shots is None:
         return np.zeros(0), np.zeros(0)
-    places = []
-    for name, mean in zip(("azimuth", "elevation"), middle, strict=True):
-        if name in shots:
-            places.append(shots[name].values.astype(float))
-        else:
-            places.append(np.full(shots.sizes["shot"], mean))
-    return places[0], places[1]
+    azimuth, elevation = (
+        np.full(shots.signal.shape[-1], mean) if stated is None else stated
+        for stated, mean in zip(shots.directions, middle, strict=True)
+    )
+    return azimuth, elevation
 
 
 def shot_pixels(
-    frame: Frame,
-    shots: xr.Dataset | None,
-    places: tuple[Floats, Floats],
-    frequency: Floats,
+    frame: Frame, shots: Observation | None, directions: tuple[Floats, Floats]
 ) -> Pixels | None:
-    """Return open-water shots as samples of the likelihood."""
+    """Open-water shots as samples of the likelihood."""
     if shots is None:
         return None
-    count = shots.sizes["shot"]
-    which = np.linspace(0, count - 1, min(SHARING, count)).astype(int)
-
-    def flat(values: NDArray[Any]) -> NDArray[Any]:
-        return np.ascontiguousarray(values.transpose(2, 1, 0)[which])
-
-    signal = flat(shots["in_phase"].values + 1j * shots["quadrature"].values)
-    stated = covariance_of(shots)
-    errors = Covariance(
-        flat(stated.in_phase), flat(stated.quadrature), flat(stated.cross)
-    )
-    usable = np.isfinite(signal) & np.isfinite(
-        errors.in_phase + errors.quadrature + errors.cross
-    )
-    refuse_errors_of_zero(errors, usable)
-    return pixels_of(
-        frame,
-        signal,
-        errors,
-        usable,
-        places[0][which],
-        places[1][which],
-        interval=None,
-        modulation_frequency=frequency,
-        trends=np.zeros((len(which), 0)),
-    )
+    count = shots.signal.shape[-1]
+    index = np.linspace(0, count - 1, min(SHARING, count)).astype(int)
+    samples = shots.flat().part(index)
+    refuse_errors_of_zero(samples.covariance, samples.usable)
+    return pixels_of(frame, samples, directions[0][index], directions[1][index])
 
 
-def open_water_samples(cube: xr.Dataset, *, no_target: bool) -> tuple[Frame, Pixels]:
-    """Return the open water of a cube as samples of the likelihood."""
-    frequency = cube["modulation_frequency"].values
+def open_water_samples(scan: Observation, *, no_target: bool) -> tuple[Frame, Pixels]:
+    """Frame and samples of open water: the shots, or the scan without a target."""
     if not no_target:
-        shots = cube.amulor.open_water
-        middle = (
-            float(cube["azimuth"].values.mean()),
-            float(cube["elevation"].values.mean()),
-        )
-        places = shot_directions(middle, shots)
-        frame = frame_of(cube, *places)
-        pixels = shot_pixels(frame, shots, places, frequency)
+        middle = float(scan.azimuth.mean()), float(scan.elevation.mean())
+        directions = shot_directions(middle, scan.shots)
+        frame = frame_of(scan, *directions)
+        pixels = shot_pixels(frame, scan.shots, directions)
         assert pixels is not None
         return frame, pixels
-    signal, errors, usable = flat(cube)
-    refuse_errors_of_zero(errors, usable)
-    azimuth = cube["azimuth"].values.ravel().astype(float)
-    elevation = cube["elevation"].values.ravel().astype(float)
-    frame = frame_of(cube, azimuth, elevation)
-    some = np.linspace(0, len(signal) - 1, min(SHARING, len(signal))).astype(int)
+    samples = scan.flat()
+    refuse_errors_of_zero(samples.covariance, samples.usable)
+    azimuth, elevation = scan.azimuth.ravel(), scan.elevation.ravel()
+    frame = frame_of(scan, azimuth, elevation)
+    count = len(samples.signal)
+    index = np.linspace(0, count - 1, min(SHARING, count)).astype(int)
     return frame, pixels_of(
-        frame,
-        signal[some],
-        Covariance(errors.in_phase[some], errors.quadrature[some], errors.cross[some]),
-        usable[some],
-        azimuth[some],
-        elevation[some],
-        interval=None,
-        modulation_frequency=frequency,
-        trends=np.zeros((len(some), 0)),
+        frame, samples.part(index), azimuth[index], elevation[index]
     )
 
 
-def refuse_what_cannot_be_told_apart(cube: xr.Dataset) -> None:
-    """Refuse a cube of one frequency."""
-    count = cube.sizes["modulation_frequency"]
-    if count < FEWEST_FREQUENCIES:
-        frequency = float(cube["modulation_frequency"][0]) / 1e6
+def refuse_single_frequency(frequency: Floats) -> None:
+    """Refuse a scan of one frequency."""
+    if len(frequency) < FEWEST_FREQUENCIES:
         raise CubeError(
-            f"the cube has one modulation frequency, {frequency:g} MHz; joint "
+            f"the cube has one modulation frequency, {frequency[0] / 1e6:g} MHz; joint "
             "estimation needs two or more to tell target from water: record a sweep, "
             "or use open-water, polarization or cross-polarized"
         )
 
 
-def refuse_other_windows(cube: xr.Dataset, frame: Frame) -> None:
+def refuse_other_windows(origin_z: Floats, frame: Frame) -> None:
     """Refuse a scan that moves towards its window or away from it.
 
     Sideways, emitter and receiver move together and see the same water everywhere.
     """
-    if "origin_z" not in cube.coords or frame.medium.window_distance is None:
+    if frame.medium.window_distance is None:
         return
-    off = cube["origin_z"].values - frame.survey.instrument.emitter.position[2]
-    furthest = float(off.flat[np.argmax(np.abs(off))])
-    if abs(furthest) > _SAME_PLACE:
+    shift = origin_z - frame.survey.instrument.emitter.position[2]
+    farthest = float(shift.flat[np.argmax(np.abs(shift))])
+    if abs(farthest) > _SAME_PLACE:
         raise CubeError(
-            f"origin_z is up to {furthest:g} m off the emitter of the survey, behind a "
+            f"origin_z is up to {farthest:g} m off the emitter of the survey, behind a "
             "window: joint estimation needs the same way to the window in all pixels; "
             "split the scan, with a survey for each part, or use the open-water method"
         )
@@ -249,20 +175,20 @@ class Pixels:
 
 def pixels_of(
     frame: Frame,
-    signal: Complex,
-    covariance: Covariance,
-    usable: NDArray[np.bool_],
+    samples: FlatSamples,
     azimuth: Floats,
     elevation: Floats,
     *,
-    interval: tuple[float, float] | None,
-    modulation_frequency: Floats,
-    trends: Floats,
+    interval: tuple[float, float] | None = None,
+    trends: Floats | None = None,
 ) -> Pixels:
-    """Return samples with all that their likelihood needs."""
+    """Return samples with paths, depths and interpolation of their pixels.
+
+    `trends` are polynomials of the time, of water that changes during the scan.
+    """
     geometry = frame.geometry(azimuth, elevation)
     beam = geometry.beam
-    shortest, longest = geometry.path_limits(interval, modulation_frequency)
+    shortest, longest = geometry.path_limits(interval, frame.frequency)
     place = np.linspace(0, 1, _DEPTH_NODES) ** 2
     path = shortest[:, None] + (longest - shortest)[:, None] * place
     wide = rays.Beam(
@@ -275,15 +201,15 @@ def pixels_of(
         path, wide, geometry.receiver, medium=geometry.medium
     )
     return Pixels(
-        signal=np.where(usable, signal, 0.0),
-        covariance=covariance,
-        usable=usable,
+        signal=np.where(samples.usable, samples.signal, 0.0),
+        covariance=samples.covariance,
+        usable=samples.usable,
         interpolation=frame.directions.interpolation(azimuth, elevation),
         offset=frame.optical_offset(azimuth, elevation).astype(float),
         shortest=shortest,
         longest=longest,
         depths=np.nan_to_num(np.maximum(slant_range - wide.length_before, 0.0)),
-        trends=trends,
+        trends=np.zeros((len(azimuth), 0)) if trends is None else trends,
     )
 
 

@@ -17,6 +17,7 @@ from amulor.rejection.joint import shared as joint_shared
 from amulor.rejection.joint.overlap import COEFFICIENTS, Frame, Shape
 from amulor.rejection.joint.priors import Shared
 from amulor.rejection.joint.samples import open_water_samples
+from amulor.rejection.observation import Observation
 
 Floats = NDArray[np.float64]
 
@@ -152,18 +153,19 @@ def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
     0.68 1/m
     """
     cube = cubes.checked(cube, "samples")
-    count = cube.sizes["modulation_frequency"]
+    scan = Observation(cube=cube)
+    count = len(scan.frequency)
     if count < _FEWEST_FREQUENCIES:
         raise CubeError(
             f"the cube has {count} modulation frequencies; the shape of the water "
             f"signal takes {_FEWEST_FREQUENCIES} or more: record a sweep"
         )
-    if cube.amulor.open_water is None and not no_target:
+    if scan.shots is None and not no_target:
         raise CubeError(
             "the cube has no open-water shots (group open_water); record them with the "
             "target out of the beam, or say that there was no target (no_target)"
         )
-    frame, pixels = open_water_samples(cube, no_target=no_target)
+    frame, pixels = open_water_samples(scan, no_target=no_target)
     shared = joint_shared.fit(
         frame,
         pixels.part(slice(0, 0)),
@@ -171,7 +173,7 @@ def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
         transfer=np.ones(count, dtype=complex),
         deepest=_SHORT,
     )
-    return _result(frame, shared, [str(p) for p in cube["polarization"].values])
+    return _result(frame, shared, scan.polarizations)
 
 
 #: The table of depths is not used: all samples see the water to its end [m].

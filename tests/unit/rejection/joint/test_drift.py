@@ -14,10 +14,12 @@ from amulor.rejection.joint.priors import (
     TRENDS,
     change_of,
     change_uncertainty,
+    clock_of,
     drifted,
     trends_of,
 )
 from amulor.rejection.joint.samples import Pixels
+from amulor.rejection.observation import observe_scan
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -31,9 +33,15 @@ def scan(count: int) -> xr.Dataset:
     )
 
 
+def trends_in(cube: xr.Dataset) -> np.ndarray:
+    """Return the trends of all pixels of a scan."""
+    scan = observe_scan(cube)
+    return trends_of(scan.tile(0, scan.rows), clock_of(scan))
+
+
 def test_trends_follow_the_time_of_the_pixels() -> None:
     made = scan(60)
-    trends = trends_of(made)
+    trends = trends_in(made)
     place = np.linspace(-1, 1, 120)
     # Legendre's first three polynomials, written out.
     exact = np.stack(
@@ -43,14 +51,14 @@ def test_trends_follow_the_time_of_the_pixels() -> None:
     assert_allclose(trends, exact, atol=1e-14)
     # A scan backwards in time drifts the other way.
     back = made.assign_coords(time=made["time"].max() - made["time"])
-    assert_allclose(trends_of(back)[:, 0], -trends[:, 0], atol=1e-14)
+    assert_allclose(trends_in(back)[:, 0], -trends[:, 0], atol=1e-14)
     # Without times pixels come row by row.
-    assert_allclose(trends_of(made.drop_vars("time")), trends, atol=1e-14)
-    assert trends_of(scan(30)).shape == (60, 0)
+    assert_allclose(trends_in(made.drop_vars("time")), trends, atol=1e-14)
+    assert trends_in(scan(30)).shape == (60, 0)
 
 
 def test_the_water_of_a_pixel_is_as_strong_as_it_was_at_its_time() -> None:
-    trends = trends_of(scan(60))
+    trends = trends_in(scan(60))
     nothing = np.zeros((120, 1, 1))
     pixels = Pixels(
         signal=nothing.astype(complex),

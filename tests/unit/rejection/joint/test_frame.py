@@ -18,6 +18,7 @@ from amulor.rejection.joint.normal import water_at
 from amulor.rejection.joint.overlap import Shape, frame_of
 from amulor.rejection.joint.samples import Pixels
 from amulor.rejection.joint.tables import table_of
+from amulor.rejection.observation import Observation
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import View, kernel_arguments, view
 from amulor.survey.waters.whole_function import whole_function_arguments
@@ -31,7 +32,7 @@ def test_the_table_is_the_water_signal_of_the_form(
 ) -> None:
     azimuth = samples["azimuth"].values.ravel()
     elevation = samples["elevation"].values.ravel()
-    frame = frame_of(samples, azimuth, elevation)
+    frame = frame_of(Observation(cube=samples), azimuth, elevation)
     if form == "diffusion":
         # So much scattering that no light goes straight.
         shape = Shape(0.255, 0.0357, 1e4, np.zeros(0), np.zeros(0))

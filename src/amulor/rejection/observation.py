@@ -1,0 +1,194 @@
+"""Samples of a scan as rejection needs them: each quantity read from the cube once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.cube import tiles
+from amulor.rejection.covariance import Covariance, covariance_of
+from amulor.survey import Survey
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observation:
+    """Samples of some rows of a scan, or of its open-water shots."""
+
+    cube: xr.Dataset
+    """Cube of the rows: the template of a result."""
+
+    @cached_property
+    def frequency(self) -> Floats:
+        """Modulation frequencies [Hz]."""
+        return np.asarray(self.cube["modulation_frequency"].values)
+
+    @cached_property
+    def polarizations(self) -> list[str]:
+        """Names of the channels."""
+        return [str(name) for name in self.cube["polarization"].values]
+
+    @cached_property
+    def signal(self) -> Complex:
+        """Samples, in the dimensions of the cube [V]."""
+        return np.asarray(self.cube.amulor.signal.values)
+
+    @cached_property
+    def covariance(self) -> Covariance:
+        """Stated errors of the samples."""
+        return covariance_of(self.cube)
+
+    @cached_property
+    def saturated(self) -> NDArray[np.bool_] | None:
+        """Overloaded samples; None if the cube does not state them."""
+        if "saturated" not in self.cube:
+            return None
+        return np.asarray(self.cube["saturated"].values != 0)
+
+    @cached_property
+    def usable(self) -> NDArray[np.bool_]:
+        """Samples with finite values and errors, without overload."""
+        total = self.cube["in_phase"].values + self.cube["quadrature"].values
+        for errors in vars(self.covariance).values():
+            total += errors
+        usable: NDArray[np.bool_] = np.isfinite(total)
+        if self.saturated is not None:
+            usable &= ~self.saturated
+        return usable
+
+    @cached_property
+    def directions(self) -> tuple[Floats | None, Floats | None]:
+        """Azimuth and elevation of pixels or shots, None where not stated [rad]."""
+        azimuth, elevation = (
+            self.cube[name].values.astype(float) if name in self.cube else None
+            for name in ("azimuth", "elevation")
+        )
+        return azimuth, elevation
+
+    @property
+    def azimuth(self) -> Floats:
+        """Azimuth of the pixels, (row, column) [rad]."""
+        azimuth = self.directions[0]
+        assert azimuth is not None
+        return azimuth
+
+    @property
+    def elevation(self) -> Floats:
+        """Elevation of the pixels, (row, column) [rad]."""
+        elevation = self.directions[1]
+        assert elevation is not None
+        return elevation
+
+    @cached_property
+    def time(self) -> Floats | None:
+        """Time of each pixel; None unless all are stated and finite [s]."""
+        if "time" not in self.cube:
+            return None
+        time = self.cube["time"].values.astype(float)
+        return time if np.isfinite(time).all() else None
+
+    @cached_property
+    def origin_z(self) -> Floats | None:
+        """Forward position of the moving emitter; None if it stands still [m]."""
+        if "origin_z" not in self.cube.coords:
+            return None
+        return np.asarray(self.cube["origin_z"].values)
+
+    @cached_property
+    def survey(self) -> Survey | None:
+        """Survey of the scan; None without one."""
+        survey: Survey | None = self.cube.amulor.survey
+        return survey
+
+    @cached_property
+    def shots(self) -> Observation | None:
+        """Open-water shots; None without any."""
+        shots = self.cube.amulor.open_water
+        return None if shots is None else Observation(cube=shots)
+
+    @property
+    def has_late_light(self) -> bool:
+        """Whether scattered light may arrive late: measured, or simulated with it."""
+        late = self.cube.attrs.get("late_echo")
+        if late is None:
+            # Models that do not mention late light send none.
+            return not self.cube.attrs.get("simulated", 0)
+        return str(late) != "absent"
+
+    def flat(self) -> FlatSamples:
+        """Return samples over (pixel or shot, channel, frequency)."""
+        return FlatSamples(
+            signal=_flat(self.signal),
+            covariance=Covariance(*map(_flat, vars(self.covariance).values())),
+            usable=_flat(self.usable),
+        )
+
+
+def _flat(values: NDArray[Any]) -> NDArray[Any]:
+    """Values over (pixel, channel, frequency)."""
+    wide = values.reshape(*values.shape[:2], -1)
+    return np.ascontiguousarray(wide.transpose(2, 1, 0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatSamples:
+    """Samples with their errors, arrays over (pixel, channel, frequency)."""
+
+    signal: Complex
+    """Samples [V]."""
+    covariance: Covariance
+    """Stated errors [V^2]."""
+    usable: NDArray[np.bool_]
+    """Samples that count."""
+
+    def part(self, index: NDArray[np.intp]) -> FlatSamples:
+        """Return the samples of some pixels."""
+        return FlatSamples(
+            signal=self.signal[index],
+            covariance=self.covariance.part(index),
+            usable=self.usable[index],
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanObservation:
+    """A whole scan: its facts, and its samples row by row."""
+
+    source: tiles.Source
+    """Rows of the cube."""
+
+    @cached_property
+    def head(self) -> Observation:
+        """Facts of the scan: frequencies, survey, shots."""
+        return Observation(cube=self.source.head)
+
+    @cached_property
+    def bands(self) -> list[tuple[int, int]]:
+        """First row and end of each tile that the scan is read in."""
+        return list(tiles.bands(self.source))
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return self.source.rows
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return self.source.columns
+
+    def tile(self, begin: int, end: int) -> Observation:
+        """Return the samples of some rows."""
+        return Observation(cube=self.source.tile(begin, end))
+
+
+def observe_scan(cube: xr.Dataset) -> ScanObservation:
+    """Observe a scan that is in memory."""
+    return ScanObservation(source=tiles.InMemory(cube))
