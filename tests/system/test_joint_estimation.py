@@ -177,7 +177,7 @@ class OtherModel:
     def __init__(self, survey: Survey) -> None:
         self.cube = simulate(survey, rng=1)
         water = water_properties(survey)
-        traced = geometry_of.trace(survey)
+        traced = geometry_of.trace(geometry_of.Setup(survey))
         self.index = water.group_index
         directions = open_water_directions(survey)
         looks = view(survey, *directions)

@@ -83,7 +83,7 @@ def follow_photons(
             "photons of a design know Gaussian receivers only, found "
             'instrument.receiver.edge = "sharp"; leave it out'
         )
-    traced = geometry.trace(middle)
+    traced = geometry.trace(geometry.Setup(middle))
     if not bool((traced.target >= 0).all()):
         raise SurveyError(
             f"the middle beam of {survey.name!r} meets no target, so that no photon "
@@ -405,7 +405,7 @@ def _truth(survey: Survey, image: xr.Dataset) -> Floats:
     if survey.instrument.window is not None:
         from amulor.simulation import geometry
 
-        traced = geometry.trace(survey)
+        traced = geometry.trace(geometry.Setup(survey))
         return np.asarray(traced.slant_range)
     return np.asarray(forward / (np.cos(azimuth) * np.cos(elevation)))
 

@@ -169,7 +169,7 @@ class SimulatedRows:
     def tile(self, begin: int, end: int) -> xr.Dataset:
         """Return some rows."""
         setting = self._setting
-        directions = scan_directions(setting.survey, rows=slice(begin, end))
+        directions = scan_directions(setting.setup.survey, rows=slice(begin, end))
         noise = self._noise.rows(begin, end)
         with listening(_nobody):
             samples, truth = measurement.measured(
@@ -180,7 +180,7 @@ class SimulatedRows:
     def directions(self, begin: int, end: int) -> xr.Dataset:
         """Return azimuth and elevation of some rows."""
         rows = slice(begin, end)
-        azimuth, elevation, _ = scan_directions(self._setting.survey, rows=rows)
+        azimuth, elevation, _ = scan_directions(self._setting.setup.survey, rows=rows)
         dimensions = ("row", "column")
         return xr.Dataset(
             coords={

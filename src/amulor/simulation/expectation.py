@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel
-from amulor.survey import Survey, water_properties
+from amulor.survey import Survey
 
 __all__ = ["Expectation", "expectation"]
 
@@ -103,16 +103,14 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
             "scan.rows": min(scan.rows, _BEAMS),
         }
     )
-    water = water_properties(few)
-    geometry = geometry_of.trace(few)
-    echo = lock_in.target_light(few, water, geometry, model=model)
-    column = lock_in.water_light(
-        few, water, geometry.view, end=geometry.depth, model=model
-    )
-    samples = lock_in.sample(few, echo, column, rng=np.random.default_rng(0))
+    setup = geometry_of.Setup(few)
+    geometry = geometry_of.trace(setup)
+    echo = lock_in.target_light(setup, geometry, model=model)
+    column = lock_in.water_light(setup, geometry.view, end=geometry.depth, model=model)
+    samples = lock_in.sample(setup, echo, column, rng=np.random.default_rng(0))
     noise = np.sqrt((samples.in_phase_variance + samples.quadrature_variance) / 2)
-    size = np.abs(lock_in.expected_signal(few, echo))
-    behind = np.abs(lock_in.expected_signal(few, column))
+    size = np.abs(lock_in.expected_signal(setup, echo))
+    behind = np.abs(lock_in.expected_signal(setup, column))
     met = geometry.target >= 0
     number = range(len(survey.targets))
     return Expectation(

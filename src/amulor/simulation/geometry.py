@@ -1,8 +1,9 @@
-"""Where each beam of a scan goes, what it meets, and how the receiver looks at it."""
+"""Instrument, water and targets of a survey, and the geometry of its beams."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,52 @@ from numpy.typing import NDArray
 from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.simulation.scene import Hits, Scene, aperture_points
-from amulor.survey import Survey, surface
+from amulor.survey import Survey, WaterProperties, counting, surface, water_properties
 from amulor.survey.directions import Floats, scan_directions
 from amulor.survey.view import View, medium_of, view
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Instrument, water and targets of a survey, each number computed once."""
+
+    survey: Survey
+    """The survey."""
+
+    @cached_property
+    def water(self) -> WaterProperties:
+        """Optical properties of the water."""
+        return water_properties(self.survey)
+
+    @cached_property
+    def medium(self) -> rays.Medium:
+        """Indices of the water, and the window."""
+        return medium_of(self.survey)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The targets."""
+        return Scene(self.survey.targets)
+
+    @cached_property
+    def full_rate(self) -> float:
+        """Photoelectron rate if all launched light came back [1/s]."""
+        return counting.full_rate(self.survey)
+
+    @cached_property
+    def daylight_rate(self) -> Floats:
+        """Photoelectron rate of daylight behind each analyzer [1/s]."""
+        return counting.background_rate(self.survey)
+
+    @cached_property
+    def volt_per_power(self) -> float:
+        """Peak amplitude at the lock-in if all launched light came back [V]."""
+        instrument = self.survey.instrument
+        return (
+            instrument.modulation_depth
+            * instrument.detector.volt_per_photoelectron_rate
+            * self.full_rate
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,26 +90,22 @@ class Geometry:
 
 
 def trace(
-    survey: Survey,
-    *,
-    directions: tuple[Floats, Floats, Floats] | None = None,
-    scene: Scene | None = None,
+    setup: Setup, *, directions: tuple[Floats, Floats, Floats] | None = None
 ) -> Geometry:
-    """Follow every beam of a scan to what it meets.
+    """Follow every beam of a scan to its target.
 
     Another surface between the target and the receiver hides the echo in part: seven
     points stand for the receiver's aperture. With a window, that way is taken as
     straight, which is wrong by less than a pixel where the way back is steep.
     """
+    survey, medium, scene = setup.survey, setup.medium, setup.scene
     instrument = survey.instrument
-    surroundings = medium_of(survey)
     azimuth, elevation, time = directions or scan_directions(survey)
     beam = rays.enter_water(
         instrument.emitter.position,
         rays.direction(azimuth, elevation),
-        medium=surroundings,
+        medium=medium,
     )
-    scene = scene or Scene(survey.targets)
     hits = scene.cast(beam.entry.reshape(-1, 3), beam.direction.reshape(-1, 3))
     _refuse_targets_behind_the_water(survey, hits)
     receiver = np.asarray(instrument.receiver.position)
@@ -80,11 +120,11 @@ def trace(
     path = np.zeros(met.size)
     path[met] = (
         beam.optical_length_before.ravel()[met]
-        + surroundings.group_index * hits.distance[met]
-        + rays.return_length(hits.point[met], receiver, medium=surroundings)
+        + medium.group_index * hits.distance[met]
+        + rays.return_length(hits.point[met], receiver, medium=medium)
     )
     back = np.full(met.size, np.inf)
-    back[met] = rays.return_distance(hits.point[met], receiver, medium=surroundings)
+    back[met] = rays.return_distance(hits.point[met], receiver, medium=medium)
     shape = azimuth.shape
     return Geometry(
         azimuth=azimuth,

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from amulor.optics.polarization import mueller
 from amulor.simulation import lock_in
+from amulor.simulation.geometry import Setup
 from amulor.simulation.lock_in import Light
-from amulor.survey import InstrumentErrors, Survey, counting
+from amulor.survey import InstrumentErrors, Survey
 from amulor.survey.directions import Floats
 from amulor.survey.instrument_errors import Crosstalk, OpticalLeakage, Part
 from amulor.survey.mueller import matrix
@@ -40,21 +41,26 @@ _CONJUGATE = (3, 7)
 class Chain:
     """Signal chain of an instrument with errors."""
 
-    survey: Survey
-    """Survey with the errors."""
+    setup: Setup
+    """Setup with the errors."""
     errors: InstrumentErrors
     """Those of its instrument."""
     entropy: int
     """Seed of the random errors."""
 
     @classmethod
-    def of(cls, survey: Survey, rng: np.random.Generator | int) -> Chain | None:
-        """Return the chain of a survey, None without errors; `rng` is not advanced."""
-        errors = survey.instrument.errors
+    def of(cls, setup: Setup, rng: np.random.Generator | int) -> Chain | None:
+        """Return the chain of a setup, None without errors; `rng` is not advanced."""
+        errors = setup.survey.instrument.errors
         if errors is None:
             return None
         own = np.random.default_rng(rng).spawn(1)[0]
-        return cls(survey=survey, errors=errors, entropy=int(own.integers(2**63)))
+        return cls(setup=setup, errors=errors, entropy=int(own.integers(2**63)))
+
+    @property
+    def survey(self) -> Survey:
+        """Survey with the errors."""
+        return self.setup.survey
 
     @property
     def frequencies(self) -> Floats:
@@ -64,12 +70,14 @@ class Chain:
         return stated if clock is None else stated * (1 + clock.frequency_error)
 
     @property
-    def light_survey(self) -> Survey:
-        """Survey at all frequencies whose light reaches the outputs."""
+    def light_setup(self) -> Setup:
+        """Setup at all frequencies whose light reaches the outputs."""
         if self.errors.clock is None and self.errors.harmonic is None:
-            return self.survey
-        return self.survey.with_(
-            {"instrument.modulation_frequencies": self._light_frequencies.tolist()}
+            return self.setup
+        return Setup(
+            self.survey.with_(
+                {"instrument.modulation_frequencies": self._light_frequencies.tolist()}
+            )
         )
 
     @property
@@ -81,7 +89,7 @@ class Chain:
         return np.unique(np.concatenate([own, harmonic.order * own]))
 
     def fundamental(self, light: Light) -> Light:
-        """Return the light at the modulation frequencies, of that of `light_survey`."""
+        """Return the light at the modulation frequencies, of that of `light_setup`."""
         return self._at(light, self.frequencies)
 
     def _at(self, light: Light, frequency: Floats) -> Light:
@@ -217,7 +225,7 @@ class Chain:
         self, target: Light, water: Light, *, time: Floats, part: Part, white: _Draw,
         rng: lock_in.Noise,
     ) -> lock_in.Samples:  # fmt: skip
-        survey, errors = self.survey, self.errors
+        errors = self.errors
         course = self._course(time)
         drift = errors.drift
         if drift is not None:
@@ -228,7 +236,7 @@ class Chain:
                 for light in (target, water)
             )
         samples = lock_in.sample(
-            survey,
+            self.setup,
             self.fundamental(target),
             self.fundamental(water),
             rng=rng,
@@ -238,7 +246,7 @@ class Chain:
         if errors.harmonic is not None:
             order = errors.harmonic.order
             light = self._at(target + water, order * self.frequencies)
-            other = lock_in.expected_signal(survey, light)
+            other = lock_in.expected_signal(self.setup, light)
             if order in _CONJUGATE:
                 other = other.conj()
             signal = signal + errors.harmonic.fraction * other
@@ -258,9 +266,9 @@ class Chain:
             )
         if counter is None:
             return light
-        rate = counting.full_rate(self.survey) * light.mean
+        rate = self.setup.full_rate * light.mean
         rate += self.survey.instrument.detector.dark_rate
-        rate += counting.background_rate(self.survey).reshape(-1, *axes)
+        rate += self.setup.daylight_rate.reshape(-1, *axes)
         live = 1 / (1 + rate * counter.dead_time)
         late = counter.after_pulse_probability
         after = 1 + late / (1 - turn * counter.after_pulse_delay)

@@ -12,14 +12,14 @@ from scipy.constants import speed_of_light
 
 from amulor.optics import detection
 from amulor.optics.polarization import mueller
-from amulor.simulation.geometry import Geometry
+from amulor.simulation.geometry import Geometry, Setup
 from amulor.simulation.models import (
     DEFAULT_MODEL,
     FittedModel,
     SignalModel,
     UncertainModel,
 )
-from amulor.survey import Survey, WaterProperties, counting
+from amulor.survey import Survey, counting
 from amulor.survey.mueller import matrix
 from amulor.survey.view import View
 
@@ -46,13 +46,10 @@ class Light:
 
 
 def target_light(
-    survey: Survey,
-    water: WaterProperties,
-    geometry: Geometry,
-    *,
-    model: SignalModel = DEFAULT_MODEL,
+    setup: Setup, geometry: Geometry, *, model: SignalModel = DEFAULT_MODEL
 ) -> Light:
     """Return the light that the targets send back."""
+    survey = setup.survey
     met = geometry.target >= 0
     reflectance = np.zeros(met.shape)
     fraction = np.zeros((len(survey.instrument.polarizations), *met.shape))
@@ -70,7 +67,7 @@ def target_light(
         "reflectance": reflectance,
         "cosine": geometry.cosine,
     }
-    common: dict[str, Any] = {"survey": survey, "water": water, "view": geometry.view}
+    common = _model_arguments(setup, geometry.view)
     each = frequency[:, None, None, None]
     passed = fraction * geometry.brightness * geometry.view.transmission
     if isinstance(model, UncertainModel):
@@ -80,39 +77,42 @@ def target_light(
 
 
 def water_light(
-    survey: Survey,
-    water: WaterProperties,
+    setup: Setup,
     view: View,
     *,
     end: NDArray[np.float64] | None = None,
     model: SignalModel = DEFAULT_MODEL,
 ) -> Light:
     """Return the light that the water scatters back."""
-    frequency, stop = _column_axes(survey, view, end)
+    frequency, stop = _column_axes(setup.survey, view, end)
     # The model counts the delay from where the water begins.
     turn = np.exp(2j * np.pi * frequency * view.optical_offset / speed_of_light)
-    fraction = _fractions(survey, water.backscatter_mueller)
+    fraction = _fractions(setup.survey, setup.water.backscatter_mueller)
     passed = fraction.reshape(-1, *[1] * view.tilt.ndim) * view.transmission
-    common: dict[str, Any] = {"survey": survey, "water": water, "view": view}
+    common = _model_arguments(setup, view)
     if isinstance(model, UncertainModel):
         response, error = model.column_with_error(frequency, end=stop, **common)
         return _light(response * turn * passed, error * passed)
     return _light(model.column(frequency, end=stop, **common) * turn * passed)
 
 
+def _model_arguments(setup: Setup, view: View) -> dict[str, Any]:
+    """Return the arguments that echo and column of a model have in common."""
+    return {"survey": setup.survey, "water": setup.water, "view": view}
+
+
 def fitted(
     model: FittedModel,
-    survey: Survey,
-    water: WaterProperties,
+    setup: Setup,
     view: View,
     *,
     end: NDArray[np.float64],
     farthest: float,
 ) -> SignalModel:
     """Return a model with the choices that all columns of water of a scan share."""
-    frequency, stop = _column_axes(survey, view, end)
+    frequency, stop = _column_axes(setup.survey, view, end)
     return model.fit(
-        frequency, survey=survey, water=water, view=view, end=stop, farthest=farthest
+        frequency, end=stop, farthest=farthest, **_model_arguments(setup, view)
     )
 
 
@@ -162,16 +162,9 @@ class Samples:
     """1 where the mean output left the linear range [1]."""
 
 
-def expected_signal(survey: Survey, light: Light) -> NDArray[np.complex128]:
-    """Return the noiseless lock-in output of received light."""
-    instrument = survey.instrument
-    volt = instrument.detector.volt_per_photoelectron_rate
-    return (
-        instrument.modulation_depth
-        * volt
-        * counting.full_rate(survey)
-        * light.modulated
-    )
+def expected_signal(setup: Setup, light: Light) -> NDArray[np.complex128]:
+    """Return the noiseless lock-in output of received light [V]."""
+    return setup.volt_per_power * light.modulated
 
 
 class Noise(Protocol):
@@ -201,7 +194,7 @@ def draws(survey: Survey) -> list[tuple[str, int]]:
 
 
 def sample(
-    survey: Survey,
+    setup: Setup,
     target: Light,
     water: Light,
     *,
@@ -215,6 +208,7 @@ def sample(
     spreads the sample along its circle only, which is why the outputs covary. `detect`
     is applied to the whole light before it is counted.
     """
+    survey = setup.survey
     instrument, detector = survey.instrument, survey.instrument.detector
     lock_in = instrument.lock_in
     volt = detector.volt_per_photoelectron_rate
@@ -227,7 +221,8 @@ def sample(
     )
     if detect is not None:
         light = detect(light)
-    rate = counting.full_rate(survey) * light.mean + _daylight(survey, light)
+    daylight = setup.daylight_rate.reshape(-1, *[1] * (light.mean.ndim - 2))
+    rate = setup.full_rate * light.mean + daylight
     time = counting.integration_time(survey)
     # Who counts nothing does not know that there is nothing, but for one photoelectron.
     counted = np.maximum(rate, 1 / time - detector.dark_rate)
@@ -236,13 +231,12 @@ def sample(
         rng.standard_normal(variance.shape) + 1j * rng.standard_normal(variance.shape)
     )
     jitter = lock_in.phase_floor * rng.standard_normal(variance.shape)
-    signal = expected_signal(survey, light) * np.exp(1j * jitter) + noise
+    signal = expected_signal(setup, light) * np.exp(1j * jitter) + noise
     in_phase, quadrature, covariance = detection.phase_floor_covariance(
         signal, phase_floor=lock_in.phase_floor
     )
-    # What the light itself is not sure of, the same in both outputs.
-    one = expected_signal(survey, Light(np.ones(1, complex), np.ones(1))).real[0]
-    variance = variance + one**2 * light.variance / 2
+    # The uncertainty of the light itself, the same in both outputs.
+    variance = variance + setup.volt_per_power**2 * light.variance / 2
     return Samples(
         signal=signal,
         in_phase_variance=variance + in_phase,
@@ -266,9 +260,3 @@ def _speckled(survey: Survey, target: Light, *, rng: Noise) -> Light:
     return Light(
         target.modulated * power, target.mean * power, target.variance * power**2
     )
-
-
-def _daylight(survey: Survey, light: Light) -> NDArray[np.float64]:
-    """Return the rate by daylight, to be broadcast against that of the light [1/s]."""
-    behind = counting.background_rate(survey)
-    return behind.reshape(-1, *[1] * (light.mean.ndim - 2))

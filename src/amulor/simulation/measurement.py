@@ -17,8 +17,7 @@ from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in
 from amulor.simulation.instrument_errors import Chain
 from amulor.simulation.models import DEFAULT_MODEL, FittedModel, SignalModel
-from amulor.simulation.scene import Scene
-from amulor.survey import Survey, WaterProperties, water_properties
+from amulor.survey import Survey
 from amulor.survey.counting import photon_noise_volt
 from amulor.survey.directions import (
     Floats,
@@ -98,35 +97,49 @@ def simulate(
 class Setting:
     """What all rows of a simulated scan share."""
 
-    survey: Survey
-    """What is measured, and with what."""
+    setup: geometry_of.Setup
+    """Instrument, water and targets."""
     model: SignalModel
     """Forward model."""
-    water: WaterProperties
-    """Optical numbers of the water."""
-    scene: Scene
-    """The targets."""
     seed: int | None
-    """That of the noise, if there is one."""
+    """Seed of the noise, if there is one."""
     chain: Chain | None
     """Signal chain of an instrument with errors, if the survey states some."""
-    light_survey: Survey
-    """Survey at the frequencies of which light is computed."""
+    light_setup: geometry_of.Setup
+    """Setup at the frequencies whose light is computed."""
+    geometry: dict[str, Any]
+    """Positions and indices that a cube states."""
+    attributes: dict[str, Any]
+    """Attributes of the cube."""
 
     @classmethod
     def of(
         cls, survey: Survey, *, rng: np.random.Generator | int, model: SignalModel
     ) -> Setting:
         """Return the setting of a survey; see `simulate`."""
-        chain = Chain.of(survey, rng)
+        setup = geometry_of.Setup(survey)
+        chain = Chain.of(setup, rng)
+        seed = int(rng) if isinstance(rng, numbers.Integral) else None
+        text = survey.to_toml()
         return cls(
-            survey=survey,
+            setup=setup,
             chain=chain,
-            light_survey=survey if chain is None else chain.light_survey,
+            light_setup=setup if chain is None else chain.light_setup,
             model=model,
-            water=water_properties(survey),
-            scene=Scene(survey.targets),
-            seed=int(rng) if isinstance(rng, numbers.Integral) else None,
+            seed=seed,
+            geometry=geometry_attributes(survey),
+            attributes=cube.attributes(
+                "samples",
+                title=survey.name,
+                source=f"simulation by amulor, {model.title}",
+                simulated=np.int32(1),
+                late_echo=model.late_echo,
+                seed=seed,
+                survey=text,
+                input_digests=f"survey {cube.digest(text)}",
+                modulation_depth=survey.instrument.modulation_depth,
+                photon_noise_volt=photon_noise_volt(survey),
+            ),
         )
 
 
@@ -136,20 +149,22 @@ def fit(setting: Setting) -> SignalModel:
     They come from all pixels of a scan of up to `tiles.SAMPLE`, of a larger one from as
     many that are spread over it from edge to edge.
     """
-    survey, scan, model = setting.survey, setting.survey.scan, setting.model
+    survey, model = setting.setup.survey, setting.model
+    scan = survey.scan
     if not isinstance(model, FittedModel):
         return model
     is_small = scan.rows * scan.columns <= tiles.SAMPLE
     some = {} if is_small else _spread(scan.rows, scan.columns)
-    geometry = _traced(setting, scan_directions(survey, **some))
+    geometry = geometry_of.trace(
+        setting.setup, directions=scan_directions(survey, **some)
+    )
     end = survey.water.column_end
     farthest = np.inf if end is None else end
     if is_small:
         farthest = min(farthest, float(geometry.depth.max()))
     return lock_in.fitted(
         model,
-        setting.light_survey,
-        setting.water,
+        setting.light_setup,
         geometry.view,
         end=geometry.depth,
         farthest=farthest,
@@ -166,26 +181,20 @@ def _spread(rows: int, columns: int) -> dict[str, NDArray[np.intp]]:
     }
 
 
-def _traced(
-    setting: Setting, directions: tuple[Floats, Floats, Floats]
-) -> geometry_of.Geometry:
-    return geometry_of.trace(setting.survey, directions=directions, scene=setting.scene)
-
-
 def _light(
     setting: Setting, directions: tuple[Floats, Floats, Floats], *, model: SignalModel
 ) -> tuple[geometry_of.Geometry, lock_in.Light, lock_in.Light]:
     """Return what beams meet, and the light of targets and water."""
-    survey, water = setting.light_survey, setting.water
+    setup = setting.light_setup
     tell("following the beams to the targets", 0.0)
-    geometry = _traced(setting, directions)
+    geometry = geometry_of.trace(setting.setup, directions=directions)
     tell(f"light of the targets, {model.title}", 0.1)
     with part(0.1, 0.3):
-        target = lock_in.target_light(survey, water, geometry, model=model)
+        target = lock_in.target_light(setup, geometry, model=model)
     tell(f"light of the water, {model.title}", 0.3)
     with part(0.3, 0.7):
         column = lock_in.water_light(
-            survey, water, geometry.view, end=geometry.depth, model=model
+            setup, geometry.view, end=geometry.depth, model=model
         )
     return geometry, target, column
 
@@ -198,12 +207,13 @@ def measured(
     noise: lock_in.Noise,
 ) -> tuple[xr.Dataset, xr.Dataset]:
     """Return the samples of some rows of a scan, and the truth of them."""
-    survey, chain = setting.survey, setting.chain
+    setup, chain = setting.setup, setting.chain
+    instrument = setup.survey.instrument
     azimuth, elevation, time = directions
     if chain is None:
         geometry, target, column = _light(setting, directions, model=model)
         tell("noise of detector and lock-in", 0.7)
-        samples = lock_in.sample(survey, target, column, rng=noise)
+        samples = lock_in.sample(setup, target, column, rng=noise)
     else:
         true = chain.pointed(directions)
         geometry, target, column = _light(setting, true, model=model)
@@ -214,27 +224,16 @@ def measured(
         "samples",
         {**_outputs(samples), "saturated": samples.saturated},
         {
-            "modulation_frequency": np.array(survey.instrument.modulation_frequencies),
-            "polarization": list(survey.instrument.polarizations),
+            "modulation_frequency": np.array(instrument.modulation_frequencies),
+            "polarization": list(instrument.polarizations),
             "azimuth": azimuth,
             "elevation": elevation,
             "time": time,
         },
-        geometry=geometry_attributes(survey),
-        attributes=cube.attributes(
-            "samples",
-            title=survey.name,
-            source=f"simulation by amulor, {model.title}",
-            simulated=np.int32(1),
-            late_echo=model.late_echo,
-            seed=setting.seed,
-            survey=survey.to_toml(),
-            input_digests=f"survey {cube.digest(survey.to_toml())}",
-            modulation_depth=survey.instrument.modulation_depth,
-            photon_noise_volt=photon_noise_volt(survey),
-        ),
+        geometry=setting.geometry,
+        attributes=setting.attributes,
     )
-    return built, _truth(survey, geometry, target, column)
+    return built, _truth(setup, geometry, target, column)
 
 
 def joined(
@@ -258,7 +257,7 @@ def _outputs(samples: lock_in.Samples) -> dict[str, NDArray[Any]]:
 
 def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | None:
     """Return the open-water shots of a scan, if its survey plans some."""
-    survey = setting.survey
+    survey = setting.setup.survey
     if survey.scan.open_water is None:
         return None
     chain = setting.chain
@@ -266,12 +265,10 @@ def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | No
     if chain is not None:
         azimuth, elevation = chain.shots(azimuth, elevation)
     view = view_of(survey, azimuth, elevation)
-    light = lock_in.water_light(
-        setting.light_survey, setting.water, view, model=setting.model
-    )
+    light = lock_in.water_light(setting.light_setup, view, model=setting.model)
     if chain is None:
         dark = lock_in.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
-        shots = lock_in.sample(survey, dark, light, rng=rng)
+        shots = lock_in.sample(setting.setup, dark, light, rng=rng)
     else:
         shots = chain.shot_samples(light, rng=rng)
     return cube.open_water(
@@ -280,15 +277,15 @@ def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | No
 
 
 def _truth(
-    survey: Survey,
+    setup: geometry_of.Setup,
     geometry: geometry_of.Geometry,
     target: lock_in.Light,
     water: lock_in.Light,
 ) -> xr.Dataset:
     sample = ("modulation_frequency", "polarization", "row", "column")
     pixel = ("row", "column")
-    echo = lock_in.expected_signal(survey, target)
-    column = lock_in.expected_signal(survey, water)
+    echo = lock_in.expected_signal(setup, target)
+    column = lock_in.expected_signal(setup, water)
     met = geometry.target >= 0
     slant_range = np.where(met, geometry.slant_range, np.nan)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from amulor.simulation import geometry, lock_in
 from amulor.simulation.lock_in import expected_signal
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel
-from amulor.survey import Survey, water_properties
+from amulor.survey import Survey
 from amulor.survey.directions import open_water_directions
 from amulor.survey.view import view
 
@@ -101,40 +101,38 @@ def scene_light(
     >>> light.with_target.target.shape  # frequency, polarization, place
     (1, 1, 6)
     """
-    water = water_properties(survey)
-    scanned = geometry.trace(survey)
+    setup = geometry.Setup(survey)
+    scanned = geometry.trace(setup)
     with_target = _by_direction(
-        survey,
+        setup,
         (scanned.azimuth, scanned.elevation),
-        lock_in.target_light(survey, water, scanned, model=model),
-        lock_in.water_light(
-            survey, water, scanned.view, end=scanned.depth, model=model
-        ),
+        lock_in.target_light(setup, scanned, model=model),
+        lock_in.water_light(setup, scanned.view, end=scanned.depth, model=model),
     )
     azimuth, elevation = scanned.azimuth.ravel(), scanned.elevation.ravel()
     if survey.scan.open_water is not None:
         grid = np.unique(np.stack(open_water_directions(survey)), axis=1)
         azimuth = np.concatenate([grid[0], azimuth])
         elevation = np.concatenate([grid[1], elevation])
-    seen = view(survey, azimuth, elevation)
-    light = lock_in.water_light(survey, water, seen, model=model)
+    shots = view(survey, azimuth, elevation)
+    light = lock_in.water_light(setup, shots, model=model)
     none = lock_in.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
     return SceneLight(
-        with_target, _by_direction(survey, (azimuth, elevation), none, light)
+        with_target, _by_direction(setup, (azimuth, elevation), none, light)
     )
 
 
 def _by_direction(
-    survey: Survey,
+    setup: geometry.Setup,
     direction: tuple[Floats, Floats],
     target: lock_in.Light,
     water: lock_in.Light,
 ) -> LightByDirection:
     def rate(light: lock_in.Light) -> Floats:
         # Light that is modulated wholly gives the depth times the mean output.
-        instrument = survey.instrument
+        instrument = setup.survey.instrument
         wholly = lock_in.Light(light.mean.astype(complex), light.mean)
-        volts = expected_signal(survey, wholly).real
+        volts = expected_signal(setup, wholly).real
         volt = instrument.detector.volt_per_photoelectron_rate
         return volts / (instrument.modulation_depth * volt)
 
@@ -144,8 +142,8 @@ def _by_direction(
     return LightByDirection(
         azimuth=direction[0].ravel(),
         elevation=direction[1].ravel(),
-        target=flat(expected_signal(survey, target)),
-        water=flat(expected_signal(survey, water)),
+        target=flat(expected_signal(setup, target)),
+        water=flat(expected_signal(setup, water)),
         target_rate=flat(rate(target)),
         water_rate=flat(rate(water)),
     )

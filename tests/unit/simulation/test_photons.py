@@ -15,9 +15,9 @@ from amulor.io import read_cube
 from amulor.optics import rays
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.simulation import PhotonModel, SmallAngleModel, lock_in, photons, simulate
-from amulor.simulation.geometry import trace
+from amulor.simulation.geometry import Setup, trace
 from amulor.simulation.photons import Light
-from amulor.survey import Survey, water_properties
+from amulor.survey import Survey
 
 FREQUENCIES = (20e6, 60e6)
 #: An asymmetry in place of moments; no polarizer, as photons are counted without one.
@@ -42,12 +42,12 @@ def test_drawn_pixels_are_those_of_photons_followed_directly(plate: Survey) -> N
         }
     )
     model = PhotonModel(relative_error=0.01, histories=200_000, seed=5)
-    water = water_properties(survey)
-    geometry = trace(survey)
+    setup = Setup(survey)
+    geometry = trace(setup)
     found = {
-        "target": lock_in.target_light(survey, water, geometry, model=model),
+        "target": lock_in.target_light(setup, geometry, model=model),
         "water": lock_in.water_light(
-            survey, water, geometry.view, end=geometry.depth, model=model
+            setup, geometry.view, end=geometry.depth, model=model
         ),
     }
     receiver = survey.instrument.receiver

@@ -13,7 +13,7 @@ from PIL import Image
 from amulor.errors import SurveyError
 from amulor.optics.reflection import oren_nayar
 from amulor.simulation import DiffusionModel, simulate
-from amulor.simulation.geometry import trace
+from amulor.simulation.geometry import Setup, trace
 from amulor.survey import Survey
 
 SQUARE = np.array([[-0.2, -0.2, 0], [0.2, -0.2, 0], [0.2, 0.2, 0], [-0.2, 0.2, 0.0]])
@@ -21,7 +21,7 @@ FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def brightness(survey: Survey) -> np.ndarray:
-    return trace(survey).brightness
+    return trace(Setup(survey)).brightness
 
 
 def echo(survey: Survey) -> np.ndarray:
@@ -157,7 +157,7 @@ def test_colours_of_vertices_run_evenly_over_a_triangle(small, tmp_path):
         texture="vertex-colours",
         texture_channel="blue",
     )
-    right = 1.5 * np.tan(trace(small).azimuth)
+    right = 1.5 * np.tan(trace(Setup(small)).azimuth)
     assert_allclose(brightness(survey), 0.5 + right / 0.4, atol=1e-6)
     third = survey.with_({"targets.0.texture_channel": "mean"})
     assert_allclose(brightness(third), brightness(survey) / 3, rtol=1e-9)
@@ -179,7 +179,7 @@ def test_an_image_lies_where_its_coordinates_say(small, tmp_path):
     square = trimesh.Trimesh(SQUARE, FACES, visual=visual, process=False)
     square.export(tmp_path / "square.glb")
     survey = mesh(small, tmp_path / "square.glb", texture="image")
-    elevation = trace(small).elevation
+    elevation = trace(Setup(small)).elevation
     found = brightness(survey)
     assert_allclose(found[elevation > 0.005], 1.0, atol=1e-6)
     assert_allclose(found[elevation < -0.005], 0.0, atol=1e-6)
@@ -210,7 +210,7 @@ def test_several_meshes_stand_each_in_its_own_pose(small, tmp_path):
             "scan.rows": 1,
         }
     )
-    found = trace(survey)
+    found = trace(Setup(survey))
     for number, ((right, _, forward), turn) in enumerate(
         zip(places, turns, strict=True)
     ):

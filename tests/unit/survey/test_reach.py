@@ -48,7 +48,7 @@ def test_the_reach_holds_what_the_ray_caster_meets(
     plate_text: str, name: str, window: bool
 ) -> None:
     survey = _survey(plate_text, TARGETS[name], window=window)
-    traced = geometry.trace(survey).slant_range
+    traced = geometry.trace(geometry.Setup(survey)).slant_range
     met = traced[np.isfinite(traced)]
     reach = target_reach(survey)
     assert reach is not None
@@ -61,7 +61,7 @@ def test_a_bent_disc_reaches_as_deep_as_it_is_bent(plate_text: str) -> None:
         'rotation = ["0 deg", "20 deg", "0 deg"]', 'curvature_radius = "60 cm"'
     )
     survey = _survey(plate_text, disc)
-    traced = geometry.trace(survey).slant_range
+    traced = geometry.trace(geometry.Setup(survey)).slant_range
     reach = target_reach(survey)
     assert reach is not None
     assert reach[0] == pytest.approx(np.nanmin(traced), abs=1e-4)

@@ -17,6 +17,7 @@ from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.phase_functions.tables import petzold
 from amulor.optics.polarization import mueller
 from amulor.simulation import lock_in, simulate
+from amulor.simulation.geometry import Setup
 from amulor.simulation.lock_in import Light
 from amulor.studies.trust.case import Case, Floats, case_of, lateness
 from amulor.studies.trust.surveys import FREQUENCIES, plate, scaled, survey
@@ -122,10 +123,10 @@ def photon_water(
     number = frame.sizes["shot"]
     empty = _light(made, light.open_water[:, None], chosen, haze, (number,))
     dark = Light(np.zeros_like(empty.modulated), np.zeros_like(empty.mean))
-    rng = np.random.default_rng(seed)
-    samples = _with_samples(frame, "", lock_in.sample(made, target, water, rng=rng))
+    rng, setup = np.random.default_rng(seed), Setup(made)
+    samples = _with_samples(frame, "", lock_in.sample(setup, target, water, rng=rng))
     samples = _with_samples(
-        samples, "open_water_", lock_in.sample(made, dark, empty, rng=rng)
+        samples, "open_water_", lock_in.sample(setup, dark, empty, rng=rng)
     )
     # Out straight ahead, back to the receiver beside the emitter.
     aside = np.linalg.norm(made.instrument.receiver.position)
