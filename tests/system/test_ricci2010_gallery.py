@@ -75,7 +75,8 @@ def test_the_page_is_made_from_the_kept_checks() -> None:
 def test_every_number_that_a_figure_reads_is_used() -> None:
     names = set(parameters.load())
     folder = Path(reproduce.__file__).parent
-    code = "".join(path.read_text() for path in folder.rglob("*.py"))
+    files = [*folder.rglob("*.py"), folder / "scans.toml"]
+    code = "".join(path.read_text() for path in files)
     for name in names:
         stem = name.rstrip("123")
         options = [f'"{name}"', f'"{stem}{{', f'f"{name.rsplit("_", 1)[0]}_{{']

@@ -8,7 +8,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from amulor.studies.ricci2010 import parameters
-from amulor.studies.ricci2010.figures import figure_07, figure_08, figure_09, panels
+from amulor.studies.ricci2010.figures import (
+    figure_07,
+    figure_08,
+    figure_09,
+    interference,
+)
 from amulor.studies.ricci2010.results import Check
 from amulor.studies.ricci2010.scenes import interference_sweeps, milk
 from amulor.studies.ricci2010.study import Study
@@ -88,9 +93,9 @@ def test_strong_interference_does_not_rise_almost_monotonically(study: Study) ->
     first, second, _ = study.once(interference_sweeps.sweeps)
     for value in ("ratio", "contrast"):
         curve = getattr(first, value)
-        assert panels.almost_monotonic(first, curve, value).passed
+        assert interference.almost_monotonic(first, curve, value).passed
         curve = getattr(second, value)
-        assert not panels.almost_monotonic(second, curve, value).passed
+        assert not interference.almost_monotonic(second, curve, value).passed
 
 
 def test_the_long_tank_sends_back_what_spheres_of_milk_do(study: Study) -> None:
@@ -128,7 +133,7 @@ def test_reflectances_above_one_leave_the_ratios_as_they_are(study: Study) -> No
 @pytest.mark.parametrize("figure", FIGURES)
 def test_synthetic_series_are_said_to_be_synthetic(study: Study, figure) -> None:
     drawn = figure.draw(study)
-    assert "synthetic" in figure.CAPTION
+    assert "synthetic" in figure.caption
     assert any("synthetic" in text.get_text() for text in drawn.texts)
     labels = [text.get_text() for legend in drawn.legends for text in legend.texts]
     assert any("synthetic measurement" in label for label in labels)

@@ -12,7 +12,9 @@ from scipy.integrate import trapezoid
 from amulor.optics.polarization.depolarization import realizability_defect
 from amulor.optics.polarization.mueller import detected_fraction
 from amulor.studies.ricci2010.figures import figure_10, figure_11, figure_12
+from amulor.studies.ricci2010.figures import lines as figures
 from amulor.studies.ricci2010.parameters import load, varied
+from amulor.studies.ricci2010.results import Statements
 from amulor.studies.ricci2010.scenes import milk, short_lines, trade_off
 from amulor.studies.ricci2010.scenes import milk as tank
 from amulor.studies.ricci2010.study import Study
@@ -185,7 +187,7 @@ def test_rise_of_a_straight_line_and_its_error():
 
 def test_what_the_drift_of_3_against_7_degrees_needs(quick):
     # An m22 of 0.81 (0.80 to 0.82) was deduced from the same two numbers.
-    m22 = 1 - 2 * figure_10.needed_crossed_share(quick)
+    m22 = 1 - 2 * figures.needed_crossed_share(quick)
     assert 0.80 < m22 < 0.82
 
 
@@ -223,7 +225,7 @@ def test_water_passes_twice_as_much_of_the_same_hand_as_crossed(quick):
     assert same > 0.01
     # At the upper end of m44 the plate obeys it too: both schemes reject alike.
     plate = changed(quick, m44_target=-0.22)
-    assert_allclose(figure_12.echo_ratio(plate), 2.0)
+    assert_allclose(figures.echo_ratio(plate), 2.0)
 
 
 def test_open_water_takes_most_of_the_drift_away(quick):
@@ -233,11 +235,13 @@ def test_open_water_takes_most_of_the_drift_away(quick):
 
 
 def test_without_milk_or_without_a_baseline_nothing_drifts(quick):
-    statement, limits = "VV drifts", {"low": 1.0, "high": 1.6, "place": ""}
-    assert short_lines.drifts(quick, statement, "b", "VV", **limits).passed
-    assert not short_lines.drifts(quick, statement, "tap", "VV", **limits).passed
+    row = {"kind": "drift", "statement": "VV drifts", "low": 1.0, "high": 1.6}
+    rows = Statements("", "", {"b_VV": row, "tap_VV": row})
+    assert short_lines.drift_check(quick, rows, "b_VV").passed
+    assert not short_lines.drift_check(quick, rows, "tap_VV").passed
     straight = changed(quick, short_baseline=1e-6)
-    check = short_lines.moves(straight, statement, "b", "VV", place="")
+    rows = Statements("", "", {"b_VV": {"kind": "moves", "statement": "VV drifts"}})
+    check = short_lines.drift_check(straight, rows, "b_VV")
     assert not check.passed
 
 

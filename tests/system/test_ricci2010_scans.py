@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from amulor.studies.ricci2010.figures import (
     panels,
 )
 from amulor.studies.ricci2010.parameters import varied
-from amulor.studies.ricci2010.results import Check
+from amulor.studies.ricci2010.results import Check, PaperFigure, Statements
 from amulor.studies.ricci2010.scenes import disc_scans, ladder_scans
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import style
@@ -47,7 +46,7 @@ def failed(checks: list[Check]) -> set[str]:
 
 
 #: What honest physics does not meet with the numbers of the study.
-FAILURES: dict[ModuleType, set[str]] = {
+FAILURES: dict[PaperFigure, set[str]] = {
     figure_05: {"the same, for a column of water that ends with the tank"},
     # 39 MHz is twice the cut-off of thin water.
     figure_06: {"the modulation frequency is just above the cut-off: their quotient"},
@@ -66,7 +65,7 @@ FAILURES: dict[ModuleType, set[str]] = {
 
 @pytest.mark.parametrize("figure", FIGURES)
 def test_the_statements_hold_but_for_those_that_are_known_to_fail(
-    study: Study, figure: ModuleType
+    study: Study, figure: PaperFigure
 ) -> None:
     found = figure.checks(study)
     assert failed(found) == FAILURES[figure]
@@ -166,8 +165,9 @@ def test_another_ladder_does_not_pass_for_this_one(study: Study) -> None:
     scan = study.once(ladder_scans.polarized_clear)
     steps = scan.steps(scan.subtracted["VH"])
     other = with_numbers(study, other_steps=0.0105)
-    assert ladder_scans.steps_agree(study, "steps", steps, place="").passed
-    assert not ladder_scans.steps_agree(other, "steps", steps, place="").passed
+    rows = Statements("", "", {"steps": {"statement": "steps"}})
+    assert ladder_scans.steps_agree(study, rows, "steps", steps).passed
+    assert not ladder_scans.steps_agree(other, rows, "steps", steps).passed
     assert "(a) VH, clear water: phase of the first step" in failed(
         figure_13.checks(with_numbers(study, first_step=0.044))
     )
@@ -272,11 +272,11 @@ def test_high_meshes_are_cut_into_strips_of_the_same_surface() -> None:
 
 @pytest.mark.parametrize("figure", [figure_06, figure_13])
 def test_figures_are_drawn_and_say_that_they_are_synthetic(
-    study: Study, figure: ModuleType
+    study: Study, figure: PaperFigure
 ) -> None:
     with style():
         drawn = figure.draw(study)
         drawn.canvas.draw()
     texts = [text.get_text() for text in drawn.texts]
     assert any("synthetic" in text for text in texts)
-    assert "synthetic" in figure.CAPTION
+    assert "synthetic" in figure.caption

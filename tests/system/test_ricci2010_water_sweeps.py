@@ -10,7 +10,7 @@ import pytest
 from scipy.constants import speed_of_light
 from scipy.integrate import quad
 
-from amulor.studies.ricci2010.figures import figure_01, figure_03, figure_04
+from amulor.studies.ricci2010.figures import depths, figure_01, figure_03, figure_04
 from amulor.studies.ricci2010.parameters import varied
 from amulor.studies.ricci2010.results import Check
 from amulor.studies.ricci2010.scenes import water_sweeps
@@ -118,7 +118,7 @@ def test_figure_1_keeps_what_the_text_says(study) -> None:
     assert all(check.passed for check in checks)
     # What (46) gives over the family of numbers that fits the text: 1.2 to 1.7 m and
     # 2.4 to 4.2 m.
-    assert 1.2 < figure_01.profile(study, "low").peak < 1.7
+    assert 1.2 < depths.profile(study, "low").peak < 1.7
     nearer = _only(checks, "few metres, low turbidity, diffusion")
     assert nearer.value is not None
     assert 2.4 < nearer.value < 4.2
@@ -256,4 +256,4 @@ def test_figures_have_units_and_say_what_is_synthetic(
         assert axis.get_xlabel().endswith("]")
     legend = [text.get_text() for text in drawn.axes[0].get_legend().get_texts()]
     assert any("synthetic" in text for text in legend) == synthetic
-    assert ("SYNTHETIC" in figure.CAPTION) == synthetic
+    assert ("SYNTHETIC" in figure.caption) == synthetic

@@ -1,4 +1,4 @@
-"""The ladder scanned in clear and milky water, before and after rejection."""
+"""The ladder study: scans in clear and milky water, before and after rejection."""
 
 from __future__ import annotations
 
@@ -54,38 +54,40 @@ _MARGIN = 3e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One water and one channel, before or after rejection."""
+    """Range image of one water and one channel, before or after rejection."""
 
     water: str
-    """Which water."""
+    """Water: "clear" or "milk"."""
     channel: str
-    """Which polarization pair."""
+    """Polarization pair."""
     stage: str
-    """Before or after rejection."""
+    """Stage: before or after rejection."""
     image: xr.Dataset
     """Range image."""
     steps: list[metrics.StepHeight]
-    """Measured heights of the steps."""
+    """Measured step heights."""
     true_steps: tuple[float, ...]
-    """Heights of the steps as they are [m]."""
+    """True step heights [m]."""
     bias: float
     """Mean error of the slant range on the treads [m]."""
     bias_uncertainty: float
-    """Standard uncertainty of that mean: noise, and what the pixels share [m]."""
+    """Standard uncertainty of that mean: noise, and the part common to all pixels [m].
+    """
     noise: float
     """Scatter of the slant range among the rows of each column, on the treads [m]."""
     stated: float
-    """Root mean square of the uncertainty stated for the treads; not a number where
-    the image states none: before rejection [m]."""
+    """Root mean square of the stated uncertainty on the treads; NaN where the image
+    states none: before rejection [m].
+    """
 
     @property
     def name(self) -> str:
-        """Channel and water, as the figures call the case."""
+        """Channel and water, the name of the case in figures."""
         return f"{self.channel} {self.water}"
 
 
 def treads(survey: Survey) -> NDArray[np.intp]:
-    """Return which tread each pixel looks at, counted 1, 2, ... from the left."""
+    """Return the tread of each pixel, counted 1, 2, ... from the left."""
     stairs = survey.targets[0]
     assert isinstance(stairs, Staircase)
     scan = survey.scan
@@ -102,7 +104,7 @@ def treads(survey: Survey) -> NDArray[np.intp]:
 def evaluate(
     survey: Survey, image: xr.Dataset, *, water: str, channel: str, stage: str
 ) -> Case:
-    """Compare a range image of the ladder with the ladder."""
+    """Compare a range image of the ladder with the true ladder."""
     stairs = survey.targets[0]
     assert isinstance(stairs, Staircase)
     number = treads(survey)
@@ -156,7 +158,7 @@ def summary(cases: list[Case]) -> list[dict[str, object]]:
 
 
 def _known(value: float) -> float | None:
-    """Return a number, None if it is not known."""
+    """Return a number, None if it is not finite."""
     return value if math.isfinite(value) else None
 
 
@@ -230,8 +232,8 @@ def write(
     first = next(iter(samples.values()))
     seeds = " and ".join(str(cube.attrs["seed"]) for cube in samples.values())
     versions = json.loads(first.attrs["software_versions"])
-    made = ", ".join(f"{name} {version}" for name, version in versions.items())
-    parts.append(Paragraph(f"Seeds of the noise: {seeds}. Made with {made}."))
+    software = ", ".join(f"{name} {version}" for name, version in versions.items())
+    parts.append(Paragraph(f"Seeds of the noise: {seeds}. Made with {software}."))
     title = "Underwater ladder: four range images, before and after rejection"
     write_report(path, title, parts, overwrite=overwrite)
 
@@ -276,12 +278,12 @@ def _steps_table(cases: list[Case]) -> Table:
     for case in cases:
         cells = [f"{case.name}, {case.stage}"]
         for height, step in zip(true, case.steps, strict=True):
-            stated = math.isfinite(step.uncertainty)
-            error = step.uncertainty if stated else step.random
+            has_uncertainty = math.isfinite(step.uncertainty)
+            error = step.uncertainty if has_uncertainty else step.random
             off = abs(step.height - height) > 3 * error
             cells.append(
                 f"{'!' if off else ''}{step.height * 1e3:.2f}"
-                + (f" ± {step.uncertainty * 1e3:.2f}" if stated else "")
+                + (f" ± {step.uncertainty * 1e3:.2f}" if has_uncertainty else "")
             )
         rows.append(cells)
     return Table(
@@ -313,7 +315,7 @@ def run(
     overwrite: bool = False,
     progress: Progress = lambda step, done: None,
 ) -> list[Case]:
-    """Scan the ladder in both waters and write all that comes of it.
+    """Scan the ladder in both waters; write cubes, images, clouds, figures and report.
 
     Point clouds are in PLY, and in LAZ and E57 where there is a package for these.
     """

@@ -14,7 +14,7 @@ from amulor.cli import main
 from amulor.errors import SurveyError
 from amulor.studies.ricci2010 import parameters, reproduce, results
 from amulor.studies.ricci2010.figures import figure_01
-from amulor.studies.ricci2010.results import Check, holds, within
+from amulor.studies.ricci2010.results import Check, Statements, holds, within
 from amulor.studies.ricci2010.sensitivity import sensitivity
 from amulor.studies.ricci2010.study import Study
 
@@ -112,6 +112,16 @@ def test_a_number_passes_between_its_limits(value: float, passes: bool) -> None:
     assert check.wanted == "1 to 2 m"
     assert within("x", 1.0, -math.inf, 2.0, place="").wanted == "at most 2"
     assert within("x", 1.0, 2.0, math.inf, place="").wanted == "at least 2"
+
+
+def test_a_row_of_statements_takes_words_limits_and_a_note() -> None:
+    row = {"statement": "{count} m wide", "place": "section {count}", "low": 1.0}
+    rows = Statements("title", "caption", {"width": {**row, "unit": "m"}})
+    check = rows.within("width", 1.5, high=2.0, note=" (measured)", count=3)
+    assert (check.statement, check.place) == ("3 m wide", "section 3")
+    assert (check.found, check.wanted) == ("1.5 m (measured)", "1 to 2 m")
+    assert (check.passed, check.role) == (True, "test")
+    assert not rows.within("width", 0.5, high=2.0, count=3).passed
 
 
 def _checks(study: Study) -> list[Check]:

@@ -1,1 +1,1 @@
-"""Figures 1 and 3-15 of Ricci et al. 2010, redrawn, with what the text says of them."""
+"""Reproduction of Ricci et al. 2010: figures 1 and 3 to 15, and its statements."""

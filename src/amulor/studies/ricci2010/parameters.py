@@ -1,4 +1,4 @@
-"""The numbers of the study, each with its basis and its range, from one TOML file."""
+"""Numbers of the study with their basis and range, from one TOML file."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ Basis = Literal["text", "deduced", "assumed"]
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A number of the study."""
+    """Number of the study, with its basis and range."""
 
     name: str
     """Name in `parameters.toml`."""
     value: float
     """Value in the unit of `amulor.units.SI_UNITS`."""
     basis: Basis
-    """How it is known."""
+    """Basis: "text", "deduced" or "assumed"."""
     reason: str
-    """Where it comes from, in a sentence."""
+    """Source of the number, in a sentence."""
     shown: str
-    """Value as the file states it, with its unit."""
+    """Value in the file, with its unit."""
     quantity: str
-    """What it measures, a key of `amulor.units.SI_UNITS`."""
+    """Quantity, a key of `amulor.units.SI_UNITS`."""
     limits: tuple[float, float] | None = None
-    """Lowest and highest value that what survives of the paper allows, in the same
-    unit; None where it is printed."""
+    """Lowest and highest value that the surviving text of the paper allows, in the same
+    unit; None where it is printed.
+    """
     shown_limits: tuple[str, str] | None = None
-    """The limits as the file states them."""
+    """Limits in the file, with their units."""
 
 
 def load() -> dict[str, Parameter]:
@@ -47,7 +48,7 @@ def load() -> dict[str, Parameter]:
 
 
 def parse(text: str) -> dict[str, Parameter]:
-    """Return the numbers that a text states."""
+    """Parse the numbers of a TOML text."""
     return {name: _entry(name, entry) for name, entry in tomllib.loads(text).items()}
 
 
@@ -59,10 +60,10 @@ def varied(
 
 
 def _entry(name: str, entry: Mapping[str, Any]) -> Parameter:
-    known = {"value", "quantity", "basis", "reason", "range"}
-    wrong = sorted(set(entry) ^ known - {"range"} - (set(entry) & {"range"}))
-    missing = sorted(known - {"range"} - set(entry))
-    if missing or set(entry) - known:
+    fields = {"value", "quantity", "basis", "reason", "range"}
+    wrong = sorted(set(entry) ^ fields - {"range"} - (set(entry) & {"range"}))
+    missing = sorted(fields - {"range"} - set(entry))
+    if missing or set(entry) - fields:
         raise ValueError(
             f"parameter {name!r}: missing or unknown {', '.join(wrong or missing)}"
         )
@@ -77,7 +78,7 @@ def _entry(name: str, entry: Mapping[str, Any]) -> Parameter:
             f"parameter {name!r}: a printed number has no range, every other one has"
         )
     value = units.parse(entry["value"], quantity)
-    limits = shown = None
+    limits = limit_texts = None
     if "range" in entry:
         low, high = (units.parse(end, quantity) for end in entry["range"])
         if not low <= value <= high or low == high:
@@ -85,7 +86,7 @@ def _entry(name: str, entry: Mapping[str, Any]) -> Parameter:
                 f"parameter {name!r}: {entry['value']} is outside its range "
                 f"{entry['range'][0]} to {entry['range'][1]}"
             )
-        limits, shown = (low, high), (entry["range"][0], entry["range"][1])
+        limits, limit_texts = (low, high), (entry["range"][0], entry["range"][1])
     return Parameter(
         name=name,
         value=value,
@@ -94,5 +95,5 @@ def _entry(name: str, entry: Mapping[str, Any]) -> Parameter:
         shown=entry["value"],
         quantity=quantity,
         limits=limits,
-        shown_limits=shown,
+        shown_limits=limit_texts,
     )

@@ -1,16 +1,15 @@
-"""Runs the study: every figure with its checks, and what they depend on, into files."""
+"""Run of the study: figures, checks and their sensitivity, written to files."""
 
 from __future__ import annotations
 
 import json
 import os
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from amulor import io
 from amulor.io.files import atomic_output
+from amulor.studies.ricci2010.figures import FIGURES as PAPER_FIGURES
 from amulor.studies.ricci2010.results import Redrawn, Results, write_page
 from amulor.studies.ricci2010.sensitivity import sensitivity
 from amulor.studies.ricci2010.study import Study
@@ -18,7 +17,7 @@ from amulor.view.report import png
 from amulor.view.style import style
 
 #: Figure 2 is a drawing of the instrument.
-FIGURES = (1, *range(3, 16))
+FIGURES = tuple(PAPER_FIGURES)
 #: Called with what is done now and the fraction of the work done before it.
 Progress = Callable[[str, float], None]
 
@@ -33,7 +32,7 @@ def run(
     folder: Path | None = None,
     progress: Progress = lambda step, done: None,
 ) -> Results:
-    """Redraw figures of the paper and check what it says of them."""
+    """Redraw figures of the paper, and check the statements about them."""
     wrong = sorted(set(numbers) - set(FIGURES))
     if wrong:
         raise ValueError(
@@ -49,10 +48,9 @@ def run(
         figures.append(_redrawn(study, number))
     dependence = None
     if depend:
-        modules = {number: _module(number) for number in chosen}
         dependence = sensitivity(
             Study(quick=True, rng=rng),
-            {number: module.checks for number, module in modules.items()},
+            {number: PAPER_FIGURES[number].checks for number in chosen},
             workers=os.cpu_count() or 1,
             scheduler=scheduler,
             folder=folder,
@@ -99,20 +97,16 @@ def output_names(numbers: Sequence[int]) -> list[str]:
 
 
 def stem_of(number: int) -> str:
-    """Return the name of a figure's files and of its code."""
+    """Return the stem of a figure's file names."""
     return f"figure_{number:02d}"
 
 
 def _redrawn(study: Study, number: int) -> Redrawn:
-    module = _module(number)
+    figure = PAPER_FIGURES[number]
     return Redrawn(
         number=number,
-        title=module.TITLE,
-        caption=module.CAPTION,
-        checks=tuple(module.checks(study)),
-        drawn=module.draw(study),
+        title=figure.title,
+        caption=figure.caption,
+        checks=tuple(figure.checks(study)),
+        drawn=figure.draw(study),
     )
-
-
-def _module(number: int) -> Any:
-    return import_module(f"amulor.studies.ricci2010.figures.{stem_of(number)}")

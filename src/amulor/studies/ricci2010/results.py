@@ -1,42 +1,46 @@
-"""What a run of the study comes to: checks, tables, files."""
+"""Results of the study: checks, sensitivity, tables and report."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
 from matplotlib.figure import Figure
 
 from amulor.studies.ricci2010.parameters import Parameter
+from amulor.studies.ricci2010.study import Study
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report
 
 #: What a statement is worth here. `test`: the paper says it, and nothing was chosen to
 #: meet it. `set`: a number of the study was chosen so that it holds, so that it proves
-#: nothing. `own`: the paper does not say it; it is asked here besides.
+#: nothing. `own`: a check of ours, not of the paper.
 Role = Literal["test", "set", "own"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """A statement and whether it holds."""
+    """Statement, and whether it holds."""
 
     statement: str
-    """What is stated, in a sentence."""
+    """Statement in a sentence."""
     place: str
-    """Where the paper says it; empty for a check of ours."""
+    """Place in the paper; empty for a check that the paper does not state."""
     found: str
-    """What was found, with its unit and, where it is random, its standard error."""
+    """Result with its unit and, where it is random, its standard error."""
     wanted: str
-    """What would do, with its unit."""
+    """Required result, with its unit."""
     passed: bool
-    """Whether it does."""
+    """Whether the statement holds."""
     role: Role = "test"
-    """Whether it is a test, or was used to choose a number."""
+    """Whether the statement is a test, or was used to choose a number."""
     value: float | None = None
-    """What was found, in the unit of `found`."""
+    """Result as a number, in the unit of `found`."""
 
     def __post_init__(self) -> None:
         """Refuse a statement of the paper without its place."""
@@ -64,7 +68,7 @@ def within(
     uncertainty: float | None = None,
     role: Role | None = None,
 ) -> Check:
-    """Return the check that a number lies between two others."""
+    """Return the check that a number lies between two limits."""
     space = f" {unit}" if unit else ""
 
     def text(number: float) -> str:
@@ -97,7 +101,7 @@ def holds(
     wanted: str,
     role: Role | None = None,
 ) -> Check:
-    """Return the check of a statement that is no single number."""
+    """Return the check of a statement without a single number."""
     return Check(
         statement=statement,
         found=found,
@@ -109,45 +113,118 @@ def holds(
 
 
 def _role(place: str) -> Role:
-    """Return what a statement is worth unless it was used to choose a number."""
+    """Return the role of a statement that was not used to choose a number."""
     return "test" if place else "own"
+
+
+@dataclass(frozen=True, eq=False)
+class Statements:
+    """Title, caption and statements of a figure, from `statements.toml`."""
+
+    title: str
+    """Short title."""
+    caption: str
+    """Caption."""
+    checks: Mapping[str, Mapping[str, Any]]
+    """Statement, place, limits, unit and role of each check, by name."""
+
+    def row(self, name: str, **words: Any) -> dict[str, Any]:
+        """Return the row of a check, with words put into its texts."""
+        return {
+            key: value.format(**words) if isinstance(value, str) else value
+            for key, value in self.checks[name].items()
+            if key != "kind"
+        }
+
+    def within(
+        self,
+        name: str,
+        value: float,
+        low: float = -math.inf,
+        high: float = math.inf,
+        *,
+        uncertainty: float | None = None,
+        note: str = "",
+        **words: Any,
+    ) -> Check:
+        """Return the check that a number lies between two limits, with a note on it."""
+        row = {"place": "", "low": low, "high": high, **self.row(name, **words)}
+        check = within(value=value, uncertainty=uncertainty, **row)
+        return replace(check, found=check.found + note)
+
+    def holds(
+        self, name: str, truth: bool, found: str, *, wanted: str = "", **words: Any
+    ) -> Check:
+        """Return the check of a statement without a single number."""
+        row = {"place": "", "wanted": wanted, **self.row(name, **words)}
+        return holds(truth=truth, found=found, **row)
+
+
+@cache
+def statements(figure: int) -> Statements:
+    """Return title, caption and statements of a figure."""
+    path = resources.files("amulor.studies.ricci2010") / "statements.toml"
+    table = tomllib.loads(path.read_text(encoding="utf-8"))[f"figure_{figure:02d}"]
+    return Statements(**{"checks": {}, **table})
+
+
+@dataclass(frozen=True)
+class PaperFigure:
+    """Figure of the paper: its statements, checks and drawing."""
+
+    number: int
+    """Number in the paper."""
+    checks: Callable[[Study], list[Check]]
+    """Function that compares the study with the statements."""
+    draw: Callable[[Study], Figure]
+    """Function that draws the figure."""
+
+    @property
+    def title(self) -> str:
+        """Short title."""
+        return statements(self.number).title
+
+    @property
+    def caption(self) -> str:
+        """Caption."""
+        return statements(self.number).caption
 
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """What became of a check when one number went to an end of its range."""
+    """Result of a check with one number at an end of its range."""
 
     parameter: str
     """Name of the number."""
     shown: str
-    """Its value there, with its unit."""
+    """Value at that end, with its unit."""
     found: str
-    """What was found there."""
+    """Result at that end."""
     passed: bool
-    """Whether the check passes there."""
+    """Whether the check passes at that end."""
     value: float | None
-    """What was found, as a number."""
+    """Result as a number."""
 
 
 @dataclass(frozen=True)
 class Dependence:
-    """One check, and what it does at the ends of all ranges that reach it."""
+    """Check, and its results at the ends of all ranges that its figure reads."""
 
     figure: int
     """Figure of the paper."""
     check: Check
-    """The check with the numbers as they are."""
+    """Check with the numbers as they are."""
     changes: tuple[Change, ...]
-    """At both ends of each number that its figure reads."""
+    """Results at both ends of each number that the figure reads."""
 
     @property
     def flips(self) -> tuple[Change, ...]:
-        """The changes that turn pass into fail, or fail into pass."""
+        """Changes that turn pass into fail, or fail into pass."""
         return tuple(c for c in self.changes if c.passed != self.check.passed)
 
     @property
     def strongest(self) -> Change | None:
-        """The change that moves the number found the most; None if it is no number."""
+        """Change that moves the result the most; None for a result without a number."""
         start = self.check.value
         moved = [c for c in self.changes if c.value is not None]
         if start is None or not moved:
@@ -155,7 +232,7 @@ class Dependence:
         return max(moved, key=lambda change: abs((change.value or 0.0) - start))
 
     def plain(self) -> dict[str, Any]:
-        """Return it for other programs."""
+        """Return the dependence for other programs."""
         return {
             "figure": self.figure,
             "statement": self.check.statement,
@@ -168,33 +245,33 @@ class Dependence:
 
 @dataclass(frozen=True, kw_only=True)
 class Redrawn:
-    """One figure, redrawn."""
+    """Figure of the paper, redrawn with its checks."""
 
     number: int
-    """Its number in the paper."""
+    """Number of the figure in the paper."""
     title: str
     """Short title."""
     caption: str
-    """What is to be seen."""
+    """Caption."""
     checks: tuple[Check, ...]
-    """What the paper says of it, beside what was found."""
+    """Statements of the paper with their results."""
     drawn: Figure
-    """The figure."""
+    """Redrawn figure."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """The study, or the part of it that was asked for."""
+    """Results of the study, or of the requested part of it."""
 
     figures: tuple[Redrawn, ...]
-    """In the order of the paper."""
+    """Figures in the order of the paper."""
     dependence: tuple[Dependence, ...] | None
-    """What each conclusion depends on; None if it was not looked into."""
+    """Dependence of each conclusion on the numbers; None if it was not examined."""
     parameters: dict[str, Parameter]
     """All numbers of the study."""
 
     def plain(self) -> dict[str, Any]:
-        """Return all but the pictures for other programs."""
+        """Return everything but the pictures for other programs."""
         return {
             "figures": [
                 {
@@ -226,12 +303,12 @@ def verdict(check: Check) -> str:
 
 
 def check_rows(checks: Iterable[Check]) -> Rows:
-    """Return one row for each check, under `CHECK_HEADER`."""
+    """Return one table row for each check, under `CHECK_HEADER`."""
     return [[c.statement, c.place, c.found, c.wanted, verdict(c)] for c in checks]
 
 
 def dependence_rows(dependence: Iterable[Dependence]) -> Rows:
-    """Return one row for each conclusion that flips, under `DEPENDENCE_HEADER`."""
+    """Return a table row for each conclusion that flips, under `DEPENDENCE_HEADER`."""
     return [
         [
             str(entry.figure),
@@ -245,7 +322,7 @@ def dependence_rows(dependence: Iterable[Dependence]) -> Rows:
 
 
 def parameter_rows(parameters: Mapping[str, Parameter]) -> Rows:
-    """Return one row for each number, under `PARAMETER_HEADER`."""
+    """Return one table row for each number, under `PARAMETER_HEADER`."""
     return [
         [
             entry.name,
@@ -259,30 +336,31 @@ def parameter_rows(parameters: Mapping[str, Parameter]) -> Rows:
 
 
 def tally(checks: Iterable[Check]) -> str:
-    """Return how many statements hold, in a sentence."""
-    every = list(checks)
+    """Summarize the number of statements that hold, in a sentence."""
+    listed = list(checks)
 
     def count(role: Role) -> tuple[int, int]:
-        chosen = [check.passed for check in every if check.role == role]
+        chosen = [check.passed for check in listed if check.role == role]
         return sum(chosen), len(chosen)
 
-    held, tests = count("test")
+    passed, tests = count("test")
     met, chosen = count("set")
-    right, own = count("own")
-    text = f"{held} of {tests} statements of the paper hold."
+    right, unstated = count("own")
+    text = f"{passed} of {tests} statements of the paper hold."
     if chosen:
         text += (
             f" For {chosen} more a number of the study was chosen, and {met} of these "
             "hold."
         )
-    if own:
+    if unstated:
         text += (
-            f" The study adds {own} checks that the paper does not state; {right} hold."
+            f" The study adds {unstated} checks that the paper does not state; "
+            f"{right} hold."
         )
     return text
 
 
-#: What a reader must know before the first figure.
+#: Foreword of the report.
 FOREWORD = (
     "The data points and many numbers of the paper survive only in pictures that are "
     "not available. The measured data in these figures are synthetic. They are "
@@ -296,8 +374,8 @@ FOREWORD = (
 
 def write_page(path: Path, results: Results, *, overwrite: bool) -> None:
     """Write figures, checks, dependences and numbers as one HTML file."""
-    every = [check for figure in results.figures for check in figure.checks]
-    parts: list[Part] = [Paragraph(FOREWORD), Paragraph(tally(every))]
+    checks = [check for figure in results.figures for check in figure.checks]
+    parts: list[Part] = [Paragraph(FOREWORD), Paragraph(tally(checks))]
     for figure in results.figures:
         rows = [
             [*row[:-1], f"!{row[-1]}" if row[-1].startswith("FAIL") else row[-1]]

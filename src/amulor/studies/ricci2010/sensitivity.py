@@ -1,4 +1,4 @@
-"""Which number each conclusion depends on: every one varied over its range, in turn."""
+"""Sensitivity of each conclusion: every number at both ends of its range, in turn."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def sensitivity(
 
 @dataclass(frozen=True)
 class _End:
-    """One end of the range of one number."""
+    """End of the range of one number."""
 
     name: str
     value: float
@@ -115,24 +115,24 @@ def _worked(
                 yield task, _outcome(study, figures, task)
         return
     spawn = get_context("spawn")
-    others = set(active_children())
+    running = set(active_children())
     with ProcessPoolExecutor(
         min(workers, len(together) or 1), spawn, initializer=_begin
     ) as pool:
-        stated = tuple(study.parameters.values())
-        wanted = [
+        parameters = tuple(study.parameters.values())
+        futures = [
             pool.submit(
-                _elsewhere, stated, study.quick, study.seed, dict(figures), group
+                _elsewhere, parameters, study.quick, study.seed, dict(figures), group
             )
             for group in together
         ]
         try:
-            for group, outcomes in zip(together, wanted, strict=True):
+            for group, outcomes in zip(together, futures, strict=True):
                 yield from zip(group, outcomes.result(), strict=True)
         except BaseException:
             # Leaving the pool would wait for all that is at work.
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in set(active_children()) - others:
+            for process in set(active_children()) - running:
                 process.kill()
             raise
 
@@ -171,7 +171,7 @@ def _spread_out(
 
 @dataclass(frozen=True, kw_only=True)
 class _Ends:
-    """What becomes of checks at each end of each number, as files."""
+    """Outcomes of checks at each end of each number, as files."""
 
     parameters: tuple[Parameter, ...]
     quick: bool
@@ -181,7 +181,7 @@ class _Ends:
     file: str = "end.json"
 
     def made_of(self, number: int) -> dict[str, Any]:
-        """All that the outcomes at an end follow from."""
+        """Return everything that determines the outcomes at an end."""
         return {
             "parameters": {entry.name: entry.value for entry in self.parameters},
             "quick": self.quick,
@@ -195,22 +195,27 @@ class _Ends:
     def write(self, number: int, path: Path) -> None:
         """Write the outcomes at an end."""
         group = self.together[number]
-        found = _elsewhere(self.parameters, self.quick, self.seed, self.figures, group)
+        outcomes = _elsewhere(
+            self.parameters, self.quick, self.seed, self.figures, group
+        )
         plain = [
-            [(None if v is None else float(v), text, bool(ok)) for v, text, ok in one]
-            for one in found
+            [
+                (None if v is None else float(v), text, bool(ok))
+                for v, text, ok in outcome
+            ]
+            for outcome in outcomes
         ]
         with atomic_output(path, overwrite=True) as temporary:
             temporary.write_text(json.dumps(plain) + "\n", "utf-8")
 
 
 def _name(function: Any) -> str:
-    """Return the name of a function."""
+    """Return the qualified name of a function."""
     return f"{function.__module__}.{function.__qualname__}"
 
 
 def _begin() -> None:
-    """Prepare a process: it ends with its parent, which alone heeds Ctrl-C.
+    """Prepare a worker process: it ends with its parent, which alone handles Ctrl-C.
 
     A run of photons would take an interrupt for the wish to go on with the photons it
     has.
@@ -222,7 +227,7 @@ def _begin() -> None:
 
 
 def _end_with(parent: BaseProcess) -> None:
-    """Wait for the end of a process, and end."""
+    """Wait for the end of a process, and exit."""
     parent.join()
     os._exit(1)
 
@@ -241,7 +246,7 @@ def _elsewhere(
 
 @cache
 def _study_here(parameters: tuple[Parameter, ...], quick: bool, seed: int) -> Study:
-    """Return the study that the tasks of a process share, with what it remembers."""
+    """Return the study that the tasks of a process share, with its results."""
     return Study({entry.name: entry for entry in parameters}, quick=quick, rng=seed)
 
 
@@ -249,12 +254,12 @@ def _outcome(
     study: Study, figures: Mapping[int, Checks], task: _Task
 ) -> list[_Outcome]:
     end, number, count = task
-    other = study.with_parameters(varied(study.parameters, end.name, end.value))
-    return _outcomes(figures[number], other, count)
+    changed = study.with_parameters(varied(study.parameters, end.name, end.value))
+    return _outcomes(figures[number], changed, count)
 
 
 def _outcomes(checks: Checks, study: Study, count: int) -> list[_Outcome]:
-    """Return value, text and outcome of each check; all fail where nothing comes."""
+    """Return value, text and outcome of each check; all fail on an error."""
     try:
         result = checks(study)
     except (AmulorError, ValueError) as problem:

@@ -1,4 +1,4 @@
-"""One run of the study: its numbers, its pace, and results that figures share."""
+"""Run of the study: its numbers, its pace, and results that figures share."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Result = TypeVar("Result")
 
 
 class Study:
-    """Numbers of the study, and a memory of what was computed from them.
+    """Numbers of the study, with a cache of results computed from them.
 
     `study["name"]` gives a number and notes that it was read. `study.once(function)`
     gives `function(study)`, computed again only if a number has changed that the
@@ -42,17 +42,17 @@ class Study:
         return self.parameters[name].value
 
     def with_parameters(self, parameters: Mapping[str, Parameter]) -> Study:
-        """Return a study of other numbers that remembers the same results."""
-        other = Study(parameters, quick=self.quick, rng=self.seed)
-        other._known = self._known
-        return other
+        """Return a study with other numbers that shares the cache."""
+        changed = Study(parameters, quick=self.quick, rng=self.seed)
+        changed._known = self._known
+        return changed
 
     def rng(self, label: str) -> np.random.Generator:
         """Return the generator of one series of synthetic noise."""
         return np.random.default_rng([self.seed, zlib.crc32(label.encode())])
 
     def once(self, function: Callable[[Study], Result]) -> Result:
-        """Return what a function makes of the study, computed once."""
+        """Return the result of a function of the study, computed once."""
         for numbers, result in self._known.setdefault(function, []):
             if all(self.parameters[n].value == v for n, v in numbers.items()):
                 for names in self._read:

@@ -1,1 +1,1 @@
-"""What stands in the water of Ricci et al. 2010, and what is seen of it."""
+"""Scenes of Ricci et al. 2010: waters, targets, and their simulated measurements."""

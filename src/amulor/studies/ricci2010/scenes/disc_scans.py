@@ -1,4 +1,4 @@
-"""The scan of the bent disc in Maalox water, and the outlines measured in it."""
+"""Scan of the bent disc in Maalox water, and its outlines in the brightness."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from amulor.imaging import metrics
 from amulor.simulation import DiffusionModel, simulate
 from amulor.studies.ricci2010.scenes.scan_surveys import (
     ScanField,
-    ScanWater,
     around,
     images,
     survey_of,
+    water_of,
 )
 from amulor.studies.ricci2010.study import Study
 from amulor.survey import Survey
@@ -38,7 +38,7 @@ _SECTORS = 8
 
 @dataclass(frozen=True)
 class Outline:
-    """An outline measured by the area within it."""
+    """Outline with the diameter of its area."""
 
     diameter: float
     """Diameter of the circle of the same area [m]."""
@@ -48,41 +48,41 @@ class Outline:
 
 @dataclass(frozen=True)
 class Outlines:
-    """What a picture of the disc shows."""
+    """Outlines of the disc in a picture."""
 
     rim: Outline | None
-    """Outer rim; None if nothing was found."""
+    """Outer rim; None without bright pixels."""
     central_hole: Outline | None
-    """The largest hole."""
+    """Largest hole."""
     small_holes: tuple[Outline, ...]
-    """All others, largest first."""
+    """Other holes, largest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DiscScan:
-    """One scan of the disc, with and without its water signal."""
+    """Scan of the disc, with and without its water signal."""
 
     survey: Survey
-    """What was simulated."""
+    """Simulated survey."""
     pitch: float
-    """Distance of neighbouring pixels on the disc [m]."""
+    """Distance of neighboring pixels on the disc [m]."""
     truth: Floats
-    """True slant range, not a number beside the disc, shape (row, column) [m]."""
+    """True slant range, NaN beside the disc, shape (row, column) [m]."""
     inside: Mask
     """Pixels on the disc, off all edges."""
     outside: Mask
     """Pixels beside the disc and in its holes, off all edges."""
     raw: dict[str, xr.Dataset]
-    """Channel to range image with the water left in."""
+    """Range image with its water signal, by channel."""
     subtracted: dict[str, xr.Dataset]
-    """Channel to range image with open water subtracted."""
+    """Range image after subtraction of open water, by channel."""
 
     def contrast(self, image: xr.Dataset) -> metrics.Contrast:
-        """Compare the brightness of the disc with what is around it."""
+        """Return the contrast of the disc with its surround."""
         return metrics.contrast(image, self.inside, self.outside)
 
     def error(self, image: xr.Dataset) -> tuple[float, float]:
-        """Return how far the ranges of the disc are off, and their mean."""
+        """Return root mean square and scatter of the range error on the disc [m]."""
         error = (image["slant_range"].values - self.truth)[self.inside]
         error = error[np.isfinite(error)]
         if error.size < 2:
@@ -90,7 +90,7 @@ class DiscScan:
         return float(np.sqrt(np.mean(error**2))), float(error.std(ddof=1))
 
     def moved(self, image: xr.Dataset) -> float:
-        """Return how much nearer than it is the disc appears."""
+        """Return the distance by which the disc appears too near [m]."""
         error = (self.truth - image["slant_range"].values)[self.inside]
         return float(np.nanmedian(error))
 
@@ -107,13 +107,7 @@ def bent_disc(study: Study) -> DiscScan:
     survey = survey_of(
         study,
         name="Bent disc in Maalox water",
-        water=ScanWater(
-            attenuation=study["maalox_attenuation"],
-            second_moment=study["second_moment_high"],
-            backscatter=study["maalox_backscatter"],
-            m22=study["maalox_m22"],
-            fluctuation=study["milk_fluctuation"],
-        ),
+        water=water_of(study, "maalox"),
         field=ScanField(
             distance=distance,
             baseline=study["short_baseline"],
@@ -153,7 +147,7 @@ curvature_radius = "{write(study["disc_bend"], "length")}"
 
 
 def bright(image: xr.Dataset) -> Mask:
-    """Return which pixels are brighter than halfway between bright and dark ones."""
+    """Return the pixels brighter than halfway between bright and dark ones."""
     intensity = image["intensity"].values
     over: Mask = intensity > _halfway(intensity)
     return over
@@ -182,7 +176,7 @@ def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
 
 
 def _circle(area: float, step: float) -> Outline:
-    """Return the circle of an area that was counted on a lattice of this step."""
+    """Return the circle of an area counted on a lattice of this step."""
     diameter = math.sqrt(4 * area / math.pi)
     count = math.sqrt(_SECTORS * _LATTICE * math.pi * diameter / step)
     return Outline(diameter, 2 * count * step**2 / (math.pi * diameter))
@@ -204,7 +198,7 @@ _ROUNDS = 30
 
 
 def _pixel_areas(image: xr.Dataset, disc: Mask, *, distance: float) -> Floats:
-    """Return the area that each pixel covers of the plane across the middle beam.
+    """Return the area of each pixel on the plane across the middle beam.
 
     A smooth surface through the ranges of the disc, of the second degree in the
     direction, gives its holes a distance, too.

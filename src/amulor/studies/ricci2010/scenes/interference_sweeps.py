@@ -89,24 +89,24 @@ repeats = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """One experiment: synthetic measurement, and what each method makes of it."""
+    """Synthetic measurement of one experiment, and the result of each method."""
 
     number: int
-    """Which experiment."""
+    """Number of the experiment."""
     distance: float
-    """Where the target stands [m]."""
+    """Distance of the target [m]."""
     frequency: Floats
     """Modulation frequencies [Hz]."""
     signal: Complex
     """Measured with the target [V]."""
     water: Complex
-    """Measured without the target, mean of the shots [V]."""
+    """Measured with the target [V]."""
     subtracted: Complex
     """Target signal by open-water subtraction [V]."""
     joint_frequency: Floats
-    """Frequencies that joint estimation took [Hz]."""
+    """Frequencies used by joint estimation [Hz]."""
     joint: Complex
-    """Target signal by joint estimation, which saw no open water [V]."""
+    """Target signal by joint estimation, without open-water shots [V]."""
     joint_range: tuple[float, float, float]
     """Slant range by joint estimation, its uncertainty and the truth [m]."""
     joint_flags: int
@@ -116,10 +116,13 @@ class Sweep:
     reflectance: float
     """Reflectance that gives the stated ratio of water signal and echo [1]."""
     needed_backscatter: float
-    """Phase function at 180 degrees that gives it with a white plate of 0.8 [1/sr]."""
+    """Phase function at 180 degrees that gives the ratio with a white plate of 0.8
+    [1/sr].
+    """
     period: float
-    """Period of the interference if the water signal came from the middle of its
-    group depths [Hz]."""
+    """Period of the interference for a water signal from the middle of its group depths
+    [Hz].
+    """
 
     @property
     def ratio(self) -> Floats:
@@ -143,24 +146,24 @@ class Sweep:
 
 
 def shown(sweep: Sweep) -> slice:
-    """Return which samples of a sweep a figure shows, so that markers do not touch."""
+    """Return the samples of a sweep to draw, with space between markers."""
     return slice(None, None, max(1, len(sweep.frequency) // 65))
 
 
 def smoothed(value: Floats) -> Floats:
-    """Return a measured sweep without its noise, for finding extrema."""
+    """Return a sweep without its noise, for finding extrema."""
     count = round(_SMOOTHED * (len(value) - 1) / (LAST - FIRST))
     fitted: Floats = savgol_filter(value, count + 1 - count % 2, 2)
     return fitted
 
 
 def sweeps(study: Study) -> tuple[Sweep, ...]:
-    """Return all three experiments."""
+    """Simulate all three experiments."""
     return tuple(study.once(_DIFFUSION[number]) for number in EXPERIMENTS)
 
 
 def small_angle_sweeps(study: Study) -> tuple[Sweep, ...]:
-    """Return the experiments again, in water that spreads light as form (29) says."""
+    """Simulate the experiments with light spread by the small-angle form (29)."""
     return tuple(study.once(_SMALL_ANGLE[number]) for number in EXPERIMENTS)
 
 
@@ -179,12 +182,12 @@ def _experiment(
     cube = simulate(survey, rng=study.rng(f"sweep {number}"), model=model)
     interval = (distance - 1.0, distance + 1.0)
     subtracted = rejection.open_water(cube, interval=interval)
-    every = cubes.without_groups(cube).isel(
+    recorded = cubes.without_groups(cube).isel(
         modulation_frequency=slice(None, None, len(frequency) // _JOINT_COUNT)
     )
     # One pixel cannot tell where the receiver points; here it is known.
     joint = rejection.joint(
-        every, interval=interval, receiver_direction_uncertainty=0.0
+        recorded, interval=interval, receiver_direction_uncertainty=0.0
     )
     shots = cube.amulor.open_water
     water = (shots["in_phase"] + 1j * shots["quadrature"]).mean("shot")
@@ -203,7 +206,7 @@ def _experiment(
         signal=cube.amulor.signal.values.ravel(),
         water=water_signal,
         subtracted=subtracted.amulor.signal.values.ravel(),
-        joint_frequency=every["modulation_frequency"].values,
+        joint_frequency=recorded["modulation_frequency"].values,
         joint=joint.amulor.signal.values.ravel(),
         joint_range=(
             float(joint["joint_slant_range"].item()),
@@ -267,11 +270,15 @@ def _survey(
 
 def _target(cube: xr.Dataset) -> Complex:
     truth = cube.amulor.truth
-    both: Complex = (truth["target_in_phase"] + 1j * truth["target_quadrature"]).values
-    return both.ravel()
+    signal: Complex = (
+        truth["target_in_phase"] + 1j * truth["target_quadrature"]
+    ).values
+    return signal.ravel()
 
 
 def _water(cube: xr.Dataset) -> Floats:
     truth = cube.amulor.truth
-    both: Floats = np.hypot(truth["water_in_phase"], truth["water_quadrature"]).values
-    return both.ravel()
+    amplitude: Floats = np.hypot(
+        truth["water_in_phase"], truth["water_quadrature"]
+    ).values
+    return amplitude.ravel()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,14 @@ from amulor.imaging import metrics
 from amulor.optics import low_pass, ranging
 from amulor.simulation import DiffusionModel, backscatter, simulate
 from amulor.studies.ladder import treads
-from amulor.studies.ricci2010.results import Check, holds
+from amulor.studies.ricci2010.results import Check, Statements
 from amulor.studies.ricci2010.scenes.scan_surveys import (
     ScanField,
-    ScanWater,
     around,
     images,
     survey_of,
+    table,
+    water_of,
 )
 from amulor.studies.ricci2010.study import Study
 from amulor.survey import Survey
@@ -33,12 +35,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Steps:
-    """What a range image says about the ladder."""
+    """Comparison of a range image with the ladder."""
 
     heights: Floats
-    """Heights of the steps; not numbers where too few pixels have a range [m]."""
+    """Heights of the steps; NaN where too few pixels have a range [m]."""
     uncertainties: Floats
-    """Their standard uncertainties; of noise alone with the water left in [m]."""
+    """Standard uncertainties; of noise alone before subtraction [m]."""
     noise: float
     """Scatter of the slant range among the lines, on the treads [m]."""
     error: float
@@ -46,47 +48,48 @@ class Steps:
     pixels: int
     """Pixels on the treads that have a range [1]."""
     wanted: int
-    """Pixels on the treads [1]."""
+    """Number of pixels on the treads [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LadderScan:
-    """One scan of the ladder, with and without its water signal."""
+    """Scan of the ladder, with and without its water signal."""
 
     survey: Survey
-    """What was simulated."""
+    """Simulated survey."""
     truth: Floats
     """True slant range, shape (row, column) [m]."""
     treads: NDArray[np.intp]
     """Tread of each pixel, counted from 1; 0 near edges."""
     water_ratio: dict[str, float]
-    """Channel to mean of the water signal over that of the ladder [1]."""
+    """Mean of the water signal over that of the ladder, by channel [1]."""
     raw: dict[str, xr.Dataset]
-    """Channel to range image with the water left in."""
+    """Range image with its water signal, by channel."""
     subtracted: dict[str, xr.Dataset]
-    """Channel to range image with open water subtracted."""
+    """Range image after subtraction of open water, by channel."""
     stated: dict[str, xr.Dataset]
-    """Channel to the raw range image that knows about its water: the shift stands as
-    a bias, and pixels with too much water have no range. Without polarizers only."""
+    """Range image by frequency alone, by channel: the shift by water is a stated bias,
+    and pixels with too much water have no range. Without polarizers only.
+    """
 
     def farthest(self, image: xr.Dataset) -> float:
-        """Return where the farthest tread stands in one of the images."""
+        """Return the forward coordinate of the farthest tread in an image [m]."""
         cloud = imaging.point_cloud(image)
         tread = self.treads[cloud["row"].values, cloud["column"].values]
         return float(cloud["z"].values[tread == 1].mean())
 
     def off(self, image: xr.Dataset) -> Floats:
-        """Return how far the steps in one of the images are off."""
+        """Return the errors of the steps in an image [m]."""
         true = np.diff(np.concatenate([[0.0], _heights(self.survey)]))
         wrong: Floats = self.steps(image).heights - true
         return wrong
 
     def steps(self, image: xr.Dataset) -> Steps:
-        """Compare one of the images with the ladder."""
+        """Compare an image with the ladder."""
         on = self.treads > 0
         error = np.where(on, image["slant_range"].values - self.truth, np.nan)
-        known = np.isfinite(error)
-        lines = known.sum(axis=0)
+        valid = np.isfinite(error)
+        lines = valid.sum(axis=0)
         several = lines > 1
         values = error[:, several]
         count = self.treads.max()
@@ -96,7 +99,7 @@ class LadderScan:
             heights = uncertainties = np.full(count - 1, np.nan)
         else:
             heights = np.array([step.height for step in result])
-            # With the water left in, the image states no error: the noise is known.
+            # Before subtraction the image states no error, but its noise is known.
             uncertainties = np.array(
                 [
                     step.random if math.isnan(step.uncertainty) else step.uncertainty
@@ -107,8 +110,8 @@ class LadderScan:
             heights=heights,
             uncertainties=uncertainties,
             noise=_root_mean(np.nanvar(values, axis=0, ddof=1)),
-            error=_root_mean(error[known] ** 2),
-            pixels=int(known.sum()),
+            error=_root_mean(error[valid] ** 2),
+            pixels=int(valid.sum()),
             wanted=int(on.sum()),
         )
 
@@ -123,22 +126,54 @@ def _root_mean(squares: Floats) -> float:
     return float(np.sqrt(squares.mean())) if squares.size else math.nan
 
 
-def _scan(study: Study, survey: Survey, *, label: str) -> LadderScan:
+def _ladder(study: Study) -> str:
+    steps = [study["first_step"], *[study["other_steps"]] * 3]
+    heights = ", ".join(f'"{write(step, "length")}"' for step in steps)
+    return f"""
+kind = "staircase"
+tread_width = "{write(study["tread_width"], "length")}"
+step_heights = [{heights}]
+height = "6 cm"
+"""
+
+
+def _scan(study: Study, *, scan: str) -> LadderScan:
+    """Simulate and process a scan of `scans.toml`."""
+    row = table()["ladder"][scan]
+    distance = study[row["distance"]]
+    # The field is 10 cm x 4 cm on the ladder.
+    closer = study["short_distance"] / distance
+    coarser = row["quick"] if study.quick else 1
+    survey = survey_of(
+        study,
+        name=row["name"],
+        water=water_of(study, row["water"]),
+        field=ScanField(
+            distance=distance,
+            baseline=study[row["baseline"]],
+            columns=round(study["scan_columns"] / coarser),
+            rows=round(study["scan_rows"] / coarser),
+            width=2 * math.atan(math.tan(study["scan_width"] / 2) * closer),
+            height=2 * math.atan(math.tan(study["scan_height"] / 2) * closer),
+        ),
+        target=_ladder(study),
+        polarizations=row["polarizations"],
+    )
     interval = around(survey.targets[0].position[2])
     # The paper's form of the water, whatever the default is.
-    cube = simulate(survey, rng=study.rng(label), model=DiffusionModel())
+    cube = simulate(survey, rng=study.rng(row["label"]), model=DiffusionModel())
     truth = cube.amulor.truth
     on = treads(survey)
     water = np.hypot(truth["water_in_phase"], truth["water_quadrature"]).values[0]
     echo = np.hypot(truth["target_in_phase"], truth["target_quadrature"]).values[0]
     channels = survey.instrument.polarizations
-    stated: dict[str, xr.Dataset] = {}
+    by_frequency: dict[str, xr.Dataset] = {}
     if len(channels) == 1:
         frequency = study["frequency"]
-        one = rejection.frequency(
+        target = rejection.frequency(
             cube, modulation_frequency=frequency, interval=interval
         )
-        stated = images(one, interval=interval)
+        by_frequency = images(target, interval=interval)
     return LadderScan(
         survey=survey,
         truth=truth["slant_range"].values,
@@ -151,130 +186,14 @@ def _scan(study: Study, survey: Survey, *, label: str) -> LadderScan:
         subtracted=images(
             rejection.open_water(cube, interval=interval), interval=interval
         ),
-        stated=stated,
+        stated=by_frequency,
     )
 
 
-def _ladder(study: Study) -> str:
-    steps = [study["first_step"], *[study["other_steps"]] * 3]
-    heights = ", ".join(f'"{write(step, "length")}"' for step in steps)
-    return f"""
-kind = "staircase"
-tread_width = "{write(study["tread_width"], "length")}"
-step_heights = [{heights}]
-height = "6 cm"
-"""
-
-
-def _field(
-    study: Study, *, distance: float, baseline: float, coarser: int = 1
-) -> ScanField:
-    """Return the 10 cm x 4 cm of the ladder as seen from a distance."""
-    closer = study["short_distance"] / distance
-    return ScanField(
-        distance=distance,
-        baseline=baseline,
-        columns=round(study["scan_columns"] / coarser),
-        rows=round(study["scan_rows"] / coarser),
-        width=2 * math.atan(math.tan(study["scan_width"] / 2) * closer),
-        height=2 * math.atan(math.tan(study["scan_height"] / 2) * closer),
-    )
-
-
-def _coarser(study: Study) -> int:
-    """Return how much coarser a quick scan is; no noise is measured in these."""
-    return 2 if study.quick else 1
-
-
-def _clear_water(study: Study) -> ScanWater:
-    """Return the tap water of the short tank."""
-    return ScanWater(
-        attenuation=study["attenuation_tap"],
-        second_moment=study["second_moment_low"],
-        backscatter=study["scan_backscatter"],
-        m22=study["clear_m22"],
-        fluctuation=study["clear_fluctuation"],
-    )
-
-
-def _milk(study: Study) -> ScanWater:
-    """Return the short tank's water with the most milk."""
-    return ScanWater(
-        attenuation=study["milk_attenuation"],
-        second_moment=study["second_moment_high"],
-        backscatter=study["scan_backscatter"],
-        m22=study["milk_m22"],
-        fluctuation=study["milk_fluctuation"],
-    )
-
-
-def unpolarized_clear(study: Study) -> LadderScan:
-    """Scan the ladder in clear water at 1.5 m without polarizers."""
-    survey = survey_of(
-        study,
-        name="Ladder in clear water, no polarizers",
-        water=_clear_water(study),
-        field=_field(
-            study,
-            distance=study["short_distance"],
-            baseline=study["short_baseline"],
-            coarser=_coarser(study),
-        ),
-        target=_ladder(study),
-        polarizations=["none"],
-    )
-    return _scan(study, survey, label="ladder, clear, no polarizers")
-
-
-def unpolarized_turbid(study: Study) -> LadderScan:
-    """Scan the ladder in thin, turbid water at 3.7 m without polarizers."""
-    water = ScanWater(
-        attenuation=study["ladder_attenuation"],
-        second_moment=study["second_moment_low"],
-        backscatter=study["long_backscatter"],
-        m22=study["milk_m22"],
-        # The water signal of the long tank is as steady as in its sweeps.
-        fluctuation=study["amplitude_noise"],
-    )
-    survey = survey_of(
-        study,
-        name="Ladder in turbid water, no polarizers",
-        water=water,
-        field=_field(
-            study,
-            distance=study["turbid_distance"],
-            baseline=study["long_baseline"],
-            coarser=_coarser(study),
-        ),
-        target=_ladder(study),
-        polarizations=["none"],
-    )
-    return _scan(study, survey, label="ladder, turbid, no polarizers")
-
-
-def polarized_clear(study: Study) -> LadderScan:
-    """Scan the ladder in clear water, crossed and parallel."""
-    return _polarized(study, _clear_water(study), name="clear water")
-
-
-def polarized_milk(study: Study) -> LadderScan:
-    """Scan the ladder in milk, crossed and parallel."""
-    return _polarized(study, _milk(study), name="milk")
-
-
-def _polarized(study: Study, water: ScanWater, *, name: str) -> LadderScan:
-    survey = survey_of(
-        study,
-        name=f"Ladder in {name}",
-        water=water,
-        field=_field(
-            study, distance=study["short_distance"], baseline=study["short_baseline"]
-        ),
-        target=_ladder(study),
-        polarizations=["VH", "VV"],
-    )
-    return _scan(study, survey, label=f"ladder, {name}")
-
+# The study remembers results by function, so each scan has its own.
+unpolarized_clear, unpolarized_turbid, polarized_clear, polarized_milk = (
+    partial(_scan, scan=scan) for scan in table()["ladder"]
+)
 
 #: Panels of figures 13 and 14: title, scan, channel.
 PANELS = (
@@ -286,14 +205,14 @@ PANELS = (
 
 
 def cut_off(survey: Survey, *, end: float | None = None) -> float:
-    """Return the cut-off of the water signal in the middle of a scan."""
+    """Return the cut-off of the water signal in the middle of a scan [Hz]."""
     ended = survey.water.model_copy(update={"column_end": end})
-    shown = survey.model_copy(update={"water": ended})
-    return low_pass.cut_off(lambda f: backscatter.diffusion_response(shown, f))
+    changed = survey.model_copy(update={"water": ended})
+    return low_pass.cut_off(lambda f: backscatter.diffusion_response(changed, f))
 
 
 def phase_step(study: Study, height: float) -> float:
-    """Return the change of phase that a height stands for."""
+    """Return the phase change by a height [rad]."""
     interval = ranging.ambiguity_interval(
         study["frequency"], group_index=study["index"]
     )
@@ -301,9 +220,9 @@ def phase_step(study: Study, height: float) -> float:
 
 
 def steps_are_faithful(
-    study: Study, statement: str, steps: Steps, *, place: str
+    study: Study, rows: Statements, name: str, steps: Steps
 ) -> Check:
-    """Return the check that no step is off by more than the phase error stands for."""
+    """Check that each step is right within the phase error of the apparatus."""
     interval = ranging.ambiguity_interval(
         study["frequency"], group_index=study["index"]
     )
@@ -311,43 +230,36 @@ def steps_are_faithful(
     true = np.array([study["first_step"], *[study["other_steps"]] * 3])
     off = (steps.heights - true) * 1e3
     worst = float(off[np.argmax(np.abs(off))])
-    shown = ", ".join(f"{height * 1e3:.1f}" for height in steps.heights)
-    return replace(
-        holds(
-            statement,
-            abs(worst) <= limit,
-            found=f"{shown} mm",
-            wanted=", ".join(f"{height * 1e3:.0f}" for height in true)
-            + f" mm, each within {limit:.1f} mm, what 0.25 degrees stand for",
-            place=place,
-        ),
-        value=worst,
+    check = rows.holds(
+        name,
+        abs(worst) <= limit,
+        ", ".join(f"{height * 1e3:.1f}" for height in steps.heights) + " mm",
+        wanted=", ".join(f"{height * 1e3:.0f}" for height in true)
+        + f" mm, each within {limit:.1f} mm, what 0.25 degrees stand for",
     )
+    return replace(check, value=worst)
 
 
 def steps_agree(
-    study: Study,
-    statement: str,
-    steps: Steps,
-    *,
-    place: str,
-    significance: float = 3.0,
+    study: Study, rows: Statements, name: str, steps: Steps, **words: str
 ) -> Check:
-    """Return the check that the steps of the ladder are right."""
+    """Check that the steps agree with the ladder within three standard errors."""
     true = np.array([study["first_step"], *[study["other_steps"]] * 3])
     off = np.abs(steps.heights - true) / steps.uncertainties
-    result = ", ".join(
+    text = ", ".join(
         f"{height * 1e3:.1f} ± {error * 1e3:.1f}"
         for height, error in zip(steps.heights, steps.uncertainties, strict=True)
     )
-    if not np.isfinite(off).all():
-        result = f"no range on {steps.wanted - steps.pixels} of {steps.wanted} pixels"
-    wanted = ", ".join(f"{height * 1e3:.0f}" for height in true)
-    check = holds(
-        statement,
-        bool((off <= significance).all()),
-        found=result if "no range" in result else f"{result} mm",
-        place=place,
-        wanted=f"{wanted} mm, each within {significance:g} standard errors",
+    if np.isfinite(off).all():
+        text = f"{text} mm"
+    else:
+        text = f"no range on {steps.wanted - steps.pixels} of {steps.wanted} pixels"
+    heights = ", ".join(f"{height * 1e3:.0f}" for height in true)
+    check = rows.holds(
+        name,
+        bool((off <= 3.0).all()),
+        text,
+        wanted=f"{heights} mm, each within 3 standard errors",
+        **words,
     )
     return replace(check, value=float(np.max(off)))

@@ -1,4 +1,4 @@
-"""The tank of milk: its light, its quadrature and its scans."""
+"""The tank of milk: its light by quadrature and photons, and its scans."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ WALL_START = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Milk:
-    """What the particles of milk scatter, at `ANGLES`."""
+    """Scattering by the particles of milk, at `ANGLES`."""
 
     value: Array
     """Phase function, shape (angles,) [1/sr]."""
@@ -58,17 +58,17 @@ class Milk:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """Where laser, receiver and plate of the short tank stand: right, down, forward."""
+    """Places of laser, receiver and plate of the short tank: right, down, forward."""
 
     laser: Array
-    """Where the beam starts, shape (3,) [m]."""
+    """Start of the beam, shape (3,) [m]."""
     receiver: GaussianReceiver
     """Receiver, aimed at the middle of the line; it stands still."""
     distance: float
-    """Plane of the plate, forward [m]."""
+    """Forward coordinate of the plate [m]."""
 
     def beam(self, place: ArrayLike) -> Array:
-        """Return the direction of the beam to places on the line, shape (..., 3)."""
+        """Return the direction of the beam to points on the line, shape (..., 3)."""
         x = np.asarray(place, dtype=np.float64)
         end = np.stack([x, 0 * x, np.full_like(x, self.distance)], axis=-1)
         way = end - self.laser
@@ -77,7 +77,7 @@ class Bench:
 
 
 def bench(study: Study) -> Bench:
-    """Return the places of the short tank."""
+    """Return the bench of the short tank."""
     baseline, distance = study["short_baseline"], study["short_distance"]
     fraction = study["plate_normal"]
     laser = np.array([-fraction * baseline, 0.0, 0.0])
@@ -92,12 +92,12 @@ def bench(study: Study) -> Bench:
 
 
 def places(count: int = PIXELS) -> Array:
-    """Return the places of pixels on the plate, to the right of its middle [m]."""
+    """Return the positions of pixels on the plate, to the right of its middle [m]."""
     return np.linspace(-LINE / 2, LINE / 2, count)
 
 
 def milk(study: Study) -> Milk:
-    """Return what the particles of milk scatter."""
+    """Return the scattering by the particles of milk."""
     share = study["casein_share"]
     main = _spheres(study, study["milk_diameter"], study["milk_index"])
     if share == 0:
@@ -116,7 +116,7 @@ def milk(study: Study) -> Milk:
 
 
 def _spheres(study: Study, diameter: float, index: float) -> mie.Suspension:
-    """Return spheres of a volume-to-surface diameter; only ratios mean anything."""
+    """Return spheres of a volume-to-surface diameter; only ratios are meaningful."""
     spread = np.sqrt(np.log1p(study["milk_spread"] ** 2))
     step = np.linspace(-3.5, 3.5, 71)
     number = np.exp(-0.5 * step**2)
@@ -133,7 +133,7 @@ def _spheres(study: Study, diameter: float, index: float) -> mie.Suspension:
 
 
 def medium(study: Study, attenuation: float) -> Medium:
-    """Return tap water with as much milk as an attenuation needs.
+    """Return tap water with enough milk for an attenuation.
 
     The matrix of anisotropic molecules is that of J. E. Hansen and L. D. Travis,
     Space Sci. Rev. 16, 527 (1974), eqs. (2.15) and (2.16). Milk absorbs less than a
@@ -151,12 +151,12 @@ def medium(study: Study, attenuation: float) -> Medium:
     )
     added = attenuation - tap
     fraction = added / (added + molecules)
-    own = (1 - fraction) * molecular_phase_function(ANGLES)
-    other = fraction * spheres.value
-    value = own + other
+    of_water = (1 - fraction) * molecular_phase_function(ANGLES)
+    of_milk = fraction * spheres.value
+    value = of_water + of_milk
     matrix = (
-        own[:, None, None] * water_matrix(ANGLES)
-        + other[:, None, None] * spheres.matrix
+        of_water[:, None, None] * water_matrix(ANGLES)
+        + of_milk[:, None, None] * spheres.matrix
     ) / value[:, None, None]
     return Medium.homogeneous(
         absorption=tap - molecules,
@@ -175,18 +175,18 @@ def water_matrix(angle: ArrayLike) -> Array:
     cosine = np.cos(np.asarray(angle, dtype=np.float64))
     delta = DEPOLARIZATION_RATIO
     ordered = (1 - delta) / (1 + delta / 2)
-    whole = 0.75 * ordered * (1 + cosine**2) + 1 - ordered
+    intensity = 0.75 * ordered * (1 + cosine**2) + 1 - ordered
     return particles(
-        m12=-0.75 * ordered * (1 - cosine**2) / whole,
-        m22=0.75 * ordered * (1 + cosine**2) / whole,
-        m33=1.5 * ordered * cosine / whole,
+        m12=-0.75 * ordered * (1 - cosine**2) / intensity,
+        m22=0.75 * ordered * (1 + cosine**2) / intensity,
+        m33=1.5 * ordered * cosine / intensity,
         m34=0.0,
-        m44=1.5 * ordered * (1 - 2 * delta) / (1 - delta) * cosine / whole,
+        m44=1.5 * ordered * (1 - 2 * delta) / (1 - delta) * cosine / intensity,
     )
 
 
 def walls(study: Study) -> MeshTarget:
-    """Four walls of the tank along the beam, from the window to the plate."""
+    """Return four walls of the tank along the beam, from the window to the plate."""
     half = study["tank_width"] / 2
     corners = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
     ends = (WALL_START, study["short_distance"])
@@ -218,12 +218,12 @@ class LineLight:
     """Light of one pair of states along a line, per launched light."""
 
     water: Complex
-    """Light that met water only, shape (pixels,) [1]."""
+    """Light of the water only, shape (pixels,) [1]."""
     target: Complex
-    """Light that met the plate, shape (pixels,) [1]."""
+    """Light of the plate, shape (pixels,) [1]."""
     batches: Complex
-    """What each batch of the Monte Carlo deviates from their mean, shape (batches,
-    pixels) [1]."""
+    """Deviation of each Monte Carlo batch from the mean, shape (batches, pixels) [1].
+    """
 
     @property
     def signal(self) -> Complex:
@@ -232,7 +232,7 @@ class LineLight:
 
     @property
     def phase_batches(self) -> Array:
-        """What each batch deviates from the phase, shape (batches, pixels) [rad]."""
+        """Phase deviation of each batch, shape (batches, pixels) [rad]."""
         deviation: Array = (self.batches / self.signal).imag
         return deviation
 
@@ -240,7 +240,7 @@ class LineLight:
 def scattered_more(
     study: Study, water: Medium, place: Array, *, histories: int, plate_there: bool
 ) -> dict[str, Complex]:
-    """Return what the water scatters more than once, by polarized Monte Carlo."""
+    """Return the light scattered more than once by water, by polarized Monte Carlo."""
     target = _plate(study) if plate_there else None
     return _traced(study, water, place, histories, water_parts, target=target)
 
@@ -248,7 +248,7 @@ def scattered_more(
 def reflected_and_scattered(
     study: Study, water: Medium, place: Array, *, histories: int
 ) -> dict[str, Complex]:
-    """Return what is scattered on the way to or from the plate."""
+    """Return the light scattered on the way to or from the plate."""
     traced = _traced(
         study, water, place, histories, plate_parts, target=_plate(study), wider=WIDER
     )
@@ -263,7 +263,7 @@ def reflected_and_scattered(
 def returned_by_walls(
     study: Study, water: Medium, place: Array, *, histories: int
 ) -> dict[str, Complex]:
-    """Trace the light scattered to and by the walls of the tank, up to the receiver."""
+    """Return the light scattered to and by the walls of the tank, to the receiver."""
     return _traced(study, water, place, histories, plate_parts, target=walls(study))
 
 
@@ -287,14 +287,16 @@ def _traced(
     wider: float = 1.0,
 ) -> dict[str, Complex]:
     """Return parts of the light of a polarized Monte Carlo, shape (n, batches)."""
-    here = study.once(bench)
+    table = study.once(bench)
     result: dict[str, list[Complex]] = {pair: [] for pair in PAIRS}
     for launched in "VR":
-        for direction in here.beam(place):
+        for direction in table.beam(place):
             tally = simulate(
                 water,
-                Source(position=here.laser, direction=direction, polarization=launched),
-                widened(here.receiver, wider),
+                Source(
+                    position=table.laser, direction=direction, polarization=launched
+                ),
+                widened(table.receiver, wider),
                 [study["frequency"]],
                 histories=histories,
                 seed=study.seed,
@@ -332,19 +334,19 @@ def line_light(study: Study, attenuation: float) -> dict[str, LineLight]:
     histories = 8_192 if study.quick else 98_304
     if attenuation <= study["attenuation_tap"]:
         histories //= 2  # little is scattered there
-    more = scattered_more(
+    multiple = scattered_more(
         study, water, nodes, histories=histories // 4, plate_there=True
     )
     spread = reflected_and_scattered(study, water, nodes, histories=histories)
     if study["wall_reflectance"] > 0:
         sides = returned_by_walls(study, water, nodes, histories=histories // 4)
         # As many batches as of the water: both have as many paths.
-        more = {pair: more[pair] + sides[pair] for pair in PAIRS}
+        multiple = {pair: multiple[pair] + sides[pair] for pair in PAIRS}
     lines = {}
     for pair in PAIRS:
-        by_batch = join @ (more[pair] + spread[pair])
+        by_batch = join @ (multiple[pair] + spread[pair])
         lines[pair] = LineLight(
-            water=once[pair] + join @ more[pair].mean(axis=1),
+            water=once[pair] + join @ multiple[pair].mean(axis=1),
             target=direct[pair] + join @ spread[pair].mean(axis=1),
             batches=(by_batch - by_batch.mean(axis=1, keepdims=True)).T,
         )
@@ -352,24 +354,26 @@ def line_light(study: Study, attenuation: float) -> dict[str, LineLight]:
 
 
 def open_water(study: Study, attenuation: float) -> dict[str, Complex]:
-    """Return the light along a line with the plate taken away."""
+    """Return the light along a line without the plate."""
     water = medium(study, attenuation)
     nodes, join = _nodes(study)
     histories = 2_048 if study.quick else 32_768
-    more = scattered_more(study, water, nodes, histories=histories, plate_there=False)
+    multiple = scattered_more(
+        study, water, nodes, histories=histories, plate_there=False
+    )
     # Light from beyond 40 m is below 1e-4 of the rest.
     once = _once(study, water, until=40.0)
-    return {pair: once[pair] + join @ more[pair].mean(axis=1) for pair in PAIRS}
+    return {pair: once[pair] + join @ multiple[pair].mean(axis=1) for pair in PAIRS}
 
 
 def _nodes(study: Study) -> tuple[Array, Array]:
-    """Return the places of the Monte Carlo [m], and what joins them to all pixels."""
+    """Return the Monte Carlo positions [m], and their interpolation to all pixels."""
     nodes = chebyshev.chebpts2(3 if study.quick else 5)
     return nodes * LINE / 2, interpolation(nodes, places() / (LINE / 2), degree=2)
 
 
 def _once(study: Study, water: Medium, *, until: float) -> dict[str, Complex]:
-    """Return what water scatters once at all pixels, from eleven places."""
+    """Return the light scattered once by water at all pixels, from eleven positions."""
     nodes = chebyshev.chebpts2(11)
     join = interpolation(nodes, places() / (LINE / 2), degree=10)
     light = scattered_once(study, water, nodes * LINE / 2, until=until)
@@ -395,7 +399,7 @@ def scattered_once(
     beam = study.once(bench).beam(place)[:, None, :]
     slant = depth[:, None] / beam[..., 2:]
     point = study.once(bench).laser + slant * beam
-    back, seen, way = _face(study.once(bench).receiver, point)
+    back, solid_angle, way = _face(study.once(bench).receiver, point)
     cosine = np.sum(back * beam[..., None, :], axis=-1)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     layer = water.layers[0]
@@ -404,7 +408,7 @@ def scattered_once(
     light = (
         layer.scattering
         * matrix.phase_function(angle)
-        * seen
+        * solid_angle
         * _phasor(study, water, slant + way)
         * (step[:, None] / beam[..., 2:])
     )
@@ -422,17 +426,17 @@ def scattered_once(
 def reflected_at_once(
     study: Study, water: Medium, place: Array, *, wider: float = 1.0
 ) -> dict[str, Complex]:
-    """Return the light that comes back from the plate unscattered, by quadrature."""
-    here = study.once(bench)
-    receiver = widened(here.receiver, wider)
-    point = np.stack([place, 0 * place, np.full_like(place, here.distance)], axis=-1)
-    back, seen, way = _face(receiver, point)
-    slant = np.linalg.norm(point - here.laser, axis=-1)[:, None]
+    """Return the unscattered light of the plate, by quadrature."""
+    table = study.once(bench)
+    receiver = widened(table.receiver, wider)
+    point = np.stack([place, 0 * place, np.full_like(place, table.distance)], axis=-1)
+    back, solid_angle, way = _face(receiver, point)
+    slant = np.linalg.norm(point - table.laser, axis=-1)[:, None]
     light = np.sum(
         study["plate_reflectance"]
         / np.pi
         * -back[..., 2]
-        * seen
+        * solid_angle
         * _phasor(study, water, slant + way),
         axis=-1,
     )
@@ -441,27 +445,27 @@ def reflected_at_once(
 
 
 def interpolation(nodes: Array, at: Array, *, degree: int) -> Array:
-    """Return the matrix that joins values at nodes by a polynomial."""
+    """Return the matrix of polynomial interpolation from nodes to all pixels."""
     fit = np.linalg.pinv(chebyshev.chebvander(nodes, degree))
     matrix: Array = chebyshev.chebvander(at, degree) @ fit
     return matrix
 
 
 def _passed(matrix: Array, pair: str) -> float:
-    """Return the fraction of the reflected light that passes the analyser of a pair."""
+    """Return the fraction of the reflected light that passes the analyzer of a pair."""
     launched, analysed = pair_states(pair)
     return float(0.5 * state(analysed) @ matrix @ state(launched))
 
 
 def _phasor(study: Study, water: Medium, way: Array) -> Complex:
-    """Return attenuation and delay on a way [m]."""
+    """Return attenuation and delay over a distance [m], as a phasor."""
     wave = 2 * np.pi * study["frequency"] * water.group_index / speed_of_light
     phasor: Complex = np.exp((1j * wave - water.layers[0].attenuation) * way)
     return phasor
 
 
 def _face(receiver: GaussianReceiver, point: Array) -> tuple[Array, Array, Array]:
-    """Return how points see the parts of the receiver's face.
+    """Return the view of the parts of the receiver's face from points.
 
     Directions to the parts, shape (..., parts, 3), their areas over squared distance
     weighted by what the receiver takes from there [sr], and distances [m]. For each
@@ -500,8 +504,8 @@ def _face(receiver: GaussianReceiver, point: Array) -> tuple[Array, Array, Array
         - (along**2 + across**2) / receiver.radius**2
         - (angle / receiver.acceptance_angle) ** 2
     )
-    seen = np.exp(exponent) * np.maximum(cosine, 0.0) / distance**2
-    return way, np.pi * width[..., None] ** 2 * weight / 6 * seen, distance
+    solid_angle = np.exp(exponent) * np.maximum(cosine, 0.0) / distance**2
+    return way, np.pi * width[..., None] ** 2 * weight / 6 * solid_angle, distance
 
 
 def widened(receiver: GaussianReceiver, factor: float) -> GaussianReceiver:

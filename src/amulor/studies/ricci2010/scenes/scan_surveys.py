@@ -1,10 +1,14 @@
-"""The surveys of the scans: the study's instrument before a target in some water."""
+"""Surveys of the scans: the study's instrument before a target in some water."""
 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
 
 import xarray as xr
 
@@ -17,7 +21,7 @@ from amulor.units import write
 
 @dataclass(frozen=True, kw_only=True)
 class ScanWater:
-    """What the water of a scan is like."""
+    """Optical properties of the water of a scan."""
 
     attenuation: float
     """Attenuation coefficient [1/m]."""
@@ -31,12 +35,25 @@ class ScanWater:
     """Relative change of the water signal from sample to sample [1]."""
 
 
+@cache
+def table() -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the waters and scans of `scans.toml`."""
+    path = resources.files("amulor.studies.ricci2010") / "scans.toml"
+    return tomllib.loads(path.read_text(encoding="utf-8"))
+
+
+def water_of(study: Study, name: str) -> ScanWater:
+    """Return a water of `scans.toml`."""
+    names = table()["waters"][name]
+    return ScanWater(**{field: study[number] for field, number in names.items()})
+
+
 @dataclass(frozen=True, kw_only=True)
 class ScanField:
-    """Where a scan is made, and over how much."""
+    """Geometry of a scan: distance, baseline and pixels."""
 
     distance: float
-    """Distance of the target, which the receiver is aimed at [m]."""
+    """Distance of the target, at which the receiver is aimed [m]."""
     baseline: float
     """Distance of the receiver from the beam [m]."""
     columns: int
@@ -119,7 +136,7 @@ repeats = {round(study["open_water_repeats"])}
 
 
 def around(distance: float) -> tuple[float, float]:
-    """Return the slant ranges that somebody who set up a target holds possible."""
+    """Return the slant ranges around a target that its operator would state [m]."""
     return max(distance - 1.0, 0.2), distance + 1.0
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.studies.ricci2010.results import Check, Role, within
+from amulor.studies.ricci2010.results import Check, Statements
 from amulor.studies.ricci2010.scenes.milk import (
     PIXELS,
     LineLight,
@@ -29,7 +29,7 @@ TURBIDITIES: dict[str, str] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """Phase along a line behind one pair of polarizers, advance counted upwards.
+    """Phase along a line behind one pair of polarizers, counted as an advance.
 
     Light of the water comes back before that of the plate, and the phase that the paper
     draws grows with its share: what it counts is an advance, not a delay.
@@ -54,7 +54,7 @@ class Line:
 
 
 def _light_of(step: str) -> Callable[[Study], Lines]:
-    """Return what gives the light over the plate in one of the waters."""
+    """Return the function of the light over the plate in one of the waters."""
 
     def light(study: Study) -> Lines:
         return line_light(study, study[TURBIDITIES[step]])
@@ -63,7 +63,7 @@ def _light_of(step: str) -> Callable[[Study], Lines]:
 
 
 def _open_water_of(step: str) -> Callable[[Study], dict[str, Complex]]:
-    """Return what gives the light of one of the waters without the plate."""
+    """Return the function of the light of one of the waters without the plate."""
 
     def light(study: Study) -> dict[str, Complex]:
         return open_water(study, study[TURBIDITIES[step]])
@@ -108,25 +108,27 @@ def standard_error(batches: Array) -> float:
 
 
 def difference(study: Study, step: str, pairs: tuple[str, str]) -> tuple[float, float]:
-    """Return how much more a line drifts than another, and its standard error."""
-    one, other = (line(study, step, pair).drift for pair in pairs)
+    """Return the difference in drift of two lines, and its standard error."""
+    first, second = (line(study, step, pair).drift for pair in pairs)
     light, dark = (study.once(LIGHT[step])[pair].phase_batches for pair in pairs)
-    sign = np.sign(one * other)
-    return abs(one) - abs(other), standard_error((light - sign * dark) @ rise_weight())
+    sign = np.sign(first * second)
+    return abs(first) - abs(second), standard_error(
+        (light - sign * dark) @ rise_weight()
+    )
 
 
 def corrected(study: Study, step: str, pair: str) -> Array:
-    """Return the phase that is left after the signal of open water is subtracted."""
+    """Return the phase after subtraction of the signal of open water [degrees]."""
     light = study.once(LIGHT[step])[pair]
     water = study.once(OPEN_WATER[step])[pair]
     return advance_along(light.signal - water)
 
 
 def rejected_share(study: Study, step: str, pairs: tuple[str, str]) -> float:
-    """Fraction of the water's light that an analyser lets pass nevertheless."""
+    """Return the fraction of the water's light that passes the crossed analyzer."""
     light = study.once(LIGHT[step])
-    little, much = (np.abs(light[pair].water) for pair in pairs)
-    return float(np.mean(little / (little + much)))
+    crossed, parallel = (np.abs(light[pair].water) for pair in pairs)
+    return float(np.mean(crossed / (crossed + parallel)))
 
 
 def water_over_plate(study: Study, step: str, pair: str) -> Array:
@@ -137,14 +139,14 @@ def water_over_plate(study: Study, step: str, pair: str) -> Array:
 
 
 def advance_along(signal: Complex) -> Array:
-    """Return how far a line is in advance of its first pixel [degrees]."""
+    """Return the phase advance along a line from its first pixel [degrees]."""
     delay: Array = np.degrees(np.unwrap(np.angle(signal)))
     advance: Array = delay[0] - delay
     return advance
 
 
 def rise_weight() -> Array:
-    """Return the weights with which a line through all pixels rises over the scan."""
+    """Return the pixel weights of the rise of a straight line over the scan."""
     pixel = np.arange(PIXELS) - 0.5 * (PIXELS - 1)
     weight: Array = pixel / (pixel @ pixel) * (PIXELS - 1)
     return weight
@@ -158,81 +160,42 @@ STRAIGHT = 0.15
 SURE = 2.0
 
 
-def drifts(
-    study: Study,
-    statement: str,
-    step: str,
-    pair: str,
-    *,
-    low: float,
-    high: float,
-    place: str,
-    role: Role | None = None,
-) -> Check:
-    """Return the check of a drift."""
-    result = line(study, step, pair)
-    check = within(
-        statement,
+def drift_check(study: Study, rows: Statements, name: str) -> Check:
+    """Check the drift of a line by the kind of its row: drift, flat or moves."""
+    result = line(study, *name.split("_"))
+    kind = rows.checks[name]["kind"]
+    check = rows.within(
+        name,
         result.drift,
-        low,
-        high,
-        place=place,
-        unit="deg",
+        {"flat": -FLAT, "moves": FLAT}.get(kind, -np.inf),
+        FLAT if kind == "flat" else np.inf,
         uncertainty=result.error,
-        role=role,
+        note=f" (fit to the synthetic line: {result.fitted:.2f} ± "
+        f"{result.fitted_error:.2f} deg)",
     )
-    return replace(
-        check,
-        found=f"{check.found} (fit to the synthetic line: "
-        f"{result.fitted:.2f} ± {result.fitted_error:.2f} deg)",
-    )
+    if kind == "flat":
+        return allowing(check, abs(result.drift) - SURE * result.error <= FLAT)
+    if kind == "moves":
+        return surely(check, result.drift - SURE * result.error >= FLAT)
+    return check
 
 
-def stays_flat(
-    study: Study,
-    statement: str,
-    step: str,
-    pair: str,
-    *,
-    place: str,
-    role: Role | None = None,
-) -> Check:
-    """Return the check that a drift stays within the phase error of the apparatus."""
+def straight_check(study: Study, rows: Statements, step: str, pair: str) -> Check:
+    """Check that a line drifts evenly."""
     result = line(study, step, pair)
-    check = drifts(
-        study, statement, step, pair, low=-FLAT, high=FLAT, place=place, role=role
-    )
-    return allowing(check, abs(result.drift) - SURE * result.error <= FLAT)
-
-
-def is_straight(study: Study, step: str, pair: str, *, place: str) -> Check:
-    """Return the check that a line drifts evenly."""
-    result = line(study, step, pair)
-    check = within(
-        f"({step}) {pair} drifts along a straight line: departure over drift",
-        result.bend,
-        0.0,
-        STRAIGHT,
-        place=place,
-        uncertainty=result.bend_error,
+    check = rows.within(
+        f"{step}_straight", result.bend, high=STRAIGHT, uncertainty=result.bend_error
     )
     return allowing(check, result.bend - SURE * result.bend_error <= STRAIGHT)
 
 
-def moves(study: Study, statement: str, step: str, pair: str, *, place: str) -> Check:
-    """Return the check that a line drifts beyond the phase error of the apparatus."""
-    result = line(study, step, pair)
-    check = drifts(study, statement, step, pair, low=FLAT, high=np.inf, place=place)
-    return surely(check, result.drift - SURE * result.error >= FLAT)
-
-
 def surely(check: Check, passed: bool) -> Check:
-    """Return a check that was decided with regard to the standard error."""
-    wanted = f"{check.wanted}, by {SURE:g} standard errors"
-    return replace(check, passed=bool(passed), wanted=wanted)
+    """Return a check that was passed by a margin of the standard error."""
+    requirement = f"{check.wanted}, by {SURE:g} standard errors"
+    return replace(check, passed=bool(passed), wanted=requirement)
 
 
 def allowing(check: Check, passed: bool) -> Check:
-    """Return a check that fails only beyond the standard error."""
-    wanted = f"{check.wanted}, within {SURE:g} standard errors"
-    return replace(check, passed=bool(passed), wanted=wanted)
+    """Return a check that allows for the standard error."""
+    requirement = f"{check.wanted}, within {SURE:g} standard errors"
+    return replace(check, passed=bool(passed), wanted=requirement)

@@ -1,4 +1,4 @@
-"""What each kind of milk and of tank makes of figures 10(d) and 12 at one time."""
+"""Figures 10(d) and 12 at one time, for kinds of milk, tank and plate."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ _BRIGHTER = (0.01, 100.0)
 
 @dataclass(frozen=True)
 class SetUp:
-    """One kind of milk, tank and plate."""
+    """Kind of milk, tank and plate."""
 
     group: str
-    """What is varied."""
+    """Varied quantity."""
     label: str
     """Its value."""
     numbers: Mapping[str, float]
-    """Numbers of the study that it changes, in the units of `amulor.units`."""
+    """Changed numbers of the study, in the units of `amulor.units`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drifts:
-    """What a set-up makes of the most milk, where VV drifts by `PARALLEL`."""
+    """Drifts of a set-up at the most milk, where VV drifts by `PARALLEL`."""
 
     set_up: SetUp
-    """Which one."""
+    """Set-up."""
     crossed: float
     """Drift of VH [degrees]."""
     crossed_error: float
-    """Its standard error, from the Monte Carlo [degrees]."""
+    """Standard error of the VH drift, from the Monte Carlo [degrees]."""
     same: float
     """Drift of RR [degrees]."""
     same_error: float
-    """Its standard error [degrees]."""
+    """Standard error of the RR drift [degrees]."""
     reflectance: float
-    """What the plate then reflects; more than 1 cannot be [1]."""
+    """Reflectance of the plate there; more than 1 is impossible [1]."""
 
 
 #: All that are compared, at the turbidity of figure 10(d).
@@ -84,7 +84,7 @@ SET_UPS = (
 
 
 def drifts(study: Study) -> tuple[Drifts, ...]:
-    """Return what all set-ups make of the lines."""
+    """Return the drifts of all set-ups."""
     return tuple(
         drifts_of(study, set_up)
         for set_up in (SET_UPS[::3] if study.quick else SET_UPS)
@@ -92,27 +92,27 @@ def drifts(study: Study) -> tuple[Drifts, ...]:
 
 
 def drifts_of(study: Study, set_up: SetUp) -> Drifts:
-    """Return what one set-up makes of the lines."""
+    """Return the drifts of one set-up."""
     numbers = dict(study.parameters)
     for name, value in set_up.numbers.items():
         numbers = varied(numbers, name, value)
-    other = study.with_parameters(numbers)
-    light = other.once(LIGHT["d"])
+    changed = study.with_parameters(numbers)
+    light = changed.once(LIGHT["d"])
 
     def excess(logarithm: float) -> float:
         return _drift(light["VV"], float(np.exp(logarithm)))[0] - PARALLEL
 
     scale = float(np.exp(brentq(excess, *np.log(_BRIGHTER), xtol=1e-6)))
-    (crossed, crossed_error), (same, same_error) = (
+    (crossed, crossed_error), (circular, circular_error) = (
         _drift(light[pair], scale) for pair in ("VH", "RR")
     )
     return Drifts(
         set_up=set_up,
         crossed=crossed,
         crossed_error=crossed_error,
-        same=same,
-        same_error=same_error,
-        reflectance=scale * other["plate_reflectance"],
+        same=circular,
+        same_error=circular_error,
+        reflectance=scale * changed["plate_reflectance"],
     )
 
 

@@ -66,7 +66,7 @@ class Water:
 
     @property
     def simple(self) -> dict[str, float]:
-        """The same where all attenuation is diffuse scattering."""
+        """Arguments of the diffusion form for diffuse scattering alone."""
         return {
             "absorption": 0.0,
             "forward_scattering": 0.0,
@@ -77,10 +77,10 @@ class Water:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Normalised amplitude in one model, and its cut-offs."""
+    """Normalized amplitude in one model, and its cut-offs."""
 
     name: str
-    """Model."""
+    """Name of the model."""
     amplitude: Floats
     """Amplitude over that at 0 Hz, at the frequencies of the sweep [1]."""
     cut_off: float
@@ -90,7 +90,7 @@ class Curve:
     of_power: float
     """Cut-off by a fit of (71) to their squares, the largest taken as 1 [Hz]."""
     at_cut_off: float
-    """Amplitude at the cut-off as it is reported, to 10 kHz [1]."""
+    """Amplitude at the reported cut-off, rounded to 10 kHz [1]."""
     cut_off_error: float = 0.0
     """Standard error of the half-power frequency [Hz]."""
     fitted_error: float = 0.0
@@ -100,7 +100,7 @@ class Curve:
     of_power_error: float = 0.0
     """Standard error of the cut-off by squares [Hz]."""
     of_power_ratio_error: float = 0.0
-    """Standard error of the same over the half-power cut-off [1]."""
+    """Standard error of the cut-off by squares over the half-power cut-off [1]."""
     band: Floats | None = None
     """Standard errors of the amplitudes [1]."""
 
@@ -114,7 +114,7 @@ class Squares:
     amplitude: Floats
     """Amplitudes over the true one at 0 Hz [1]."""
     made_with: float
-    """Half-power frequency of what they were made with [Hz]."""
+    """Half-power frequency of the underlying curve [Hz]."""
     fit: low_pass.LowPassFit
     """Free fit of (71) to amplitudes."""
     of_power: low_pass.LowPassFit
@@ -123,14 +123,14 @@ class Squares:
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """All that figure 3 or 4 shows."""
+    """Curves and measurements of figure 3 or 4."""
 
     turbidity: Turbidity
-    """Which of both."""
+    """Turbidity: "low" or "high"."""
     attenuation: float
     """Attenuation coefficient k [1/m]."""
     water: Water
-    """Its water."""
+    """Water of the sweep."""
     frequency: Floats
     """Modulation frequencies of the curves [Hz]."""
     simple: Curve
@@ -138,13 +138,15 @@ class Sweep:
     realistic: Curve
     """Solid: the diffusion form of the realistic water."""
     small_angle: Curve
-    """The small-angle form of the same water, which keeps unscattered light."""
+    """Small-angle form of the same water, which keeps unscattered light."""
     monte_carlo: Curve
     """Transport of all orders of scattering in the same water."""
     squares: Squares
     """Synthetic measurement of the realistic diffusion form."""
     first_order: Squares
-    """The same of a low-pass of first order with the same half-power frequency."""
+    """Synthetic measurement of a first-order low-pass with the same half-power
+    frequency.
+    """
 
     @property
     def curves(self) -> tuple[Curve, ...]:
@@ -158,12 +160,12 @@ def water(study: Study, turbidity: Turbidity) -> Water:
 
 
 def sweep(study: Study, turbidity: Turbidity) -> Sweep:
-    """Return what figure 3 (low) or 4 (high) shows."""
+    """Return the sweep of figure 3 (low) or 4 (high)."""
     return study.once(_SWEEP[turbidity])
 
 
 def receiver(study: Study) -> dict[str, float]:
-    """Return the receiver of the long tank, as the formulas take it."""
+    """Return the receiver of the long tank, as arguments of the formulas."""
     return {
         "baseline": study["long_baseline"],
         "receiver_radius": study["receiver_radius"],
@@ -184,7 +186,7 @@ def asymmetry(second_moment: float, *, split_angle: float) -> float:
 
 
 def forward_fraction(second_moment: float, *, split_angle: float) -> float:
-    """Return how much of Henyey-Greenstein of a second moment is forward."""
+    """Return the forward fraction of Henyey-Greenstein for a second moment."""
     g = asymmetry(second_moment, split_angle=split_angle)
     fraction, _ = henyey_greenstein_function(asymmetry=g).forward_split(split_angle)
     return float(fraction)
@@ -285,7 +287,7 @@ def _curve(name: str, response: Response, frequency: Floats) -> Curve:
     """Return the curve of a closed form."""
     corner = low_pass.cut_off(response)
     reported = round(corner, -4)
-    still, there = np.abs(response(np.array([0.0, reported])))
+    still, modulated = np.abs(response(np.array([0.0, reported])))
     amplitude = np.abs(response(frequency)) / still
     return Curve(
         name=name,
@@ -293,7 +295,7 @@ def _curve(name: str, response: Response, frequency: Floats) -> Curve:
         cut_off=corner,
         fitted=low_pass.fit(frequency, amplitude).cut_off,
         of_power=low_pass.fit_of_power(frequency, amplitude).cut_off,
-        at_cut_off=float(there / still),
+        at_cut_off=float(modulated / still),
     )
 
 
@@ -305,8 +307,8 @@ def _traced(tally: Tally) -> Curve:
     fits = (low_pass.fit, low_pass.fit_of_power)
     fitted, of_power = (f(frequency[1:], amplitude[1:]).cut_off for f in fits)
     corners = []
-    for kept in _left_out(tally):
-        part = np.abs(kept) / abs(kept[0])
+    for signal in _left_out(tally):
+        part = np.abs(signal) / abs(signal[0])
         half = float(np.interp(-math.sqrt(0.5), -part, frequency))
         corners.append([f(frequency[1:], part[1:]).cut_off for f in fits] + [half])
     free, power, halves = np.transpose(corners)
@@ -332,15 +334,15 @@ def _left_out(tally: Tally) -> list[Complex]:
     number = np.arange(values.shape[0])
     signals: list[Complex] = []
     for part in range(min(_PARTS, number.size)):
-        kept = number % _PARTS != part
+        chosen = number % _PARTS != part
         signals.append(
-            np.average(values[kept], axis=0, weights=tally.histories_of[kept])
+            np.average(values[chosen], axis=0, weights=tally.histories_of[chosen])
         )
     return signals
 
 
 def _jackknife(left_out: Floats) -> float:
-    """Return the standard error of what was found with one part left out in turn."""
+    """Return the jackknife standard error of values with one part left out in turn."""
     return math.sqrt((left_out.size - 1) * float(np.var(left_out)))
 
 

@@ -1,4 +1,4 @@
-"""What must reflect as much as section 8 needs, where milk makes the water turbid."""
+"""Reflectance of the white plate of section 8, for water that is turbid by milk."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ _PARTS = 16
 
 @dataclass(frozen=True)
 class Reflectance:
-    """What gives the stated ratio of water signal and echo."""
+    """Reflectance that gives the stated ratio of water signal and echo."""
 
     number: int
-    """Which experiment."""
+    """Number of the experiment."""
     value: float
     """Reflectance [1]."""
     error: float
@@ -82,8 +82,8 @@ def _reflectance(study: Study, *, number: int) -> Reflectance:
     )
     water, plate = (_batches(tally, name) for name in ("water", "target"))
 
-    def mean(kept: NDArray[np.bool_]) -> float:
-        light, echo = (x[kept].mean(axis=0) for x in (water, plate))
+    def mean(chosen: NDArray[np.bool_]) -> float:
+        light, echo = (x[chosen].mean(axis=0) for x in (water, plate))
         ratio = float(np.mean(np.abs(light) / np.abs(echo)))
         return ratio / study[f"mean_ratio_{number}"]
 
