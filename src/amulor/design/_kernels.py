@@ -228,7 +228,7 @@ def across(value: complex, along: complex) -> float:
     return (value.imag * along.real - value.real * along.imag) / square
 
 
-#: Most intervals on either side that are looked at.
+#: Largest number of intervals considered on either side.
 _MOST = 400
 
 

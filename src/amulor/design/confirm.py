@@ -206,7 +206,7 @@ LIGHT = 0.1
 #: three quarters of the delay by the phase function, over the root of 15 % of this
 #: squared and half the delay, rectangular, squared; `amulor.imaging.late_light` [1].
 TAKEN_OFF = 0.75 / math.hypot(0.15 * 0.75, 0.5 / math.sqrt(12))
-#: Share of the accuracy asked for up to which a shift by late light does not matter.
+#: Share of the required accuracy up to which a shift by late light is ignored.
 SHIFT = 0.25
 
 

@@ -329,7 +329,7 @@ WATERS: dict[str, tuple[str, dict[str, Any]]] = {
         for kind in ("IB", "II", "III", "1C", "3C", "5C")
     },
 }
-#: Distances that are looked at, evenly in their logarithm [m].
+#: Distances evaluated, evenly in their logarithm [m].
 _NEAREST, _FARTHEST, _STEPS = 0.3, 60.0, 160
 
 

@@ -195,7 +195,7 @@ def _farthest(survey: Survey, looks: Looks, depth: Floats) -> float:
     faded = _FADED / (2 * least) if least > 0 else _FARTHEST
     reach = max(1.5 * float(depth[-1]), min(faded, _FARTHEST))
     end = survey.water.column_end
-    # A target may stand at the end of the water, or be asked for behind it.
+    # A target may stand at the end of the water, or be evaluated behind it.
     return reach if end is None else max(min(reach, end), float(depth[-1]))
 
 

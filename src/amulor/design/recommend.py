@@ -155,7 +155,7 @@ def _error(
 _EDGE = 2e-3
 #: Candidates that a recommendation lists.
 _LISTED = 50
-#: Distances that are looked at between the first and the last asked one.
+#: Number of distances evaluated between the first and the last required one.
 _BETWEEN = 41
 
 
@@ -469,7 +469,7 @@ def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
 
 def _between(goal: Goal, errors: xr.DataArray) -> Between:
     """Largest error from the first to the last required distance."""
-    # The value that the asked share of the draws stays below, as in the search.
+    # The value not exceeded in the required share of draws, as in the search.
     error = errors.quantile(goal.accuracy.share, "draw", method="inverted_cdf")
     worst = error.isel(distance=int(error.argmax("distance")))
     return Between(distance=float(worst["distance"]), error=float(worst))

@@ -98,7 +98,7 @@ _READ = {
     "validity of the model": ("%", 1e2),
 }
 _UNITS = {"total error": "m", "scan time": "s"}
-#: Probabilities below this are not told apart.
+#: Smaller probabilities are reported as below this.
 _SELDOM = 1e-8
 
 

@@ -287,7 +287,7 @@ class Judge:
             for s, members in enumerate(grid.sets):
                 sample = replace(like, dwell=dwell, frequencies=members)
                 time[..., t, s] = scan_time(goal, sample)
-        # Prices add up, so each value is looked at alone.
+        # Prices add up, so each value is priced alone.
         base = grid.parameters(0, like)
         start = cost_of(goal, base)
         cost = np.full(shape, start)

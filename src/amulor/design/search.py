@@ -235,7 +235,7 @@ def _single_frequencies(goal: Goal, chosen: Parameters) -> tuple[float, ...]:
 
 Floats = NDArray[np.float64]
 
-#: Draws, and distances, that the grid is looked at with before the best are judged.
+#: Draws and distances for judging the grid, before the best are judged with all.
 _FEW_DRAWS, _FEW_DISTANCES = 8, 3
 #: Best candidates of each laser, scheme and method whose frequencies are exchanged.
 _STARTS = 2

@@ -72,7 +72,7 @@ def checked(name: str, value: ArrayLike) -> Any:
     if type(value) is float and above < value <= most:
         return value
     if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim:
-        # What most sweeps are; the rest, and what is refused, is looked at below.
+        # Most sweeps; other arguments, and refused ones, are checked below.
         good = value.size > 0 and above < value.min() and value.max() <= most
         if good:
             return value

@@ -134,7 +134,7 @@ def fournier_forand_cumulative(
     theta = checked_angle(angle, name="angle")
     nu = _checked(relative_index, slope)
     height = np.sin(theta / 2) ** 2
-    # log(0) is minus infinity, whose fraction is 0; a tiny height stands for it.
+    # log(0) is minus infinity, whose fraction is 0; a tiny height replaces it.
     log_delta = np.log(np.maximum(height, 1e-300)) + _log_delta_pi(relative_index)
     numerator = _growth(nu + 1, log_delta) - height * _growth(nu, log_delta)
     peak = numerator / (_growth(1.0, log_delta) * np.exp(nu * log_delta))

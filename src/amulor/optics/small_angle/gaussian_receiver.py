@@ -454,7 +454,7 @@ def _response(
 
 def _plain(phase_per_depth: Array, column: Column) -> NDArray[np.complex128]:
     """Return the integral of exp(i w z) F(z) of unscattered light [m sr]."""
-    # Of frequency f comes w = 4 pi f n / c; group index 1 stands for n here.
+    # For a frequency f, w = 4 pi f n / c; here with a group index of 1.
     return np.asarray(
         _beam_loss(column)
         * small_angle_diffusion.water_response(

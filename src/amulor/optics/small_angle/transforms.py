@@ -386,7 +386,7 @@ def _integral(
     node, weight = gauss_legendre(16)
     half = np.diff(edges)[:, None] / 2
     value = transform(edges[:-1, None] + half * (node + 1))
-    # Legendre series of each panel, integrated term by term to where it is asked for.
+    # Legendre series of each panel, integrated term by term to each frequency.
     order = np.arange(node.size)
     series = value @ (legendre.legvander(node, 15) * weight[:, None] * (order + 0.5))
     sums = np.concatenate([[0.0], np.cumsum(2 * half[:, 0] * series[:, 0])])

@@ -26,7 +26,7 @@ CORNER, EDGE_ONE, EDGE_TWO, NORMAL = 0, 3, 6, 9
 #: between two that share an edge. Rounding moves a hit by some 1e-15 of the distances.
 MARGIN = 1e-9
 
-_STEEP = 1e300  # stands for 1/0, so that 0 times it is not "not a number"
+_STEEP = 1e300  # in place of 1/0, so that 0 times it is not "not a number"
 
 
 @kernel
