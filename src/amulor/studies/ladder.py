@@ -28,6 +28,7 @@ from amulor.view import (
     figures,
     write_report,
 )
+from amulor.view.accuracy import error_budgets
 from amulor.view.image_report import flag_sentence, interactive
 from amulor.view.report import Part
 
@@ -178,36 +179,47 @@ def write(
     }
     after = {name: stages["after"] for name, stages in images.items()}
     parts: list[Part] = [
+        Paragraph(_result(cases)),
         Paragraph(
-            "A painted metal ladder stands 1.5 m away under water: a first step of "
-            "40 mm, then three of 10 mm. A blue laser, modulated at 39 MHz, scans 100 "
-            "by 40 pixels of 1 mm; the phase of the echo is the distance. Light "
-            "scattered back by the water is added to every sample and shortens the "
-            "measured distance. Here it is measured once without the ladder and taken "
-            "out, in clear and in milky water, behind a parallel (VV) and a crossed "
-            "(VH) analyser. All data are simulated after Ricci et al. 2010; nothing "
-            "here was measured."
+            "The target is a painted metal ladder, 1.5 m away under water: a first "
+            "step of 40 mm, then three of 10 mm. A blue laser, modulated at 39 MHz, "
+            "scans 100 by 40 pixels of 1 mm. The phase of the echo gives the distance. "
+            "The water also scatters light back. This water signal is added to every "
+            "sample and shortens the measured distance. Here it is measured once "
+            "without the ladder and subtracted, in clear and in milky water. All data "
+            "are simulated after Ricci et al. 2010; nothing here was measured."
         ),
-        Heading("What came out"),
+        Table(
+            ["term", "meaning"],
+            [
+                ["slant range", "distance along the laser beam to the surface"],
+                ["tread", "flat surface of a step of the ladder"],
+                ["VV, VH", "receiver behind a parallel, or a crossed, polarizer"],
+                ["rejection", "subtraction of the water signal"],
+                ["flag", "mark on a pixel whose range must not be trusted"],
+                ["a ± b", "value and its standard uncertainty (k = 1)"],
+            ],
+            "Terms of this report. All lengths in tables are in millimeters.",
+        ),
+        Heading("Result"),
         _ranges_table(cases),
         _steps_table(cases),
         Heading("The ladder in space"),
         Picture(
             figures.surfaces(after),
-            "Range images after rejection. Height is counted towards the instrument. "
-            "The dark gap beside the first step is where it hides the ladder from the "
-            "receiver.",
+            "Range images after rejection. Height is positive towards the instrument. "
+            "In the dark gap the first step hides the ladder from the receiver.",
         ),
         *interactive(after),
         Heading("All 40 line profiles over each other"),
         Picture(
             figures.profiles(images),
-            "Before rejection the water pulls the treads towards the instrument, more "
-            "to the right where the beam runs nearer to the receiver's axis; after "
-            "rejection they are level. What is left in milk is the water signal's own "
-            "fluctuation. Spikes beside the steps are pixels hidden from the receiver: "
-            "before rejection they show the water's own distance; after it they are "
-            "left out, but for a few that the receiver sees in part.",
+            "Before rejection the treads seem too near, more so at the right where the "
+            "beam is nearer to the receiver's axis. After rejection they are level. "
+            "The scatter that remains in milk is the fluctuation of the water signal. "
+            "Spikes beside the steps are pixels hidden from the receiver. Before "
+            "rejection they show the distance of the water. After it they are left "
+            "out, except a few that the receiver sees in part.",
         ),
     ]
     for water, cube in samples.items():
@@ -227,6 +239,8 @@ def write(
                 flag_sentence(stages["after"]),
             ),
         ]
+    last = names[-1]
+    parts += error_budgets({last: after[last]})
     parts.append(Heading("The surveys used"))
     parts += [Listing(f"ladder_{water}.toml", text) for water, text in surveys.items()]
     first = next(iter(samples.values()))
@@ -236,6 +250,16 @@ def write(
     parts.append(Paragraph(f"Seeds of the noise: {seeds}. Made with {software}."))
     title = "Underwater ladder: four range images, before and after rejection"
     write_report(path, title, parts, overwrite=overwrite)
+
+
+def _result(cases: list[Case]) -> str:
+    """Return the result of the study in one sentence."""
+    before, after = cases[-2:]
+    return (
+        f"Result: in {'milky' if after.water == 'milk' else after.water} water the "
+        f"ladder seems {abs(before.bias) * 1e3:.0f} mm too near. After subtraction of "
+        f"the water signal the mean error is {mean_error(after)} mm ({after.channel})."
+    )
 
 
 def mean_error(case: Case) -> str:
@@ -265,9 +289,9 @@ def _ranges_table(cases: list[Case]) -> Table:
             "stated noise",
         ],
         rows,
-        "Slant range over the treads [mm]: mean error against the simulated truth with "
-        "its standard uncertainty, scatter of single pixels from row to row, and the "
-        "scatter that the range image states without knowing the truth.",
+        "Slant range on the treads: mean error against the simulated truth, scatter of "
+        "single pixels from row to row (noise), and the scatter that the range image "
+        "states without knowledge of the truth (stated noise).",
     )
 
 
@@ -289,9 +313,9 @@ def _steps_table(cases: list[Case]) -> Table:
     return Table(
         header,
         rows,
-        "Step heights [mm] with standard uncertainty. Before rejection the water has "
-        "an unknown share in them, and none is stated. Marked values are wrong by more "
-        "than three of their uncertainties; before rejection, of their noise.",
+        "Step heights. Before rejection the error by the water is unknown, and no "
+        "uncertainty is stated. Marked values are wrong by more than three of their "
+        "uncertainties; before rejection, of their noise.",
     )
 
 

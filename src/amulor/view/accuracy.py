@@ -279,9 +279,9 @@ def _key(budget: ErrorBudget) -> str:
     """Caption of the bars, limited to what is drawn."""
     parts = ["Standard uncertainty of each term, median over the usable pixels."]
     if any(line.term.name in _SHARED for line in budget.lines):
-        parts.append("Dark terms are shared by pixels: a mean keeps them.")
+        parts.append("Pixels share the dark terms; a mean does not reduce them.")
     if budget.unknown:
-        parts.append("Hatched terms are not known and not in the combined one.")
+        parts.append("Hatched terms are unknown and not in the combined uncertainty.")
     return " ".join(parts)
 
 
@@ -342,12 +342,12 @@ def _table(name: str, budget: ErrorBudget) -> Table:
             [term.name.replace("_", " "), term.meaning, term.kind, "", "!not known", ""]
         )
     rows.append(
-        ["combined", "all that are known", "", "", f"{budget.combined * 1e3:.3g}", ""]
+        ["combined", "all known terms", "", "", f"{budget.combined * 1e3:.3g}", ""]
     )
     rows.append(
         [
             "expanded, k = 2",
-            "about 95 of 100 errors lie within",
+            "contains about 95 of 100 errors",
             "",
             "",
             f"{budget.expanded * 1e3:.3g}",
@@ -355,11 +355,11 @@ def _table(name: str, budget: ErrorBudget) -> Table:
         ]
     )
     return Table(
-        ["term", "what it is", "type", "found from", "standard [mm]", "of variance"],
+        ["term", "source", "type", "data", "standard [mm]", "of variance"],
         rows,
         f"{name}: standard uncertainty of the slant range, medians over the usable "
-        "pixels. Type A is found from the scatter of measurements, type B from other "
-        "knowledge (GUM). The squares of the terms add up to that of the combined one.",
+        "pixels. Type A comes from the scatter of measurements, type B from other "
+        "knowledge (GUM). The squares of the terms add up to the combined square.",
     )
 
 
@@ -368,13 +368,13 @@ def _limits(budget: ErrorBudget) -> str:
     sentences = []
     if math.isfinite(budget.common):
         sentences.append(
-            f"All pixels share {budget.common * 1e3:.3g} mm of it: no mean over "
-            "pixels takes that away."
+            f"All pixels share {budget.common * 1e3:.3g} mm of it; a mean over "
+            "pixels does not reduce this part."
         )
     if math.isfinite(budget.late):
         sentences.append(
-            f"Light scattered on its way made the echoes {budget.late * 1e3:.3g} mm "
-            "late; that is taken off."
+            f"Scattered light makes the echoes {budget.late * 1e3:.3g} mm late. It is "
+            "subtracted."
         )
     elif budget.late_echo:
         sentences.append(f"Late light: {budget.late_echo}.")
@@ -384,7 +384,7 @@ def _limits(budget: ErrorBudget) -> str:
     if budget.unknown:
         names = ", ".join(term.name.replace("_", " ") for term in budget.unknown)
         sentences.append(
-            f"Not in it, since nobody says how large they are: {names}. The section "
-            "[calibration] of the survey states them."
+            f"Not included, since their size is unknown: {names}. State them in the "
+            "section [calibration] of the survey."
         )
     return " ".join(sentences)

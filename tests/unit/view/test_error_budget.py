@@ -82,7 +82,7 @@ def test_the_report_shows_every_term_and_what_is_not_known(
     shown = float(rows["expanded, k = 2"][4])
     assert shown == pytest.approx(2 * float(rows["combined"][4]), rel=6e-3)
     assert isinstance(text, Paragraph)
-    assert "late; that is taken off" in text.text
+    assert "late. It is subtracted" in text.text
     assert "geometry" in text.text
     path = tmp_path / "report.html"
     image_report.write(path, {"plate": image})
