@@ -279,7 +279,7 @@ def _key(budget: ErrorBudget) -> str:
     """Caption of the bars, limited to what is drawn."""
     parts = ["Standard uncertainty of each term, median over the usable pixels."]
     if any(line.term.name in _SHARED for line in budget.lines):
-        parts.append("Pixels share the dark terms; a mean does not reduce them.")
+        parts.append("Dark terms are shared by pixels; a mean does not reduce them.")
     if budget.unknown:
         parts.append("Hatched terms are unknown and not in the combined uncertainty.")
     return " ".join(parts)
