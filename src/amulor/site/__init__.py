@@ -1,4 +1,4 @@
-"""From single scans to a site: one frame, one cloud, and what changed since."""
+"""Sites: registration of scans, merged clouds, change between visits."""
 
 from amulor.site.description import Site
 

@@ -1,4 +1,4 @@
-"""Looks for mistakes in a site before the work: files, places, ties between scans."""
+"""Check of a site file: files, pixels of targets, ties between scans."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from amulor.site.load import WHAT_TO_DO, check_level
 from amulor.site.registration.starts import start_findings
 from amulor.survey import Survey
 
-#: Targets, not on a line, that place a scan without a start pose.
+#: Number of targets, not on a line, that place a scan without a start pose [1].
 _ENOUGH = 3
-#: Pixels around a stated place in which there must be some with a range.
+#: Pixels around the pixel of a target; at least one must have a range.
 _NEAR = 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """What a look at a site found."""
+    """Findings about a site file."""
 
     mistakes: tuple[str, ...]
-    """What has to be mended, one line each."""
+    """Errors that must be corrected, one line each."""
     remarks: tuple[str, ...]
-    """What is allowed, and worth to know."""
+    """Notes that need no correction."""
     shapes: dict[str, tuple[int, int]]
     """Rows and columns of each scan that could be read."""
     levels: dict[str, str]
-    """What each of them holds."""
+    """Processing level of each of these scans."""
 
 
 def check(site: Site) -> Findings:
-    """Look for mistakes in a site."""
+    """Check a site for mistakes."""
     mistakes: list[str] = []
     remarks: list[str] = []
     shapes: dict[str, tuple[int, int]] = {}
@@ -61,68 +61,70 @@ def check(site: Site) -> Findings:
             continue
         levels[scan.name] = str(cube.attrs.get("level", ""))
         shapes[scan.name] = (cube.sizes.get("row", 0), cube.sizes.get("column", 0))
-        wrong, said = _of_scan(scan, cube)
-        mistakes += wrong
-        remarks += said
-        mistakes += _of_places(site, scan, cube)
+        errors, notes = _scan_findings(scan, cube)
+        mistakes += errors
+        remarks += notes
+        mistakes += _places_without_range(site, scan, cube)
         if levels[scan.name] == "range_image":
             clouds[scan.name] = _points(cube)
     starts = start_findings(site, clouds)
     mistakes += starts.mistakes
     remarks += starts.remarks
-    mistakes += _of_ties(site)
-    remarks += _of_use(site)
+    mistakes += _untied_scans(site)
+    remarks += _without_use(site)
     return Findings(
         mistakes=tuple(mistakes), remarks=tuple(remarks), shapes=shapes, levels=levels
     )
 
 
-def _of_scan(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[str]]:
-    """Return mistakes and remarks about one scan by itself."""
-    wrong: list[str] = []
-    said: list[str] = []
+def _scan_findings(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[str]]:
+    """Return mistakes and remarks about a single scan."""
+    errors: list[str] = []
+    notes: list[str] = []
     level = str(cube.attrs.get("level", ""))
     try:
         check_level(level, processed=scan.processing is not None, name=scan.name)
     except AmulorError as error:
-        wrong.append(str(error))
+        errors.append(str(error))
     if scan.water is not None:
         try:
             Survey.from_toml(scan.water)
         except AmulorError as error:
-            wrong.append(f"scan {scan.name!r}: water: {str(error).splitlines()[0]}")
+            errors.append(f"scan {scan.name!r}: water: {str(error).splitlines()[0]}")
     if level != "range_image":
-        return wrong, said
+        return errors, notes
     flags = cube["quality_flag"].values
     usable = int(((flags & UNUSABLE) == 0).sum())
     if usable < 100:
-        wrong.append(
+        errors.append(
             f"scan {scan.name!r}: {usable} of {flags.size} pixels have a range, too "
             "few to be placed; look at its quality flags with amulor info"
         )
     words = error_unknown(cube)
     if words:
-        wrong.append(f"scan {scan.name!r}: {words}; {WHAT_TO_DO}")
+        errors.append(f"scan {scan.name!r}: {words}; {WHAT_TO_DO}")
     unknown = str(cube.attrs.get("uncertainty_unknown", "")).split()
     if unknown:
-        said.append(
+        notes.append(
             f"scan {scan.name!r}: nobody states the error by {', '.join(unknown)}; "
             "stated covariances do not hold it (section [calibration] of its survey)"
         )
-    return wrong, said
+    return errors, notes
 
 
 def _points(image: xr.Dataset) -> NDArray[np.float64]:
     """Return usable points of a range image in the axes of the instrument [m]."""
     beam = geometry_of(image).beam
     distance = image["slant_range"].values
-    kept = ((image["quality_flag"].values & UNUSABLE) == 0) & (distance > 0)
+    valid = ((image["quality_flag"].values & UNUSABLE) == 0) & (distance > 0)
     before = np.broadcast_to(beam.length_before, distance.shape)
     away = (distance - before)[..., None] * beam.direction
-    return np.asarray((beam.entry + away)[kept])
+    return np.asarray((beam.entry + away)[valid])
 
 
-def _of_places(site: Site, scan: SiteScan, cube: xr.Dataset) -> Iterator[str]:
+def _places_without_range(
+    site: Site, scan: SiteScan, cube: xr.Dataset
+) -> Iterator[str]:
     """Yield places of targets that are not in a scan, or hold no range."""
     rows, columns = cube.sizes.get("row", 0), cube.sizes.get("column", 0)
     for target in site.target:
@@ -151,29 +153,31 @@ def _of_places(site: Site, scan: SiteScan, cube: xr.Dataset) -> Iterator[str]:
                 )
 
 
-def _of_ties(site: Site) -> Iterator[str]:
+def _untied_scans(site: Site) -> Iterator[str]:
     """Yield scans without a start pose that too few targets tie to the others."""
-    placed = {one.name for one in site.scan if one.start is not None}
-    controlled = {one.target for one in site.control}
+    placed = {scan.name for scan in site.scan if scan.start is not None}
+    controlled = {scan.target for scan in site.control}
     if not placed and len(controlled) < _ENOUGH:
         placed = {site.scan[0].name}  # the frame is that of the first scan then
-    known = set(controlled)
-    waiting = [one for one in site.scan if one.name not in placed]
-    seen = {one.name: _targets_in(site, one) for one in site.scan}
-    for one in site.scan:
-        if one.name in placed:
-            known |= seen[one.name]
+    located = set(controlled)
+    waiting = [scan for scan in site.scan if scan.name not in placed]
+    targets = {scan.name: _targets_in(site, scan) for scan in site.scan}
+    for scan in site.scan:
+        if scan.name in placed:
+            located |= targets[scan.name]
     while True:
-        more = [one for one in waiting if len(seen[one.name] & known) >= _ENOUGH]
+        more = [
+            scan for scan in waiting if len(targets[scan.name] & located) >= _ENOUGH
+        ]
         if not more:
             break
-        for one in more:
-            known |= seen[one.name]
-        waiting = [one for one in waiting if one not in more]
-    for one in waiting:
-        shared = sorted(seen[one.name] & known)
+        for scan in more:
+            located |= targets[scan.name]
+        waiting = [scan for scan in waiting if scan not in more]
+    for scan in waiting:
+        shared = sorted(targets[scan.name] & located)
         yield (
-            f"scan {one.name!r}: its start pose is unknown, and it shares "
+            f"scan {scan.name!r}: its start pose is unknown, and it shares "
             f"{len(shared)} targets with scans whose pose is known "
             f"({', '.join(shared) or 'none'}); state [scan.start] with uncertainties, "
             f"or the places of {_ENOUGH} targets that are not on a line"
@@ -182,21 +186,21 @@ def _of_ties(site: Site) -> Iterator[str]:
 
 def _targets_in(site: Site, scan: SiteScan) -> set[str]:
     """Return the targets that tie a scan to others, by name."""
-    found = set()
+    names = set()
     for target in site.target:
         if isinstance(target, ScaleBar):
             continue
         if any(place.scan == scan.name for place in target.places):
             name = f"{target.name} in {scan.epoch}" if target.moved else target.name
-            found.add(name)
-    return found
+            names.add(name)
+    return names
 
 
-def _of_use(site: Site) -> Iterator[str]:
-    """Yield what is stated and tells nothing."""
-    controlled = {one.target for one in site.control}
+def _without_use(site: Site) -> Iterator[str]:
+    """Yield targets and epochs without use."""
+    controlled = {item.target for item in site.control}
     barred = {
-        end for one in site.target if isinstance(one, ScaleBar) for end in one.ends
+        end for item in site.target if isinstance(item, ScaleBar) for end in item.ends
     }
     for target in site.target:
         if isinstance(target, ScaleBar):

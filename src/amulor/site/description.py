@@ -29,27 +29,27 @@ _Sigma = Annotated[Length, Field(gt=0, le=1000)]
 
 
 class SiteFrame(Description):
-    """Axes that all scans come into: x east, y north, z up."""
+    """Frame of all scans: x east, y north, z up."""
 
     crs: ReferenceSystem = ""
     """Reference system that the local frame belongs to: a projected one in metres, such
     as "EPSG:32632", or a name; none if left out."""
     crs_offset: Position = (0.0, 0.0, 0.0)
-    """What has to be added to the local frame to be in the reference system (east,
-    north, up); the same for all scans, tiles and epochs [m]."""
+    """Offset from the local frame to the reference system (east, north, up), common to
+    all scans, tiles and epochs [m]."""
 
 
 class Epoch(Description):
     """One visit to the site."""
 
     name: Name
-    """What scans call it."""
+    """Name of the visit, used by scans."""
     date: datetime.date | None = None
     """Day of the visit; not known if left out."""
 
 
 class StartPose(Description):
-    """About where an instrument stood, good enough to begin with."""
+    """Approximate pose of an instrument."""
 
     position: Position
     """Origin of the instrument's axes (east, north, up), in the frame of the site
@@ -57,9 +57,9 @@ class StartPose(Description):
     heading: Annotated[Angle, Field(ge=-2 * math.pi, le=2 * math.pi)]
     """Direction of the forward axis, clockwise from grid north [rad]."""
     pitch: Annotated[Angle, Field(ge=-math.pi / 2, le=math.pi / 2)] = 0.0
-    """How far the forward axis points upwards [rad]."""
+    """Elevation of the forward axis above the horizon [rad]."""
     roll: Annotated[Angle, Field(ge=-math.pi, le=math.pi)] = 0.0
-    """How far the right axis points downwards, about the forward axis [rad]."""
+    """Turn about the forward axis, right side down [rad]."""
     position_uncertainty: _Sigma
     """Standard uncertainty of each coordinate of the position [m]."""
     heading_uncertainty: Annotated[Angle, Field(gt=0, le=1)]
@@ -68,7 +68,7 @@ class StartPose(Description):
     """Standard uncertainty of pitch and of roll [rad]."""
 
     def as_pose(self) -> Pose:
-        """Return the same as the pose of a survey."""
+        """Return this pose as that of a survey."""
         return Pose.model_validate(self.model_dump())
 
 
@@ -88,7 +88,7 @@ def _list_methods(schema: dict[str, Any]) -> None:
 
 
 class Processing(Description):
-    """How a cube that is no range image yet becomes one."""
+    """Processing of a cube into a range image."""
 
     method: Annotated[
         str, AfterValidator(_installed), Field(json_schema_extra=_list_methods)
@@ -111,7 +111,7 @@ class Processing(Description):
         return self
 
 
-def _known(value: Any) -> Any:
+def _unknown_as_none(value: Any) -> Any:
     """Take "unknown" for a pose that is left out."""
     return None if value == "unknown" else value
 
@@ -120,26 +120,26 @@ class SiteScan(Description):
     """One scan of the site."""
 
     name: Name
-    """What targets and results call it; no two alike."""
+    """Unique name of the scan, used by targets and results."""
     file: Path
     """Range image (netCDF), or a cube of samples or of the target signal with
     `processing`; relative to the site file."""
     epoch: Name
     """Name of the visit in which it was made."""
-    start: Annotated[StartPose | None, BeforeValidator(_known)] = None
-    """About where the instrument stood, with uncertainties; "unknown" if targets that
-    other scans see, too, or control points must tell."""
+    start: Annotated[StartPose | None, BeforeValidator(_unknown_as_none)] = None
+    """Approximate pose of the instrument, with uncertainties; "unknown" if it follows
+    from targets in other scans, or from control points."""
     water: Path | None = None
-    """Survey file that states the water; what the scan itself says if left out. Scans
-    of one water share the error of its group index."""
+    """Survey file that states the water; that of the scan itself if left out. Scans of
+    one water share the error of its group index."""
     instrument: Name = "instrument"
-    """Which instrument it was made with: scans of one instrument and one epoch share
-    the errors of its delay and its geometry."""
+    """Name of the instrument; scans of one instrument and one epoch share the errors of
+    its delay and its geometry."""
     drift: Annotated[Length, Field(ge=0)] = 0.0
     """Standard uncertainty of a slow drift of its ranges: half of the change from the
     first to the last row [m]."""
     processing: Processing | None = None
-    """How the cube becomes a range image; not needed for a range image."""
+    """Processing of a cube into a range image; not needed for a range image."""
     simulated_from: Path | None = None
     """Survey that the file is simulated from by `amulor run`, for rehearsals; the file
     need not be there then."""
@@ -148,7 +148,7 @@ class SiteScan(Description):
 
 
 class Place(Description):
-    """Where a target is seen in a scan."""
+    """Pixel of a target in a scan."""
 
     scan: Name
     """Name of the scan."""
@@ -160,19 +160,19 @@ class Place(Description):
 
 class _Seen(Description):
     name: Name
-    """What control points, scale bars and results call it; no two alike."""
+    """Unique name of the target, used by control points, scale bars and results."""
     places: Annotated[tuple[Place, ...], Field(min_length=1)]
-    """Scans that see it, and where."""
+    """Pixels of the target in scans."""
     moved: bool = False
     """Whether it was set up anew at each epoch, so that it joins the scans of one
     epoch only."""
 
 
 class SphereTarget(_Seen):
-    """A sphere; its centre is what scans have in common."""
+    """A sphere, which ties scans by its center."""
 
     kind: Literal["sphere"]
-    """Which target this is."""
+    """Kind of the target."""
     radius: Annotated[Length, Field(gt=0, le=10)]
     """Radius [m]."""
     radius_uncertainty: Annotated[Length, Field(ge=0, le=1)]
@@ -183,7 +183,7 @@ class DiscTarget(_Seen):
     """A flat round disc in front of nothing near; its middle counts."""
 
     kind: Literal["disc"]
-    """Which target this is."""
+    """Kind of the target."""
     diameter: Annotated[Length, Field(gt=0, le=10)]
     """Diameter [m]."""
     diameter_uncertainty: Annotated[Length, Field(ge=0, le=1)]
@@ -194,7 +194,7 @@ class CheckerboardTarget(_Seen):
     """A board of four fields, dark and bright; the point where they meet counts."""
 
     kind: Literal["checkerboard"]
-    """Which target this is."""
+    """Kind of the target."""
     width: Annotated[Length, Field(gt=0, le=10)]
     """Side of the whole board [m]."""
 
@@ -203,7 +203,7 @@ class PointTarget(_Seen):
     """A point that is recognized in several scans, such as a corner of a stone."""
 
     kind: Literal["point"]
-    """Which target this is."""
+    """Kind of the target."""
     picking_uncertainty: _Sigma
     """Standard uncertainty across the beam with which the pixel was picked [m]."""
 
@@ -212,9 +212,9 @@ class ScaleBar(Description):
     """A known distance between two other targets."""
 
     kind: Literal["scale-bar"]
-    """Which target this is."""
+    """Kind of the target."""
     name: Name
-    """What results call it; no two alike."""
+    """Unique name of the scale bar, used by results."""
     ends: tuple[Name, Name]
     """Names of the two targets at its ends."""
     length: Annotated[Length, Field(gt=0, le=1000)]
@@ -236,7 +236,7 @@ SiteTarget = Annotated[
 
 
 class Control(Description):
-    """A target whose place in the frame of the site is known from elsewhere."""
+    """Control point: a target whose position in the site is known from elsewhere."""
 
     target: Name
     """Name of the target."""
@@ -247,7 +247,7 @@ class Control(Description):
 
 
 class Registration(Description):
-    """How scans are put together."""
+    """Settings of the registration."""
 
     overlap: Annotated[Fraction, Field(gt=0, le=1)] = 0.1
     """Two scans are compared with each other if at least this part of the pixels of one
@@ -266,7 +266,7 @@ class Registration(Description):
 
 
 class Comparison(Description):
-    """How epochs are compared."""
+    """Settings of the comparison of epochs."""
 
     spacing: Annotated[Length, Field(gt=0, le=10)] | None = None
     """Distance of the points at which change is looked for; twice the spacing of the
@@ -284,9 +284,9 @@ class Site(Description):
     """Scans of one place, and all that ties them to each other and to the world."""
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
-    """What the site is; the title of all that comes of it."""
+    """Name of the site, the title of all results."""
     frame: SiteFrame = SiteFrame()
-    """Axes that all scans come into."""
+    """Frame of all scans."""
     epoch: Annotated[tuple[Epoch, ...], Field(min_length=1)]
     """Visits, in the order of time."""
     scan: Annotated[tuple[SiteScan, ...], Field(min_length=1)]
@@ -294,15 +294,15 @@ class Site(Description):
     target: tuple[SiteTarget, ...] = ()
     """Targets that were set up, or points that are recognized."""
     control: tuple[Control, ...] = ()
-    """Targets with known places."""
+    """Targets with known positions."""
     registration: Registration = Registration()
-    """How scans are put together."""
+    """Settings of the registration."""
     comparison: Comparison = Comparison()
-    """How epochs are compared."""
+    """Settings of the comparison of epochs."""
 
     @model_validator(mode="after")
     def _names_hold(self) -> Self:
-        found = list(_slips(self))
+        found = list(_contradictions(self))
         if found:
             raise ValueError("; ".join(found))
         return self
@@ -322,53 +322,54 @@ class Site(Description):
         site = toml_file.described(
             text, cls, name=name, what="a site", error=SurveyError
         )
-        return site._settled(folder or Path(), where=name)
+        return site._with_paths(folder or Path(), where=name)
 
     def scans_of(self, epoch: str) -> tuple[SiteScan, ...]:
         """Return the scans of one visit, in the order of the file."""
-        return tuple(one for one in self.scan if one.epoch == epoch)
+        return tuple(scan for scan in self.scan if scan.epoch == epoch)
 
-    def _settled(self, folder: Path, *, where: str) -> Self:
-        """Return the same with whole paths, or say which files are not there."""
+    def _with_paths(self, folder: Path, *, where: str) -> Self:
+        """Return the site with absolute paths; raise if files are missing."""
         lacking = []
         scans = []
-        for number, one in enumerate(self.scan):
+        for number, scan in enumerate(self.scan):
             paths: dict[str, Any] = {}
             for field in ("file", "water", "simulated_from"):
-                stated = getattr(one, field)
-                if stated is None:
+                path = getattr(scan, field)
+                if path is None:
                     continue
-                paths[field] = (folder / stated).resolve()
-                made_later = field == "file" and one.simulated_from is not None
+                paths[field] = (folder / path).resolve()
+                made_later = field == "file" and scan.simulated_from is not None
                 if not paths[field].is_file() and not made_later:
                     lacking.append(
-                        f"{where}: scan.{number}.{field}: found {str(stated)!r}, but "
+                        f"{where}: scan.{number}.{field}: found {str(path)!r}, but "
                         f"there is no such file in {folder.resolve()}"
                     )
-            scans.append(one.model_copy(update=paths))
+            scans.append(scan.model_copy(update=paths))
         if lacking:
             raise SurveyError("\n".join(lacking))
         return self.model_copy(update={"scan": tuple(scans)})
 
 
-def _slips(site: Site) -> Iterator[str]:
-    """Yield what names of a site file contradict each other."""
-    scans = [one.name for one in site.scan]
-    targets = [one.name for one in site.target]
-    epochs = [one.name for one in site.epoch]
-    for what, names in (("scan", scans), ("target", targets), ("epoch", epochs)):
+def _contradictions(site: Site) -> Iterator[str]:
+    """Yield contradictions between the names in a site file."""
+    scans = [item.name for item in site.scan]
+    targets = [item.name for item in site.target]
+    epochs = [item.name for item in site.epoch]
+    for kind, names in (("scan", scans), ("target", targets), ("epoch", epochs)):
         for name, count in Counter(names).items():
             if count > 1:
-                yield f"{count} {what}s are called {name!r}; give each its own name"
-    for one in site.scan:
-        if one.epoch not in epochs:
-            yield f"scan {one.name!r}: epoch {_unknown(one.epoch, epochs, 'epoch')}"
-    seen = [one.name for one in site.target if not isinstance(one, ScaleBar)]
+                yield f"{count} {kind}s are called {name!r}; give each its own name"
+    for item in site.scan:
+        if item.epoch not in epochs:
+            yield f"scan {item.name!r}: epoch {_unknown(item.epoch, epochs, 'epoch')}"
+    points = [item.name for item in site.target if not isinstance(item, ScaleBar)]
     for target in site.target:
         if isinstance(target, ScaleBar):
             for end in target.ends:
-                if end not in seen:
-                    yield f"target {target.name!r}: end {_unknown(end, seen, 'target')}"
+                if end not in points:
+                    words = _unknown(end, points, "target")
+                    yield f"target {target.name!r}: end {words}"
             continue
         places = Counter(place.scan for place in target.places)
         for name, count in places.items():
@@ -379,13 +380,13 @@ def _slips(site: Site) -> Iterator[str]:
                     f"target {target.name!r}: scan {name!r} has {count} places; one "
                     "target is in one place of a scan"
                 )
-    for name, count in Counter(one.target for one in site.control).items():
-        if name not in seen:
-            yield f"control: target {_unknown(name, seen, 'target')}"
+    for name, count in Counter(item.target for item in site.control).items():
+        if name not in points:
+            yield f"control: target {_unknown(name, points, 'target')}"
         if count > 1:
             yield f"control: target {name!r} has {count} positions; state one"
     for control in site.control:
-        of = next((one for one in site.target if one.name == control.target), None)
+        of = next((item for item in site.target if item.name == control.target), None)
         if of is not None and not isinstance(of, ScaleBar) and of.moved:
             yield (
                 f"control: target {control.target!r} is set up anew at each epoch "
@@ -393,9 +394,9 @@ def _slips(site: Site) -> Iterator[str]:
             )
 
 
-def _unknown(name: str, allowed: Sequence[str], what: str) -> str:
-    listed = ", ".join(repr(one) for one in allowed) or "none"
-    return f"{name!r} is no {what} of this file; there are {listed}"
+def _unknown(name: str, allowed: Sequence[str], kind: str) -> str:
+    listed = ", ".join(repr(choice) for choice in allowed) or "none"
+    return f"{name!r} is no {kind} of this file; there are {listed}"
 
 
 def json_schema() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Range images of a site's scans, made from cubes where these are no images yet."""
+"""Range images of the scans of a site, read or made from cubes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def check_level(level: str, *, processed: bool, name: str) -> None:
 
 
 def options_of(processing: Processing | None) -> dict[str, Any]:
-    """Return method, channel and interval that a scan states."""
+    """Return method, channel and interval of the processing of a scan."""
     if processing is None:
         return {"method": None, "polarization": None, "interval": None}
     near, far = processing.nearest, processing.farthest

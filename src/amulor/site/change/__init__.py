@@ -1,1 +1,1 @@
-"""What changed between two visits, how sure that is, and what moved whereto."""
+"""Change between two visits with its significance, and motion of objects."""

@@ -1,4 +1,4 @@
-"""Distances between two epochs along normals (M3C2), with the errors of everything."""
+"""Distances between two epochs along normals (M3C2), with their uncertainty."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Flags = NDArray[np.bool_]
 
 #: Points of each epoch that a curved patch needs [1].
 _FEWEST = 12
-#: Points that stand so many times the scatter off a patch are none of it [1].
+#: Largest distance of a point of a patch, in units of the scatter [1].
 _OFF = 3.5
 #: Where points scatter about a patch by more than this part of its radius there is no
 #: one surface [1].
@@ -39,7 +39,7 @@ _SHAPE = 0.75
 _SURE = 4.0
 #: Gap between layers of surface in one cell, in spacings [1].
 _LAYER = 2.0
-#: Cylinders whose points are sought at once, for the memory.
+#: Number of cylinders searched at once, which limits memory.
 _AT_ONCE = 500
 #: Normals of points that belong together differ by less; cosine of the angle [1].
 _ALIKE = 0.6
@@ -52,29 +52,29 @@ class Change:
     epochs: tuple[str, str]
     """Names of the visits."""
     position: Floats
-    """Where change was looked for, in the site, shape (n, 3) [m]."""
+    """Points of comparison in the site, shape (n, 3) [m]."""
     normal: Floats
-    """Of the surface there, shape (n, 3) [1]."""
+    """Normals of the surface at the points, shape (n, 3) [1]."""
     value: Floats
     """Distance of the second epoch from the first along the normal; NaN where either
     was not seen, shape (n,) [m]."""
     uncertainty: Floats
     """Combined standard uncertainty [m]."""
     own: Floats
-    """Part of it by noise and roughness, independent from place to place [m]."""
+    """Uncertainty by noise and roughness, independent from point to point [m]."""
     shared: Floats
-    """How one standard deviation of each independent error of poses, delay, index and
-    references moves the distance, shape (n, m) [m]."""
+    """Effect of one standard deviation of each independent error of poses, delay, index
+    and references on the distance, shape (n, m) [m]."""
     significant: Flags
-    """Where the change is none of chance."""
+    """True where the change is significant."""
     chance: Floats
     """Probability of so large a distance by chance [1]."""
     area: Floats
-    """Surface that each point stands for, shape (n,) [m^2]."""
+    """Area of the cell around each point, shape (n,) [m^2]."""
     spacing: float
-    """Distance of the points [m]."""
+    """Spacing of the points [m]."""
     radius: float
-    """Of the cylinders whose points are averaged [m]."""
+    """Radius of the cylinders whose points are averaged [m]."""
     false_alarms: float
     """Share of the significant points that may be so by chance [1]."""
 
@@ -107,13 +107,13 @@ def change(
     names = epochs or (site.epoch[0].name, site.epoch[-1].name)
     parts = []
     for name in names:
-        kept = cloud.of_epoch(name) & ~cloud.moving
-        if not (kept & np.isfinite(cloud.normal).all(axis=1)).any():
+        usable = cloud.of_epoch(name) & ~cloud.moving
+        if not (usable & np.isfinite(cloud.normal).all(axis=1)).any():
             raise CubeError(
                 f"epoch {name!r}: no point of its scans lies on a smooth surface; look "
                 "at its scans, or name other epochs"
             )
-        parts.append(np.flatnonzero(kept))
+        parts.append(np.flatnonzero(usable))
     if names[0] == names[1]:
         raise CubeError(f"both epochs are {names[0]!r}; name two visits")
     pixels = max(surfaces[scan.name].spacing for scan in site.scan)
@@ -127,18 +127,18 @@ def change(
             _means(cloud, part, core, normal, radius, site.comparison.reach, surfaces,
                    registration)
         )  # fmt: skip
-    if not all(one.names for one in means):
+    if not all(side.names for side in means):
         raise _nothing_common(names)
     first, second = means
     value = second.value - first.value
-    own = np.hypot(first.own, second.own)
+    noise = np.hypot(first.own, second.own)
     everything = list(dict.fromkeys((*first.names, *second.names)))
     slope = second.onto(everything) - first.onto(everything)
-    known = registration.covariance_of(*everything)
-    energy, axes = np.linalg.eigh(known)
+    prior = registration.covariance_of(*everything)
+    energy, axes = np.linalg.eigh(prior)
     root = axes * np.sqrt(np.maximum(energy, 0.0))
     shared = slope @ root
-    uncertainty = np.sqrt(own**2 + (shared**2).sum(axis=1))
+    uncertainty = np.sqrt(noise**2 + (shared**2).sum(axis=1))
     with np.errstate(invalid="ignore", divide="ignore"):
         chance = 2 * norm.sf(np.abs(value) / uncertainty)
     if not np.isfinite(value).any():
@@ -149,7 +149,7 @@ def change(
         normal=normal,
         value=value,
         uncertainty=uncertainty,
-        own=own,
+        own=noise,
         shared=shared,
         significant=chance
         <= largest_discovered(chance, share=site.comparison.false_alarms),
@@ -162,7 +162,7 @@ def change(
 
 
 def _nothing_common(names: tuple[str, str]) -> CubeError:
-    """Return the error of two visits without a common surface."""
+    """Return the exception for two visits without a common surface."""
     return CubeError(
         f"{names[0]} and {names[1]} see no surface together; look at the start poses "
         "with amulor site check, or set comparison.reach or comparison.radius larger"
@@ -199,7 +199,7 @@ def _cores(
 
     core = mean(place)
     near = cKDTree(place).query_ball_point(core, radius)
-    normal = np.array([normals[some].mean(axis=0) for some in near])
+    normal = np.array([normals[members].mean(axis=0) for members in near])
     size = np.linalg.norm(normal, axis=1)
     # Where normals point everywhere there is no surface, but an edge.
     good = (size > 0.8) & (count >= 2)
@@ -228,13 +228,15 @@ class _Means:
 
         starts = np.cumsum([0, *(size(name) for name in names)])
         place = dict(zip(names, starts[:-1], strict=True))
-        found = np.zeros((len(self.slope), starts[-1]))
+        slopes = np.zeros((len(self.slope), starts[-1]))
         begin = 0
         for name in self.names:
             end = begin + size(name)
-            found[:, place[name] : place[name] + end - begin] = self.slope[:, begin:end]
+            slopes[:, place[name] : place[name] + end - begin] = self.slope[
+                :, begin:end
+            ]
             begin = end
-        return found
+        return slopes
 
 
 def _means(
@@ -247,7 +249,7 @@ def _means(
     surfaces: Mapping[str, ScanSurface],
     registration: Registration,
 ) -> _Means:
-    """Return mean places along normals, their noise, and what they depend on."""
+    """Return mean heights along normals, their noise, and their derivatives."""
     site = cloud.site
     owner, index, off, along = _in_cylinders(cloud, at, core, normal, radius, reach)
     if not len(index):
@@ -260,7 +262,7 @@ def _means(
     fitted = _patches(owner, along, off, normal, weight, radius)
     share = fitted.share
     value = np.where(fitted.good, fitted.height, np.nan)
-    own = fitted.own
+    noise = fitted.own
     names: list[str] = []
     columns: list[Floats] = []
     for number, scan in enumerate(site.scan):
@@ -282,12 +284,12 @@ def _means(
         names += unknowns_of(scan.name, surface)
         columns.append(np.asarray(sums, dtype=float))
     merged = list(dict.fromkeys(names))
-    whole = _Means(value, own, tuple(names), np.hstack(columns), registration)
+    means = _Means(value, noise, tuple(names), np.hstack(columns), registration)
     if len(merged) == len(names):
-        return whole
+        return means
     # Errors that several scans share appear once.
-    summed = _summed(whole, merged)
-    return _Means(value, own, tuple(merged), summed, registration)
+    summed = _summed(means, merged)
+    return _Means(value, noise, tuple(merged), summed, registration)
 
 
 def _in_cylinders(
@@ -308,7 +310,9 @@ def _in_cylinders(
     pieces = []
     for begin in range(0, max(len(core), 1), _AT_ONCE):
         near = tree.query_ball_point(core[begin : begin + _AT_ONCE], ball)
-        owner = begin + np.repeat(np.arange(len(near)), [len(some) for some in near])
+        owner = begin + np.repeat(
+            np.arange(len(near)), [len(members) for members in near]
+        )
         index = np.concatenate([np.empty(0, np.intp), *map(np.asarray, near)]).astype(
             np.intp
         )
@@ -318,10 +322,10 @@ def _in_cylinders(
         facing = np.einsum("ij,ij->i", cloud.normal[at[index]], normal[owner])
         # On flanks and at creases a point has no normal, and counts by its place.
         alike = ~(facing <= _ALIKE)
-        kept = (across <= radius) & (np.abs(along) <= reach) & alike
-        pieces.append((owner[kept], index[kept], off[kept], along[kept]))
+        inside = (across <= radius) & (np.abs(along) <= reach) & alike
+        pieces.append((owner[inside], index[inside], off[inside], along[inside]))
     owner, index, off, along = (
-        np.concatenate(each) for each in zip(*pieces, strict=True)
+        np.concatenate(piece) for piece in zip(*pieces, strict=True)
     )
     return owner, index, off, along
 
@@ -330,14 +334,14 @@ def _summed(means: _Means, names: list[str]) -> Floats:
     width = {"pose": 6, "point": 3, "error": 1}
     sizes = [width[name.partition(" ")[0]] for name in names]
     starts = dict(zip(names, np.cumsum([0, *sizes[:-1]]), strict=True))
-    found = np.zeros((len(means.slope), sum(sizes)))
+    slopes = np.zeros((len(means.slope), sum(sizes)))
     begin = 0
     for name in means.names:
         size = width[name.partition(" ")[0]]
         at = starts[name]
-        found[:, at : at + size] += means.slope[:, begin : begin + size]
+        slopes[:, at : at + size] += means.slope[:, begin : begin + size]
         begin += size
-    return found
+    return slopes
 
 
 @dataclass(frozen=True)
@@ -396,33 +400,33 @@ def _patches(
             np.abs(residual) * np.sqrt(weight) < _OFF * scatter[owner], weight, 0.0
         )
     share = np.einsum("ij,ij->i", back[owner, 0], terms) * part
-    own = np.sqrt(np.abs(back[:, 0, 0]) / np.maximum(scale, 1e-30)) * scatter
+    deviation = np.sqrt(np.abs(back[:, 0, 0]) / np.maximum(scale, 1e-30)) * scatter
     # Root mean square of the shape: what is left of the scatter without the noise.
     noise = count / np.maximum(np.bincount(owner, used, minlength=size), 1e-300)
     excess = np.where(
         scatter**2 > 1 + _SURE * np.sqrt(2 / freedom), scatter**2 - 1, 0.0
     )
     shape = np.sqrt(excess * noise)
-    own = np.hypot(own, _SHAPE * shape)
+    deviation = np.hypot(deviation, _SHAPE * shape)
     good = (count >= _FEWEST) & (back[:, 0, 0] < 0.5 * _FEWEST)
     good &= shape < _ROUGH * radius
-    return _Patches(solved[:, 0], own, share, good)
+    return _Patches(solved[:, 0], deviation, share, good)
 
 
-#: Fewer points than these together are no region [1].
+#: Smallest number of points of a region [1].
 _FEWEST_POINTS = 4
 #: The rim around a region, in radii of the cylinders [1].
 _RIM = 1.5
-#: Points of one region are no farther apart than so many spacings [1].
+#: Largest distance of neighbors in a region, in spacings [1].
 _TOGETHER = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """A place that changed."""
+    """Region of significant change."""
 
     members: NDArray[np.intp]
-    """Numbers of its points that changed significantly."""
+    """Numbers of the significant points."""
     centre: Floats
     """Middle, shape (3,) [m]."""
     reach: float
@@ -436,15 +440,15 @@ class Region:
     largest: float
     """Change of the largest size [m]."""
     volume: float
-    """What came, less what went, with the rim around the points [m^3]."""
+    """Volume added less volume removed, with the rim around the points [m^3]."""
     volume_uncertainty: float
     """Its standard uncertainty [m^3]."""
     lost: float
-    """Surface among them and in the rim that could not be compared [m^2]."""
+    """Area among the points and in the rim that could not be compared [m^2]."""
 
 
 def regions(change: Change) -> tuple[Region, ...]:
-    """Return the places of a comparison that changed, the largest area first."""
+    """Return the regions of significant change, the largest area first."""
     at = np.flatnonzero(change.significant)
     if len(at) < _FEWEST_POINTS:
         return ()
@@ -453,12 +457,12 @@ def regions(change: Change) -> tuple[Region, ...]:
     ones = np.ones(len(links))
     graph = coo_matrix((ones, (links[:, 0], links[:, 1])), shape=(len(at), len(at)))
     _, label = connected_components(graph, directed=False)
-    found = [
+    places = [
         region_of(change, at[label == number])
         for number in range(label.max() + 1)
         if int((label == number).sum()) >= _FEWEST_POINTS
     ]
-    return tuple(sorted(found, key=lambda one: -one.area))
+    return tuple(sorted(places, key=lambda region: -region.area))
 
 
 def region_of(change: Change, members: NDArray[np.intp]) -> Region:
@@ -482,8 +486,8 @@ def region_of(change: Change, members: NDArray[np.intp]) -> Region:
     )
     around = around[alike > _ALIKE]
     compared = np.isfinite(change.value[around])
-    whole = around[compared]
-    volume, spread = _sum_of(change, whole)
+    rim = around[compared]
+    volume, spread = _sum_of(change, rim)
     mean, error = _sum_of(change, members)
     return Region(
         members=members,
@@ -504,12 +508,12 @@ def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float]:
     place, area = change.position[members], change.area[members]
     # Cylinders closer than their width hold the same points.
     near = cKDTree(place).query_pairs(2 * change.radius, output_type="ndarray")
-    own = area * change.own[members]
-    variance = float((own**2).sum())
+    noise = area * change.own[members]
+    variance = float((noise**2).sum())
     if len(near):
         apart = np.linalg.norm(place[near[:, 0]] - place[near[:, 1]], axis=1)
         common = np.clip(1 - apart / (2 * change.radius), 0, 1)
-        variance += float(2 * (own[near[:, 0]] * own[near[:, 1]] * common).sum())
+        variance += float(2 * (noise[near[:, 0]] * noise[near[:, 1]] * common).sum())
     shared = (area[:, None] * change.shared[members]).sum(axis=0)
     sigma = float(np.sqrt(variance + (shared**2).sum()))
     return float((area * change.value[members]).sum()), sigma
@@ -517,16 +521,16 @@ def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float]:
 
 def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -> None:
     """Write a comparison as CSV, a row for each place where both epochs were seen."""
-    kept = np.isfinite(change.value)
+    compared = np.isfinite(change.value)
     columns = [
-        *(change.position[kept].T),
-        *(change.normal[kept].T),
-        change.value[kept],
-        change.uncertainty[kept],
-        change.own[kept],
-        change.chance[kept],
-        change.significant[kept],
-        change.area[kept],
+        *(change.position[compared].T),
+        *(change.normal[compared].T),
+        change.value[compared],
+        change.uncertainty[compared],
+        change.own[compared],
+        change.chance[compared],
+        change.significant[compared],
+        change.area[compared],
     ]
     head = (
         "x_m,y_m,z_m,normal_x,normal_y,normal_z,change_m,standard_uncertainty_m,"

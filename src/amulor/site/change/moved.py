@@ -1,4 +1,4 @@
-"""How an object moved between two visits: its rigid motion with the error."""
+"""Rigid motion of an object between two visits, with its covariance."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from amulor.site.registration.surface import ScanSurface
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: What stands so far above the ground around it is the object [m].
+#: Smallest height of the object above the ground around it [m].
 _ABOVE = 0.02
-#: Points that tell of a motion [1].
+#: Smallest number of points that constrain a motion [1].
 _FEWEST = 60
 _STEPS = 12
 
@@ -38,14 +38,14 @@ class Motion:
     shift: Floats
     """Shift of the object there: east, north, up [m]."""
     turn: Floats
-    """How far it turned about these axes [rad]."""
+    """Rotation vector about these axes [rad]."""
     covariance: Floats
-    """Of shift and turn, poses and shared errors included, shape (6, 6)."""
+    """Covariance of shift and turn, poses and shared errors included, shape (6, 6)."""
     loose: tuple[Floats, ...]
     """Directions (shift, turn) that its shape does not tell, such as the turn of a
     body about its own axis; the motion along them counts as none."""
     points: int
-    """How many points tell of it [1]."""
+    """Number of points that constrain the motion [1]."""
     misfit: float
     """Scatter of the points over what is stated [1]."""
 
@@ -77,36 +77,37 @@ def _along(vector: Floats, covariance: Floats) -> float:
 
 
 def bodies(places: Sequence[Region]) -> tuple[tuple[int, ...], ...]:
-    """Return the numbers of regions that one body may have made.
+    """Group regions that one body may have caused.
 
     Where it lay the surface is lower, where it lies it is higher: two regions that
     reach each other.
     """
-    left = list(range(len(places)))
-    found = []
-    while left:
-        group = [left.pop(0)]
+    waiting = list(range(len(places)))
+    groups = []
+    while waiting:
+        group = [waiting.pop(0)]
         for number in group:
-            one = places[number]
+            region = places[number]
             near = [
                 k
-                for k in left
-                if np.linalg.norm(places[k].centre - one.centre)
-                < places[k].reach + one.reach
+                for k in waiting
+                if np.linalg.norm(places[k].centre - region.centre)
+                < places[k].reach + region.reach
             ]
-            left = [k for k in left if k not in near]
+            waiting = [k for k in waiting if k not in near]
             group += near
-        found.append(tuple(sorted(group)))
-    return tuple(found)
+        groups.append(tuple(sorted(group)))
+    return tuple(groups)
 
 
 def around(places: Sequence[Region]) -> tuple[Floats, float]:
     """Return the middle of regions, and how far they reach from there [m]."""
-    area = np.array([one.area for one in places])
-    centres = np.array([one.centre for one in places])
+    area = np.array([region.area for region in places])
+    centres = np.array([region.centre for region in places])
     middle = np.asarray(area @ centres / area.sum())
     reach = max(
-        float(np.linalg.norm(one.centre - middle)) + one.reach for one in places
+        float(np.linalg.norm(region.centre - middle)) + region.reach
+        for region in places
     )
     return middle, reach
 
@@ -120,7 +121,7 @@ def motion_of(
     centre: Floats,
     reach: float,
 ) -> Motion | None:
-    """Return how the object at a place moved.
+    """Fit the rigid motion of the object at a place.
 
     The object is what stands above the ground around it, a plane through the surfaces
     from its reach to one and a half of it. Its points in the second epoch are fitted to
@@ -130,29 +131,29 @@ def motion_of(
     for scan in site.scan:
         if scan.epoch not in epochs:
             continue
-        kept = _object(surfaces[scan.name], registration, scan.name, centre, reach)
-        if kept is not None and int(kept.sum()) >= 20:
+        on_object = _object(surfaces[scan.name], registration, scan.name, centre, reach)
+        if on_object is not None and int(on_object.sum()) >= 20:
             cut[scan.name] = replace(
-                surfaces[scan.name], smooth=surfaces[scan.name].smooth & kept
+                surfaces[scan.name], smooth=surfaces[scan.name].smooth & on_object
             )
     names = [[s.name for s in site.scans_of(e) if s.name in cut] for e in epochs]
-    who = [(later, earlier) for later in names[1] for earlier in names[0]]
-    trees = {name: tree_of(one) for name, one in cut.items()}
-    if not who:
+    partners = [(later, earlier) for later in names[1] for earlier in names[0]]
+    trees = {name: tree_of(surface) for name, surface in cut.items()}
+    if not partners:
         return None
     shift, turn = np.zeros(3), np.eye(3)
     # In the middle of what was seen, turns and shifts tell least of each other.
-    seen = [
+    clouds = [
         registration.poses[name].place(cut[name].position[cut[name].smooth])
         for name in names[0]
     ]
-    middle = np.concatenate(seen).mean(axis=0)
+    middle = np.concatenate(clouds).mean(axis=0)
     pairs: list[Pair] = []
     gates = [0.08, 0.05, 0.03, 0.02, 0.015]
     for number in range(_STEPS):
         gate = gates[number] if number < len(gates) else None
         pairs = []
-        for later, earlier in who:
+        for later, earlier in partners:
             back = ScanPose(
                 turn.T @ registration.poses[later].rotation,
                 turn.T @ (registration.poses[later].position - middle - shift) + middle,
@@ -214,14 +215,14 @@ def _object(
 
 
 def _to_middle(pair: Pair, middle: Floats) -> Floats:
-    """Return how a shift at the pivot follows from one at another place."""
+    """Return the matrix from a motion at one place to that at the pivot of a pair."""
     carried = np.eye(6)
     carried[:3, 3:] = -cross_matrix(pair.pivot - middle)
     return carried
 
 
 def _held(pairs: list[Pair], middle: Floats) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return what all pairs together hold of a motion, and what they do not.
+    """Return the projector onto the motions that all pairs constrain, and free ones.
 
     What one pair does not hold another one may, and each of them by itself would leave
     out another turn of a round body.
@@ -264,7 +265,7 @@ def _result(
     back = np.linalg.pinv(normal, rcond=1e-9)
     # Each pixel takes part in several pairs.
     noise = np.zeros((6, 6))
-    of_pixel = {name: np.zeros((one.own.size, 6)) for name, one in cut.items()}
+    of_pixel = {name: np.zeros((surface.own.size, 6)) for name, surface in cut.items()}
     names = list(
         dict.fromkeys(
             name
@@ -299,13 +300,15 @@ def _result(
     for name, rows in of_pixel.items():
         scaled = rows * np.nan_to_num(cut[name].own.ravel())[:, None]
         noise += scaled.T @ scaled
-    known = registration.covariance_of(*names)
-    covariance = back @ (noise + gain @ known @ gain.T) @ back.T
+    prior = registration.covariance_of(*names)
+    covariance = back @ (noise + gain @ prior @ gain.T) @ back.T
     # A turn that the shape does not tell is any turn: the place is on its axis, if that
     # passes through the object.
     away = np.zeros(3)
     if loose:
-        away = _best_place(np.sum([np.outer(one, one) for one in loose], axis=0))
+        away = _best_place(
+            np.sum([np.outer(surface, surface) for surface in loose], axis=0)
+        )
         extent = max(
             float(np.linalg.norm(pair.place - middle, axis=1).max()) for pair in pairs
         )
@@ -325,7 +328,7 @@ def _result(
 
 
 def _best_place(covariance: Floats) -> Floats:
-    """Return where from the middle the shift varies least, such as on an axis.
+    """Return the offset from the middle at which the shift varies least.
 
     The shift at d is t + w x d; d is such that its mean square error is least.
     """

@@ -1,4 +1,4 @@
-"""Which points other scans confirm, and which they see through: fish, divers, weed."""
+"""Merged cloud of a site: covariances of points, confirmation by other scans."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from amulor.site.registration.surface import ScanSurface
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int16]
 
-#: A scan sees through a point if it stands so many standard errors before its surface,
-#: and confirms it if it stands within fewer [1].
+#: Standard errors in front of a surface beyond which a point is seen through, and
+#: within which it is confirmed [1].
 _THROUGH, _CONFIRMED = 6.0, 4.0
-#: Beams that graze a surface tell little of what stands before it [1].
+#: Smallest cosine of the angle of incidence for a look through a point [1].
 _GRAZING = 0.15
 
 
@@ -35,13 +35,13 @@ def seen_by_others(
     point: Floats,
     sigma: Floats,
 ) -> tuple[Counts, Counts]:
-    """Return how many other scans confirm points of a scan, and see through them."""
+    """Count the other scans that confirm points of a scan, and see through them."""
     confirmed = np.zeros(len(point), dtype=np.int16)
     through = np.zeros(len(point), dtype=np.int16)
-    for other, surface in surfaces.items():
-        if other == name or not len(point):
+    for peer, surface in surfaces.items():
+        if peer == name or not len(point):
             continue
-        local = poses[other].back(point)
+        local = poses[peer].back(point)
         middle = surface.origin[surface.usable].mean(axis=0)
         away = local - middle
         distance = np.linalg.norm(away, axis=1)
@@ -77,15 +77,15 @@ class Merged:
     """Points of all scans in the frame of the site."""
 
     position: Floats
-    """East, north, up, shape (n, 3) [m]."""
+    """East, north and up of each point, shape (n, 3) [m]."""
     covariance: Floats
-    """Of each point: noise, what its scan shares, its pose, shape (n, 3, 3) [m^2]."""
+    """Covariance of each point, with shared errors and pose, shape (n, 3, 3) [m^2]."""
     own: Floats
-    """Standard uncertainty of the range that is each pixel's own, shape (n,) [m]."""
+    """Standard uncertainty of the range by noise of the pixel, shape (n,) [m]."""
     beam: Floats
-    """Where a point moves when its range grows, shape (n, 3) [1]."""
+    """Direction of the beam of each point, shape (n, 3) [1]."""
     normal: Floats
-    """Of the surface, towards the instrument; NaN where not smooth, (n, 3) [1]."""
+    """Normals towards the instrument; NaN where not smooth, shape (n, 3) [1]."""
     intensity: Floats
     """Amplitude of the target signal, shape (n,) [V]."""
     scan: NDArray[np.int16]
@@ -102,7 +102,7 @@ class Merged:
     """Weight of a point among those of other scans at its place, which add up to 1 with
     its own scan's, shape (n,) [1]."""
     site: Site
-    """What it was made of."""
+    """Description of the site."""
 
     @property
     def sigma(self) -> Floats:
@@ -110,28 +110,28 @@ class Merged:
         return np.asarray(np.sqrt(np.einsum("nii->ni", self.covariance)))
 
     def of_epoch(self, epoch: str) -> Flags:
-        """Return which points are of one visit."""
-        numbers = [k for k, one in enumerate(self.site.scan) if one.epoch == epoch]
+        """Return the mask of the points of one visit."""
+        numbers = [k for k, scan in enumerate(self.site.scan) if scan.epoch == epoch]
         return np.asarray(np.isin(self.scan, numbers))
 
 
 def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
     """Return the points of a scan less its shared errors as they are estimated."""
-    known = np.array([errors.get(key, 0.0) for key in surface.shared.keys])
-    off = np.tensordot(known, surface.shared.shapes, axes=1)
+    estimates = np.array([errors.get(key, 0.0) for key in surface.shared.keys])
+    off = np.tensordot(estimates, surface.shared.shapes, axes=1)
     distance = surface.distance - off
     return np.asarray(surface.origin + distance[..., None] * surface.direction)
 
 
 def unknowns_of(scan: str, surface: ScanSurface) -> tuple[str, ...]:
-    """Return what the place of a scan's points depends on, as named in covariances."""
+    """Return the names of the unknowns that the points of a scan depend on."""
     return (f"pose {scan}", *(f"error {key}" for key in surface.shared.keys))
 
 
 def by_unknowns(
     surface: ScanSurface, pose: ScanPose, position: Floats, pixel: NDArray[np.intp]
 ) -> Floats:
-    """Return how points move with the pose and the shared errors of their scan."""
+    """Return the derivatives of points by pose and shared errors of their scan."""
     arm = position - pose.position
     beam = pose.turn(surface.direction.reshape(-1, 3)[pixel])
     shapes = surface.shared.shapes.reshape(len(surface.shared.keys), -1)[:, pixel]
@@ -168,16 +168,16 @@ def merge(
         tell(f"placing {scan.name}", number / len(site.scan))
         surface, pose = surfaces[scan.name], registration.poses[scan.name]
         pixel = np.flatnonzero(surface.usable)
-        own = corrected(surface, registration.errors).reshape(-1, 3)[pixel]
-        position = pose.place(own)
+        local = corrected(surface, registration.errors).reshape(-1, 3)[pixel]
+        position = pose.place(local)
         beam = pose.turn(surface.direction.reshape(-1, 3)[pixel])
         names = unknowns_of(scan.name, surface)
-        known = registration.covariance_of(*names)
+        covariance = registration.covariance_of(*names)
         slope = by_unknowns(surface, pose, position, pixel)
         sigma = surface.own.ravel()[pixel]
-        spread = np.einsum("nij,jk,nlk->nil", slope, known, slope, optimize=True)
+        spread = np.einsum("nij,jk,nlk->nil", slope, covariance, slope, optimize=True)
         spread += (sigma**2)[:, None, None] * beam[:, :, None] * beam[:, None, :]
-        peers = {one.name: surfaces[one.name] for one in site.scans_of(scan.epoch)}
+        peers = {peer.name: surfaces[peer.name] for peer in site.scans_of(scan.epoch)}
         largest = np.sqrt(np.linalg.eigvalsh(spread)[:, -1])
         confirmed, through = seen_by_others(
             scan.name, peers, registration.poses, position, largest
@@ -196,25 +196,25 @@ def merge(
             confirmed=confirmed,
             moving=through > confirmed,
         )
-    whole = {key: np.concatenate(values) for key, values in parts.items()}
+    columns = {key: np.concatenate(values) for key, values in parts.items()}
     tell("weighing what several scans see", 0.9)
     share = _shares(
-        site, whole["position"], whole["scan"], whole["own"], whole["moving"]
+        site, columns["position"], columns["scan"], columns["own"], columns["moving"]
     )
-    return Merged(**whole, share=share, site=site)
+    return Merged(**columns, share=share, site=site)
 
 
 def _shares(
     site: Site,
     position: NDArray[np.generic],
     scan: NDArray[np.generic],
-    own: NDArray[np.generic],
+    sigma: NDArray[np.generic],
     moving: NDArray[np.generic],
 ) -> Floats:
     """Return weights of points among those of the same epoch at the same place."""
     epochs = np.array([[e.name for e in site.epoch].index(s.epoch) for s in site.scan])
     share = np.ones(len(position))
-    precision = 1 / np.maximum(np.asarray(own, dtype=float), 1e-9) ** 2
+    precision = 1 / np.maximum(np.asarray(sigma, dtype=float), 1e-9) ** 2
     for epoch in range(len(site.epoch)):
         at = np.flatnonzero((epochs[scan.astype(int)] == epoch) & ~moving.astype(bool))
         numbers = np.unique(scan[at])
@@ -222,19 +222,19 @@ def _shares(
         for number in numbers:
             mine = at[scan[at] == number]
             trees[number] = (cKDTree(position[mine]), mine)
-            some = trees[number][0].query(
+            nearest_two = trees[number][0].query(
                 position[mine[:: max(len(mine) // 500, 1)]], k=2
             )
-            reach[number] = 1.5 * float(np.median(some[0][:, 1]))
+            reach[number] = 1.5 * float(np.median(nearest_two[0][:, 1]))
         for number in numbers:
             mine = trees[number][1]
             total = precision[mine].copy()
-            for other in numbers:
-                if other == number:
+            for peer in numbers:
+                if peer == number:
                     continue
-                tree, theirs = trees[other]
+                tree, theirs = trees[peer]
                 away, nearest = tree.query(
-                    position[mine], distance_upper_bound=reach[other]
+                    position[mine], distance_upper_bound=reach[peer]
                 )
                 met = np.isfinite(away)
                 total[met] += precision[theirs[nearest[met]]]
@@ -257,22 +257,22 @@ def scan_clouds(
             crs=frame.crs,
             crs_offset=frame.crs_offset,
         )
-        one = point_cloud(images[scan.name], frame=axes)
-        columns = int(one.attrs["scan_shape"][1])
-        pixel = one["row"].values.astype(int) * columns + one["column"].values
+        single = point_cloud(images[scan.name], frame=axes)
+        columns = int(single.attrs["scan_shape"][1])
+        pixel = single["row"].values.astype(int) * columns + single["column"].values
         mine = np.flatnonzero(cloud.scan == number)
         order = np.searchsorted(cloud.pixel[mine], pixel)
         order = np.minimum(order, len(mine) - 1)
-        there = cloud.pixel[mine[order]] == pixel
-        one = one.isel(point=np.flatnonzero(there))
-        at = mine[order[there]]
+        present = cloud.pixel[mine[order]] == pixel
+        single = single.isel(point=np.flatnonzero(present))
+        at = mine[order[present]]
         changed = {}
         for axis, name in enumerate("xyz"):
-            changed[name] = one[name].copy(data=cloud.position[at, axis])
-            changed[f"{name}_uncertainty"] = one[f"{name}_uncertainty"].copy(
+            changed[name] = single[name].copy(data=cloud.position[at, axis])
+            changed[f"{name}_uncertainty"] = single[f"{name}_uncertainty"].copy(
                 data=cloud.sigma[at, axis]
             )
-        one = one.assign(changed)
-        one.attrs["title"] = scan.name
-        clouds.append(one)
+        single = single.assign(changed)
+        single.attrs["title"] = scan.name
+        clouds.append(single)
     return clouds

@@ -1,4 +1,4 @@
-"""Writes a merged cloud as LAZ tiles that share one offset."""
+"""LAZ tiles of a merged cloud, all with one offset."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def write_tiles(
     laspy = _laspy()
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    kept = np.ones(len(cloud.position), dtype=bool)
+    selected = np.ones(len(cloud.position), dtype=bool)
     if epoch is not None:
-        kept = cloud.of_epoch(epoch)
+        selected = cloud.of_epoch(epoch)
     place = cloud.position
     world = np.array(cloud.site.frame.crs_offset)
     offset = world + np.round(place.mean(axis=0)) if not world.any() else world
@@ -71,12 +71,12 @@ def write_tiles(
     cell = np.floor(place[:, :2] / size).astype(int)
     names = []
     listed = {}
-    cells = np.unique(cell[kept], axis=0)
-    for number, one in enumerate(cells):
+    cells = np.unique(cell[selected], axis=0)
+    for number, corner in enumerate(cells):
         tell("writing tiles", number / len(cells))
-        at = np.flatnonzero(kept & (cell == one).all(axis=1))
+        at = np.flatnonzero(selected & (cell == corner).all(axis=1))
         suffix = f"_{epoch}" if epoch is not None else ""
-        path = folder / f"tile_{one[0]:+04d}_{one[1]:+04d}{suffix}.laz"
+        path = folder / f"tile_{corner[0]:+04d}_{corner[1]:+04d}{suffix}.laz"
         points = _tile(laspy, cloud, at, offset, world, brightest)
         content = io.BytesIO()
         points.write(content, do_compress=True)
@@ -85,7 +85,7 @@ def write_tiles(
         names.append(path)
         listed[path.name] = {
             "points": len(at),
-            "west_south_m": [float(v) for v in one * size],
+            "west_south_m": [float(v) for v in corner * size],
             "size_m": size,
         }
     about = {

@@ -1,4 +1,4 @@
-"""From start poses to poses with a covariance: rough, then pairs, then all at once."""
+"""Alignment of scans: rough poses one by one, then a fit of all with covariance."""
 
 from __future__ import annotations
 
@@ -32,20 +32,19 @@ _HALF_STEPS = 8
 #: Chi-square of a step that ends the work, and of one that has settled: a fifth of the
 #: stated uncertainty, all unknowns together [1].
 _DONE, _SETTLED = 4e-4, 0.04
-#: Pairs that disagree with all others less often than this by chance [1].
+#: Chance of calling a good pair a disagreement [1].
 _CHANCE = 1e-4
-#: Points are matched with others no farther than this at first: farther, other
-#: objects of the same shape come into reach [m].
+#: Largest distances of matched points; beyond, other objects of one shape match [m].
 _REACHES = (0.25, 0.1, 0.05)
-#: Starts beside the stated one, in standard deviations of its heading or of its place
-#: across the site; only where that is worse than a few pixels [1].
+#: Offset of further guesses, in standard deviations of heading and of position across
+#: the site [1].
 _ASIDE = 1.0
-#: A pose farther from its start than this is taken if no nearer one fits at all:
-#: chance of so large a distance [1].
+#: Chance of the distance from its start beyond which a pose is taken only if no nearer
+#: one fits [1].
 _UNLIKELY = 1e-4
-#: Points of a scan by which rough poses are judged [1].
+#: Number of points that rank rough poses [1].
 _JUDGES = 1500
-#: Nobody knows a pose worse than this [m, rad].
+#: Prior standard uncertainty of a pose without a start [m, rad].
 _ANYWHERE, _ANYHOW = 100.0, 1.0
 
 
@@ -54,15 +53,15 @@ class Disagreement:
     """A pair of scans that all others contradict."""
 
     scans: tuple[str, str]
-    """Their names."""
+    """Names of the scans."""
     shift: float
-    """How far the pair by itself would move one of them [m]."""
+    """Shift of one of them that the pair by itself would cause [m]."""
     turn: float
-    """How far it would turn it [rad]."""
+    """Turn that it would cause [rad]."""
     score: float
     """Chi-square over its degrees of freedom; about 1 by chance [1]."""
     trust: float
-    """Weight that it keeps [1]."""
+    """Weight of the pair [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,17 +71,17 @@ class Alignment:
     state: State
     """Poses, targets and shared errors."""
     covariance: Floats
-    """Of all unknowns, in the order of `layout`."""
+    """Covariance of all unknowns, in the order of `layout`."""
     layout: Layout
-    """Which unknown stands where."""
+    """Places of the unknowns."""
     pairs: tuple[Pair, ...]
     """Comparisons of scans."""
     trust: tuple[float, ...]
     """Weight of each of them, 1 unless it disagrees."""
     disagreements: tuple[Disagreement, ...]
-    """Pairs that do."""
+    """Pairs that all others contradict."""
     steps: int
-    """How many steps it took; as many as are allowed if it did not settle."""
+    """Number of steps, the largest allowed one if the fit did not settle [1]."""
     settled: bool
     """Whether the last step was small."""
     patterns: tuple[PatternTest, ...]
@@ -98,7 +97,7 @@ def align(
     guess: Mapping[str, ScanPose] | None = None,
 ) -> Alignment:
     """Align all scans of a site."""
-    poses = _begin(surfaces, ties, voxel=voxel, guess=guess or {})
+    poses = _rough_poses(surfaces, ties, voxel=voxel, guess=guess or {})
     names = list(surfaces)
     start = dict(ties.start)
     for name in names:
@@ -110,26 +109,26 @@ def align(
         key for surface in surfaces.values() for key in surface.shared.keys
     )
     keys |= dict.fromkeys(key for centre in ties.centres for key in centre.shared)
-    points = _first_points(ties, poses)
+    points = _first_positions(ties, poses)
     state = State(poses, points, dict.fromkeys(keys, 0.0))
     trees = {name: tree_of(surface) for name, surface in surfaces.items()}
-    who = _neighbours(surfaces, poses, trees, overlap)
-    _refuse_islands(names, who, ties)
+    overlaps = _neighbours(surfaces, poses, trees, overlap)
+    _refuse_islands(names, overlaps, ties)
     gates: list[float | None] = []
-    if who:
-        largest = 6 * max(one.spacing for one in surfaces.values())
+    if overlaps:
+        largest = 6 * max(surface.spacing for surface in surfaces.values())
         gates += [float(g) for g in np.geomspace(largest, largest / 8, _WIDE_STEPS)]
     gates += [None] * _FINE_STEPS
     pairs: list[Pair] = []
     trust: list[float] = []
-    settled, taken, free = False, 0, 0
+    settled, steps, free = False, 0, 0
     for number, gate in enumerate(gates):
         tell("fitting all scans to each other", 0.3 + 0.5 * number / len(gates))
         late = number >= _WIDE_STEPS + _FREE_STEPS
-        pairs = _pairs(surfaces, who, state, trees, gate, pairs if late else ())
+        pairs = _pairs(surfaces, overlaps, state, trees, gate, pairs if late else ())
         trust = [1.0] * len(pairs)
-        taken = number + 1
-        found = network.step(
+        steps = number + 1
+        outcome = network.step(
             state,
             pairs,
             ties,
@@ -138,17 +137,17 @@ def align(
             free=free,
             part=0.5 if number >= _WIDE_STEPS + _HALF_STEPS else 1.0,
         )
-        state = found.state
-        free = found.free if late else 0
-        settled = gate is None and found.score < _SETTLED
-        if gate is None and found.score < _DONE:
+        state = outcome.state
+        free = outcome.free if late else 0
+        settled = gate is None and outcome.score < _SETTLED
+        if gate is None and outcome.score < _DONE:
             break
     disagreements: tuple[Disagreement, ...] = ()
     if len(pairs) > 1:
-        trust, disagreements = _judged(pairs, state, surfaces)
+        trust, disagreements = _pair_weights(pairs, state, surfaces)
         for _ in range(4 if disagreements else 0):
-            pairs = _pairs(surfaces, who, state, trees, None, pairs)
-            trust, disagreements = _judged(pairs, state, surfaces)
+            pairs = _pairs(surfaces, overlaps, state, trees, None, pairs)
+            trust, disagreements = _pair_weights(pairs, state, surfaces)
             state = network.step(state, pairs, ties, trust, free=free).state
     tell("covariance of all poses", 0.85)
     covariance, layout = network.covariance(
@@ -161,56 +160,58 @@ def align(
         pairs=tuple(pairs),
         trust=tuple(trust),
         disagreements=disagreements,
-        steps=taken,
+        steps=steps,
         settled=settled,
         patterns=pattern_tests(state, pairs, ties, trust, surfaces, free=free),
     )
 
 
-def _begin(
+def _rough_poses(
     surfaces: Mapping[str, ScanSurface],
     ties: Ties,
     *,
     voxel: float | None,
     guess: Mapping[str, ScanPose],
 ) -> dict[str, ScanPose]:
-    """Return poses good to a part of a pixel's spacing, one scan after the other."""
-    stated = {name: known.pose for name, known in ties.start.items()} | dict(guess)
+    """Return rough poses, good to a part of the spacing, scan by scan."""
+    starts = {name: start.pose for name, start in ties.start.items()} | dict(guess)
     if ties.fixed is not None:
-        stated.setdefault(ties.fixed, ScanPose(np.eye(3), np.zeros(3)))
-    lost = [name for name in surfaces if name not in stated]
+        starts.setdefault(ties.fixed, ScanPose(np.eye(3), np.zeros(3)))
+    lost = [name for name in surfaces if name not in starts]
     if lost:
         raise CubeError(
             f"scan {lost[0]!r}: nothing tells about where it stood; state [scan.start] "
             "with uncertainties, or three targets that other scans see, too"
         )
-    first = ties.fixed or _first(ties, guess, list(surfaces))
-    placed = {first: stated[first]}
+    first = ties.fixed or _best_started(ties, guess, list(surfaces))
+    placed = {first: starts[first]}
     waiting = [name for name in surfaces if name != first]
-    clouds = {name: one.position[one.usable] for name, one in surfaces.items()}
+    clouds = {
+        name: surface.position[surface.usable] for name, surface in surfaces.items()
+    }
     while waiting:
         tell("aligning roughly", 0.3 * len(placed) / len(surfaces))
         others = np.concatenate([placed[n].place(clouds[n]) for n in placed])
         tree = cKDTree(others)
         shares = {}
         for name in waiting:
-            some = stated[name].place(
+            sample = starts[name].place(
                 clouds[name][:: max(len(clouds[name]) // 2000, 1)]
             )
             shares[name] = np.isfinite(
-                tree.query(some, distance_upper_bound=_REACHES[0])[0]
+                tree.query(sample, distance_upper_bound=_REACHES[0])[0]
             ).mean()
-        name = max(waiting, key=lambda one: float(shares[one]))
+        name = max(waiting, key=lambda surface: float(shares[surface]))
         waiting.remove(name)
         if shares[name] < 0.02:
-            placed[name] = stated[name]
+            placed[name] = starts[name]
             continue
-        spacing = max(one.spacing for one in surfaces.values())
-        placed[name] = _rough(
+        spacing = max(surface.spacing for surface in surfaces.values())
+        placed[name] = _rough_pose(
             clouds[name],
             others,
             tree,
-            stated[name],
+            starts[name],
             ties.start.get(name),
             voxel=voxel or 2 * spacing,
             spacing=spacing,
@@ -218,12 +219,12 @@ def _begin(
     return {name: placed[name] for name in surfaces}
 
 
-def _rough(
+def _rough_pose(
     cloud: Floats,
     others: Floats,
     tree: cKDTree,
-    stated: ScanPose,
-    known: KnownPose | None,
+    first_guess: ScanPose,
+    start: KnownPose | None,
     *,
     voxel: float,
     spacing: float,
@@ -234,21 +235,22 @@ def _rough(
     start and in how far points are matched; the best leaves the least distance in the
     overlap, and lies where the start pose may be.
     """
-    some = cloud[:: max(len(cloud) // _JUDGES, 1)]
-    attempts = [stated]
+    sample = cloud[:: max(len(cloud) // _JUDGES, 1)]
+    attempts = [first_guess]
     attempts += [
-        aligned(cloud, others, stated, voxel=voxel, reach=one) for one in _REACHES
+        aligned(cloud, others, first_guess, voxel=voxel, reach=attempt)
+        for attempt in _REACHES
     ]
-    if known is not None:
+    if start is not None:
         attempts += [
-            aligned(cloud, others, one, voxel=voxel, reach=_REACHES[0])
-            for one in _beside(known, 3 * spacing, some)
+            aligned(cloud, others, attempt, voxel=voxel, reach=_REACHES[0])
+            for attempt in _further_guesses(start, 3 * spacing, sample)
         ]
     misfit = np.array(
-        [_misfit(one.place(some), others, tree, spacing) for one in attempts]
+        [_misfit(attempt.place(sample), others, tree, spacing) for attempt in attempts]
     )
-    if known is not None:
-        far = np.array([squared_pull(one, known) for one in attempts])
+    if start is not None:
+        far = np.array([squared_pull(attempt, start) for attempt in attempts])
         likely = far <= float(chi2.isf(_UNLIKELY, 6))
         # Unless all that is near fits as badly as no alignment at all.
         if (misfit[likely] < min(0.5, 2 * misfit.min())).any():
@@ -256,23 +258,23 @@ def _rough(
     return attempts[int(np.argmin(misfit))]
 
 
-def _beside(known: KnownPose, least: float, cloud: Floats) -> list[ScanPose]:
-    """Return starts beside one that is known worse than to a few pixels."""
+def _further_guesses(start: KnownPose, least: float, cloud: Floats) -> list[ScanPose]:
+    """Return further first guesses around a start pose worse than a few pixels."""
     away = float(np.linalg.norm(cloud.mean(axis=0)))
-    found = []
-    turn = float(np.sqrt(known.covariance[5, 5]))
+    starts = []
+    turn = float(np.sqrt(start.covariance[5, 5]))
     if turn * away > least:
         for sign in (-_ASIDE, _ASIDE):
             step = np.array([0, 0, 0, 0, 0, sign * turn])
-            found.append(known.pose.changed(step))
+            starts.append(start.pose.changed(step))
     for axis in (0, 1):
-        shift = float(np.sqrt(known.covariance[axis, axis]))
+        shift = float(np.sqrt(start.covariance[axis, axis]))
         if shift > least:
             for sign in (-_ASIDE, _ASIDE):
                 step = np.zeros(6)
                 step[axis] = sign * shift
-                found.append(known.pose.changed(step))
-    return found
+                starts.append(start.pose.changed(step))
+    return starts
 
 
 def _misfit(placed: Floats, others: Floats, tree: cKDTree, spacing: float) -> float:
@@ -289,28 +291,32 @@ def _misfit(placed: Floats, others: Floats, tree: cKDTree, spacing: float) -> fl
     return float(1 - met.mean() + met.mean() * np.minimum(distance / spacing, 1).mean())
 
 
-def squared_pull(pose: ScanPose, known: KnownPose) -> float:
+def squared_pull(pose: ScanPose, start: KnownPose) -> float:
     """Return the chi-square of a pose against its start pose, of six numbers."""
-    off = departure(pose, known.pose)
-    return float(off @ np.linalg.solve(known.covariance, off))
+    off = departure(pose, start.pose)
+    return float(off @ np.linalg.solve(start.covariance, off))
 
 
-def _first(ties: Ties, guess: Mapping[str, ScanPose], names: Sequence[str]) -> str:
-    """Return the scan whose pose is known best."""
-    known = [name for name in names if name in ties.start]
-    if not known:
+def _best_started(
+    ties: Ties, guess: Mapping[str, ScanPose], names: Sequence[str]
+) -> str:
+    """Return the scan with the best start pose."""
+    started = [name for name in names if name in ties.start]
+    if not started:
         return next(iter(guess), names[0])
-    return min(known, key=lambda one: float(np.trace(ties.start[one].covariance)))
+    return min(
+        started, key=lambda scan_name: float(np.trace(ties.start[scan_name].covariance))
+    )
 
 
-def _first_points(ties: Ties, poses: Mapping[str, ScanPose]) -> dict[str, Floats]:
-    """Return about where targets stand."""
+def _first_positions(ties: Ties, poses: Mapping[str, ScanPose]) -> dict[str, Floats]:
+    """Return first positions of targets."""
     points: dict[str, Floats] = {}
     for centre in ties.centres:
-        seen = poses[centre.scan].place(centre.position)
-        points.setdefault(centre.target, seen)
-    for name, known in ties.control.items():
-        points.setdefault(name, known.position)
+        place = poses[centre.scan].place(centre.position)
+        points.setdefault(centre.target, place)
+    for name, control in ties.control.items():
+        points.setdefault(name, control.position)
     return points
 
 
@@ -322,35 +328,37 @@ def _neighbours(
 ) -> list[tuple[str, str]]:
     """Return the pairs of scans that see the same surface, the finer one second."""
     names = list(surfaces)
-    found = []
-    for number, one in enumerate(names):
-        for other in names[number + 1 :]:
+    overlaps = []
+    for number, first in enumerate(names):
+        for second in names[number + 1 :]:
             source, target = (
-                (one, other)
-                if surfaces[one].spacing >= surfaces[other].spacing
-                else (other, one)
+                (first, second)
+                if surfaces[first].spacing >= surfaces[second].spacing
+                else (second, first)
             )
             cloud = surfaces[source].position[surfaces[source].smooth]
-            some = cloud[:: max(len(cloud) // 3000, 1)]
-            local = poses[target].back(poses[source].place(some))
+            sample = cloud[:: max(len(cloud) // 3000, 1)]
+            local = poses[target].back(poses[source].place(sample))
             away, _ = trees[target].query(
                 local, distance_upper_bound=3 * surfaces[target].spacing
             )
             if np.isfinite(away).mean() >= overlap:
-                found.append((source, target))
-    return found
+                overlaps.append((source, target))
+    return overlaps
 
 
 def _refuse_islands(
-    names: Sequence[str], who: Sequence[tuple[str, str]], ties: Ties
+    names: Sequence[str], overlaps: Sequence[tuple[str, str]], ties: Ties
 ) -> None:
-    """Raise if a scan is tied to nothing."""
-    seen: dict[str, set[str]] = {}
+    """Raise if a scan has no tie."""
+    scans_of: dict[str, set[str]] = {}
     for centre in ties.centres:
-        seen.setdefault(centre.target, set()).add(centre.scan)
-    tied = {name for pair in who for name in pair} | set(ties.start)
-    tied |= {n for name, scans in seen.items() if len(scans) > 1 for n in scans}
-    tied |= {n for name, scans in seen.items() if name in ties.control for n in scans}
+        scans_of.setdefault(centre.target, set()).add(centre.scan)
+    tied = {name for pair in overlaps for name in pair} | set(ties.start)
+    tied |= {n for name, scans in scans_of.items() if len(scans) > 1 for n in scans}
+    tied |= {
+        n for name, scans in scans_of.items() if name in ties.control for n in scans
+    }
     alone = [name for name in names if name not in tied and name != ties.fixed]
     if alone and len(names) > 1:
         raise CubeError(
@@ -361,7 +369,7 @@ def _refuse_islands(
 
 def _pairs(
     surfaces: Mapping[str, ScanSurface],
-    who: Sequence[tuple[str, str]],
+    overlaps: Sequence[tuple[str, str]],
     state: State,
     trees: Mapping[str, cKDTree],
     gate: float | None,
@@ -369,7 +377,7 @@ def _pairs(
 ) -> list[Pair]:
     """Return the comparisons of scans, only with points that counted before, if any."""
     among = {(p.source, p.target): p.source_pixel[p.weight > 0] for p in before}
-    found = (
+    comparisons = (
         compared(
             surfaces[source],
             surfaces[target],
@@ -379,15 +387,15 @@ def _pairs(
             tree=trees[target],
             among=among.get((source, target)),
         )
-        for source, target in who
+        for source, target in overlaps
     )
-    return [pair for pair in found if pair is not None and pair.used >= 20]
+    return [pair for pair in comparisons if pair is not None and pair.used >= 20]
 
 
-def _judged(
+def _pair_weights(
     pairs: Sequence[Pair], state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[list[float], tuple[Disagreement, ...]]:
-    """Return how far each pair is trusted, and those that all others contradict."""
+    """Return the weights of pairs, and those that all others contradict."""
     trust, against = [], []
     for pair in pairs:
         change, spread = network.innovation(pair, state, surfaces)

@@ -1,4 +1,4 @@
-"""Which directions of a motion surfaces hold, and which they do not."""
+"""Constrained directions of a motion, and points of bodies that moved."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from scipy.stats import chi2
 
 Floats = NDArray[np.float64]
 
-#: Directions count as held if what holds them stands out of noise so many times [1].
+#: Signal-to-noise ratio of a constrained direction [1].
 HELD = 6.0
 
 
 def mean_lever(lever: Floats, weight: Floats) -> float:
-    """Return how far points stand from a place, as a root mean square."""
+    """Return the root mean square distance of points from a place [m]."""
     return float(np.sqrt(np.average((lever**2).sum(axis=1), weights=weight + 1e-300)))
 
 
 def held_directions(
     matrix: Floats, *, unsure: float, length: float
 ) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return a projection on what surfaces hold, and the directions they do not.
+    """Return the projector onto directions that surfaces constrain, and free ones.
 
     Noise of normals in both scans makes products whose mean is zero; a direction is
     held if its sum stands out of their scatter.
@@ -48,11 +48,11 @@ def held_directions(
 Flags = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-#: A body that stayed is taken for one that moved so often [1].
+#: Chance of calling a body at rest moved [1].
 _CHANCE = 1e-5
-#: A body of which so much stands off by itself or with neighbours has moved [1].
+#: Part of the points of a body that stand off, above which it has moved [1].
 _MUCH = 0.3
-#: Points of a body that can tell [1].
+#: Smallest number of points of a body [1].
 _FEWEST = 10
 
 
@@ -65,33 +65,33 @@ class Points:
     pixel: Numbers
     """Numbers of the source's pixels, shape (n,)."""
     lever: Floats
-    """From the pivot, shape (n, 3) [m]."""
+    """Places relative to the pivot, shape (n, 3) [m]."""
     distance: Floats
     """With the shared errors as they are estimated so far, shape (n,) [m]."""
     corrected: Floats
-    """How much of it these are, shape (n,) [m]."""
+    """Part of the distance by shared errors, shape (n,) [m]."""
     variance: Floats
-    """Of the distance by the noise of source and target, shape (2, n) [m^2]."""
+    """Variance of the distance by noise of source and target, shape (2, n) [m^2]."""
     by_target: Floats
     """Derivatives with the normals of the target, shape (n, 6 + k)."""
     by_source: Floats
     """The same with the normals of the source."""
     noise: Floats
-    """Of a distance by that of the source's pixel, shape (n,) [m]."""
+    """Noise of a distance by that of the source's pixel, shape (n,) [m]."""
     window: sparse.csr_matrix
     """Noise of a distance by that of the target's pixels, shape (n, pixels) [m]."""
     tilt: Floats
     """Squares of derivatives by the noise of normals, shape (n,)."""
     together: float
-    """How many neighbours share that noise [1]."""
+    """Number of neighbors that share this noise [1]."""
 
     def unsure(self, weight: Floats) -> float:
-        """Return what noise of normals puts into sums of products of derivatives."""
+        """Return the scatter by noise of normals of sums of products of derivatives."""
         return float(np.sqrt(self.together * ((self.tilt * weight) ** 2).sum()))
 
 
 def moved_bodies(
-    points: Points, weight: Floats, kept: Flags, *, misfit: float
+    points: Points, weight: Floats, near: Flags, *, misfit: float
 ) -> Flags:
     r"""Return the points of bodies that moved against all else in the pair.
 
@@ -110,14 +110,16 @@ def moved_bodies(
     if len(order) < 2:
         return np.zeros(len(body), dtype=bool)
     order.remove(int(np.argmax(size)))
-    off = np.bincount(body[(weight > 0) & ~kept], minlength=len(size))
+    off = np.bincount(body[(weight > 0) & ~near], minlength=len(size))
     moved = [number for number in order if off[number] > _MUCH * size[number]]
     order = [number for number in order if number not in moved]
     while order:
-        left = kept & ~np.isin(body, moved)
-        whole = _sum(points, weight, left)
+        remaining = near & ~np.isin(body, moved)
+        total = _sum(points, weight, remaining)
         chances = [
-            _chance(points, weight, whole, left, left & (body == number), misfit)
+            _chance(
+                points, weight, total, remaining, remaining & (body == number), misfit
+            )
             for number in order
         ]
         surest = int(np.argmin(chances))
@@ -129,7 +131,7 @@ def moved_bodies(
 
 @dataclass(frozen=True)
 class _Sum:
-    """Sums over some points, and how noise enters them."""
+    """Sums over some points, with their noise."""
 
     matrix: Floats
     gradient: Floats
@@ -146,12 +148,12 @@ def _sum(
     window = points.window[at]
     if columns is not None:
         window = window[:, columns]
-    own = z * points.noise[at, None]
+    noise = z * points.noise[at, None]
     return _Sum(
         matrix=z.T @ points.by_target[at, :6],
         gradient=z.T @ (points.distance - points.corrected)[at],
         shared=z.T @ points.by_target[at, 6:],
-        own=own.T @ own,
+        own=noise.T @ noise,
         patches=np.asarray(window.T @ z),
     )
 
@@ -159,58 +161,58 @@ def _sum(
 def _chance(
     points: Points,
     weight: Floats,
-    whole: _Sum,
-    kept: Flags,
+    total: _Sum,
+    remaining: Flags,
     body: Flags,
     misfit: float,
 ) -> float:
-    """Return how often a body that stayed would stand off so far, by chance."""
-    rest = kept & ~body
+    """Return the chance of such an offset for a body that did not move."""
+    rest = remaining & ~body
     if int(body.sum()) < _FEWEST or int(rest.sum()) < 2 * _FEWEST:
         return 1.0
     columns = np.unique(points.window[body].indices)
-    one = _sum(points, weight, body, columns)
-    matrix = whole.matrix - one.matrix
+    part = _sum(points, weight, body, columns)
+    matrix = total.matrix - part.matrix
     held, loose = held_directions(
         matrix,
         unsure=points.unsure(np.where(rest, weight, 0.0)),
         length=mean_lever(points.lever[rest], weight[rest]),
     )
-    carry = one.matrix @ held @ np.linalg.pinv(held.T @ matrix @ held) @ held.T
-    off = one.gradient - carry @ (whole.gradient - one.gradient)
-    shared = one.shared - carry @ (whole.shared - one.shared)
+    carry = part.matrix @ held @ np.linalg.pinv(held.T @ matrix @ held) @ held.T
+    off = part.gradient - carry @ (total.gradient - part.gradient)
+    shared = part.shared - carry @ (total.shared - part.shared)
     # The patches of the body, and those of all else, share pixels at its rim.
-    near = whole.patches[columns]
-    cross = one.patches.T @ (near - one.patches)
-    patches = whole.patches.T @ whole.patches - near.T @ near
-    patches += (near - one.patches).T @ (near - one.patches)
-    noise = one.own + carry @ (whole.own - one.own) @ carry.T
-    noise += one.patches.T @ one.patches + carry @ patches @ carry.T
+    near = total.patches[columns]
+    cross = part.patches.T @ (near - part.patches)
+    patches = total.patches.T @ total.patches - near.T @ near
+    patches += (near - part.patches).T @ (near - part.patches)
+    noise = part.own + carry @ (total.own - part.own) @ carry.T
+    noise += part.patches.T @ part.patches + carry @ patches @ carry.T
     noise -= cross @ carry.T + carry @ cross.T
     variance = misfit**2 * noise + shared @ shared.T
     scale = np.sqrt(variance.diagonal())
     off, variance = off / scale, variance / np.outer(scale, scale)
     if loose:
         # Where the others hold nothing, the scans may stand anywhere.
-        free = one.matrix @ np.stack(loose, axis=1) / scale[:, None]
+        free = part.matrix @ np.stack(loose, axis=1) / scale[:, None]
         basis, sizes, _ = np.linalg.svd(free)
         basis = basis[:, int((sizes > 1e-9 * sizes[0]).sum()) :]
         off, variance = basis.T @ off, basis.T @ variance @ basis
     values, axes = np.linalg.eigh(variance)
-    told = values > 1e-6 * values[-1]
-    score = float(((axes.T @ off)[told] ** 2 / values[told]).sum())
-    return float(chi2.sf(score, int(told.sum())))
+    significant = values > 1e-6 * values[-1]
+    score = float(((axes.T @ off)[significant] ** 2 / values[significant]).sum())
+    return float(chi2.sf(score, int(significant.sum())))
 
 
-#: A distance is another surface if it stands off by so many standard errors [1].
+#: Standard errors of a distance beyond which the point is of another surface [1].
 _FAR = 4.0
-#: Neighbours that stand off together, by so many standard errors of their mean [1].
+#: Standard errors of the mean of neighbors that stand off together [1].
 _MOVED = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Counted:
-    """What counts."""
+    """Weights of points, and the points of moved bodies."""
 
     weight: Floats
     """One over the variance, 0 where left out, shape (n,) [1/m^2]."""
@@ -231,35 +233,39 @@ def counted(points: Points, good: Flags, gate: float | None) -> Counted:
     sure = 1 + 3 * 1.17 / np.sqrt(max(int(good.sum()) / 2, 1.0))
     misfit = float(scatter) if scatter > sure else 1.0
     moved = np.zeros(len(score), dtype=bool)
-    whole = 1 / (sigma * misfit) ** 2
+    full_weight = 1 / (sigma * misfit) ** 2
     if gate is None:
-        moved = good & _stand_off(points, score, good, misfit)
-        kept = good & ~moved & (np.abs(score) < _FAR * misfit)
-        bodies = moved_bodies(points, np.where(good, whole, 0.0), kept, misfit=misfit)
+        moved = good & _offset_together(points, score, good, misfit)
+        near = good & ~moved & (np.abs(score) < _FAR * misfit)
+        bodies = moved_bodies(
+            points, np.where(good, full_weight, 0.0), near, misfit=misfit
+        )
         moved |= good & bodies
-        good = kept & ~bodies
-    weight = np.where(good, whole, 0.0)
+        good = near & ~bodies
+    weight = np.where(good, full_weight, 0.0)
     return Counted(weight=weight, misfit=misfit, moved=points.pixel[moved])
 
 
-def _stand_off(points: Points, score: Floats, good: Flags, misfit: float) -> Flags:
-    """Return points whose neighbours stand off with them: moved things."""
+def _offset_together(
+    points: Points, score: Floats, good: Flags, misfit: float
+) -> Flags:
+    """Return points that stand off together with their neighbors: moved things."""
     variance = points.variance
     row, column = np.divmod(points.pixel, points.smooth.shape[1])
     steps = [
-        max(int(np.min(np.diff(np.unique(one)), initial=99)), 1)
-        for one in (row, column)
+        max(int(np.min(np.diff(np.unique(values)), initial=99)), 1)
+        for values in (row, column)
     ]
     grid = (row // steps[0], column // steps[1])
-    size = tuple(int(one.max()) + 1 for one in grid)
+    size = tuple(int(values.max()) + 1 for values in grid)
     total, count, patches = (np.zeros(size) for _ in range(3))
     clipped = np.clip(score, -20, 20)
     total[grid] = np.where(good, clipped, 0.0)
     count[grid] = good
     patches[grid] = np.where(good, variance[1] / variance.sum(axis=0), 0.0)
     total, count, patches = (
-        25 * ndimage.uniform_filter(one, 5, mode="constant")
-        for one in (total, count, patches)
+        25 * ndimage.uniform_filter(values, 5, mode="constant")
+        for values in (total, count, patches)
     )
     number = np.maximum(count, 1.0)
     # Noise of the patches is the same in neighbours, at worst.

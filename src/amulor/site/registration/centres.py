@@ -26,9 +26,9 @@ Seen = SphereTarget | DiscTarget | CheckerboardTarget | PointTarget
 
 #: Least cosine of the angle of incidence on a sphere: beyond, beams graze it [1].
 _STEEP = 0.5
-#: Pixels that a target needs [1].
+#: Smallest number of pixels of a target [1].
 _FEWEST = 12
-#: A point belongs to a target if it is no farther off than so many sigma [1].
+#: Largest distance of a point of a target, in standard deviations [1].
 _NEAR = 4.0
 
 
@@ -51,17 +51,17 @@ def centre_of(
 
 
 def _at(surface: ScanSurface, place: tuple[int, int], name: str) -> Floats:
-    """Return the point that was picked, or the nearest one with a range."""
+    """Return the point at a picked pixel, or the nearest one with a range."""
     row, column = place
     near = np.zeros(surface.usable.shape, dtype=bool)
     near[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] = True
-    found = np.argwhere(near & surface.usable)
-    if not len(found):
+    candidates = np.argwhere(near & surface.usable)
+    if not len(candidates):
         raise CubeError(
             f"target {name!r} in scan {surface.name!r}: no pixel near ({row}, {column})"
             " has a range; pick one on the target, for example with amulor view"
         )
-    best = found[np.argmin(((found - place) ** 2).sum(axis=1))]
+    best = candidates[np.argmin(((candidates - place) ** 2).sum(axis=1))]
     return np.asarray(surface.position[best[0], best[1]])
 
 
@@ -81,7 +81,7 @@ def _centre(
     pixels: Flags,
     others: dict[str, Floats] | None = None,
 ) -> Centre:
-    """Return a centre; `gain` takes errors of the ranges of `pixels` to it, (3, n)."""
+    """Return a centre; `gain` has its derivatives by the ranges of `pixels`, (3, n)."""
     shapes = surface.shared.shapes[:, pixels]
     shared = {
         key: np.asarray(gain @ shape)
@@ -123,12 +123,12 @@ def _sphere(
         distance = along - np.sqrt(np.where(met, inside, 0.0))
         spot = begin + distance[:, None] * beam - centre
         gradient = spot / np.einsum("ij,ij->i", spot, beam)[:, None]
-        left = surface.distance[on] - distance
+        residual = surface.distance[on] - distance
         weight = np.where(met, 1 / np.maximum(surface.own[on], 1e-6) ** 2, 0.0)
         normal = gradient.T @ (weight[:, None] * gradient)
-        step = np.linalg.solve(normal, gradient.T @ (weight * left))
+        step = np.linalg.solve(normal, gradient.T @ (weight * residual))
         centre = centre + step
-        scatter = np.sqrt(np.sum(weight * left**2) / max(int(met.sum()) - 3, 1))
+        scatter = np.sqrt(np.sum(weight * residual**2) / max(int(met.sum()) - 3, 1))
         misfit = max(1.0, float(scatter)) if number >= 4 else 3.0
         if number > 5 and np.linalg.norm(step) < 1e-7:
             break
@@ -216,7 +216,7 @@ def _disc(
 
 
 def _area(surface: ScanSurface, unit: Floats) -> Floats:
-    """Return how much of a plane each pixel covers [m^2]."""
+    """Return the area of a plane that each pixel covers [m^2]."""
     steps = [np.gradient(surface.direction, axis=axis) for axis in (0, 1)]
     solid = np.linalg.norm(np.cross(steps[0], steps[1]), axis=-1)
     facing = np.abs(surface.direction @ unit)
@@ -259,22 +259,22 @@ def _checkerboard(
     def fitted(begin: Floats, evaluations: int) -> OptimizeResult:
         return least_squares(lambda v: fields(v) - bright, begin, max_nfev=evaluations)
 
-    tried = (fitted(one, 10) for one in starts)
-    best = fitted(min(tried, key=lambda one: float(one.cost)).x, 60)
+    tried = (fitted(trial, 10) for trial in starts)
+    best = fitted(min(tried, key=lambda trial: float(trial.cost)).x, 60)
     # How blurred edges are moves none of them.
     slopes = best.jac[:, :5]
     normal = slopes.T @ slopes
-    left = 2 * best.cost / max(len(bright) - 6, 1)
-    if np.sqrt(left) > 0.7 * size or np.linalg.cond(normal) > 1e14:
+    variance = 2 * best.cost / max(len(bright) - 6, 1)
+    if np.sqrt(variance) > 0.7 * size or np.linalg.cond(normal) > 1e14:
         raise CubeError(
             f"target {target.name!r} in scan {surface.name!r}: no dark and bright "
             "fields are seen around the place; look at its intensity in amulor view"
         )
     # What the fields leave over stands at their edges, where it counts (H. White,
     # Econometrica 48 (1980) 817).
-    each = slopes * best.fun[:, None]
+    scores = slopes * best.fun[:, None]
     back = np.linalg.inv(normal)
-    spread = (back @ (each.T @ each) @ back)[:2, :2]
+    spread = (back @ (scores.T @ scores) @ back)[:2, :2]
     spread = spread * len(bright) / max(len(bright) - 6, 1)
     if abs(best.x[5]) < 0.5 * pitch:
         # An edge that falls between pixels, all along a row of them.

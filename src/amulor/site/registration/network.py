@@ -1,4 +1,4 @@
-"""Poses, targets and shared errors of a site at once: Gauss-Newton and covariance."""
+"""Joint adjustment of poses, targets and shared errors: steps and covariance."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ Numbers = NDArray[np.intp]
 
 @dataclass(frozen=True, kw_only=True)
 class Centre:
-    """A target as one scan saw it."""
+    """Measured center of a target in one scan."""
 
     target: str
     """Name of the target."""
     scan: str
     """Name of the scan."""
     position: Floats
-    """Its centre in the axes of the instrument, shape (3,) [m]."""
+    """Center in the axes of the instrument, shape (3,) [m]."""
     covariance: Floats
-    """Of its noise, shape (3, 3) [m^2]."""
+    """Covariance by its noise, shape (3, 3) [m^2]."""
     shared: dict[str, Floats]
-    """How one standard deviation of each shared error moves it, shape (3,) [m]."""
+    """Shift by one standard deviation of each shared error, shape (3,) [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class KnownPose:
-    """What was known of a pose beforehand."""
+    """Start pose with its covariance."""
 
     pose: ScanPose
-    """About where it stands."""
+    """Start pose."""
     covariance: Floats
-    """Of shift and turn, shape (6, 6)."""
+    """Covariance of shift and turn, shape (6, 6)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class KnownPoint:
-    """A target whose place is known."""
+    """Control point."""
 
     position: Floats
-    """In the site, shape (3,) [m]."""
+    """Position in the site, shape (3,) [m]."""
     sigma: Floats
     """Standard uncertainty of each coordinate, shape (3,) [m]."""
 
@@ -67,14 +67,14 @@ class KnownDistance:
 
 @dataclass(frozen=True, kw_only=True)
 class Ties:
-    """All that holds scans but their surfaces."""
+    """Observations beside surfaces: start poses, targets, control points, bars."""
 
     start: Mapping[str, KnownPose]
-    """By scan."""
+    """Start poses by scan."""
     centres: Sequence[Centre] = ()
     """Targets in scans."""
     control: Mapping[str, KnownPoint] = field(default_factory=dict)
-    """By target."""
+    """Control points by target."""
     bars: Sequence[KnownDistance] = ()
     """Known distances."""
     fixed: str | None = None
@@ -83,18 +83,18 @@ class Ties:
 
 @dataclass
 class State:
-    """Estimates so far."""
+    """Current estimates."""
 
     poses: dict[str, ScanPose]
-    """By scan."""
+    """Poses by scan."""
     points: dict[str, Floats]
-    """By target, in the site [m]."""
+    """Positions by target, in the site [m]."""
     errors: dict[str, float]
     """Shared errors by key, in standard deviations [1]."""
 
 
 class Layout:
-    """Which unknown stands where."""
+    """Places of the unknowns in the vector of all."""
 
     def __init__(self, state: State, fixed: str | None) -> None:
         self.at: dict[tuple[str, str], slice] = {}
@@ -112,17 +112,17 @@ class Layout:
 
     def columns(self, kind: str, names: Sequence[str], width: int) -> Numbers:
         """Return the places of some unknowns, -1 for what is fixed."""
-        found = [
+        places = [
             np.arange(self.at[kind, name].start, self.at[kind, name].stop)
             if (kind, name) in self.at
             else np.full(width, -1)
             for name in names
         ]
-        return np.concatenate(found) if found else np.zeros(0, dtype=np.intp)
+        return np.concatenate(places) if places else np.zeros(0, dtype=np.intp)
 
 
 class System:
-    """Normal equations as they are added up."""
+    """Normal equations, summed over observations."""
 
     def __init__(self, size: int) -> None:
         self.matrix = np.zeros((size, size))
@@ -151,10 +151,10 @@ class System:
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One step of Gauss and Newton."""
+    """Result of a Gauss-Newton step."""
 
     state: State
-    """After it."""
+    """Estimates after the step."""
     score: float
     """Chi-square of the whole step by its information matrix [1]."""
     free: int
@@ -214,7 +214,7 @@ def covariance(
     system = system_of(state, pairs, ties, trust, layout, projection)
     noise = np.zeros((layout.size, layout.size))
     for name, surface in surfaces.items():
-        noise += _of_noise(name, surface, state, pairs, trust, layout)
+        noise += _noise_variance(name, surface, state, pairs, trust, layout)
     variance = system.scatter + projection.T @ noise @ projection
     half = np.linalg.solve(system.matrix, variance)
     spread = np.linalg.solve(system.matrix, half.T)
@@ -243,10 +243,10 @@ def system_of(
     for key, value in state.errors.items():
         at = layout.columns("error", [key], 1)
         system.add_prior(at, np.eye(1), np.array([value]))
-    for name, known in ties.start.items():
+    for name, start in ties.start.items():
         pose = state.poses[name]
-        off = departure(pose, known.pose)
-        matrix = np.asarray(np.linalg.inv(known.covariance), dtype=float)
+        off = departure(pose, start.pose)
+        matrix = np.asarray(np.linalg.inv(start.covariance), dtype=float)
         system.add_prior(layout.columns("pose", [name], 6), matrix, matrix @ off)
     for centre in ties.centres:
         _add_centre(system, centre, state, layout)
@@ -255,9 +255,9 @@ def system_of(
         off = state.points[name] - point.position
         system.add_prior(layout.columns("point", [name], 3), matrix, matrix @ off)
     for bar in ties.bars:
-        one, other = (state.points[end] for end in bar.ends)
-        length = float(np.linalg.norm(one - other))
-        unit = (one - other) / max(length, 1e-9)
+        first, second = (state.points[end] for end in bar.ends)
+        length = float(np.linalg.norm(first - second))
+        unit = (first - second) / max(length, 1e-9)
         row = np.concatenate([unit, -unit])[None]
         at = layout.columns("point", bar.ends, 3)
         off = np.array([length - bar.length])
@@ -328,7 +328,7 @@ def projector(
 
 
 def _add_centre(system: System, centre: Centre, state: State, layout: Layout) -> None:
-    """Add a target as one scan saw it."""
+    """Add the center of a target in one scan."""
     off, row, at = centre_derivatives(centre, state, layout)
     rotation = state.poses[centre.scan].rotation
     weight = np.linalg.inv(rotation @ centre.covariance @ rotation.T)
@@ -338,7 +338,7 @@ def _add_centre(system: System, centre: Centre, state: State, layout: Layout) ->
 def centre_derivatives(
     centre: Centre, state: State, layout: Layout
 ) -> tuple[Floats, Floats, Numbers]:
-    """Return the residual of a target in a scan, its derivatives and their unknowns."""
+    """Return the residual of a target in a scan, its derivatives and their places."""
     pose = state.poses[centre.scan]
     arm = pose.turn(centre.position)
     shifts = [pose.turn(shift) for shift in centre.shared.values()]
@@ -363,7 +363,7 @@ def centre_derivatives(
     return off, row, at
 
 
-def _of_noise(
+def _noise_variance(
     name: str,
     surface: ScanSurface,
     state: State,
@@ -389,17 +389,17 @@ def _of_noise(
     of_pixel = np.zeros((surface.own.size, len(columns)))
     for pair, weight in parts:
         at, spread = pair_unknowns(pair, state, layout)
-        kept = at >= 0
+        free = at >= 0
         factor = np.sqrt(weight) * pair.misfit * pair.weight
-        rows = (pair.by_source @ spread[:, kept]) * factor[:, None]
-        local = place[at[kept]]
+        rows = (pair.by_source @ spread[:, free]) * factor[:, None]
+        local = place[at[free]]
         if name == pair.source:
             of_pixel[np.ix_(pair.source_pixel, local)] += rows * pair.along[:, None]
         else:
             of_pixel[:, local] += pair.window.T @ rows
-    own = np.nan_to_num(surface.own.ravel())
+    sigma = np.nan_to_num(surface.own.ravel())
     used = of_pixel.any(axis=1)
-    noise = of_pixel[used] * own[used, None]
+    noise = of_pixel[used] * sigma[used, None]
     variance[np.ix_(columns, columns)] = noise.T @ noise
     return variance
 
@@ -407,7 +407,7 @@ def _of_noise(
 def innovation(
     pair: Pair, state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Floats, Floats]:
-    """Return by how much a pair by itself would move its source, and the covariance."""
+    """Return the motion of the source that a pair alone causes, with covariance."""
     x, z = (rows[:, :6] @ pair.held for rows in (pair.by_target, pair.by_source))
     weighted = z * pair.weight[:, None]
     back = np.linalg.pinv(weighted.T @ x, rcond=1e-10)

@@ -23,37 +23,37 @@ from amulor.site.registration.surface import ScanSurface
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
-#: Beams and normals stand at least so: cosine of the angle of incidence [1].
+#: Smallest cosine of the angle of incidence [1].
 _GRAZING = 0.2
-#: Two normals of one surface differ by less; cosine of the angle [1].
+#: Smallest cosine of the angle between the normals of one surface [1].
 _ALIKE = 0.7
-#: Points of a source that are compared; more tell nothing, since what is shared stays.
+#: Largest number of compared points; more gain nothing beside shared errors.
 MOST_POINTS = 20_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """What the comparison of two scans says about their poses, to first order."""
+    """Comparison of two scans, linearized in their poses and shared errors."""
 
     source: str
     """Scan whose points are compared."""
     target: str
     """Scan whose patches they are compared with."""
     keys: tuple[str, ...]
-    """Of the shared errors of both."""
+    """Keys of the shared errors of both."""
     pivot: Floats
-    """Middle of the points, in the site, shape (3,) [m]."""
+    """Middle of the points in the site, shape (3,) [m]."""
     place: Floats
     """The points in the site, shape (n, 3) [m]."""
     distance: Floats
-    """Along the beams of the target, shape (n,) [m]."""
+    """Distances along the beams of the target, shape (n,) [m]."""
     weight: Floats
     """One over the variance, 0 where left out, shape (n,) [1/m^2]."""
     by_target: Floats
     """Derivatives of the distance, with the normals of the target: by a shift of the
     source at the pivot, a turn about it, and the shared errors, shape (n, 6 + k)."""
     by_source: Floats
-    """The same with the normals of the source."""
+    """Derivatives with the normals of the source."""
     along: Floats
     """Derivative of the distance by the range of the source's pixel, shape (n,)."""
     source_pixel: Numbers
@@ -65,14 +65,14 @@ class Pair:
     misfit: float
     """Scatter of the distances over what is stated; at least 1 [1]."""
     held: Floats
-    """Projection on the directions that the surfaces hold, shape (6, 6)."""
+    """Projector onto the directions that the surfaces constrain, shape (6, 6)."""
     loose: tuple[Floats, ...]
-    """Directions that they do not hold (shift [m], turn [rad])."""
+    """Free directions (shift [m], turn [rad])."""
     unsure: float
-    """What noise of normals puts into sums of products of derivatives, with turns
-    counted at the mean distance from the pivot [1/m^2]."""
+    """Scatter by noise of normals of sums of products of derivatives, with turns
+    scaled by the mean distance from the pivot [1/m^2]."""
     moved: Numbers
-    """Pixels of the source that stand off together: another object, or a moved one."""
+    """Pixels of the source on another object or a moved one."""
 
     @property
     def mean_square(self) -> Floats:
@@ -86,7 +86,7 @@ class Pair:
 
     @property
     def used(self) -> int:
-        """How many points count."""
+        """Number of points with a weight."""
         return int((self.weight > 0).sum())
 
 
@@ -119,10 +119,15 @@ def compared(
     numbers = np.flatnonzero(target.smooth)
     pixel, placed, local = pixel[met], placed[met], local[met]
     at = on_grid(target, local, numbers[nearest[met]])
-    kept = at.inside
-    if int(kept.sum()) < 20:
+    inside = at.inside
+    if int(inside.sum()) < 20:
         return None
-    pixel, placed, local, at = pixel[kept], placed[kept], local[kept], at.of(kept)
+    pixel, placed, local, at = (
+        pixel[inside],
+        placed[inside],
+        local[inside],
+        at.of(inside),
+    )
     ahead = poses[1].turn(at.direction)
     normals = [
         poses[1].turn(target.normal.reshape(-1, 3)[at.pixel]),
@@ -130,8 +135,10 @@ def compared(
     ]
     beam = poses[0].turn(source.direction.reshape(-1, 3)[pixel])
     facing = [_dot(n, ahead) for n in normals]
-    seen = -_dot(normals[1], beam)
-    good = (-facing[0] > _GRAZING) & (-facing[1] > _GRAZING) & (seen > _GRAZING)
+    facing_source = -_dot(normals[1], beam)
+    good = (
+        (-facing[0] > _GRAZING) & (-facing[1] > _GRAZING) & (facing_source > _GRAZING)
+    )
     good &= _dot(normals[0], normals[1]) > _ALIKE
     if gate is not None:
         good &= np.abs(at.distance) < gate
@@ -140,15 +147,15 @@ def compared(
     pivot = placed[good].mean(axis=0)
     keys = tuple(dict.fromkeys((*source.shared.keys, *target.shared.keys)))
     window = _window(target, at)
-    own = [one.own.ravel() for one in (source, target)]
+    noises = [one.own.ravel() for one in (source, target)]
     # What distances are multiplied with knows nothing of their noise, not even by the
     # place: where neighbours of the pixel put it, on the patches there.
     guessed = poses[0].place(source.apart.reshape(-1, 3)[pixel])
-    there = on_grid(target, poses[1].back(guessed), at.pixel)
+    at_guess = on_grid(target, poses[1].back(guessed), at.pixel)
     rows, alongs = [], []
     for normal, spot, on in (
         (normals[0], placed, at),
-        (normals[1], guessed, there),
+        (normals[1], guessed, at_guess),
     ):
         sight = poses[1].turn(on.direction)
         gradient = normal / _dot(normal, sight)[:, None]
@@ -163,10 +170,10 @@ def compared(
                 by_errors[:, keys.index(key)] += shape * factor
         rows.append(np.hstack([gradient, np.cross(spot - pivot, gradient), by_errors]))
         alongs.append(along)
-    noise = alongs[0] * own[0][pixel]
-    patches = window @ sparse.diags(np.nan_to_num(own[1]))
-    known = np.array([errors.get(key, 0.0) for key in keys])
-    corrected = rows[0][:, 6:] @ known
+    noise = alongs[0] * noises[0][pixel]
+    patches = window @ sparse.diags(np.nan_to_num(noises[1]))
+    estimates = np.array([errors.get(key, 0.0) for key in keys])
+    corrected = rows[0][:, 6:] @ estimates
     distance = at.distance + corrected
     points = Points(
         smooth=source.smooth,
@@ -215,7 +222,7 @@ def compared(
 
 
 def tree_of(surface: ScanSurface) -> cKDTree:
-    """Return the smooth points of a scan, to be looked up by place."""
+    """Return the search tree of the smooth points of a scan."""
     return cKDTree(surface.position[surface.smooth])
 
 
@@ -224,8 +231,8 @@ def _chosen(source: ScanSurface) -> Numbers:
     row, column = np.nonzero(source.smooth)
     step = int(np.ceil(np.sqrt(len(row) / MOST_POINTS)))
     if step > 1:
-        kept = (row % step == 0) & (column % step == 0)
-        row, column = row[kept], column[kept]
+        coarse = (row % step == 0) & (column % step == 0)
+        row, column = row[coarse], column[coarse]
     return np.asarray(row * source.smooth.shape[1] + column)
 
 
@@ -239,19 +246,19 @@ class OnGrid:
     distance: Floats
     inside: NDArray[np.bool_]
 
-    def of(self, kept: NDArray[np.bool_]) -> OnGrid:
+    def of(self, selected: NDArray[np.bool_]) -> OnGrid:
         """Return some of them."""
         return OnGrid(
-            self.pixel[kept],
-            self.off[kept],
-            self.direction[kept],
-            self.distance[kept],
-            self.inside[kept],
+            self.pixel[selected],
+            self.off[selected],
+            self.direction[selected],
+            self.distance[selected],
+            self.inside[selected],
         )
 
 
 def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
-    """Return between which pixels of a scan points lie, and how far off its patches."""
+    """Return pixels, offsets and distances of points on the grid of a scan."""
     shape = target.smooth.shape
     origin, direction = target.origin.reshape(-1, 3), target.direction.reshape(-1, 3)
     slopes = target.steps.reshape(2, 2, -1, 3)
@@ -293,7 +300,7 @@ def _terms(target: ScanSurface, off: Floats) -> Floats:
 
 
 def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
-    """Return how the range of a patch follows from those of its pixels."""
+    """Return the derivatives of the range of a patch by those of its pixels."""
     size = target.kernels.shape[1]
     half = size // 2
     shape = target.smooth.shape
@@ -338,5 +345,5 @@ def _tilt(target: ScanSurface, at: OnGrid, normal: Floats) -> Floats:
     return np.asarray(angle**2 / np.maximum(along, _GRAZING) ** 2)
 
 
-def _dot(one: Floats, other: Floats) -> Floats:
-    return np.asarray(np.einsum("ij,ij->i", one, other))
+def _dot(left: Floats, right: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", left, right))

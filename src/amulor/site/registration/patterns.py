@@ -1,4 +1,4 @@
-r"""Tests of each scan for errors over rows, columns, range and angle of incidence.
+r"""Tests of scans for errors over rows, columns, range and angle of incidence.
 
 A pose absorbs most of a drift, and the misfit hardly grows. So each pattern is tested
 as one unknown more, with poses and shared errors free to absorb it (data snooping,
@@ -136,7 +136,7 @@ def _tests_of(
     inverse, gradient, scatter = base
     count, size = len(shapes), len(gradient)
     by_pattern = []
-    crossed, own = np.zeros((count, size)), np.zeros((count, count))
+    crossed, squares = np.zeros((count, size)), np.zeros((count, count))
     back, sums = np.zeros((size, count)), np.zeros(count)
     for pair, (x, z, weight) in zip(pairs, derivatives, strict=True):
         columns = np.zeros((len(pair.distance), count))
@@ -148,11 +148,11 @@ def _tests_of(
         by_pattern.append(columns)
         weighted = columns * weight[:, None]
         crossed += weighted.T @ x
-        own += weighted.T @ columns
+        squares += weighted.T @ columns
         back += (z * weight[:, None]).T @ columns
         sums += weighted.T @ pair.distance
     absorbed = -crossed @ inverse
-    effect = np.diag(own + absorbed @ back)
+    effect = np.diag(squares + absorbed @ back)
     total = sums + absorbed @ gradient
     variance = np.einsum("ij,jk,ik->i", absorbed, scatter, absorbed)
     of_pixel = {
@@ -170,7 +170,7 @@ def _tests_of(
     tests = []
     for number, pattern in enumerate(PATTERNS):
         # What poses absorb to the last part cannot be tested.
-        if not effect[number] > 1e-6 * own[number, number] > 0:
+        if not effect[number] > 1e-6 * squares[number, number] > 0:
             continue
         sigma = float(np.sqrt(variance[number]))
         score = -float(total[number]) / sigma
@@ -185,7 +185,7 @@ def _tests_of(
 
 
 def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
-    """Strongest pattern, if chance hardly makes it in any scan of a site.
+    """Return the strongest pattern if it is significant among all of a site.
 
     Others are mostly its shadow: poses carry it into the neighbours of a scan.
     """

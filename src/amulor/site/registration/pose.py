@@ -1,4 +1,4 @@
-"""Where a scan stands: rotation and place, and small changes of them."""
+"""Pose of a scan: rotation, position, and small changes of them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScanPose:
-    """Takes the axes of an instrument to those of the site."""
+    """Transformation from the axes of an instrument to those of the site."""
 
     rotation: Floats
     """From right, down, forward to east, north, up, shape (3, 3) [1]."""
@@ -82,10 +82,10 @@ def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
 
 def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
     """Return the pose that takes points nearest to others, by least squares [m]."""
-    middle, other = from_points.mean(axis=0), to_points.mean(axis=0)
-    turn, _ = Rotation.align_vectors(to_points - other, from_points - middle)
+    middle, other_middle = from_points.mean(axis=0), to_points.mean(axis=0)
+    turn, _ = Rotation.align_vectors(to_points - other_middle, from_points - middle)
     rotation = turn.as_matrix()
-    return ScanPose(rotation, other - rotation @ middle)
+    return ScanPose(rotation, other_middle - rotation @ middle)
 
 
 def cross_matrix(vectors: Floats) -> Floats:
@@ -135,7 +135,7 @@ def aligned(
     matrix[:3, 3] -= middle
     for coarse, near in _STEPS:
         step = coarse * voxel
-        found = small_gicp.align(
+        outcome = small_gicp.align(
             others - middle,
             points,
             init_T_target_source=matrix,
@@ -147,6 +147,6 @@ def aligned(
             translation_epsilon=_STOP,
             rotation_epsilon=_TURN,
         )
-        matrix = np.asarray(found.T_target_source, dtype=float)
+        matrix = np.asarray(outcome.T_target_source, dtype=float)
     u, _, v = np.linalg.svd(matrix[:3, :3])
     return ScanPose(u @ v, matrix[:3, 3] + middle)

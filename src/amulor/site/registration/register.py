@@ -1,4 +1,4 @@
-"""From a site file to the poses of its scans."""
+"""Registration of a site: files in, poses with their covariance out."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ from amulor.site.registration.surface import ScanSurface, scan_surface, shared_e
 
 Floats = NDArray[np.float64]
 
-#: Start poses and shared errors as good as stated are contradicted so often [1].
+#: Chance of contradicting a start pose or shared error that is as good as stated [1].
 _CHANCE = 1e-5
-#: A pose is held by its start pose if it is hardly known better afterwards [1].
+#: Largest gain by the data, posterior over prior, of a direction called weak [1].
 _NO_BETTER = 0.5
-#: A start pose is good enough by itself if points are off by less than so many of the
-#: distances of neighbouring points [1].
+#: A start pose suffices by itself if points are off by less than this part of their
+#: spacing [1].
 _ENOUGH = 0.5
 
 
@@ -79,7 +79,7 @@ def surface_of(site: Site, scan: SiteScan, image: xr.Dataset) -> ScanSurface:
 
 
 def _water_in(image: xr.Dataset) -> str:
-    """Return what stands for the water of an image: its name, or that of the survey."""
+    """Return a key of the water of an image, a digest of its survey's water section."""
     attributes = image.attrs
     text = str(attributes.get("survey", ""))
     at = text.find("[water]")
@@ -103,11 +103,11 @@ def register(
     if surfaces is None or images is None:
         with part(0.0, 0.3):
             surfaces, images = surfaces_of(site)
-    seen = start_findings(
-        site, {name: one.position[one.usable] for name, one in surfaces.items()}
+    findings = start_findings(
+        site, {name: item.position[item.usable] for name, item in surfaces.items()}
     )
-    if seen.mistakes:
-        raise CubeError("\n".join(seen.mistakes))
+    if findings.mistakes:
+        raise CubeError("\n".join(findings.mistakes))
     centres, surfaces = _centres(site, surfaces, images)
     start = {}
     for scan in site.scan:
@@ -117,13 +117,13 @@ def register(
                 pose=pose, covariance=start_covariance(scan.start, pose)
             )
     control = {}
-    for one in site.control:
-        sigma = np.broadcast_to(np.asarray(one.uncertainty, dtype=float), (3,)).copy()
-        control[one.target] = KnownPoint(position=np.array(one.position), sigma=sigma)
+    for item in site.control:
+        sigma = np.broadcast_to(np.asarray(item.uncertainty, dtype=float), (3,)).copy()
+        control[item.target] = KnownPoint(position=np.array(item.position), sigma=sigma)
     bars = tuple(
-        KnownDistance(ends=one.ends, length=one.length, sigma=one.length_uncertainty)
-        for one in site.target
-        if isinstance(one, ScaleBar)
+        KnownDistance(ends=item.ends, length=item.length, sigma=item.length_uncertainty)
+        for item in site.target
+        if isinstance(item, ScaleBar)
     )
     fixed = None
     if not start and len(control) < 3:
@@ -131,37 +131,39 @@ def register(
     guess = _guessed(site, centres, start, control, fixed)
     ties = Ties(start=start, centres=centres, control=control, bars=bars, fixed=fixed)
     with part(0.3, 1.0):
-        found = align(
+        alignment = align(
             surfaces,
             ties,
             overlap=site.registration.overlap,
             voxel=site.registration.voxel,
             guess=guess,
         )
-    return _result(site, found, ties, seen.remarks, surfaces)
+    return _result(site, alignment, ties, findings.remarks, surfaces)
 
 
 def _centres(
     site: Site, surfaces: Mapping[str, ScanSurface], images: Mapping[str, xr.Dataset]
 ) -> tuple[tuple[Centre, ...], dict[str, ScanSurface]]:
     """Return targets in scans, and the scans without the pixels of targets."""
-    found = []
-    left = dict(surfaces)
+    centres = []
+    remaining = dict(surfaces)
     for target in site.target:
         if isinstance(target, ScaleBar):
             continue
         for place in target.places:
-            scan = next(one for one in site.scan if one.name == place.scan)
+            scan = next(
+                candidate for candidate in site.scan if candidate.name == place.scan
+            )
             centre, pixels = centre_of(
                 target, surfaces[scan.name], images[scan.name], place.row, place.column
             )
             if target.moved:
                 centre = replace(centre, target=f"{target.name} in {scan.epoch}")
-            found.append(centre)
+            centres.append(centre)
             # What holds a target does not count a second time as a surface.
-            smooth = left[scan.name].smooth & ~pixels
-            left[scan.name] = replace(left[scan.name], smooth=smooth)
-    return tuple(found), left
+            smooth = remaining[scan.name].smooth & ~pixels
+            remaining[scan.name] = replace(remaining[scan.name], smooth=smooth)
+    return tuple(centres), remaining
 
 
 def _guessed(
@@ -172,50 +174,53 @@ def _guessed(
     fixed: str | None,
 ) -> dict[str, ScanPose]:
     """Return poses from targets for scans without a start pose."""
-    known = {name: one.position for name, one in control.items()}
-    poses = {name: one.pose for name, one in start.items()}
+    places = {name: item.position for name, item in control.items()}
+    poses = {name: item.pose for name, item in start.items()}
     if fixed is not None:
         poses[fixed] = ScanPose(np.eye(3), np.zeros(3))
     guess: dict[str, ScanPose] = {}
     while True:
         for centre in centres:
             if centre.scan in poses:
-                known.setdefault(
+                places.setdefault(
                     centre.target, poses[centre.scan].place(centre.position)
                 )
         ready = [
-            (one.name, [c for c in centres if c.scan == one.name and c.target in known])
-            for one in site.scan
-            if one.name not in poses
+            (
+                item.name,
+                [c for c in centres if c.scan == item.name and c.target in places],
+            )
+            for item in site.scan
+            if item.name not in poses
         ]
-        ready = [(name, seen) for name, seen in ready if len(seen) >= 3]
+        ready = [(name, visible) for name, visible in ready if len(visible) >= 3]
         if not ready:
             return guess
-        name, seen = max(ready, key=lambda one: len(one[1]))
-        here = np.array([one.position for one in seen])
-        there = np.array([known[one.target] for one in seen])
-        spread = np.linalg.svd(here - here.mean(axis=0))[1]
+        name, visible = max(ready, key=lambda item: len(item[1]))
+        local = np.array([item.position for item in visible])
+        in_site = np.array([places[item.target] for item in visible])
+        spread = np.linalg.svd(local - local.mean(axis=0))[1]
         if spread[1] < 0.02 * spread[0]:
             raise CubeError(
-                f"scan {name!r}: its {len(seen)} targets stand on a line, about which "
-                "it may turn; add one beside the line, or state [scan.start]"
+                f"scan {name!r}: its {len(visible)} targets stand on a line, about "
+                "which it may turn; add one beside the line, or state [scan.start]"
             )
-        guess[name] = poses[name] = best_pose(here, there)
+        guess[name] = poses[name] = best_pose(local, in_site)
 
 
 def _result(
     site: Site,
-    found: Alignment,
+    alignment: Alignment,
     ties: Ties,
     remarks: tuple[str, ...],
     surfaces: Mapping[str, ScanSurface],
 ) -> Registration:
     places = {
         f"{kind} {name}": (at.start, at.stop)
-        for (kind, name), at in found.layout.at.items()
+        for (kind, name), at in alignment.layout.at.items()
     }
     pairs = []
-    for pair, trust in zip(found.pairs, found.trust, strict=True):
+    for pair, trust in zip(alignment.pairs, alignment.trust, strict=True):
         pairs.append(
             {
                 "source": pair.source,
@@ -231,49 +236,54 @@ def _result(
         )
     result = Registration(
         site=site.name,
-        poses=found.state.poses,
-        points=found.state.points,
-        errors=found.state.errors,
+        poses=alignment.state.poses,
+        points=alignment.state.points,
+        errors=alignment.state.errors,
         places=places,
-        covariance=found.covariance,
+        covariance=alignment.covariance,
         pairs=tuple(pairs),
         disagreements=tuple(
-            {**vars(one), "scans": list(one.scans)} for one in found.disagreements
+            {**vars(pair_record), "scans": list(pair_record.scans)}
+            for pair_record in alignment.disagreements
         ),
         weaknesses=(),
-        contradictions=_contradictions(found, ties),
-        remarks=(*remarks, *_apart(site, found, ties)),
-        settled=found.settled,
+        contradictions=_contradictions(alignment, ties),
+        remarks=(*remarks, *_untied(site, alignment, ties)),
+        settled=alignment.settled,
         fixed=ties.fixed or "",
-        patterns=found.patterns,
-        reliability=reliabilities(found.state, found.covariance, found.layout, ties),
+        patterns=alignment.patterns,
+        reliability=reliabilities(
+            alignment.state, alignment.covariance, alignment.layout, ties
+        ),
     )
-    return replace(result, weaknesses=_weak(result, ties, surfaces))
+    return replace(result, weaknesses=_weak_directions(result, ties, surfaces))
 
 
-def _contradictions(found: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
-    """Return start poses and shared errors that the poses contradict, worst first."""
+def _contradictions(alignment: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
+    """Return contradicted starts, shared errors, ties and patterns, worst first."""
     contradicting = []
-    for name, known in ties.start.items():
-        pose = found.state.poses.get(name)
+    for name, start in ties.start.items():
+        pose = alignment.state.poses.get(name)
         if pose is None or name == ties.fixed:
             continue
-        off = departure(pose, known.pose)
-        score = squared_pull(pose, known)
+        off = departure(pose, start.pose)
+        score = squared_pull(pose, start)
         if score > float(chi2.isf(_CHANCE, 6)):
-            stated = [np.trace(known.covariance[k : k + 3, k : k + 3]) for k in (0, 3)]
+            variances = [
+                np.trace(start.covariance[k : k + 3, k : k + 3]) for k in (0, 3)
+            ]
             contradicting.append(
                 Contradiction(
                     scan=name,
                     error="",
                     shift=float(np.linalg.norm(off[:3])),
                     turn=float(np.linalg.norm(off[3:])),
-                    stated_shift=math.sqrt(stated[0]),
-                    stated_turn=math.sqrt(stated[1]),
+                    stated_shift=math.sqrt(variances[0]),
+                    stated_turn=math.sqrt(variances[1]),
                     score=score / 6,
                 )
             )
-    for key, value in found.state.errors.items():
+    for key, value in alignment.state.errors.items():
         if value**2 > float(chi2.isf(_CHANCE, 1)):
             contradicting.append(
                 Contradiction(
@@ -281,7 +291,9 @@ def _contradictions(found: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
                     stated_turn=0.0, score=value**2,
                 )
             )  # fmt: skip
-    for line in reliabilities(found.state, found.covariance, found.layout, ties):
+    for line in reliabilities(
+        alignment.state, alignment.covariance, alignment.layout, ties
+    ):
         kind = line.observation.partition(" ")[0]
         if kind in ("control", "bar") and abs(line.score) > norm.isf(_CHANCE / 2):
             contradicting.append(
@@ -291,7 +303,7 @@ def _contradictions(found: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
                     stated_turn=0.0, score=line.score**2,
                 )
             )  # fmt: skip
-    pattern = contradicted(found.patterns)
+    pattern = contradicted(alignment.patterns)
     if pattern is not None:
         contradicting.append(
             Contradiction(
@@ -300,18 +312,18 @@ def _contradictions(found: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
                 score=pattern.score**2,
             )
         )  # fmt: skip
-    return tuple(sorted(contradicting, key=lambda one: -one.score))
+    return tuple(sorted(contradicting, key=lambda contradiction: -contradiction.score))
 
 
-def _apart(site: Site, found: Alignment, ties: Ties) -> Iterator[str]:
-    """Yield visits that neither surfaces nor targets tie to another one."""
+def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:
+    """Yield a line for each visit and group of scans without a tie to the others."""
     visit = {scan.name: scan.epoch for scan in site.scan}
-    tied = [(pair.source, pair.target) for pair in found.pairs]
+    tied = [(pair.source, pair.target) for pair in alignment.pairs]
     tied += [
-        (one.scan, other.scan)
-        for one in ties.centres
-        for other in ties.centres
-        if one.target == other.target
+        (first.scan, second.scan)
+        for first in ties.centres
+        for second in ties.centres
+        if first.target == second.target
     ]
     met = {visit[a] for a, b in tied if visit[a] != visit[b]}
     met |= {visit[b] for a, b in tied if visit[a] != visit[b]}
@@ -345,21 +357,21 @@ def _groups(names: list[str], tied: list[tuple[str, str]]) -> list[list[str]]:
     return sorted(groups, key=len, reverse=True)
 
 
-def _weak(
+def _weak_directions(
     result: Registration, ties: Ties, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Weakness, ...]:
-    """Return what the data hold no better than the start poses do.
+    """Return directions of poses that only the start poses constrain.
 
     A start pose that is good to a part of a pixel, as of a surveyed station, is enough.
 
     The error of a pose against the nearest neighbour counts, not that of the whole
     site, which all scans have alike.
     """
-    found = []
-    tied = {one.scan for one in ties.centres}
+    weaknesses = []
+    tied = {spread.scan for spread in ties.centres}
     for pair in result.pairs:
         tied |= {pair["source"], pair["target"]}
-    for name, known in ties.start.items():
+    for name, start in ties.start.items():
         if name not in result.poses or f"pose {name}" not in result.places:
             continue
         partners = {
@@ -368,35 +380,38 @@ def _weak(
             if name in (pair["source"], pair["target"])
         }
         options = [
-            relative_covariance(result, name, other) for other in sorted(partners)
+            relative_covariance(result, name, neighbor) for neighbor in sorted(partners)
         ]
         options.append(result.covariance_of(f"pose {name}"))
         best = min(
-            options, key=lambda one: float(np.trace(_over(one, known.covariance)))
+            options,
+            key=lambda spread: float(
+                np.trace(_relative_to_prior(spread, start.covariance))
+            ),
         )
-        values, axes = np.linalg.eigh(_over(best, known.covariance))
-        root = np.linalg.cholesky(known.covariance)
-        others = [_over(one, known.covariance) for one in options]
+        values, axes = np.linalg.eigh(_relative_to_prior(best, start.covariance))
+        root = np.linalg.cholesky(start.covariance)
+        others = [_relative_to_prior(spread, start.covariance) for spread in options]
         for value, axis in zip(values, axes.T, strict=True):
             # Two start poses by themselves make a mean; a neighbour may know better.
-            if min(float(axis @ one @ axis) for one in others) > _NO_BETTER**2:
+            if min(float(axis @ spread @ axis) for spread in others) > _NO_BETTER**2:
                 step = root @ axis * math.sqrt(value)
                 surface = surfaces[name]
                 away = float(np.nanmedian(surface.distance))
                 off = np.linalg.norm(step[:3]) + away * np.linalg.norm(step[3:])
                 if off < _ENOUGH * surface.spacing:
                     continue
-                found.append(
+                weaknesses.append(
                     Weakness(
                         scan=name,
                         shift=(float(step[0]), float(step[1]), float(step[2])),
                         turn=(float(step[3]), float(step[4]), float(step[5])),
                     )
                 )
-    return tuple(found)
+    return tuple(weaknesses)
 
 
-def _over(covariance: Floats, prior: Floats) -> Floats:
-    """Return a covariance in units of what was known before."""
+def _relative_to_prior(covariance: Floats, prior: Floats) -> Floats:
+    """Return a covariance in units of the prior one."""
     inverse = np.linalg.inv(np.linalg.cholesky(prior))
     return np.asarray(inverse @ covariance @ inverse.T)

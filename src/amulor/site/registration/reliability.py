@@ -55,13 +55,13 @@ def reliabilities(
 ) -> tuple[Reliability, ...]:
     """Return the reliability of all numbers that tie scans, but of their surfaces."""
     lines: list[Reliability] = []
-    for name, parts, residual, stated, columns, rows in _observations(
+    for name, parts, residual, prior, columns, rows in _observations(
         state, layout, ties
     ):
         free = columns >= 0
         at, design = columns[free], rows[:, free]
-        spread = stated - design @ covariance[np.ix_(at, at)] @ design.T
-        weight = np.linalg.inv(stated)
+        spread = prior - design @ covariance[np.ix_(at, at)] @ design.T
+        weight = np.linalg.inv(prior)
         redundancy = np.clip(np.diag(spread @ weight), 0.0, 1.0)
         information = np.diag(weight @ spread @ weight)
         for number, part in enumerate(parts):
@@ -72,7 +72,7 @@ def reliabilities(
                     observation=name,
                     part=part,
                     residual=float(residual[number]),
-                    uncertainty=float(np.sqrt(stated[number, number])),
+                    uncertainty=float(np.sqrt(prior[number, number])),
                     redundancy=float(redundancy[number]),
                     score=float((weight @ residual)[number]) / root,
                     detectable=_NON_CENTRALITY / root if checked else None,
@@ -96,14 +96,14 @@ def _observations(
     for centre in ties.centres:
         residual, rows, columns = centre_derivatives(centre, state, layout)
         rotation = state.poses[centre.scan].rotation
-        stated = rotation @ centre.covariance @ rotation.T
+        prior = rotation @ centre.covariance @ rotation.T
         name = f"target {centre.target} in {centre.scan}"
-        yield name, _SHIFTS, residual, stated, columns, rows
+        yield name, _SHIFTS, residual, prior, columns, rows
     for name, point in ties.control.items():
         residual = state.points[name] - point.position
         columns = layout.columns("point", [name], 3)
-        stated = np.asarray(np.diag(point.sigma**2), dtype=float)
-        yield f"control {name}", _SHIFTS, residual, stated, columns, np.eye(3)
+        prior = np.asarray(np.diag(point.sigma**2), dtype=float)
+        yield f"control {name}", _SHIFTS, residual, prior, columns, np.eye(3)
     for bar in ties.bars:
         first, second = (state.points[end] for end in bar.ends)
         length = float(np.linalg.norm(first - second))
@@ -111,5 +111,5 @@ def _observations(
         columns = layout.columns("point", bar.ends, 3)
         rows = np.concatenate([unit, -unit])[None]
         residual = np.array([length - bar.length])
-        stated = np.array([[bar.sigma**2]])
-        yield f"bar {' '.join(bar.ends)}", ("length",), residual, stated, columns, rows
+        prior = np.array([[bar.sigma**2]])
+        yield f"bar {' '.join(bar.ends)}", ("length",), residual, prior, columns, rows

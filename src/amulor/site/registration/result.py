@@ -1,4 +1,4 @@
-"""The poses of a site with the covariance of all, and the file that holds them."""
+"""Registration of a site: poses with their covariance, and its file."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from amulor.site.registration.reliability import Reliability
 
 Floats = NDArray[np.float64]
 
-#: What the file of a registration says it is.
+#: Kind of file of a registration.
 KIND = "amulor site registration 1"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weakness:
-    """A direction in which nothing but the start pose holds a scan."""
+    """Direction of a pose that only the start pose constrains."""
 
     scan: str
     """Name of the scan."""
     shift: tuple[float, float, float]
     """East, north, up of the direction, for one standard deviation [m]."""
     turn: tuple[float, float, float]
-    """About these axes [rad]."""
+    """Turn about these axes [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """A start pose, or an error that pixels share, that the scans contradict."""
+    """Stated value that the scans contradict."""
 
     scan: str
     """Name of the scan; empty for an error that several share."""
@@ -58,7 +58,7 @@ class Contradiction:
 
     @property
     def sentence(self) -> str:
-        """One line: which scan stands how far off, and what to look at."""
+        """Message with the scan, the size of the contradiction and a remedy."""
         if self.error and self.scan:
             return (
                 f"scan {self.scan!r}: its ranges change {PATTERNS[self.error]} by "
@@ -98,7 +98,7 @@ class Registration:
     site: str
     """Name of the site."""
     poses: dict[str, ScanPose]
-    """By scan."""
+    """Poses by scan."""
     points: dict[str, Floats]
     """Targets in the site, by name [m]."""
     errors: dict[str, float]
@@ -107,13 +107,13 @@ class Registration:
     """First and last place, exclusive, of each unknown in the covariance, by "pose
     NAME", "point NAME" and "error KEY"."""
     covariance: Floats
-    """Of all unknowns."""
+    """Covariance of all unknowns."""
     pairs: tuple[dict[str, Any], ...]
-    """Which scans were compared, and what came of it."""
+    """Compared scans with the figures of their comparison."""
     disagreements: tuple[dict[str, Any], ...]
     """Pairs of scans that all others contradict."""
     weaknesses: tuple[Weakness, ...]
-    """Directions that only start poses hold."""
+    """Directions that only start poses constrain."""
     contradictions: tuple[Contradiction, ...]
     """Start poses and shared errors that the result contradicts; with any, the poses
     are not good."""
@@ -140,16 +140,16 @@ class Registration:
                 for name in names
             ]
         )
-        kept = at >= 0
-        found = np.zeros((len(at), len(at)))
-        found[np.ix_(kept, kept)] = self.covariance[np.ix_(at[kept], at[kept])]
-        return found
+        free = at >= 0
+        spread = np.zeros((len(at), len(at)))
+        spread[np.ix_(free, free)] = self.covariance[np.ix_(at[free], at[free])]
+        return spread
 
 
-def relative_covariance(result: Registration, name: str, other: str) -> Floats:
+def relative_covariance(result: Registration, name: str, reference: str) -> Floats:
     """Return the covariance of a pose against that of another scan."""
-    both = result.covariance_of(f"pose {name}", f"pose {other}")
-    arm = result.poses[name].position - result.poses[other].position
+    both = result.covariance_of(f"pose {name}", f"pose {reference}")
+    arm = result.poses[name].position - result.poses[reference].position
     carried = np.eye(6)
     carried[:3, 3:] = -cross_matrix(arm)
     rows = np.hstack([np.eye(6), -carried])
@@ -199,10 +199,10 @@ def write_registration(
         "shared_errors": result.errors,
         "pairs": list(result.pairs),
         "disagreements": list(result.disagreements),
-        "weaknesses": [vars(one) for one in result.weaknesses],
+        "weaknesses": [vars(item) for item in result.weaknesses],
         "remarks": list(result.remarks),
         "good": not result.contradictions,
-        "contradictions": [vars(one) for one in result.contradictions],
+        "contradictions": [vars(item) for item in result.contradictions],
         "patterns": [vars(test) for test in result.patterns],
         "reliability": [vars(line) for line in result.reliability],
         "places": result.places,
@@ -242,14 +242,14 @@ def read_registration(path: str | Path) -> Registration:
 
 
 def _digest_of(content: dict[str, Any]) -> str:
-    """Return the digest of what a file states, whatever its order and spaces."""
+    """Return the digest of the content of a file, independent of order and spaces."""
     return provenance.digest(json.dumps(content, sort_keys=True).encode())
 
 
 def _registration_of(content: dict[str, Any]) -> Registration:
     poses = {}
-    for name, one in content["poses"].items():
-        matrix = np.array(one["matrix"], dtype=float)
+    for name, item in content["poses"].items():
+        matrix = np.array(item["matrix"], dtype=float)
         poses[name] = ScanPose(matrix[:3, :3], matrix[:3, 3])
     return Registration(
         site=content["site"],
@@ -264,7 +264,9 @@ def _registration_of(content: dict[str, Any]) -> Registration:
             Weakness(scan=w["scan"], shift=tuple(w["shift"]), turn=tuple(w["turn"]))
             for w in content["weaknesses"]
         ),
-        contradictions=tuple(Contradiction(**one) for one in content["contradictions"]),
+        contradictions=tuple(
+            Contradiction(**item) for item in content["contradictions"]
+        ),
         remarks=tuple(content["remarks"]),
         settled=bool(content["settled"]),
         fixed=content["fixed"],

@@ -1,4 +1,4 @@
-"""Start poses that cannot be right: swapped axes, radians called degrees, heights."""
+"""Test of start poses: swapped axes, radians called degrees, heights."""
 
 from __future__ import annotations
 
@@ -16,15 +16,13 @@ from amulor.site.registration.pose import start_pose
 
 Floats = NDArray[np.float64]
 
-#: Points of a scan that are placed [1].
+#: Number of points of a scan that test its start [1].
 _SOME = 1500
-#: A point meets another scan within three standard errors of the start pose, but within
-#: these bounds [m].
+#: Bounds of the distance within which points meet another scan [m].
 _LEAST, _MOST = 0.05, 0.3
-#: Scans that meet others with a smaller part of their points meet none [1].
+#: Smallest part of points that meet others, for a scan with an overlap [1].
 _NONE = 0.02
-#: Another reading of the start poses is named if it brings so much more of the points
-#: onto other scans [1].
+#: Gain of overlap for which another convention of start poses is named [1].
 _BETTER = 0.25
 #: Cells of the plan whose heights are compared [m], and how many there must be [1].
 _CELL, _CELLS = 0.25, 6
@@ -35,7 +33,7 @@ class StartFindings:
     """Findings about the start poses of a site."""
 
     mistakes: tuple[str, ...]
-    """Start poses that another reading explains better."""
+    """Start poses that another convention explains better."""
     remarks: tuple[str, ...]
     """Visits and scans that meet no other."""
 
@@ -95,7 +93,7 @@ _READINGS: tuple[tuple[str, Callable[[StartPose], dict[str, object]]], ...] = (
 
 
 def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
-    """Compare how start poses, and other readings of them, bring scans together."""
+    """Compare the overlap of scans by start poses in several conventions."""
     starts = {
         scan.name: scan.start
         for scan in site.scan
@@ -103,7 +101,9 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
     }
     visits = {
         epoch.name: [
-            one.name for one in site.scans_of(epoch.name) if one.name in starts
+            scan_name.name
+            for scan_name in site.scans_of(epoch.name)
+            if scan_name.name in starts
         ]
         for epoch in site.epoch
     }
@@ -112,15 +112,17 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
     remarks: list[str] = []
     if len(starts) < 2:
         return StartFindings(mistakes=(), remarks=())
-    some = {
+    samples = {
         name: clouds[name][:: max(len(clouds[name]) // _SOME, 1)] for name in starts
     }
-    placed = {name: _placed(starts[name], some[name]) for name in starts}
-    gates = {name: _gate(starts[name], some[name]) for name in starts}
+    placed = {name: _placed(starts[name], samples[name]) for name in starts}
+    gates = {name: _gate(starts[name], samples[name]) for name in starts}
     # Of two visits that contradict each other the one that is known worse is named.
     worse = sorted(
         visits,
-        key=lambda name: -min(starts[one].position_uncertainty for one in visits[name]),
+        key=lambda name: (
+            -min(starts[scan_name].position_uncertainty for scan_name in visits[name])
+        ),
     )
     groups = {f"visit {name!r}": visits[name] for name in worse}
     if len(visits) > 1:
@@ -129,38 +131,38 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
     for group, scans in groups.items():
         if named:
             break
-        stated = _agreement(visits, scans, placed, gates)
-        best, words = stated + _BETTER, ""
+        agreement = _agreement(visits, scans, placed, gates)
+        best, words = agreement + _BETTER, ""
         for reading, changed in _READINGS:
             try:
                 moved = {
-                    name: _placed(starts[name], some[name], changed(starts[name]))
+                    name: _placed(starts[name], samples[name], changed(starts[name]))
                     for name in scans
                 }
             except ValidationError:  # such as a pitch beyond upright
                 continue
-            found = _agreement(visits, scans, placed | moved, gates)
-            if found > best:
-                best, words = found, reading
+            changed_agreement = _agreement(visits, scans, placed | moved, gates)
+            if changed_agreement > best:
+                best, words = changed_agreement, reading
         if words:
             named |= set(scans)
             mistakes.append(
-                f"{group}: start poses of {', '.join(scans)} bring {stated:.0%} of "
+                f"{group}: start poses of {', '.join(scans)} bring {agreement:.0%} of "
                 f"their points onto other scans, and {best:.0%} if {words}"
             )
     for name in worse[:1] if len(visits) == 2 else worse:
         scans = visits[name]
-        others = [one for one in starts if one not in scans]
+        others = [scan_name for scan_name in starts if scan_name not in scans]
         if named or not others:
             continue
-        share = max(_share(one, others, placed, gates) for one in scans)
+        share = max(_share(scan_name, others, placed, gates) for scan_name in scans)
         if share < _NONE:
             remarks.append(
                 f"visit {name!r} meets no scan of another visit at its start poses"
-                + _above(scans, others, placed)
+                + _height_in_words(scans, others, placed)
             )
     for name in starts:
-        others = [one for one in starts if one != name]
+        others = [scan_name for scan_name in starts if scan_name != name]
         if not named and _share(name, others, placed, gates) < _NONE:
             remarks.append(
                 f"scan {name!r} meets no other scan at its start pose; check "
@@ -172,13 +174,13 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
 def _placed(
     start: StartPose, cloud: Floats, changed: Mapping[str, object] | None = None
 ) -> cKDTree:
-    """Return points of a scan in the site by its start pose, to be looked up."""
+    """Return the search tree of points placed by a start pose."""
     pose = start_pose(start.model_copy(update=dict(changed or {})))
     return cKDTree(pose.place(cloud))
 
 
 def _gate(start: StartPose, cloud: Floats) -> float:
-    """Return how far points may be off by the stated errors of a start pose [m]."""
+    """Return the largest error of points by the stated error of a start pose [m]."""
     away = float(np.median(np.linalg.norm(cloud, axis=1)))
     turn = max(start.heading_uncertainty, start.level_uncertainty)
     size = 3 * math.hypot(start.position_uncertainty, away * turn)
@@ -192,20 +194,20 @@ def _agreement(
     placed: Mapping[str, cKDTree],
     gates: Mapping[str, float],
 ) -> float:
-    """Return how much of scans meets others: of other visits, and of their own."""
-    found = []
-    for own in visits.values():
-        outside = [one for one in placed if one not in own]
-        for name in own:
+    """Return the mean overlap of scans with other visits and within their own [1]."""
+    shares_met = []
+    for visit_scans in visits.values():
+        outside = [peer for peer in placed if peer not in visit_scans]
+        for name in visit_scans:
             if name in scans:
-                among = [one for one in own if one != name]
+                among = [peer for peer in visit_scans if peer != name]
                 shares = [
                     _share(name, others, placed, gates)
                     for others in (outside, among)
                     if others
                 ]
-                found.append(min(shares))
-    return float(np.mean(found))
+                shares_met.append(min(shares))
+    return float(np.mean(shares_met))
 
 
 def _share(
@@ -214,18 +216,20 @@ def _share(
     placed: Mapping[str, cKDTree],
     gates: Mapping[str, float],
 ) -> float:
-    """Return the part of a scan's points that stand near points of others [1]."""
+    """Return the part of the points of a scan near points of others [1]."""
     points = placed[name].data
     met = np.zeros(len(points), dtype=bool)
-    for other in others:
-        gate = max(gates[name], gates[other])
-        away = placed[other].query(points, distance_upper_bound=gate)[0]
+    for peer in others:
+        gate = max(gates[name], gates[peer])
+        away = placed[peer].query(points, distance_upper_bound=gate)[0]
         met |= np.isfinite(away)
     return float(met.mean())
 
 
-def _above(scans: list[str], others: list[str], placed: Mapping[str, cKDTree]) -> str:
-    """Return how far scans lie above others in the same cells of the plan, if so."""
+def _height_in_words(
+    scans: list[str], others: list[str], placed: Mapping[str, cKDTree]
+) -> str:
+    """Return the height of scans above others in common cells of the plan, in words."""
     heights = []
     for names in (scans, others):
         points = np.concatenate([placed[name].data for name in names])

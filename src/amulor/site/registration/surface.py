@@ -1,4 +1,4 @@
-"""Errors that the pixels of a scan share, as a few shapes of unit variance."""
+"""Surface of a scan: patches, normals, and the errors that its pixels share."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 _MOST_SHAPES = 24
 #: ... this part of the variance of all [1].
 _LEFT_OUT = 1e-9
-#: Power of the range that terms grow with; late light goes with its square.
+#: Power of the range in each error term; late light grows with its square.
 _POWER = {"delay": 0.0, "geometry": 0.0, "group_index": 1.0, "late_echo": 2.0}
 
 
@@ -31,12 +31,12 @@ class Shared:
     """Errors of slant ranges that pixels share: each shape times a normal number."""
 
     keys: tuple[str, ...]
-    """Which number each shape is multiplied by; scans with one key share it."""
+    """Name of the factor of each shape; scans with one key share the factor."""
     shapes: Floats
-    """How far one standard deviation moves each range, shape (k, row, column); 0 where
+    """Effect of one standard deviation on each range, shape (k, row, column); 0 where
     there is no range [m]."""
     growth: Floats
-    """How the shapes change with the range of their pixel, of the same shape [1]."""
+    """Derivatives of the shapes by the range of their pixel [1]."""
 
 
 def shared_errors(
@@ -50,18 +50,18 @@ def shared_errors(
     axes of these are few.
     """
     distance = image["slant_range"].values
-    there = np.isfinite(distance)
-    reach = np.where(there & (distance > 0), distance, 1.0)
+    measured = np.isfinite(distance)
+    reach = np.where(measured & (distance > 0), distance, 1.0)
     keys: list[str] = []
     shapes: list[Floats] = []
     growth: list[Floats] = []
     of = {"delay": instrument, "geometry": instrument}
     of |= {"group_index": water, "late_echo": water}
-    known = np.zeros(distance.shape)
+    explained = np.zeros(distance.shape)
     for name in ALIKE_TERMS:
         if f"{RANGE_PREFIX}{name}" in image:
-            term = _filled(image[f"{RANGE_PREFIX}{name}"].values, there)
-            known += term**2
+            term = _filled(image[f"{RANGE_PREFIX}{name}"].values, measured)
+            explained += term**2
             if term.any():
                 keys.append(f"{name}: {of[name]}")
                 shapes.append(term)
@@ -69,35 +69,35 @@ def shared_errors(
     if drift > 0:
         course = np.linspace(-drift, drift, distance.shape[0])[:, None]
         keys.append(f"drift: {scan}")
-        shapes.append(np.where(there, course, 0.0))
+        shapes.append(np.where(measured, course, 0.0))
         growth.append(np.zeros(distance.shape))
-    own: list[tuple[Floats, Floats]] = []
+    components: list[tuple[Floats, Floats]] = []
     turns = _turns(image, reach)
     for name in WATER_TERMS:
         if f"{RANGE_PREFIX}{name}" in image:
-            term = _filled(image[f"{RANGE_PREFIX}{name}"].values, there)
-            known += term**2
-            own += [(term * turn, term * change) for turn, change in turns]
+            term = _filled(image[f"{RANGE_PREFIX}{name}"].values, measured)
+            explained += term**2
+            components += [(term * turn, term * change) for turn, change in turns]
     if "slant_range_common_uncertainty" in image:
-        common = _filled(image["slant_range_common_uncertainty"].values, there) ** 2
-        rest = np.sqrt(np.maximum(common - known, 0.0))
+        common = _filled(image["slant_range_common_uncertainty"].values, measured) ** 2
+        rest = np.sqrt(np.maximum(common - explained, 0.0))
         for basis in _basis(image):
             part = rest * basis
-            own += [(part * turn, part * change) for turn, change in turns]
-    for number, (shape, change) in enumerate(_principal(own)):
+            components += [(part * turn, part * change) for turn, change in turns]
+    for number, (shape, change) in enumerate(_principal(components)):
         keys.append(f"shape {number + 1}: {scan}")
         shapes.append(shape)
         growth.append(change)
-    whole = (len(keys), *distance.shape)
+    full_shape = (len(keys), *distance.shape)
     return Shared(
         keys=tuple(keys),
-        shapes=np.array(shapes).reshape(whole),
-        growth=np.array(growth).reshape(whole),
+        shapes=np.array(shapes).reshape(full_shape),
+        growth=np.array(growth).reshape(full_shape),
     )
 
 
-def _filled(values: Floats, there: NDArray[np.bool_]) -> Floats:
-    return np.where(there & np.isfinite(values), values, 0.0)
+def _filled(values: Floats, measured: NDArray[np.bool_]) -> Floats:
+    return np.where(measured & np.isfinite(values), values, 0.0)
 
 
 def _turns(image: xr.Dataset, distance: Floats) -> list[tuple[Floats, Floats]]:
@@ -109,8 +109,8 @@ def _turns(image: xr.Dataset, distance: Floats) -> list[tuple[Floats, Floats]]:
     frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
     parts: list[tuple[Floats, Floats]] = []
     size = 1 / np.sqrt(len(frequency))
-    for each in frequency:
-        factor = float(ranging.phase_per_range(each, group_index=group_index))
+    for modulation in frequency:
+        factor = float(ranging.phase_per_range(modulation, group_index=group_index))
         cosine, sine = np.cos(factor * distance), np.sin(factor * distance)
         parts += [
             (size * cosine, -size * factor * sine),
@@ -148,23 +148,23 @@ def _principal(
         np.array([pair[part].ravel() for pair in shapes]) for part in (0, 1)
     )
     energy, axes = np.linalg.eigh(flat @ flat.T)
-    kept = np.flatnonzero(energy > _LEFT_OUT * max(float(energy.sum()), 1e-300))
-    kept = kept[::-1][:_MOST_SHAPES]
+    strongest = np.flatnonzero(energy > _LEFT_OUT * max(float(energy.sum()), 1e-300))
+    strongest = strongest[::-1][:_MOST_SHAPES]
     size = shapes[0][0].shape
     return [
         ((axes[:, at] @ flat).reshape(size), (axes[:, at] @ slopes).reshape(size))
-        for at in kept
+        for at in strongest
     ]
 
 
 Flags = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-#: A window is no smooth surface if its chi-square is so many times that of most [1].
+#: Largest chi-square of a smooth window, over that of most [1].
 _ROUGH = 3.0
 #: Degree of a patch: with less, bends of a sea bed exceed the noise of patches [1].
 _DEGREE = 4
-#: Fewer patches than these place nothing [1].
+#: Smallest number of patches that place a scan [1].
 _FEWEST = 50
 
 
@@ -173,41 +173,39 @@ class ScanSurface:
     """A scan in its own axes (right, down, forward), on its grid of pixels."""
 
     name: str
-    """Of the scan."""
+    """Name of the scan."""
     usable: Flags
-    """Pixels whose range is relied on, shape (row, column)."""
+    """Pixels with a good range, shape (row, column)."""
     smooth: Flags
     """Pixels whose whole window lies on one smooth surface."""
     origin: Floats
-    """Where each slant range begins, shape (row, column, 3) [m]."""
+    """Origins of slant ranges, shape (row, column, 3) [m]."""
     direction: Floats
-    """Of the beams, shape (row, column, 3) [1]."""
+    """Directions of beams, shape (row, column, 3) [1]."""
     steps: Floats
-    """How origin and direction change by a row and by a column, shape (2, 2, row,
+    """Differences of origin and direction by a row and by a column, shape (2, 2, row,
     column, 3) [m, 1]."""
     distance: Floats
     """Slant range, not a number where there is none [m]."""
     own: Floats
-    """Standard uncertainty that no other pixel shares [m]."""
+    """Standard uncertainty independent of other pixels [m]."""
     shared: Shared
-    """What pixels share."""
+    """Errors that pixels share."""
     patch: Floats
     """Polynomial of inverse range in each window, shape (term, row, column), of the
     terms of `powers` [1/m]."""
     powers: Numbers
     """Powers of row and column in each term of a patch, shape (term, 2) [1]."""
     apart: Floats
-    """Where the neighbours of a pixel in its window put it, shape (row, column, 3)
-    [m]."""
+    """Place of a pixel by its neighbors in the window, shape (row, column, 3) [m]."""
     kernels: Floats
-    """What makes patches of the pixels of a window, shape (term, window, window)
-    [1]."""
+    """Weights of the fit of patches, shape (term, window, window) [1]."""
     slope: float
     """Noise of a slope that makes the normals, over that of a pixel [1]."""
     normal: Floats
     """Towards the instrument, not a number where not smooth, (row, column, 3) [1]."""
     attributes: dict[str, object]
-    """Those of the range image."""
+    """Attributes of the range image."""
 
     @property
     def position(self) -> Floats:
@@ -218,8 +216,8 @@ class ScanSurface:
     def spacing(self) -> float:
         """Median distance of neighbouring points of smooth patches [m]."""
         step = np.linalg.norm(np.diff(self.position, axis=1), axis=-1)
-        kept = step[self.smooth[:, 1:] & self.smooth[:, :-1]]
-        return float(np.median(kept)) if kept.size else float("nan")
+        lengths = step[self.smooth[:, 1:] & self.smooth[:, :-1]]
+        return float(np.median(lengths)) if lengths.size else float("nan")
 
 
 def scan_surface(
@@ -243,19 +241,19 @@ def scan_surface(
     direction = np.broadcast_to(beam.direction, (*distance.shape, 3))
     before = np.broadcast_to(beam.length_before, distance.shape)
     origin = beam.entry - before[..., None] * direction
-    own = np.sqrt(own_variance(image))
+    noise = np.sqrt(own_variance(image))
     powers = _powers(_DEGREE if window > _DEGREE else 2)
     kernels, plain = _kernels(window, powers), _kernels(window, _powers(2))
     inverse = np.where(usable, 1 / np.where(usable, distance, 1.0), 0.0)
     patch, low = (
-        np.array([ndimage.correlate(inverse, k, mode="nearest") for k in each])
-        for each in (kernels, plain[:3])
+        np.array([ndimage.correlate(inverse, k, mode="nearest") for k in kernel_set])
+        for kernel_set in (kernels, plain[:3])
     )
-    whole = ndimage.minimum_filter(
+    complete = ndimage.minimum_filter(
         usable.astype(np.uint8), size=window, mode="constant", cval=0
     )
-    smooth = (whole == 1) & _is_smooth(
-        inverse, patch, powers, own / distance**2, whole, window
+    smooth = (complete == 1) & _is_smooth(
+        inverse, patch, powers, noise / distance**2, complete, window
     )
     if int(smooth.sum()) < _FEWEST:
         raise CubeError(
@@ -279,7 +277,7 @@ def scan_surface(
         direction=np.asarray(direction),
         steps=steps,
         distance=distance,
-        own=own,
+        own=noise,
         shared=shared,
         patch=patch,
         apart=np.asarray(origin + reach[..., None] * direction),
@@ -309,10 +307,10 @@ def _is_smooth(
     patch: Floats,
     powers: Numbers,
     sigma: Floats,
-    whole: NDArray[np.uint8],
+    complete: NDArray[np.uint8],
     window: int,
 ) -> Flags:
-    """Return which windows are as smooth as noise lets them, or as most are."""
+    """Return windows whose residuals are as small as noise, or as those of most."""
     count = window**2
     half = window // 2
     place = np.arange(-half, half + 1).astype(float)
@@ -331,11 +329,11 @@ def _is_smooth(
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         score = square / (freedom * expected)
-    there = (whole == 1) & np.isfinite(score)
-    usual = max(float(np.median(score[there])), 1.0) if there.any() else 1.0
+    valid = (complete == 1) & np.isfinite(score)
+    usual = max(float(np.median(score[valid])), 1.0) if valid.any() else 1.0
     limit = 1 + 5 * np.sqrt(2 / freedom)
     most = limit * usual if usual < _ROUGH else _ROUGH * usual
-    return np.asarray(there & (score < most))
+    return np.asarray(valid & (score < most))
 
 
 def _normals(
@@ -357,7 +355,7 @@ def _normals(
 
 
 def _steps(values: Floats, axis: int) -> Floats:
-    """Return how a grid changes from pixel to pixel."""
+    """Return the differences of a grid from pixel to pixel."""
     if values.shape[axis] < 2:
         return np.zeros_like(values)
     return np.asarray(np.gradient(values, axis=axis))
