@@ -122,7 +122,10 @@ def _fields(model: type[BaseModel]) -> list[str]:
         needed = "yes" if field.is_required() else ""
         rows.append(f"| `{name}` | {needed} | {default} | {meaning} |")
     if issubclass(model, WaterState) and not whole:
-        rows += ["", "And, as all waters, " + ", ".join(f"`{n}`" for n in common) + "."]
+        rows += [
+            "",
+            "Fields of all waters: " + ", ".join(f"`{n}`" for n in common) + ".",
+        ]
     return rows
 
 
