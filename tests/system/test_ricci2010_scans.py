@@ -279,4 +279,4 @@ def test_figures_are_drawn_and_say_that_they_are_synthetic(
         drawn.canvas.draw()
     texts = [text.get_text() for text in drawn.texts]
     assert any("synthetic" in text for text in texts)
-    assert "synthetic" in figure.caption
+    assert "synthetic" in figure.caption.lower()
