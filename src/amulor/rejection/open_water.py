@@ -73,18 +73,19 @@ def open_water(
     ----------
     cube : xarray.Dataset
         Level `samples`, with open-water shots at the same frequencies and channels, in
-        the order in which they were recorded; their directions may be sparse over the
-        scan, but must reach to its edges.
+        the order of their recording. Their directions may be sparse, but must reach
+        the edges of the scan.
     interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m], to tell how much water
-        stands behind the target. From 0 to the unambiguous range by default.
+        Nearest and farthest possible slant range [m], which determines the water behind
+        the target. From 0 to the unambiguous range by default.
     column_uncertainty : float, optional
-        Relative standard uncertainty of what the survey says about the water behind
-        the target, such as 0.2 [1]. By default the shots tell: they correct the
-        survey's turbidity, and what they leave open is the error.
+        Relative standard uncertainty of the survey's water behind the target, such as
+        0.2 [1]. By default the shots correct the survey's turbidity, and the
+        uncertainty of this correction is taken.
     put_back : bool
-        Whether the water behind the target is put back, for it was never there to be
-        subtracted. If not, it is only stated, in the `residual_` variables.
+        Whether to add the water behind the target again, which the shots contain and
+        the samples do not. If False, it is only estimated, in the `residual_`
+        variables.
 
     Returns
     -------
@@ -119,18 +120,21 @@ def open_water(
 
     Notes
     -----
-    (55)-(58) of [1]_ as a difference of phasors, which has no branch to go wrong. A
-    drift that is larger than chance makes it in 1 of 1000 scans counts as an error that
-    is spread evenly over its size. Water that is stronger than its reference is told by
-    phases that disagree. `WATER_RESIDUAL` is flagged where, with two frequencies or
-    channels at least, a remainder has the shape of the water signal itself, and where
-    at a single frequency the column behind the target is stronger than 0.3 (30 %) of
-    the target. Channels see the same distance: where their phases disagree the sample
-    is an `OUTLIER`, which a range image leaves out where two thirds of the frequencies
-    remain. `NO_TARGET` is decided before any column is put back, see
-    `amulor.rejection.reference.presence.shows_target`. All pixels are flagged
-    `WATER_RESIDUAL` where the water changed by more than 30 %, or no water explains the
-    shots (departure beyond 20 %): `water_residual_cause` says which.
+    Eqs. (55)-(58) of [1]_, computed as a difference of phasors, which needs no choice
+    of a quadrant. A significant drift (1 of 1000 by chance) is an error with a
+    rectangular distribution of its size. Phases that disagree show water that is
+    stronger than its reference. Flags:
+
+    - `NO_TARGET`: no significant echo, decided before the water behind the target is
+      added again.
+    - `OUTLIER`: the channels disagree in distance. A range image discards the sample
+      if two thirds of the frequencies remain.
+    - `WATER_RESIDUAL` of a pixel: with two frequencies or channels, a residual has
+      the shape of the water signal. At a single frequency, the water behind the
+      target is stronger than 0.3 (30 %) of the target.
+    - `WATER_RESIDUAL` of all pixels: the water changed by more than 30 %, or no water
+      explains the shots (departure beyond 20 %). `water_residual_cause` names the
+      reason.
 
     References
     ----------
