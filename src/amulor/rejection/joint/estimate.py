@@ -289,32 +289,32 @@ def joint(
     ----------
     cube : xarray.Dataset
         Level `samples` with at least two modulation frequencies and the attribute
-        `survey`, of which the instrument, the scan and the shape of the water's phase
-        function are used; how much it scatters and absorbs, and how far, is not.
-        Open-water shots are used if there are any.
+        `survey`. From the survey the method takes the instrument, the scan and the
+        shape of the water's phase function, but not absorption, scattering and
+        distances. Open-water shots are used if there are any.
     interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m]. From 0 to the
-        unambiguous range of the frequencies by default.
+        Nearest and farthest possible slant range [m]. From 0 to the unambiguous range of
+        the frequencies by default.
     echo_transfer : ndarray of complex, optional
-        What the echo of the target has beyond its delay at each frequency, such as
-        the spread of its arrival times, if it is known [1]; 1 by default.
+        Known factor of the echo at each frequency besides its delay, such as the spread
+        of its arrival times [1]; 1 by default.
     delay_uncertainty : float, optional
-        Standard uncertainty of the delay of the instrument, which all channels share
-        [s]. By default this and the next two are not counted here: a range image counts
-        what the survey's `[calibration]` states, and says what nobody states.
+        Standard uncertainty of the delay of the instrument, which all channels share [s].
+        By default this and the next two are not included here: a range image takes
+        them from the survey's `[calibration]`, and lists those that are not stated.
     group_index_uncertainty : float, optional
         Standard uncertainty of the group index of the water [1].
     receiver_position_uncertainty : float, optional
-        Standard uncertainty of the receiver's place to the right and down [m]. Where it
-        stands forward of the emitter is part of the delay.
+        Standard uncertainty of the receiver's position to the right and down [m]. Its
+        distance forward of the emitter is part of the delay.
     receiver_direction_uncertainty : float, optional
         Standard uncertainty of the axis of the receiver in azimuth and elevation
         [rad]; 1 degree by default.
     late_echo_uncertainty : float, optional
-        Standard uncertainty of how late the echo is by scattering on its way, over
-        twice what `optics.late_echo` says for the estimated spread of the light [1]. By
-        default 0.5, and 0 for a simulation without late light; 0 is right where
-        `echo_transfer` holds it, or the range of the echo is asked for.
+        Standard uncertainty of the delay of the echo by scattering, divided by twice the
+        delay of `optics.late_echo` for the estimated spread of the light [1]. By
+        default 0.5, and 0 for a simulation without late light. State 0 if
+        `echo_transfer` contains this delay, or for the range of the echo itself.
 
     Returns
     -------
@@ -332,8 +332,6 @@ def joint(
         - `misfit`: chi-square over its degrees of freedom [1].
         - `nearer_surface`, `farther_surface`: slant ranges of two surfaces in one
           beam [m].
-
-
 
     Raises
     ------
