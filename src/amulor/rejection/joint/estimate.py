@@ -293,13 +293,13 @@ def joint(
         shape of the water's phase function, but not absorption, scattering and
         distances. Open-water shots are used if there are any.
     interval : tuple of float, optional
-        Nearest and farthest possible slant range [m]. From 0 to the unambiguous range of
-        the frequencies by default.
+        Nearest and farthest possible slant range [m]. From 0 to the unambiguous range
+        of the frequencies by default.
     echo_transfer : ndarray of complex, optional
         Known factor of the echo at each frequency besides its delay, such as the spread
         of its arrival times [1]; 1 by default.
     delay_uncertainty : float, optional
-        Standard uncertainty of the delay of the instrument, which all channels share [s].
+        Standard uncertainty of the instrument's delay, which all channels share [s].
         By default this and the next two are not included here: a range image takes
         them from the survey's `[calibration]`, and lists those that are not stated.
     group_index_uncertainty : float, optional
@@ -311,8 +311,8 @@ def joint(
         Standard uncertainty of the axis of the receiver in azimuth and elevation
         [rad]; 1 degree by default.
     late_echo_uncertainty : float, optional
-        Standard uncertainty of the delay of the echo by scattering, divided by twice the
-        delay of `optics.late_echo` for the estimated spread of the light [1]. By
+        Standard uncertainty of the delay of the echo by scattering, divided by twice
+        the delay of `optics.late_echo` for the estimated spread of the light [1]. By
         default 0.5, and 0 for a simulation without late light. State 0 if
         `echo_transfer` contains this delay, or for the range of the echo itself.
 
