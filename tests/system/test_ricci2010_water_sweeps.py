@@ -10,7 +10,13 @@ import pytest
 from scipy.constants import speed_of_light
 from scipy.integrate import quad
 
-from amulor.studies.ricci2010.figures import depths, figure_01, figure_03, figure_04
+from amulor.studies.ricci2010.figures import (
+    depths,
+    figure_01,
+    figure_03,
+    figure_04,
+    low_pass,
+)
 from amulor.studies.ricci2010.parameters import varied
 from amulor.studies.ricci2010.results import Check
 from amulor.studies.ricci2010.scenes import water_sweeps
@@ -213,7 +219,7 @@ def test_checks_of_curves_follow_the_curves(study) -> None:
     found = water_sweeps.sweep(study, "low")
     # Were transport what the diffusion form says, it would agree with it.
     agreeing = replace(found, monte_carlo=found.realistic)
-    checks = figure_03.sweep_checks(agreeing)
+    checks = low_pass.sweep_checks(agreeing)
     assert _only(checks, "diffusion form agrees with transport").passed
     assert not _only(checks, "small-angle form agrees with transport").passed
     wrong = replace(
@@ -222,7 +228,7 @@ def test_checks_of_curves_follow_the_curves(study) -> None:
         cut_off=1.3 * found.simple.cut_off,
         at_cut_off=0.6,
     )
-    checks = figure_03.sweep_checks(replace(found, simple=wrong))
+    checks = low_pass.sweep_checks(replace(found, simple=wrong))
     for words in ("exceeds 1", "at half power", "agree, both by the diffusion form"):
         first = next(check for check in checks if words in check.statement)
         assert not first.passed

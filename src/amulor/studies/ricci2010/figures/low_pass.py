@@ -32,7 +32,7 @@ FREE, OF_POWER = "a free fit of (71)", "a fit of (71) to power"
 
 def lower_checks(study: Study) -> list[Check]:
     """Compare the sweep of lower turbidity with the text of the paper."""
-    return _checks(sweep(study, "low"))
+    return sweep_checks(sweep(study, "low"))
 
 
 def higher_checks(study: Study) -> list[Check]:
@@ -51,7 +51,7 @@ def higher_checks(study: Study) -> list[Check]:
     moments = low.water.second_moment, high.water.second_moment
     asymmetries = [s.water.phase_function.asymmetry for s in (low, high)]
     return [
-        *_checks(high),
+        *sweep_checks(high),
         rows.within("higher", least, uncertainty=error or None, note=f" (of {text})"),
         rows.holds(
             "moments",
@@ -72,7 +72,7 @@ def draw_higher(study: Study) -> Figure:
     return _draw(sweep(study, "high"))
 
 
-def _checks(data: Sweep) -> list[Check]:
+def sweep_checks(data: Sweep) -> list[Check]:
     """Compare a sweep with the text of the paper on figures 3 and 4."""
     rows = statements(3)
     simple, realistic, photons = data.simple, data.realistic, data.monte_carlo
