@@ -95,8 +95,9 @@ def align(
     overlap: float = 0.1,
     voxel: float | None = None,
     guess: Mapping[str, ScanPose] | None = None,
+    visits: Mapping[str, str] | None = None,
 ) -> Alignment:
-    """Align all scans of a site."""
+    """Align all scans of a site; patterns are tested between scans of one visit."""
     poses = _rough_poses(surfaces, ties, voxel=voxel, guess=guess or {})
     names = list(surfaces)
     start = dict(ties.start)
@@ -150,6 +151,18 @@ def align(
             trust, disagreements = _pair_weights(pairs, state, surfaces)
             state = network.step(state, pairs, ties, trust, free=free).state
     tell("covariance of all poses", 0.85)
+    # Between visits the surface may have changed.
+    same = [
+        visits is None or visits[pair.source] == visits[pair.target] for pair in pairs
+    ]
+    patterns = pattern_tests(
+        state,
+        [pair for pair, alike in zip(pairs, same, strict=True) if alike],
+        ties,
+        [weight for weight, alike in zip(trust, same, strict=True) if alike],
+        surfaces,
+        free=free if all(same) else 0,
+    )
     covariance, layout = network.covariance(
         state, pairs, ties, trust, surfaces, free=free
     )
@@ -162,7 +175,7 @@ def align(
         disagreements=disagreements,
         steps=steps,
         settled=settled,
-        patterns=pattern_tests(state, pairs, ties, trust, surfaces, free=free),
+        patterns=patterns,
     )
 
 

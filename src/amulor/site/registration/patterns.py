@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.stats import norm
 
 from amulor.site.registration.network import (
@@ -40,8 +41,10 @@ PATTERNS = {
     "range": "with the range",
     "angle": "with the angle of incidence",
 }
+#: Smallest window of the mean range, in pixels [1].
+_WINDOW = 15
 #: Chance of a false alarm in a site [1].
-_CHANCE = 1e-3
+_CHANCE = 5e-3
 #: Minimal detectable size over the standard uncertainty: power 80 %, chance 1e-4 [1].
 _POWERFUL = float(norm.isf(1e-4 / 2) + norm.isf(1 - 0.8))
 
@@ -77,10 +80,23 @@ def pattern_values(surface: ScanSurface) -> Floats:
         1 - 2 * row**2,
         column,
         1 - 2 * column**2,
-        _scaled(surface.distance, surface.smooth),
+        _scaled(_mean_around(surface.distance, surface.smooth), surface.smooth),
         _scaled(1 / np.maximum(facing, 0.1), surface.smooth),
     ]
     return np.array(values)
+
+
+def _mean_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
+    """Means of values over wide windows, which hold hardly any noise of one pixel.
+
+    A pattern with the noise of the range itself is correlated with the distances.
+    """
+    size = max(_WINDOW, min(values.shape) // 4)
+    total, count = (
+        ndimage.uniform_filter(part, size, mode="constant")
+        for part in (np.where(at, values, 0.0), at.astype(float))
+    )
+    return np.asarray(total / np.maximum(count, 1e-9))
 
 
 def _scaled(values: Floats, at: NDArray[np.bool_]) -> Floats:

@@ -137,6 +137,7 @@ def register(
             overlap=site.registration.overlap,
             voxel=site.registration.voxel,
             guess=guess,
+            visits={scan.name: scan.epoch for scan in site.scan},
         )
     return _result(site, alignment, ties, findings.remarks, surfaces)
 
