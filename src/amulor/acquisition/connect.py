@@ -100,7 +100,7 @@ class LockInGate:
 class OperatorTargetStage:
     """Target stage without a motor: an operator moves the target."""
 
-    def __init__(self, ask: Callable[[str], None] | None) -> None:
+    def __init__(self, ask: Callable[[str], None]) -> None:
         self._ask = ask
 
     def identity(self) -> str:
@@ -109,11 +109,11 @@ class OperatorTargetStage:
 
     def bring_in(self, *, timeout: float) -> None:
         """Ask the operator to put the target in."""
-        self._request("The laser is off. Put the target into the beam")
+        self._ask("The laser is off. Put the target into the beam")
 
     def take_out(self, *, timeout: float) -> None:
         """Ask the operator to take the target out."""
-        self._request(
+        self._ask(
             "The laser is off. Take the target out: only water is to be in the beam"
         )
 
@@ -122,14 +122,6 @@ class OperatorTargetStage:
 
     def close(self) -> None:
         """Do nothing."""
-
-    def _request(self, text: str) -> None:
-        if self._ask is None:
-            raise InstrumentError(
-                "open-water shots need somebody who moves the target, but this is no "
-                "terminal; run it on one, or give target.driver a stage"
-            )
-        self._ask(text)
 
 
 def connect(
@@ -141,6 +133,7 @@ def connect(
     ask: Callable[[str], None] | None = None,
 ) -> Devices:
     """Connect the devices that a file names."""
+    _refuse_target(survey, settings, ask)
     if settings.simulated:
         devices = _simulated(survey, settings, scene, part)
     else:
@@ -151,6 +144,25 @@ def connect(
         devices.close()
         raise
     return devices
+
+
+def _refuse_target(
+    survey: Survey, settings: Settings, ask: Callable[[str], None] | None
+) -> None:
+    """Raise if the target cannot be moved as the survey needs it."""
+    driver = settings.target.driver
+    if driver == "operator" and ask is None:
+        raise InstrumentError(
+            'target.driver = "operator" needs somebody who moves the target, but this '
+            "is no terminal; run it on one, or set target.driver to a stage, or to "
+            '"none" for a survey without open-water shots'
+        )
+    if driver == "none" and survey.scan.open_water is not None:
+        raise InstrumentError(
+            'target.driver is "none", but the survey plans open-water shots, for which '
+            "the target must leave the beam; take scan.open_water out of the survey, "
+            'or set target.driver to "operator" or to a stage'
+        )
 
 
 def simulated_bench(
@@ -271,7 +283,10 @@ def _laser(settings: Settings, lock_in: LockIn, clock: Clock) -> Laser:
 
 def _target(
     part: TargetSettings, stages: chosen.Stages, ask: Callable[[str], None] | None
-) -> TargetStage:
+) -> TargetStage | None:
+    if part.driver == "none":
+        return None
     if part.driver == "operator":
+        assert ask is not None
         return OperatorTargetStage(ask)
     return PiTargetStage(stages.at(part), part)

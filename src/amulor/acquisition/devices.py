@@ -42,8 +42,8 @@ class Devices:
     """Mount of the launched polarization; None without a motor."""
     analyser: RotationMount | None
     """Mount of the analyzed polarization; None without a motor."""
-    target: TargetStage
-    """Target stage."""
+    target: TargetStage | None
+    """Target stage; None without open-water shots."""
     clock: Clock
     """Clock of the devices."""
     source: Source | None = None

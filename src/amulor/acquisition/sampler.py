@@ -349,16 +349,17 @@ class Sampler:
         self._new = True
 
     def _move_target(self, kind: str) -> None:
-        if kind == DARK or (kind == SCAN) == self._target_is_in:
+        target = self._devices.target
+        if target is None or kind == DARK or (kind == SCAN) == self._target_is_in:
             return
         timeout = self._settings.target.move_timeout
         if self._settings.target.driver == "operator":
             # The operator will reach into the beam.
             self._switch_laser(False)
         if kind == OPEN_WATER:
-            position = self._devices.target.take_out(timeout=timeout)
+            position = target.take_out(timeout=timeout)
         else:
-            position = self._devices.target.bring_in(timeout=timeout)
+            position = target.bring_in(timeout=timeout)
         self._positions["target"] = position
         self._target_is_in = kind == SCAN
         self._new = True

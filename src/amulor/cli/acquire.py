@@ -58,7 +58,7 @@ def acquire(
         Print the outcome for other programs.
     """
     from amulor import acquisition, io, simulation
-    from amulor.acquisition.cube.build import CUBE_NAME
+    from amulor.acquisition.cube.build import CUBE_NAME, shows_no_target
     from amulor.acquisition.journal.file import FILE_NAME
     from amulor.acquisition.run import DEVICES_NAME, resume_command
     from amulor.cli._arguments import UsageError
@@ -110,6 +110,13 @@ def acquire(
             output, calibration=delays, overwrite=replace, told=_told
         )
         summary["cube"] = str(path)
+        if shows_no_target(io.read_cube(path)):
+            _told(
+                f"{path}: no sample differs from the open-water shots by more than 5 "
+                "standard errors: the target was not in the beam, its echo is too "
+                "weak, or the driver of the lock-in does not read the instrument; "
+                "'amulor reject' will find no target"
+            )
     if json:
         print_json(summary)
     elif outcome.finished:

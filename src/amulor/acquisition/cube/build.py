@@ -42,6 +42,8 @@ from amulor.survey.view import geometry_attributes
 CUBE_NAME = "cube.nc"
 #: Left free by the bits of `SampleFlag`: the amplitude is outside of the calibration.
 UNCALIBRATED = 32
+#: Difference of scan and open water that shows a target, in standard errors [1].
+_SIGNIFICANT = 5.0
 _SAMPLE = ("modulation_frequency", "polarization", "row", "column")
 _PIXEL = ("row", "column")
 
@@ -218,6 +220,17 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
         measured = cubes.attach(measured, shots, "open_water")
     measured = measured.assign(_user_variables(scan, uncalibrated))
     return cubes.note(measured, "acquire")
+
+
+def shows_no_target(cube: xr.Dataset) -> bool:
+    """Return whether no sample differs from the open-water shots significantly."""
+    shots = cube.amulor.open_water
+    if shots is None:
+        return False
+    water = shots.amulor.signal.mean("shot", skipna=True)
+    error = np.hypot(cube["in_phase_uncertainty"], cube["quadrature_uncertainty"])
+    significance = np.abs(cube.amulor.signal - water) / error
+    return bool(np.nanmax(significance, initial=0.0) <= _SIGNIFICANT)
 
 
 def _outputs(

@@ -60,14 +60,19 @@ def checksum(names: Sequence[str], values: Sequence[Any]) -> int:
     return zlib.crc32(text.encode("utf-8", "replace"), after)
 
 
-def refuse_infinite(key: Key, record: Record) -> None:
-    """Raise if a quantity of a sample is infinite."""
+def refuse_impossible(key: Key, record: Record) -> None:
+    """Raise if a quantity of a sample is infinite, or missing where it is required."""
     for name, value in (*key._asdict().items(), *vars(record).items()):
         if value in (math.inf, -math.inf):
-            raise FormatError(
-                f"sample {tuple(key)}: {name} is infinite; look at what the instrument "
-                "answers. Nothing was written"
-            )
+            problem = "infinite"
+        elif (value is None or value != value) and name not in OPTIONAL:
+            problem = "not a number"
+        else:
+            continue
+        raise FormatError(
+            f"sample {tuple(key)}: {name} is {problem}; look at what the instrument "
+            "answers. Nothing was written"
+        )
 
 
 class RowCheck:
@@ -179,8 +184,8 @@ TABLES = (
 def row_of(key: Key, record: Record) -> tuple[Any, ...]:
     """Return the values of `INSERT` for a sample."""
     values = (*key, *_VALUES(record))
-    if math.inf in values or -math.inf in values:
-        refuse_infinite(key, record)
+    if math.inf in values or -math.inf in values or any(v != v for v in values):
+        refuse_impossible(key, record)
     return (*values, checksum(_NAMES, values))
 
 

@@ -126,8 +126,9 @@ class MountSettings(Linked):
 class TargetSettings(Linked):
     """Stage that takes the target out of the beam for open-water shots."""
 
-    driver: Literal["simulated", "pi_gcs", "operator"] = "simulated"
-    """Driver: simulated, pi_gcs, or operator, who moves the target on request."""
+    driver: Literal["simulated", "pi_gcs", "operator", "none"] = "simulated"
+    """Driver: simulated, pi_gcs, operator (who moves the target on request, at a
+    terminal), or none for a survey without open-water shots."""
     axis: Axis = "5"
     """Axis of the controller, in millimeters."""
     position_in: Length = 0.0

@@ -87,7 +87,7 @@ def test_each_device_is_linked_as_its_part_of_the_file_says(monkeypatch) -> None
             }
         )
         with pytest.raises(InstrumentError, match="enough"):
-            connecting.connect(None, settings)
+            connecting.connect(None, settings, ask=print)
     assert asked == {
         "ASRL/sr844::INSTR": SerialPort(end="\r", baud_rate=19_200),
         "ASRL/sr865a::INSTR": SerialPort(end="\n", baud_rate=19_200),
