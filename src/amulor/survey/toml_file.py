@@ -36,6 +36,10 @@ def lines(
     return list(dict.fromkeys(result))
 
 
+#: Longest name of a field in a message.
+_LONGEST = 100
+
+
 def _line(
     problem: Mapping[str, Any],
     content: Any,
@@ -45,6 +49,7 @@ def _line(
 ) -> str:
     location = _location(problem["loc"], content)
     field = ".".join(str(part) for part in location) or what.partition(" ")[2]
+    field = field if len(field) <= _LONGEST else f"{field[:_LONGEST]}..."
     kind, bounds = problem["type"], problem.get("ctx", {})
     result = _found(location, content)
     if kind == "extra_forbidden":
@@ -240,10 +245,7 @@ def described(
     error: type[AmulorError],
 ) -> Model:
     """Return what the text of a TOML file describes."""
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as found:
-        raise error(f"{name}: is no valid TOML: {found}") from None
+    content = _content(text, name=name, what=what, error=error)
     try:
         model_of_text = model.model_validate(content, context={"from_text": True})
     except ValidationError as found:
@@ -254,6 +256,44 @@ def described(
         if "\0" in str(path) or any(len(os.fsencode(p)) > 255 for p in path.parts):
             raise error(f"{name}: {str(path)[:60]!r} is no name that a file can have")
     return model_of_text
+
+
+def _content(
+    text: str, *, name: str, what: str, error: type[AmulorError]
+) -> dict[str, Any]:
+    """Parse a TOML text; raise if it is nested beyond any description."""
+    deep = f"{name}: is nested deeper than {_DEEPEST} levels, and no part of {what} is"
+    for line in text.splitlines():
+        # Thousands of dotted keys would take the parser minutes.
+        key, equals, _ = line.partition("=")
+        is_key = equals or (line.lstrip().startswith("[") and "," not in line)
+        if is_key and key.count(".") > _DOTS:
+            raise error(deep)
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as problem:
+        raise error(f"{name}: is no valid TOML: {problem}") from None
+    except RecursionError:
+        raise error(deep) from None
+    except ValueError:  # of an integer with thousands of digits
+        raise error(
+            f"{name}: has a whole number with more digits than any number of {what}"
+        ) from None
+    level: list[Any] = [content]
+    for _ in range(_DEEPEST):
+        level = [
+            item
+            for part in level
+            if isinstance(part, dict | list)
+            for item in (part.values() if isinstance(part, dict) else part)
+        ]
+        if not level:
+            return content
+    raise error(deep)
+
+
+#: Deepest level of tables and lists in a description, and most dots of a key.
+_DEEPEST, _DOTS = 20, 100
 
 
 def _paths(content: Any) -> Iterator[Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import itertools
 
@@ -152,11 +151,10 @@ def test_the_samples_of_a_dwell_are_kept_together_or_not_at_all(four, folder) ->
     with Journal.read(folder / "a") as journal:
         taken = [*journal.samples(SCAN)][:4]
     assert len({record.elapsed for _, record in taken}) == 1
-    spoiled = dataclasses.replace(taken[3][1], in_phase=float("nan"))
     (folder / "b").mkdir()
     with Journal.create(folder / "b", meta=meta) as journal:
         with pytest.raises(Exception, match="nothing was changed"):
-            journal.commit_together([*taken[:3], (taken[3][0], spoiled)])
+            journal.commit_together([*taken[:3], taken[0]])
         assert journal.count() == 0
         journal.commit_together(taken)
         assert journal.keys() == {key for key, _ in taken}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -172,3 +173,30 @@ def test_the_indices_follow_from_the_water_if_not_stated(plate: Survey) -> None:
     # Fresh water at 20 degC and 405 nm: 1.3431 (vacuum) and 1.380.
     assert found.refractive_index == pytest.approx(1.34312, abs=2e-5)
     assert found.group_index == pytest.approx(1.380, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a = " + "[" * 50_000 + "]" * 50_000, "nested deeper than 20 levels"),
+        ("a = " + "{b = " * 20_000 + "1" + "}" * 20_000, "nested deeper than 20"),
+        (".".join(["a"] * 20_000) + " = 1", "nested deeper than 20 levels"),
+        ("[" + ".".join(["a"] * 20_000) + "]", "nested deeper than 20 levels"),
+        ("a = " + "[" * 30 + "]" * 30, "nested deeper than 20 levels"),
+        ("columns = 1" + "0" * 5_000, "a whole number with more digits than any"),
+        ("k" * 60_000 + " = 1", "k{100}\\.\\.\\.: is no field of a survey"),
+    ],
+    ids=["arrays", "tables", "keys", "header", "30 levels", "digits", "key"],
+)
+def test_texts_beyond_all_measure_get_one_line_at_once(text, message) -> None:
+    start = time.perf_counter()
+    with pytest.raises(SurveyError, match=message) as raised:
+        Survey.from_text(text)
+    assert time.perf_counter() - start < 5
+    assert all(len(line) < 400 for line in str(raised.value).splitlines())
+
+
+def test_long_lists_of_numbers_and_texts_with_dots_are_no_keys() -> None:
+    numbers = ", ".join(f"{value / 100:.2f}" for value in range(300))
+    with pytest.raises(SurveyError, match="a: is no field of a survey"):
+        Survey.from_text(f"a = [{numbers}]\nb = [\n{numbers}\n]\nc = '{'.' * 300}'")

@@ -42,6 +42,8 @@ from amulor.survey.view import geometry_attributes
 CUBE_NAME = "cube.nc"
 #: Left free by the bits of `SampleFlag`: the amplitude is outside of the calibration.
 UNCALIBRATED = 32
+#: Lines about damaged rows, beyond which their number is stated.
+_MOST_LINES = 20
 #: Difference of scan and open water that shows a target, in standard errors [1].
 _SIGNIFICANT = 5.0
 _SAMPLE = ("modulation_frequency", "polarization", "row", "column")
@@ -70,7 +72,8 @@ def recover(
     overwrite : bool
         Whether an existing file is replaced.
     told : callable
-        Called with a line for each damaged row of the journal, which is left out.
+        Called with a line for each damaged row of the journal, which is left out; with
+        more than 20 of them, with their number.
     damaged : callable, optional
         Called with these lines in place of `told`.
 
@@ -110,8 +113,12 @@ def recover(
     path = folder / CUBE_NAME if output is None else output
     with Journal.read(folder) as journal:
         cube = build(journal, calibration=calibration)
-        for line in journal.damage():
-            (damaged or told)(f"{folder}: {line}")
+        lines = journal.damage()
+    for line in lines[:_MOST_LINES]:
+        (damaged or told)(f"{folder}: {line}")
+    if len(lines) > _MOST_LINES:
+        more = len(lines) - _MOST_LINES
+        (damaged or told)(f"{folder}: and {more} more rows like these")
     write_cube(cube, path, overwrite=overwrite)
     result = read_cube(path)
     for name, variable in cube.variables.items():

@@ -215,7 +215,12 @@ def _advice(error: Exception) -> str:
     if isinstance(error, sqlite3.ProgrammingError | sqlite3.InterfaceError):
         return "this is a mistake of amulor, the journal is not affected; report it"
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-    damaged = isinstance(error, UnicodeDecodeError)
+    damaged = isinstance(error, UnicodeDecodeError) or "no such" in str(error)
+    if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+        return (
+            "another program has it open and locks it; close that program and repeat "
+            "the command, what was acknowledged before is kept"
+        )
     if damaged or code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
         return "it is damaged, take a copy of the folder before anything else"
     if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):

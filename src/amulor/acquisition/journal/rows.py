@@ -234,7 +234,17 @@ _SEARCHED = 100_000
 def columns_of(connection: sqlite3.Connection) -> list[str]:
     """Return the columns of the samples."""
     rows = connection.execute("PRAGMA table_info(samples)")
-    return [str(name) for _, name, *_ in rows]
+    columns = [str(name) for _, name, *_ in rows]
+    required = {"number", CHECKSUM, *Key._fields}
+    required |= {name for name in RECORD_FIELDS if name not in OPTIONAL}
+    if missing := sorted(required - {*columns}):
+        _, _, path = next(iter(connection.execute("PRAGMA database_list")))
+        lacking = f"the columns {', '.join(missing)} of" if columns else "the table of"
+        raise FormatError(
+            f"{path} lacks {lacking} its samples; it is damaged, take a copy of the "
+            "folder before anything else"
+        )
+    return columns
 
 
 class Rows:

@@ -17,6 +17,7 @@ import pytest
 from journal_damage import copied, damage
 
 from amulor import acquisition
+from amulor.acquisition.journal import file as journal_file
 from amulor.acquisition.journal.file import FILE_NAME
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.rows import checksum
@@ -267,3 +268,60 @@ def test_four_hundred_damaged_journals_change_no_number(whole, folder) -> None:
 def test_many_damaged_journals_change_no_number(whole, folder) -> None:
     many = int(os.environ.get("AMULOR_FUZZ", "100000"))
     print(campaign(whole, folder, range(10_000, 10_000 + many)))
+
+
+@pytest.mark.parametrize(
+    ("statements", "text"),
+    [
+        (["DROP TABLE samples"], r"lacks the table of its samples; it is damaged"),
+        (["DROP TABLE meta"], "no such table: meta; it is damaged"),
+        (["DROP TABLE segments"], "no such table: segments; it is damaged"),
+        (
+            ["DROP TABLE samples", "CREATE TABLE samples (number INTEGER, row TEXT)"],
+            "lacks the columns analyser|lacks the columns azimuth, column",
+        ),
+    ],
+)
+def test_a_journal_without_its_tables_is_refused(
+    whole, folder, statements, text
+) -> None:
+    place = copied(whole, folder / "scan")
+    connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
+    for statement in statements:
+        connection.execute(statement)
+    connection.close()
+    with pytest.raises(FormatError, match=text) as raised:
+        acquisition.recover(place)
+    assert "\n" not in str(raised.value)
+    assert "take a copy of the folder" in str(raised.value)
+
+
+def test_of_many_damaged_rows_some_are_named_and_all_are_counted(whole, folder) -> None:
+    place = copied(whole, folder / "scan")
+    connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
+    (count,) = connection.execute("SELECT COUNT(*) FROM samples").fetchone()
+    connection.execute("UPDATE samples SET quadrature = 1 WHERE number > 10")
+    connection.close()
+    lines: list[str] = []
+    acquisition.recover(place, told=lines.append)
+    assert len(lines) == 21
+    assert lines[0].endswith("row 11: its checksum is that of other numbers")
+    assert lines[-1] == f"{place}: and {count - 30} more rows like these"
+
+
+def test_a_locked_journal_names_the_program_and_not_the_disk(
+    whole, folder, monkeypatch
+) -> None:
+    place = copied(whole, folder / "scan")
+    monkeypatch.setattr(journal_file, "_PATIENCE", 0.01)
+    other = sqlite3.connect(place / FILE_NAME, isolation_level=None)
+    with Journal.read(place) as journal:
+        key, record = next(journal.samples(SCAN))
+        meta = journal.meta()
+    with Journal.resume(place, meta=meta) as journal:
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(FormatError, match="another program has it open") as raised:
+            journal.commit(key._replace(repeat=1), record)
+        other.execute("ROLLBACK")
+    other.close()
+    assert "space" not in str(raised.value)
