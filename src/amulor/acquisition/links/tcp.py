@@ -45,10 +45,10 @@ class _Lines:
         for number in received:
             byte = bytes([number])
             if byte in self._at_once and not self._rest:
-                yield byte.decode("ascii")
+                yield byte.decode("latin-1")
             elif byte == b"\n":
                 line, self._rest = self._rest, b""
-                yield line.decode("ascii").strip(" \r\t")
+                yield line.decode("latin-1").strip(" \r\t")
             else:
                 self._rest += byte
 
@@ -88,7 +88,7 @@ class _Conversation(socketserver.StreamRequestHandler):
         speaker = self.server.speaker
         cutter = getattr(speaker, "cutter", None)
         lines: Any = cutter() if cutter else _Lines(getattr(speaker, "at_once", b""))
-        with contextlib.suppress(LinkLostError, OSError, UnicodeDecodeError):
+        with contextlib.suppress(LinkLostError, OSError):
             while received := self.connection.recv(4096):
                 answers = [
                     answer

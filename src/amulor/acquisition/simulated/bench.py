@@ -232,18 +232,21 @@ class Bench:
             self._next_arrival = min(self._arrival.values(), key=_or_never)
             self._arrive()
 
-    def stop(self) -> None:
-        """Stop all motion where it is."""
+    def stop(self, names: Iterable[str] | None = None) -> None:
+        """Stop axes where they are; by default all of them."""
         with self._lock:
             self._advance()
             now = self._time
-            for name in self._place:
+            stopped = [*self._place] if names is None else [*names]
+            for name in stopped:
                 self._place[name] = self._position_at(name, now)
-            for name in self._place:
+            for name in stopped:
                 self._goal[name] = self._place[name]
                 self._arrival[name] = _AT_REST
-            self._ahead.clear()
-            self._next_arrival = math.inf
+            self._look_ahead(now)
+            self._next_arrival = min(self._arrival.values(), key=_or_never)
+            if self._next_arrival == _AT_REST:
+                self._next_arrival = math.inf
 
     # -- outputs -------------------------------------------------------------------
 

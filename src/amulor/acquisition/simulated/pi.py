@@ -17,10 +17,10 @@ from amulor.acquisition.simulated.bench import (
 )
 
 #: Answers of ERR?: no error, parameter syntax, unknown command, servo off, position
-#: out of limits, commanded stop, unknown axis, value out of range (chapter "Error
-#: codes" of the manuals).
+#: and velocity out of limits, commanded stop, unknown axis, value out of range (chapter
+#: "Error codes" of the manuals).
 _GOOD, _SYNTAX, _UNKNOWN, _SERVO_OFF, _LIMITS = 0, 1, 2, 5, 7
-_STOPPED, _NO_AXIS, _BAD_VALUE = 10, 15, 17
+_VELOCITY, _STOPPED, _NO_AXIS, _BAD_VALUE = 8, 10, 15, 17
 #: Commands of one character, without the end of a line: which axes move, whether the
 #: controller is ready, stop all.
 _MOTION, _READY, _STOP_ALL = "\x05", "\x07", "\x18"
@@ -129,7 +129,7 @@ class SimulatedPiController:
             "VEL": self._set_velocity,
             "FRF": self._reference,
             "HLT": self._halt,
-            "STP": self._halt,
+            "STP": lambda _: self._halt([]),
         }
 
     #: Commands of one character, without the end of a line.
@@ -180,7 +180,7 @@ class SimulatedPiController:
         """Return the number for each axis of a command."""
         axes = words[::2]
         try:
-            values = [float(word) for word in words[1::2]]
+            values = [float(word.replace("_", "?")) for word in words[1::2]]
         except ValueError:
             raise _RefusedError(_SYNTAX) from None
         if not axes or len(values) != len(axes):
@@ -209,15 +209,17 @@ class SimulatedPiController:
         self.bench.send(moved, speed=speed)
 
     def _set_servo(self, words: list[str]) -> None:
-        for axis, value in self._pairs(words).items():
-            self._servo[axis] = bool(value)
+        values = self._pairs(words)
+        if any(value not in (0, 1) for value in values.values()):
+            raise _RefusedError(_BAD_VALUE)
+        self._servo |= {axis: bool(value) for axis, value in values.items()}
 
     def _set_velocity(self, words: list[str]) -> None:
         values = self._pairs(words)
         for axis, value in values.items():
             fastest = _FASTEST * self._axes[axis].speed / abs(self._axes[axis].unit)
             if not 0 < value <= fastest:
-                raise _RefusedError(_BAD_VALUE)
+                raise _RefusedError(_VELOCITY)
         self._velocity |= values
 
     def _reference(self, axes: list[str]) -> None:
@@ -225,7 +227,7 @@ class SimulatedPiController:
 
     def _halt(self, axes: list[str]) -> None:
         self._refuse_unknown(axes)
-        self.bench.stop()
+        self.bench.stop([self._axes[axis].name for axis in axes or self._axes])
         self._error = _STOPPED
 
     def _position(self, axis: str, of: Callable[[str], float]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import functools
 import math
+import re
 import struct
 from collections.abc import Callable
 
@@ -13,6 +14,7 @@ from amulor.acquisition.simulated.stanford import (
     Number,
     Setting,
     SimulatedStanford,
+    index_of,
 )
 
 #: Fastest rate of any time constant (page 134) [1/s].
@@ -80,13 +82,13 @@ class Capture:
 
     def _configure(self, argument: str) -> Answer:
         words = {"X": 0, "XY": 1, "RT": 2, "XYRT": 3}
-        code = words[argument] if argument in words else int(argument)
-        self._columns = range(len(_COLUMNS))[code]
+        code = str(words.get(argument, argument))
+        self._columns = index_of(code, len(_COLUMNS))
         self._state, self._capacity, self._stopped, self._seen = 0, 0, [], []
         return []
 
     def _set_rate(self, argument: str) -> Answer:
-        self._divisor = range(21)[int(argument)]
+        self._divisor = index_of(argument, 21)
         return []
 
     def _fastest(self) -> float:
@@ -102,7 +104,10 @@ class Capture:
         return _NUMBER * _COLUMNS[self._columns]
 
     def _start(self, argument: str) -> Answer:
-        mode, trigger = (int(part) for part in argument.split(","))
+        words = {"ONE": "0", "IMM": "0", "CONT": "1", "TRIG": "1", "SAMP": "2"}
+        mode, trigger = (
+            int(words.get(part.strip(), part)) for part in argument.split(",")
+        )
         if mode != 0 or trigger != 0:  # the bench has no trigger and no wrapping buffer
             raise ValueError(argument)
         self._capacity = self._length // self._width()
@@ -197,6 +202,10 @@ class SimulatedSr865a(SimulatedStanford):
 
     model = "SR865A"
     unlocked_bit = _UNLOCKED
+    frequencies = (1e-3, 4e6)
+    #: A space before the parameter, and none before the question mark (page 103).
+    command = re.compile(r"(?P<word>[*A-Z]+)(?P<query>\?)?(\s+(?P<rest>.*))?")
+    joins_answers = True
     outputs = (0, 1, 2, 3)
     snapped = (2, 3)
     settings = {  # noqa: RUF012
@@ -242,8 +251,12 @@ class SimulatedSr865a(SimulatedStanford):
         handlers["FREQEXT?"] = lambda _: [
             self._shown(0.0)
         ]  # nothing is connected to it
-        handlers["OAUX?"] = lambda code: [self._shown(self._auxiliary(int(code)))]
-        handlers["OUTR?"] = lambda code: [self._shown(self._channels()[int(code)])]
+        handlers["OAUX?"] = lambda code: [
+            self._shown(self._auxiliary(index_of(code, 4)))
+        ]
+        handlers["OUTR?"] = lambda code: [
+            self._shown(self._channels()[index_of(code, _DATA)])
+        ]
         handlers["SNAPD?"] = lambda _: [",".join(map(self._shown, self._channels()))]
         handlers["CDSP"], handlers["CDSP?"] = self._set_channel, self._channel
         handlers["ILVL?"] = lambda _: [str(self._strength())]
@@ -275,14 +288,16 @@ class SimulatedSr865a(SimulatedStanford):
         number, channel = self.numbers[name], 0
         if number.channels:
             place, argument = argument.split(",")
-            channel = int(place)
+            channel = index_of(place, number.channels)
         if not number.low <= float(argument) <= number.high:
             raise ValueError(argument)
         self._numbers[name][channel] = float(argument)
         return []
 
     def _number(self, name: str, channel: str) -> list[str]:
-        return [self._shown(self._numbers[name][int(channel or 0)])]
+        count = max(self.numbers[name].channels, 1)
+        place = index_of(channel, count) if channel else 0
+        return [self._shown(self._numbers[name][place])]
 
     def _parameter(self, text: str) -> int:
         for code, word in enumerate(_PARAMETERS):
@@ -309,8 +324,6 @@ class SimulatedSr865a(SimulatedStanford):
         return f"{value:.9e}"
 
     def _auxiliary(self, code: int) -> float:
-        if not 0 <= code <= 3:
-            raise ValueError(code)
         return self._monitor() if code == 1 else self._values()[4 + code]
 
     def _channels(self) -> list[float]:
@@ -322,11 +335,11 @@ class SimulatedSr865a(SimulatedStanford):
         code = self._parameter(parameter.strip())
         if not 0 <= code < len(_PARAMETERS):
             raise ValueError(argument)
-        self._shows[int(place)] = code
+        self._shows[index_of(place, _DATA)] = code
         return []
 
     def _channel(self, argument: str) -> list[str]:
-        return [str(self._shows[int(argument)])]
+        return [str(self._shows[index_of(argument, _DATA)])]
 
     def _strength(self) -> int:
         """Return the signal strength, from 0 to 4 (overload)."""
@@ -362,6 +375,12 @@ class SimulatedSr865a(SimulatedStanford):
 
     def _rounded(self, frequency: float) -> float:
         return float(f"{frequency:.6g}")
+
+    def _frequency_of(self, argument: str) -> float:
+        for unit, factor in (("KHZ", 1e3), ("MHZ", 1e6), ("HZ", 1.0)):
+            if argument.endswith(unit):
+                return factor * float(argument.removesuffix(unit))
+        return float(argument)
 
     def _time_constant(self, code: int) -> float:
         return _TIME_CONSTANTS[code]

@@ -27,6 +27,10 @@ _ERRORS, _LOCK_IN, _EVENTS = 4, 8, 32
 #: Lines from clients in memory.
 _MOST_LINES = 1000
 _COMMAND = re.compile(r"(?P<word>[*A-Z]+)\s*(?P<query>\?)?\s*(?P<rest>.*)")
+#: Bit of *STB? that requests service, and bits of status registers.
+_SERVICE, _BITS = 64, {"LIAS": 16, "LIAE": 16}
+#: Commands without a parameter.
+_BARE = ("*IDN?", "*RST", "*CLS", "*OPC?", "*TST?", "FREQ?")
 
 
 class Setting(NamedTuple):
@@ -55,6 +59,14 @@ class SimulatedStanford:
 
     model = ""
     unlocked_bit = 0
+    #: Lowest and highest modulation frequency [Hz].
+    frequencies = (0.0, math.inf)
+    #: Form of a command.
+    command = _COMMAND
+    #: Whether the answers of one line come in one line, with semicolons.
+    joins_answers = False
+    #: Bits of *STB? without any event.
+    idle_status = 0
     #: Numbers of the auxiliary outputs in commands, in the order of the panel, and
     #: their largest voltage either way [V].
     outputs: tuple[int, ...] = ()
@@ -101,14 +113,19 @@ class SimulatedStanford:
                 if answers is None:  # silent from here on: it "does not answer"
                     return []
                 result += answers
+            if self.joins_answers and all(isinstance(text, str) for text in result):
+                return [";".join(map(str, result))] if result else []
             return result
 
     def _answer_command(self, command: str) -> Sequence[str | bytes] | None:
-        parsed = _COMMAND.fullmatch(command.upper())
+        parsed = self.command.fullmatch(command.upper())
         if parsed is None:
             self._bits["*ESR"] |= _COMMAND_ERROR * bool(command)
             return []
-        word, argument = parsed["word"] + (parsed["query"] or ""), parsed["rest"]
+        word, argument = (
+            parsed["word"] + (parsed["query"] or ""),
+            "".join((parsed["rest"] or "").split()),
+        )
         number = self.bench.readings + 1
         if word == "SNAP?" and self.bench.faults.active("lost-link", number):
             self.bench.readings += 1
@@ -116,7 +133,12 @@ class SimulatedStanford:
         if word == "SNAP?" and self.bench.faults.active("timeout", number):
             self.bench.readings += 1
             return None
+        if argument and word in _BARE:
+            self._bits["*ESR"] |= _COMMAND_ERROR
+            return []
         try:
+            if "_" in argument:  # which Python would take for a number
+                raise ValueError(argument)
             if word in self._handlers:
                 return self._handlers[word](argument)
             if parsed["word"] in self.settings:
@@ -132,13 +154,15 @@ class SimulatedStanford:
     def _choice(self, name: str, argument: str, *, query: bool) -> list[str]:
         """Query or set a setting by code."""
         if query:
+            if argument:
+                raise ValueError(argument)
             return [str(self._set[name])]
         setting = self.settings[name]
         for code, word in enumerate(setting.words, start=setting.first):
             needed = "".join(letter for letter in word if not letter.islower())
             if argument.startswith(needed) and word.upper().startswith(argument):
                 argument = str(code)
-        code = int(argument)
+        code = _whole(argument)
         if not setting.first <= code <= setting.last:
             raise ValueError(argument)
         self._set[name] = code
@@ -161,29 +185,34 @@ class SimulatedStanford:
     def _enable(self, word: str, argument: str) -> list[str]:
         """Set an enable register, or one bit of it."""
         place, _, value = argument.partition(",")
+        count = _BITS.get(word, 8)
+        if not 0 <= _whole(place) < (count if value else 1 << count):
+            raise ValueError(argument)
         if value:
-            bit = 1 << int(place)
+            bit = 1 << _whole(place)
             others = self._enabled[word] & ~bit
             self._enabled[word] = others | bit * bool(int(value))
         else:
-            self._enabled[word] = int(place)
+            self._enabled[word] = _whole(place)
         return []
 
     def _is_enabled(self, word: str, bit: str) -> list[str]:
-        return [_register_text(self._enabled[word], bit)]
+        return [_register_text(self._enabled[word], bit, count=_BITS.get(word, 8))]
 
     def _status_byte(self) -> int:
         self._note_unlocked()
-        return (
-            _ERRORS * bool(self._bits["ERRS"] & self._enabled["ERRE"])
+        status = (
+            self.idle_status
+            | _ERRORS * bool(self._bits["ERRS"] & self._enabled["ERRE"])
             | _LOCK_IN * bool(self._bits["LIAS"] & self._enabled["LIAE"])
             | _EVENTS * bool(self._bits["*ESR"] & self._enabled["*ESE"])
         )
+        return status | _SERVICE * bool(status & self._enabled["*SRE"])
 
     def _pop(self, word: str, bit: str) -> list[str]:
         """Return and clear a register, or one bit of it."""
-        result = _register_text(self._bits[word], bit)
-        self._bits[word] &= ~(1 << int(bit)) if bit else 0
+        result = _register_text(self._bits[word], bit, count=_BITS.get(word, 8))
+        self._bits[word] &= ~(1 << _whole(bit)) if bit else 0
         return [result]
 
     def _lock_in_status(self, bit: str) -> list[str]:
@@ -195,9 +224,20 @@ class SimulatedStanford:
             self._bits["LIAS"] |= self.unlocked_bit
 
     def _set_frequency(self, argument: str) -> list[str]:
-        self.bench.set_frequency(self._rounded(float(argument)))
+        frequency = self._frequency_of(argument)
+        low, high = self.frequencies
+        if not low <= frequency <= high:
+            raise ValueError(argument)
+        self._note_frequency(frequency)
+        self.bench.set_frequency(self._rounded(frequency))
         self._bits["LIAS"] |= self.unlocked_bit
         return []
+
+    def _frequency_of(self, argument: str) -> float:
+        return float(argument)
+
+    def _note_frequency(self, frequency: float) -> None:
+        """Latch the status bits of a new frequency [Hz]."""
 
     def _set_output(self, argument: str) -> list[str]:
         number, voltage = argument.split(",")
@@ -237,7 +277,7 @@ class SimulatedStanford:
     snapped = (2, 6)
 
     def _parameter(self, text: str) -> int:
-        return int(text)
+        return _whole(text)
 
     def _values(self) -> dict[int, float]:
         """Return the present values by the code of SNAP?."""
@@ -256,9 +296,29 @@ class SimulatedStanford:
         raise NotImplementedError
 
 
-def _register_text(register: int, bit: str) -> str:
+def _register_text(register: int, bit: str, *, count: int = 8) -> str:
     """Return a register, or one bit of it, as text."""
-    return str(register >> int(bit) & 1 if bit else register)
+    if not bit:
+        return str(register)
+    if not 0 <= _whole(bit) < count:
+        raise ValueError(bit)
+    return str(register >> _whole(bit) & 1)
+
+
+def index_of(text: str, count: int, *, first: int = 0) -> int:
+    """Return the place of a number among `count` ones from `first` on."""
+    place = _whole(text) - first
+    if not 0 <= place < count:
+        raise ValueError(text)
+    return place
+
+
+def _whole(text: str) -> int:
+    """Return a whole number, which may be written as 5, 5.0 or 0.5E1."""
+    number = float(text)
+    if not number.is_integer():
+        raise ValueError(text)
+    return int(number)
 
 
 #: Time constants by the code of OFLT: 100 us to 30 ks, in steps of 1 and 3 [s].
@@ -274,7 +334,10 @@ _SENSITIVITIES = (
 #: Reference of R in dBm: 1 mW in this resistance [ohm].
 _LOAD = 50.0
 #: Bits of LIAS? (manual, page 4-32).
-_UNLOCKED, _INPUT, _FILTER, _CHANNEL_1, _CHANNEL_2 = 1, 16, 64, 256, 512
+_UNLOCKED, _INPUT, _FILTER, _CHANGED = 1, 16, 64, 128
+_CHANNEL_1, _CHANNEL_2 = 256, 512
+#: Relative change of the reference frequency that sets a status bit [1].
+_CHANGE = 0.01
 
 
 class SimulatedSr844(SimulatedStanford):
@@ -282,6 +345,9 @@ class SimulatedSr844(SimulatedStanford):
 
     model = "SR844"
     unlocked_bit = _UNLOCKED
+    frequencies = (25e3, 200e6)
+    #: No scan and no command in progress (manual, page 4-31).
+    idle_status = 0b11
     outputs = (1, 2)
     #: Codes of the settings (manual, chapter 4).
     settings = {  # noqa: RUF012
@@ -294,9 +360,18 @@ class SimulatedSr844(SimulatedStanford):
     def __init__(self, bench: Bench) -> None:
         super().__init__(bench)
         self._phase = 0.0
+        # Outputs 1 to 5 only (manual, page 4-25).
+        self._handlers["OUTP?"] = lambda code: [
+            self._shown(self._values()[1 + index_of(code, 5, first=1)])
+        ]
         self._handlers["PHAS"] = self._set_phase
         self._handlers["PHAS?"] = lambda _: [f"{self._phase:.2f}"]
         self._handlers["AUXI?"] = lambda code: [self._shown(self._auxiliary(code))]
+
+    def _note_frequency(self, frequency: float) -> None:
+        before = self.bench.frequency
+        if abs(frequency - before) > _CHANGE * before:
+            self._bits["LIAS"] |= _CHANGED
 
     def _set_phase(self, argument: str) -> list[str]:
         if not -360 <= float(argument) <= 360:
