@@ -32,38 +32,38 @@ from amulor.rejection.observation import Observation
 
 Floats = NDArray[np.float64]
 
-#: A path is settled when another interval is less likely than this [1].
+#: Probability of another ambiguity interval beyond which a pixel is ambiguous [1].
 WRONG = 3e-4
-#: A p-value of the samples below this says that the model is wrong [1].
+#: P-value of the samples below which they contradict the model [1].
 DISAGREEMENT = 1e-4
-#: Departures matter when they move a path by this much of its other uncertainty: then
-#: the interval holds nothing else [1].
+#: Shift of a path by departures, over its other uncertainty, from which a pixel is
+#: flagged [1].
 MATTERS = 10.0
-#: The same where the echo departs and the water does not: a delay that all frequencies
-#: share goes with it, and no sample shows that [1].
+#: Limit where the echo departs and the water does not: the departure may include a
+#: delay of all frequencies, which no sample shows [1].
 ECHO_MATTERS = 0.3
-#: Part of the pixels that is most of them [1].
+#: Share of the pixels that is most of them [1].
 _MOST = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scan:
-    """What the pixels of a scan share."""
+    """Parameters of a scan that its pixels share."""
 
     frame: Frame
-    """How the receiver looks at the scan."""
+    """View of the receiver over the scan."""
     shared: Shared
     """Strength and shape of the water signal, departures, fluctuation."""
     instrument: Instrument
-    """How well it is known."""
+    """Standard uncertainties of the instrument."""
     span: float
     """Difference of the longest and the shortest optical path [m]."""
     late_spread: float
     """Growth of the mean square angle by which echoes are late [rad^2/m]."""
     instrument_uncertainty: float
-    """Median of what is not known of the instrument, over slant ranges [m]."""
+    """Median uncertainty of slant ranges by the instrument [m]."""
     echo_is_doubted: bool
-    """Whether the scan by itself refuses its echo, which shots of other water hide."""
+    """Whether the echo departs in a fit without shots, which may be of other water."""
 
 
 def typical_of(
@@ -73,23 +73,23 @@ def typical_of(
     shared: Shared,
     instrument: Instrument,
 ) -> tuple[float, float]:
-    """Spread by which echoes are late, and what the instrument leaves open."""
-    seen = result.detected
-    typical = float(np.median(result.depth[seen])) if seen.any() else 0.0
+    """Spread that delays echoes [rad^2/m], and uncertainty of the instrument [m]."""
+    detected = result.detected
+    typical = float(np.median(result.depth[detected])) if detected.any() else 0.0
     late_spread = shared.shape.spread
     if instrument.late_echo:
         place = len(shared.strength) + 1
         error = math.sqrt(float(shared.covariance[place, place]))
         late_spread = frame.late_spread(typical, late_spread, error)
-    known = _known(geometry, result, instrument, late_spread)
-    some = known[seen & np.isfinite(known)]
-    return late_spread, float(np.sqrt(np.median(some)) if some.size else 0.0)
+    variance = _variance_of(geometry, result, instrument, late_spread)
+    finite = variance[detected & np.isfinite(variance)]
+    return late_spread, float(np.sqrt(np.median(finite)) if finite.size else 0.0)
 
 
-def refuses_its_echo(
+def echo_departs(
     geometry: Geometry, result: Result, shared: Shared, instrument: Instrument
 ) -> bool:
-    """Return whether most pixels are flagged since the echo is no pure delay."""
+    """Return whether a departing echo flags most of the pixels."""
     if (
         shared.evidence <= DECISIVE
         or shared.water_departs
@@ -98,29 +98,29 @@ def refuses_its_echo(
     ):
         return False
     _, slope = geometry.slant_range_and_slope(result.estimates.path)
-    known = _known(geometry, result, instrument, shared.shape.spread)
+    variance = _variance_of(geometry, result, instrument, shared.shape.spread)
     with np.errstate(divide="ignore", invalid="ignore"):
-        departure, limit = _departure(result, slope, known, ECHO_MATTERS)
+        departure, limit = _departure(result, slope, variance, ECHO_MATTERS)
     return bool(np.mean((departure > limit)[result.detected]) > _MOST)
 
 
 def _departure(
-    result: Result, slope: Floats, known: Floats, limit: float
+    result: Result, slope: Floats, variance: Floats, limit: float
 ) -> tuple[Floats, Floats]:
-    """Return how far departures move slant ranges, and from where on it matters [m]."""
-    own = 1 / np.sqrt(result.estimates.information)
-    sigma = np.hypot(own, np.sqrt(result.shared_variance))
+    """Return the shifts of slant ranges by departures, and limits of the flag [m]."""
+    deviation = 1 / np.sqrt(result.estimates.information)
+    sigma = np.hypot(deviation, np.sqrt(result.shared_variance))
     departure = slope * result.departure
-    return departure, limit * np.hypot(slope * sigma, np.sqrt(known))
+    return departure, limit * np.hypot(slope * sigma, np.sqrt(variance))
 
 
-def _known(
+def _variance_of(
     geometry: Geometry, result: Result, instrument: Instrument, late_spread: float
 ) -> Floats:
-    """Return the variance of slant ranges by what the samples cannot tell [m^2]."""
-    known = range_variance(instrument, result.estimates.path, geometry)
+    """Return the variance of slant ranges by instrument and late echo [m^2]."""
+    variance = range_variance(instrument, result.estimates.path, geometry)
     late = late_echo(np.where(result.detected, result.depth, np.nan), late_spread)
-    total: Floats = known + (instrument.late_echo * late) ** 2
+    total: Floats = variance + (instrument.late_echo * late) ** 2
     return total
 
 
@@ -128,7 +128,7 @@ def cube_of(rows: Observation, scan: Scan, result: Result) -> xr.Dataset:
     """Target-signal cube of some rows or of a part of them."""
     frame, shared = scan.frame, scan.shared
     rows_columns = rows.azimuth.shape
-    signal, stated = rows.signal, rows.covariance
+    signal, covariance = rows.signal, rows.covariance
     shape = signal.shape
 
     def over_pixels(values: NDArray[Any]) -> NDArray[Any]:
@@ -138,13 +138,17 @@ def cube_of(rows: Observation, scan: Scan, result: Result) -> xr.Dataset:
         return np.ascontiguousarray(values.transpose(2, 1, 0)).reshape(shape)
 
     water = over_samples(result.water_signal)
-    common = Covariance(*(over_samples(each) for each in vars(result.common).values()))
+    common = Covariance(
+        *(over_samples(errors) for errors in vars(result.common).values())
+    )
     if shared.noise_scale > 1:
         square = shared.noise_scale**2
-        stated = Covariance(
-            square * stated.in_phase, square * stated.quadrature, square * stated.cross
+        covariance = Covariance(
+            square * covariance.in_phase,
+            square * covariance.quadrature,
+            square * covariance.cross,
         )
-    total = stated + common
+    total = covariance + common
     if result.deviation is not None:
         deviation = over_samples(result.deviation)
         total = total + Covariance(
@@ -155,13 +159,13 @@ def cube_of(rows: Observation, scan: Scan, result: Result) -> xr.Dataset:
     geometry = frame.geometry(rows.azimuth.ravel(), rows.elevation.ravel())
     slant_range, slope = geometry.slant_range_and_slope(path)
     slant_range = np.where(detected, slant_range, np.nan)
-    known = _known(geometry, result, scan.instrument, scan.late_spread)
+    variance = _variance_of(geometry, result, scan.instrument, scan.late_spread)
     with np.errstate(divide="ignore", invalid="ignore"):
-        own = 1 / np.sqrt(estimates.information)
+        deviation_of_path = 1 / np.sqrt(estimates.information)
         limit = MATTERS
         if scan.echo_is_doubted or not shared.water_departs:
             limit = ECHO_MATTERS
-        departure, shift_limit = _departure(result, slope, known, limit)
+        departure, shift_limit = _departure(result, slope, variance, limit)
         if shared.evidence <= DECISIVE:
             departure = np.zeros(len(path))
         matters = (departure > shift_limit) & (shared.evidence > DECISIVE)
@@ -198,11 +202,11 @@ def cube_of(rows: Observation, scan: Scan, result: Result) -> xr.Dataset:
     target["quality_flag"].values[...] = flags
     causes = np.broadcast_to(over_pixels(cause), shape)
     target["water_residual_cause"].values[...] = np.where(missing, 0, causes)
-    # Whether there is a target is tested on all samples of a pixel together.
+    # The test for a target uses all samples of a pixel together.
     target = target.drop_vars("signal_significance")
     target.attrs["joint_instrument_uncertainty_m"] = scan.instrument_uncertainty
-    # What the departures move is as uncertain as it is large.
-    sigma_common = np.sqrt(slope**2 * result.shared_variance + known + departure**2)
+    # A shift by departures is as uncertain as it is large.
+    sigma_common = np.sqrt(slope**2 * result.shared_variance + variance + departure**2)
     half = [
         np.hypot(slope * getattr(estimates, side), sigma_common)
         for side in ("lower", "upper")
@@ -210,7 +214,7 @@ def cube_of(rows: Observation, scan: Scan, result: Result) -> xr.Dataset:
     usable = detected & np.isfinite(slant_range)
     ranges = {
         "slant_range": slant_range,
-        "slant_range_uncertainty": np.hypot(slope * own, sigma_common),
+        "slant_range_uncertainty": np.hypot(slope * deviation_of_path, sigma_common),
         "slant_range_common_uncertainty": sigma_common,
         "slant_range_bound": slope * np.sqrt(result.bound),
         "slant_range_lower": slant_range - half[0],
@@ -229,9 +233,9 @@ def cube_of(rows: Observation, scan: Scan, result: Result) -> xr.Dataset:
 
 
 def _intervals_look_alike(shared: Shared, rate: Floats, span: float) -> bool:
-    """Return whether another interval is within the departures that the scan shows.
+    """Return whether model departures could hide a wrong ambiguity interval.
 
-    The paths of all pixels were moved into one by them.
+    The departures would move the paths of all pixels by one interval.
     """
     width = shared.widths[2]
     if shared.evidence <= DECISIVE or not span > 0:
@@ -239,13 +243,13 @@ def _intervals_look_alike(shared: Shared, rate: Floats, span: float) -> bool:
     # From half a period of the highest frequency on, in small steps.
     period = 2 * np.pi / rate.max()
     shift = np.arange(0.5 * period, max(span, period) + period, period / 48)
-    turned = np.exp(1j * rate * shift[:, None])
-    apart = np.sum(np.abs(turned - 1) ** 2, axis=1) / width**2
+    phasor = np.exp(1j * rate * shift[:, None])
+    apart = np.sum(np.abs(phasor - 1) ** 2, axis=1) / width**2
     return bool(np.any(apart < -2 * np.log(WRONG)))
 
 
 def _variables(maps: dict[str, Floats]) -> dict[str, xr.Variable]:
-    """Return maps as the variables of the schema whose names begin with `joint_`."""
+    """Return maps as variables of the schema, with the prefix `joint_`."""
     specs = cubes.LEVELS["target_signal"].variables
     variables = {}
     for short, values in maps.items():
@@ -265,13 +269,13 @@ def _misfit(
     cost = np.where(detected, estimates.cost, estimates.empty_cost)
     freedom = np.where(detected, used - channels - 1, used).astype(float)
     p_value = np.ones(len(cost))
-    some = freedom > 0
-    p_value[some] = chi2.sf(cost[some], freedom[some])
+    has_freedom = freedom > 0
+    p_value[has_freedom] = chi2.sf(cost[has_freedom], freedom[has_freedom])
     return freedom, cost, p_value
 
 
 def _attributes(shared: Shared, instrument: Instrument) -> dict[str, Any]:
-    """Return what the pixels share as attributes of a cube."""
+    """Return the shared parameters as attributes of a cube."""
     channels = len(shared.strength)
     errors = np.sqrt(np.diag(shared.covariance)[: channels + 3])
     loss, spread = shared.shape.reduced_attenuation, shared.shape.spread

@@ -1,4 +1,4 @@
-"""What all pixels of a scan share, from a sample of them; then any of its rows."""
+"""Joint estimation of a scan: a fit to a sample of its pixels, then row by row."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from amulor.rejection.joint._kernels.compiled import each
 from amulor.rejection.joint.cube import (
     Scan,
     cube_of,
-    refuses_its_echo,
+    echo_departs,
     typical_of,
 )
 from amulor.rejection.joint.overlap import Frame, frame_of
@@ -53,29 +53,29 @@ from amulor.rejection.observation import Observation, ScanObservation
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Pixels worked on at once: this bounds the memory beyond the cube itself.
+#: Pixels of a block: this bounds the memory beyond the cube itself.
 _AT_ONCE = 4096
-#: Share of the work before them, about [1].
+#: Share of the fit in the run time, about [1].
 _SHARED_TAKES = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
-    """All that a pixel needs to know of the others."""
+    """Parameters that the estimates of all pixels use."""
 
     scan: Scan
-    """How the receiver looks at the scan, and what its pixels share."""
+    """View of the receiver and shared parameters."""
     transfer: Complex
-    """What the echo has beyond its delay, as known [1]."""
+    """Transfer function of the echo beyond its delay, as stated [1]."""
     interval: tuple[float, float] | None
     """Nearest and farthest slant range [m]."""
     clock: Clock
-    """When the scan was measured."""
+    """Times of the scan."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Extent:
-    """What a first look at all samples tells."""
+    """Directions and usable pixels of a scan."""
 
     azimuth: Floats
     """Lowest, highest and mean [rad]."""
@@ -137,8 +137,10 @@ def common_of(
     if of_water is not None and shared.evidence > DECISIVE and shared.water_departs:
         # Shots of other water hide an echo that departs: fit without them.
         without_shots = fitted(None)
-        alone = solve(frame, pixels, without_shots, transfer)
-        doubted = refuses_its_echo(geometry, alone, without_shots, instrument)
+        result_without_shots = solve(frame, pixels, without_shots, transfer)
+        doubted = echo_departs(
+            geometry, result_without_shots, without_shots, instrument
+        )
     return Common(
         scan=Scan(
             frame=frame,
@@ -266,7 +268,7 @@ def _joined(parts: list[Pixels]) -> Pixels:
 
 
 def _fit(source: tiles.Source, **options: Any) -> tiles.OfRows:
-    """Estimate what all pixels share, for any rows of a scan."""
+    """Fit the shared parameters; return the estimate of any rows of the scan."""
     common = prepared(source, **options)
     return lambda rows, first: of_rows(rows, common, first)
 
@@ -407,7 +409,7 @@ def prepared(
     receiver_direction_uncertainty: float = DIRECTION,
     late_echo_uncertainty: float | None = None,
 ) -> Common:
-    """Return what all pixels share, for the joint estimation of any rows of a scan."""
+    """Fit the shared parameters of a scan, for the estimates of its rows."""
     scan = ScanObservation(source=source)
     frequency = scan.head.frequency
     refuse_single_frequency(frequency)
@@ -436,12 +438,12 @@ def _checked_transfer(
 ) -> Complex:
     if transfer is None:
         return np.ones(frequency.size, dtype=complex)
-    given = np.asarray(transfer, dtype=complex)
-    if given.shape != frequency.shape or not np.all(
-        np.isfinite(given) & (np.abs(given) > 0)
+    values = np.asarray(transfer, dtype=complex)
+    if values.shape != frequency.shape or not np.all(
+        np.isfinite(values) & (np.abs(values) > 0)
     ):
         raise ValueError(
             f"echo_transfer must be one finite number other than 0 for each of the "
-            f"{frequency.size} modulation frequencies, got shape {given.shape}"
+            f"{frequency.size} modulation frequencies, got shape {values.shape}"
         )
-    return given
+    return values

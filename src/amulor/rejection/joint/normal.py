@@ -44,7 +44,7 @@ def water_at(
 
 
 def foreground(pixels: Pixels, table: Table, phase_per_path: Floats) -> Complex:
-    """Return the signal of light that comes from in front of all targets."""
+    """Return the signal of light from in front of all targets."""
     level = times(coefficients(pixels, table), table.level[:, None])[:, 0]
     turn: Complex = np.exp(1j * pixels.offset[:, None] * phase_per_path)
     return level[:, None] * turn
@@ -82,7 +82,7 @@ _PORTIONS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Normal:
-    """Normal equations of the shared parameters, the pixels' own eliminated."""
+    """Normal equations of the shared parameters, those of single pixels eliminated."""
 
     matrix: Floats
     """Information, (parameter, parameter)."""
@@ -91,10 +91,10 @@ class Normal:
     square: float
     """Sum of squared errors in units of their standard deviation [1]."""
     freedom: int
-    """Outputs that count, less the parameters that the pixels have of their own."""
+    """Outputs that count, less the parameters of single pixels."""
 
     def __add__(self, other: Normal) -> Normal:
-        """Return those of both groups of samples."""
+        """Return the normal equations of both groups of samples."""
         return Normal(
             matrix=self.matrix + other.matrix,
             vector=self.vector + other.vector,
@@ -104,7 +104,7 @@ class Normal:
 
     @classmethod
     def zero(cls, size: int) -> Normal:
-        """Return those of no samples at all."""
+        """Return the normal equations without samples."""
         return cls(
             matrix=np.zeros((size, size)), vector=np.zeros(size), square=0.0, freedom=0
         )
@@ -225,10 +225,10 @@ def normal_equations(
         kernels.accumulate, _PORTIONS, derivatives, parameters, sums,
         fewest=math.ceil(_PORTIONS * FEWEST / max(len(pixels), 1)),
     )  # fmt: skip
-    own = int(is_target.sum()) * (1 + fitted.amplitude.shape[1])
+    amplitudes = int(is_target.sum()) * (1 + fitted.amplitude.shape[1])
     return Normal(
         matrix=sums.matrix.sum(axis=0),
         vector=sums.vector.sum(axis=0),
         square=float(sums.square.sum()),
-        freedom=2 * int(pixels.usable.sum()) - own,
+        freedom=2 * int(pixels.usable.sum()) - amplitudes,
     )

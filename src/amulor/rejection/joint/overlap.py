@@ -33,13 +33,13 @@ from amulor.survey.waters.whole_function import whole_phase_function
 
 Floats = NDArray[np.float64]
 
-#: What the interpolation over the scan may miss, of the largest overlap [1].
+#: Largest error of the interpolation over the scan, over the largest overlap [1].
 _MISSED = 1e-4
 #: Steps of the degree over one angle, and the largest number of nodes.
 _FIRST, _ANGLE_STEP, MOST = 2, 2, 400
-#: Where between the ends of an angle it is tried [1].
+#: Test places of the interpolation between the ends of an angle, from -1 to 1 [1].
 _TRIED = np.array([-0.83, -0.31, 0.12, 0.57, 0.94])
-#: Angles that differ by less are one [rad].
+#: Angles that differ by less are equal [rad].
 _ONE = 1e-9
 
 
@@ -57,11 +57,11 @@ class Directions:
     @property
     def mesh(self) -> tuple[Floats, Floats]:
         """Azimuth and elevation of all nodes, flat [rad]."""
-        both = np.meshgrid(self.azimuth, self.elevation, indexing="ij")
-        return both[0].ravel(), both[1].ravel()
+        nodes = np.meshgrid(self.azimuth, self.elevation, indexing="ij")
+        return nodes[0].ravel(), nodes[1].ravel()
 
     def interpolation(self, azimuth: Floats, elevation: Floats) -> Floats:
-        """Return how the nodes make up given directions."""
+        """Return the weights of the nodes in some directions, (direction, node) [1]."""
         parts = [
             _lagrange(node, place)
             for node, place in ((self.azimuth, azimuth), (self.elevation, elevation))
@@ -71,7 +71,7 @@ class Directions:
 
     @property
     def centre(self) -> Floats:
-        """How the nodes make up the middle of the scan, (nodes,) [1]."""
+        """Weights of the nodes at the middle of the scan, (node,) [1]."""
         place = (np.array([angle]) for angle in self.middle)
         nodes: Floats = self.interpolation(*place)[0]
         return nodes
@@ -80,50 +80,51 @@ class Directions:
 def directions_of(
     azimuth: Floats, elevation: Floats, overlap: Callable[[Floats, Floats], Floats]
 ) -> Directions:
-    """Return the fewest nodes over a scan that follow the overlap."""
+    """Return the smallest set of nodes that interpolates the overlap over a scan."""
     box = [
         (float(np.min(values)), float(np.max(values)))
         for values in (azimuth, elevation)
     ]
     middle = (0.5 * sum(box[0]), 0.5 * sum(box[1]))
     at = np.stack(np.meshgrid(_TRIED, _TRIED), axis=-1).reshape(-1, 2)
-    tried = [
+    test = [
         middle[axis] + 0.5 * (high - low) * at[:, axis]
         for axis, (low, high) in enumerate(box)
     ]
-    exact = overlap(tried[0], tried[1])
+    exact = overlap(*test)
 
-    def missed(degrees: tuple[int, int]) -> tuple[float, Directions]:
+    def interpolation_error(degrees: tuple[int, int]) -> tuple[float, Directions]:
         axes = [
             _chebyshev(*ends, degree) for ends, degree in zip(box, degrees, strict=True)
         ]
-        found = Directions(axes[0], axes[1], middle)
-        error = found.interpolation(tried[0], tried[1]) @ overlap(*found.mesh) - exact
+        directions = Directions(axes[0], axes[1], middle)
+        interpolated = directions.interpolation(*test) @ overlap(*directions.mesh)
+        error = interpolated - exact
         largest, level = float(np.max(np.abs(error))), float(np.max(exact))
         if largest == 0:
-            return 0.0, found
-        return (largest / level if level > 0 else np.inf), found
+            return 0.0, directions
+        return (largest / level if level > 0 else np.inf), directions
 
     degrees = (_FIRST, _FIRST)
-    error, found = missed(degrees)
+    error, directions = interpolation_error(degrees)
     while error > _MISSED:
-        ways = [
+        candidates = [
             (degrees[0] + _ANGLE_STEP, degrees[1]),
             (degrees[0], degrees[1] + _ANGLE_STEP),
         ]
-        results = [(*missed(way), way) for way in ways]
-        error, found, degrees = min(results, key=lambda result: result[0])
-        if found.azimuth.size * found.elevation.size > MOST:
+        results = [(*interpolation_error(pair), pair) for pair in candidates]
+        error, directions, degrees = min(results, key=lambda result: result[0])
+        if directions.azimuth.size * directions.elevation.size > MOST:
             raise CubeError(
                 "the water signal changes too quickly over the scan to be tabulated "
                 f"({error:.1g} of it is missed between {MOST} directions); split the "
                 "scan into smaller ones"
             )
-    return found
+    return directions
 
 
 def _chebyshev(low: float, high: float, degree: int) -> Floats:
-    """Return the nodes of a degree over an angle; one where it does not change."""
+    """Return the nodes of a degree over an angle; a single one for a constant angle."""
     count = degree + 1 if high - low > _ONE else 1
     node = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     nodes: Floats = 0.5 * (low + high) + 0.5 * (high - low) * node
@@ -131,7 +132,7 @@ def _chebyshev(low: float, high: float, degree: int) -> Floats:
 
 
 def _lagrange(node: Floats, place: Floats) -> Floats:
-    """Return Lagrange's polynomials at some places, (place, node)."""
+    """Return the Lagrange polynomials at some angles, (angle, node) [1]."""
     part = np.ones((len(place), len(node)))
     for j in range(len(node)):
         for k in range(len(node)):
@@ -140,13 +141,13 @@ def _lagrange(node: Floats, place: Floats) -> Floats:
     return part
 
 
-#: Knots over which departures of the overlap are alike.
+#: Correlation length of departures of the overlap, in knots [1].
 _CORRELATION = 2.0
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What gives the water signal its shape, shared by all pixels of a scan."""
+    """Parameters of the shape of the water signal, shared by all pixels of a scan."""
 
     reduced_attenuation: float
     """Reduced attenuation coefficient k' = a + b_d [1/m]."""
@@ -154,14 +155,14 @@ class Shape:
     """Growth b_f <theta^2> of the mean square angle of the light, which stretches the
     phase function of the survey's water [rad^2/m]."""
     forward_scattering: float
-    """Forward scattering b_f, above which some light is not scattered at all [1/m]."""
+    """Forward scattering coefficient b_f [1/m]."""
     correction: Floats
-    """How the overlap departs from the model, in units of its prior's width [1]."""
+    """Departure of the overlap from the model, in units of its prior's width [1]."""
     knots: Floats
     """Depths between which the logarithm of the departure is linear [m]."""
     turn: Floats = field(default_factory=lambda: np.zeros(0))
-    """By how much the receiver looks past the direction that the survey states, in
-    azimuth and elevation; empty where it is taken as exact [rad]."""
+    """Axis of the receiver less its stated axis, in azimuth and elevation; empty where
+    the stated axis counts as exact [rad]."""
 
     @property
     def size(self) -> int:
@@ -187,10 +188,10 @@ COEFFICIENTS = 3
 
 
 def hats(depth: Floats, knots: Floats) -> Floats:
-    """Return smooth functions whose sum with normal coefficients is a smooth one.
+    """Return basis functions of a smooth departure, (knot, depth) [1].
 
-    Between the knots they are linear; from knot to knot their sum is a normal process
-    with a correlation of `_CORRELATION` knots and a variance of 1.
+    Between the knots they are linear. With normal coefficients their sum is a normal
+    process of variance 1, correlated over `_CORRELATION` knots.
     """
     number = np.arange(len(knots))
     covariance = np.exp(-(((number[:, None] - number) / _CORRELATION) ** 2) / 2)
@@ -211,13 +212,12 @@ _NODES, _PHASE = 10, 18.0
 _ASIDE = 20.0
 #: Terms of the series over ln(1 + q) for each unit of it, and as many more.
 _PER_UNIT, _FEWEST = 9, 8
-#: Cells of the table of what is lost over the logarithm of x, for each unit of it,
-#: and between which x [1/rad].
+#: Cells of the table of lost light for each unit of ln x, and its range of x [1/rad].
 _CELLS, _LOWEST, _HIGHEST = 8, 0.02, 3e3
 
 
 class Scattered:
-    """Light that was scattered forward, by the small-angle form (29)."""
+    """Overlap of forward-scattered light, by the small-angle form (29)."""
 
     def __init__(
         self,
@@ -255,17 +255,17 @@ class Scattered:
         kernels.along(np.clip(place, -1, 1), terms, at_nodes)
         at_nodes[offset > _ASIDE * np.sqrt(self._area)] = 0.0
         out = np.empty((len(offset), depth.size))
-        where = np.arcsinh(depth / self._length) / _STEP
+        node_place = np.arcsinh(depth / self._length) / _STEP
         # Nothing is scattered before the water begins.
-        begun = np.concatenate([np.zeros((len(offset), 1)), at_nodes], axis=1)
-        kernels.between(begun, where, out)
+        from_start = np.concatenate([np.zeros((len(offset), 1)), at_nodes], axis=1)
+        kernels.between(from_start, node_place, out)
         return np.maximum(out, 0.0)
 
     def _terms(self, forward_scattering: float, spread: float) -> Floats:
-        """Return the series over the offset at every node of depth, or the last one."""
-        known = self._known
-        if known is not None and known[:2] == (forward_scattering, spread):
-            return known[2]
+        """Return the Chebyshev series over the offset at every node of depth."""
+        cached = self._known
+        if cached is not None and cached[:2] == (forward_scattering, spread):
+            return cached[2]
         stretch = 0.5 * np.log(spread / (forward_scattering * self.moment))
         thickness = 2 * forward_scattering * self.depth
         terms = np.empty(self._rule.shape[:2])
@@ -276,20 +276,20 @@ class Scattered:
         return terms
 
     def _reach(self, aside: Floats) -> None:
-        """Make the rule anew where beams are further aside than it reaches."""
+        """Extend the quadrature rule to larger offsets if necessary."""
         low, high = aside.min(axis=0), aside.max(axis=0)
         if self._low.size and np.all((low >= self._low) & (high <= self._high)):
             return
         spare = 0.1 + 0.5 * (high - low)
         if self._low.size:
             low, high = np.minimum(low, self._low), np.maximum(high, self._high)
-        most = np.log1p(_ASIDE**2)
-        self._low = np.clip(low - spare, 0, most - 0.1)
-        self._high = np.minimum(high + spare, most)
+        largest = np.log1p(_ASIDE**2)
+        self._low = np.clip(low - spare, 0, largest - 0.1)
+        self._high = np.minimum(high + spare, largest)
         self._make_rule()
 
     def _make_rule(self) -> None:
-        """Set the nodes of the spatial frequency, and what they weigh in each term."""
+        """Set the nodes of the spatial frequency, and their weights in each term."""
         width = self._high - self._low
         count = _FEWEST + int(np.ceil(_PER_UNIT * width.max()))
         place = np.cos(np.pi * (np.arange(count) + 0.5) / count)
@@ -313,7 +313,7 @@ class Scattered:
 def _frequencies(aside: float) -> tuple[Floats, Floats]:
     """Return nodes and weights of the spatial frequency, times the width of the view.
 
-    For beams that are up to so many widths of the view aside.
+    `aside` is the largest offset of a beam, in widths of the view.
     """
     edges = [np.zeros(1)]
     for low, high in itertools.pairwise(_PANELS):
@@ -328,7 +328,7 @@ def _frequencies(aside: float) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=8)
 def _lost(function: PhaseFunction, split_angle: float) -> Floats:
-    """Return the logarithm of 1 less the mean transform up to x, over ln x."""
+    """Return the logarithm of 1 less the mean transform up to x, at steps of ln x."""
     count = int(np.ceil(np.log(_HIGHEST / _LOWEST) * _CELLS)) + 1
     edge = _LOWEST * np.exp(np.arange(count) / _CELLS)
     node, weight = legendre.leggauss(2)
@@ -339,22 +339,22 @@ def _lost(function: PhaseFunction, split_angle: float) -> Floats:
     # In front of the first node it grows with the square.
     start = (1 - flat[0, 0]) * edge[0] ** 3 / x[0, 0] ** 2 / 3
     total = start + np.append(0.0, np.cumsum(part))
-    found: Floats = np.log(total / edge)
-    return found
+    logarithm: Floats = np.log(total / edge)
+    return logarithm
 
 
 Complex = NDArray[np.complex128]
 
-#: Depths behind which less than this fraction of the water signal is left [1].
+#: Fraction of the water signal that counts as nothing [1].
 _NOTHING_LEFT = 1e-7
 #: Standard uncertainty of the logarithm of the scattering that a survey states [1].
 _STATED = 0.7
-#: Directions of the receiver whose arguments are kept.
+#: Directions of the receiver whose arguments are cached.
 _KEPT = 8
 
 
 class Frame:
-    """How the receiver looks at a scan: what tables of the water signal need."""
+    """View of the receiver over a scan, the input of tables of the water signal."""
 
     def __init__(
         self,
@@ -386,7 +386,7 @@ class Frame:
         self._nodes = self._arguments(*self.directions.mesh)
 
     def _nodes_of(self, shape: Shape) -> dict[str, Any]:
-        """Return the arguments at the nodes for a receiver turned as a shape says."""
+        """Return the arguments of the overlap at the nodes, for the turn of a shape."""
         if not np.any(shape.turn):
             return self._nodes
         turn = tuple(float(value) for value in shape.turn)
@@ -400,12 +400,12 @@ class Frame:
                     "elevation": instrument.receiver.elevation + turn[1],
                 }
             )
-            turned = self.survey.model_copy(
+            turned_survey = self.survey.model_copy(
                 update={
                     "instrument": instrument.model_copy(update={"receiver": receiver})
                 }
             )
-            self._turned[turn] = self._arguments(*self.directions.mesh, turned)
+            self._turned[turn] = self._arguments(*self.directions.mesh, turned_survey)
         return self._turned[turn]
 
     def _arguments(
@@ -413,8 +413,8 @@ class Frame:
     ) -> dict[str, Any]:
         """Return the arguments of the overlap, without those of the water."""
         survey = self.survey if survey is None else survey
-        where = view(survey, azimuth, elevation)
-        arguments = kernel_arguments(survey, self._properties, where)
+        receiver_view = view(survey, azimuth, elevation)
+        arguments = kernel_arguments(survey, self._properties, receiver_view)
         for name in (
             "absorption",
             "forward_scattering",
@@ -422,13 +422,15 @@ class Frame:
             "second_moment",
         ):
             del arguments[name]
-        radius, angle = widths_together(survey, self._properties, where.acceptance)
+        radius, angle = widths_together(
+            survey, self._properties, receiver_view.acceptance
+        )
         return arguments | {"receiver_radius": radius, "acceptance_angle": angle}
 
     def optical_offset(self, azimuth: Floats, elevation: Floats) -> Floats:
         """Return the optical path before the water, out and back [m]."""
-        where = view(self.survey, azimuth, elevation)
-        return np.broadcast_to(where.optical_offset, azimuth.shape)
+        receiver_view = view(self.survey, azimuth, elevation)
+        return np.broadcast_to(receiver_view.optical_offset, azimuth.shape)
 
     def geometry(self, azimuth: Floats, elevation: Floats) -> Geometry:
         """Return the geometry of beams of given directions."""
@@ -445,7 +447,9 @@ class Frame:
         """Return the overlap at the nodes, (node, depth), without the correction."""
         return self._overlap(depth, shape, self._nodes_of(shape))
 
-    def _overlap(self, depth: Floats, shape: Shape, where: dict[str, Any]) -> Floats:
+    def _overlap(
+        self, depth: Floats, shape: Shape, arguments: dict[str, Any]
+    ) -> Floats:
         """Return the overlap of (direction, depth), without the correction.
 
         (29) of Ricci et al. 2010, as rebuilt, with the phase function of the survey's
@@ -454,10 +458,10 @@ class Frame:
         together they have the spread of the model. Scattering without bounds leaves
         (43) itself.
         """
-        straight = np.exp(-2 * shape.forward_scattering * depth)
+        unscattered_share = np.exp(-2 * shape.forward_scattering * depth)
         # The smallest number keeps the start of the water in range.
-        bent = np.maximum(1 - straight, np.finfo(float).tiny)
-        geometry = {name: np.asarray(v)[..., None] for name, v in where.items()}
+        scattered_share = np.maximum(1 - unscattered_share, np.finfo(float).tiny)
+        geometry = {name: np.asarray(v)[..., None] for name, v in arguments.items()}
         common = {"absorption": shape.reduced_attenuation, "diffuse_scattering": 0.0}
 
         def overlap(spread: Floats | float) -> Floats:
@@ -475,25 +479,25 @@ class Frame:
                 depth,
                 forward_scattering=shape.forward_scattering,
                 spread=shape.spread,
-                offset=self._offset(where),
+                offset=self._offset(arguments),
             )
             lost = np.exp(-2 * shape.reduced_attenuation * depth)
-            light = straight * overlap(0.0) + lost * scattered
+            light = unscattered_share * overlap(0.0) + lost * scattered
             return light
-        spread = np.where(depth > 0, shape.spread / bent, 0.0)
-        light = straight * overlap(0.0) + bent * overlap(spread)
+        spread = np.where(depth > 0, shape.spread / scattered_share, 0.0)
+        light = unscattered_share * overlap(0.0) + scattered_share * overlap(spread)
         return light
 
-    def _offset(self, where: dict[str, Any]) -> Floats:
-        """Return how far aside the beams are, at the depths of scattered light [m]."""
+    def _offset(self, arguments: dict[str, Any]) -> Floats:
+        """Return the offsets of the beams at the depths of scattered light [m]."""
         assert self._scattered is not None
-        path = self._scattered.depth + np.asarray(where["standoff"])[:, None]
-        along = where["baseline"][:, None] - where["tilt"][:, None] * path
-        offset: Floats = np.hypot(along, where["cross_tilt"][:, None] * path)
+        path = self._scattered.depth + np.asarray(arguments["standoff"])[:, None]
+        along = arguments["baseline"][:, None] - arguments["tilt"][:, None] * path
+        offset: Floats = np.hypot(along, arguments["cross_tilt"][:, None] * path)
         return offset
 
     def late_spread(self, depth: float, spread: float, error: float) -> float:
-        """Return the spread whose mean detour is twice what an echo is late [rad^2/m].
+        """Return the spread whose mean detour is twice the delay of an echo [rad^2/m].
 
         In the middle of the scan, by `optics.late_echo`, for water of the survey's
         phase function with a given spread, of some relative error: the mean of it and
@@ -504,33 +508,33 @@ class Frame:
         if light is None or not depth > 0:
             return spread
         azimuth, elevation = self.directions.middle
-        where = self._arguments(np.array([azimuth]), np.array([elevation]))
-        stated = self._properties.scattering
-        found = spread / (light.moment * light.fraction)
+        arguments = self._arguments(np.array([azimuth]), np.array([elevation]))
+        stated_scattering = self._properties.scattering
+        fitted_scattering = spread / (light.moment * light.fraction)
         trust = _STATED**2 / (_STATED**2 + error**2)
         late = late_echo(
             0.0,
             depth=depth,
-            scattering=found**trust * stated ** (1 - trust),
+            scattering=fitted_scattering**trust * stated_scattering ** (1 - trust),
             phase_function=light.function,
             split_angle=light.split_angle,
             group_index=self.medium.group_index,
-            **where,
+            **arguments,
         )
-        seen = 8 * float(late[0]) / depth**2
-        return seen if np.isfinite(seen) else spread
+        late_spread = 8 * float(late[0]) / depth**2
+        return late_spread if np.isfinite(late_spread) else spread
 
     def nothing_left(self, shape: Shape) -> float:
-        """Return the depth that all but a trace of the water signal comes from [m]."""
+        """Return the depth beyond which only a trace of the water signal arises [m]."""
         depth = np.geomspace(1e-2, 2e3, 1500)
         light = self.overlap(depth, shape).max(axis=0)
-        left = np.cumsum((light * depth)[::-1])[::-1]
-        if left[0] < SMALLEST_STRENGTH:
-            raise unseen()
-        return float(depth[np.argmax(left <= _NOTHING_LEFT * left[0])])
+        remaining = np.cumsum((light * depth)[::-1])[::-1]
+        if remaining[0] < SMALLEST_STRENGTH:
+            raise unseen_beam()
+        return float(depth[np.argmax(remaining <= _NOTHING_LEFT * remaining[0])])
 
     def quantiles(self, shape: Shape, fraction: Floats) -> Floats:
-        """Return the depths in front of which given fractions of the light arise."""
+        """Return the depths in front of which fractions of the light arise [m]."""
         depth = np.linspace(0, min(self.nothing_left(shape), self.end), 4000)
         light = self.overlap(depth, shape).mean(axis=0)
         total = np.cumsum(light)
@@ -546,7 +550,7 @@ class Frame:
 def _scattered_light(
     survey: Survey, properties: WaterProperties, medium: rays.Medium
 ) -> Scattered | None:
-    """Return the small-angle form for the survey's water, None where it has none."""
+    """Return the small-angle form for the survey's water, if it has one."""
     if (
         properties.layers
         or properties.forward_scattering * properties.second_moment == 0
@@ -569,12 +573,12 @@ def _scattered_light(
     )
 
 
-#: A receiver that takes in less than this sees no beam [sr m].
+#: Strength below which a receiver sees no beam [sr m].
 SMALLEST_STRENGTH = 1e-100
 
 
-def unseen() -> CubeError:
-    """Return the error that says that no light comes back from any depth."""
+def unseen_beam() -> CubeError:
+    """Return the error of a receiver that sees no light from any depth."""
     return CubeError(
         "the receiver does not see the beam at any depth, so there is no water "
         "signal to estimate; check position and axis of the receiver in the survey of "

@@ -1,4 +1,4 @@
-"""How well the instrument is known, and what that means for slant ranges."""
+"""Shared parameters, their priors, and the uncertainty of the instrument."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ from amulor.rejection.observation import Observation, ScanObservation
 
 Floats = NDArray[np.float64]
 
-#: Standard uncertainty of the axis of a receiver about which nothing is said [rad].
+#: Standard uncertainty of the axis of a receiver by default [rad].
 DIRECTION = float(np.radians(1.0))
-#: Standard uncertainty of what light that is scattered on its way adds to the range,
-#: over what small angles at a spread that grows with the depth would add [1].
+#: Standard uncertainty of the delay of scattered light, over `late_echo` [1].
 LATE_ECHO = 0.5
 #: Steps of path and position [m] and of the index [1] for derivatives.
 _STEP, _INDEX_STEP = 1e-5, 1e-6
@@ -32,18 +31,19 @@ _STEP, _INDEX_STEP = 1e-5, 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Instrument:
-    """Standard uncertainties of what the samples cannot tell about an instrument."""
+    """Standard uncertainties of instrument parameters that the samples cannot show."""
 
     delay: float
-    """Of the delay that all channels share [s]."""
+    """Uncertainty of the delay that all channels share [s]."""
     group_index: float
-    """Of the group index of the water [1]."""
+    """Uncertainty of the group index of the water [1]."""
     position: float
-    """Of the receiver to the right and down; forward it counts as delay [m]."""
+    """Uncertainty of the receiver's position to the right and down; forward it is part
+    of the delay [m]."""
     direction: float
-    """Of the axis of the receiver, in azimuth and in elevation [rad]."""
+    """Uncertainty of the receiver's axis, in azimuth and in elevation [rad]."""
     late_echo: float
-    """Of the delay of scattered light, over `late_echo` [1]."""
+    """Uncertainty of the delay of scattered light, over `late_echo` [1]."""
 
     @classmethod
     def checked(
@@ -56,14 +56,14 @@ class Instrument:
         late_echo: float,
     ) -> Instrument:
         """Return uncertainties that are finite and not below zero."""
-        given = {
+        uncertainties = {
             "delay_uncertainty": delay,
             "group_index_uncertainty": group_index,
             "receiver_position_uncertainty": position,
             "receiver_direction_uncertainty": direction,
             "late_echo_uncertainty": late_echo,
         }
-        for name, value in given.items():
+        for name, value in uncertainties.items():
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(
                     f"{name} must be a finite number not below 0, got {value:g}; it is "
@@ -79,7 +79,7 @@ class Instrument:
 
 
 def late_echo(depth: Floats, spread: float) -> Floats:
-    r"""Return what scattered light adds to the range, if it all counted [m].
+    r"""Return the range error if all light were scattered [m].
 
     A path that is inclined by small angles of mean square :math:`\sigma^2 z` at the
     depth z is longer by :math:`\int \theta^2 / 2 \, dz = \sigma^2 z^2 / 4`. Unscattered
@@ -91,13 +91,13 @@ def late_echo(depth: Floats, spread: float) -> Floats:
 
 
 def range_variance(instrument: Instrument, path: Floats, geometry: Geometry) -> Floats:
-    r"""Return the variance of slant ranges by what is not known of the instrument.
+    r"""Return the variance of slant ranges by errors of the instrument [m^2].
 
     To first order :math:`(c_0 u_\tau \partial r / \partial p)^2 + (u_n \partial r /
     \partial n_g)^2 + u_x^2 |\partial r / \partial x|^2` with the two coordinates x of
     the receiver across the scan, and with the path p held fixed. The phase of the
-    water signal holds delay and baseline too, but only as well as the model of the
-    water is right, so that it is not asked.
+    water signal depends on delay and baseline too, but only as well as the model of the
+    water is right, so it is not used.
     """
     receiver, medium = geometry.receiver, geometry.medium
 
@@ -106,37 +106,37 @@ def range_variance(instrument: Instrument, path: Floats, geometry: Geometry) -> 
     ) -> Floats:
         return rays.slant_range_of_path(length, geometry.beam, place, medium=through)
 
-    here = to_range(path)
-    by_path = (to_range(path + _STEP) - here) / _STEP
-    other = dataclasses.replace(medium, group_index=medium.group_index + _INDEX_STEP)
-    by_index = (to_range(path, through=other) - here) / _INDEX_STEP
+    nominal = to_range(path)
+    by_path = (to_range(path + _STEP) - nominal) / _STEP
+    changed = dataclasses.replace(medium, group_index=medium.group_index + _INDEX_STEP)
+    by_index = (to_range(path, through=changed) - nominal) / _INDEX_STEP
     variance = (speed_of_light * instrument.delay * by_path) ** 2
     variance += (instrument.group_index * by_index) ** 2
     for axis in range(2):
         step = np.zeros(3)
         step[axis] = _STEP
-        by_place = (to_range(path, receiver + step) - here) / _STEP
+        by_place = (to_range(path, receiver + step) - nominal) / _STEP
         variance += (instrument.position * by_place) ** 2
     total: Floats = variance
     return total
 
 
-#: Legendre's polynomials over the time of the scan that make up the change.
+#: Legendre polynomials over the time of the scan that describe a change of the water.
 TRENDS = 3
-#: Pixels below which no change is looked for.
+#: Pixels below which the water counts as constant.
 FEWEST = 96
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """When a scan was measured."""
+    """Times of a scan."""
 
     rows: int
     """Rows of the scan."""
     columns: int
     """Columns of the scan."""
-    stated: bool
-    """Whether every pixel says its time; if not, they were measured row by row."""
+    has_times: bool
+    """Whether every pixel states its time; else their order is row by row."""
     begin: float
     """Time of the first pixel [s], 0 where none is stated."""
     length: float
@@ -149,7 +149,7 @@ def clock_of(scan: ScanObservation) -> Clock:
     row_by_row = Clock(
         rows=rows,
         columns=columns,
-        stated=False,
+        has_times=False,
         begin=0.0,
         length=float(max(rows * columns - 1, 0)),
     )
@@ -159,7 +159,7 @@ def clock_of(scan: ScanObservation) -> Clock:
         if time is None:
             return row_by_row
         first, last = min(first, float(time.min())), max(last, float(time.max()))
-    return replace(row_by_row, stated=True, begin=first, length=last - first)
+    return replace(row_by_row, has_times=True, begin=first, length=last - first)
 
 
 def trends_of(
@@ -167,7 +167,7 @@ def trends_of(
 ) -> Floats:
     """Legendre polynomials of the time of each pixel, (pixel, trend) [1]."""
     shape = rows.azimuth.shape
-    if clock.stated:
+    if clock.has_times:
         assert rows.time is not None
         time = rows.time.ravel()
     else:
@@ -180,7 +180,7 @@ def trends_of(
 
 
 def drifted(pixels: Pixels, trend: Floats) -> Pixels:
-    """Return pixels whose water is as strong as it was at their time."""
+    """Return pixels with the strength of the water at their time."""
     if not len(trend):
         return replace(pixels, trends=pixels.trends[:, :0])
     if not np.any(trend):
@@ -195,12 +195,12 @@ def drifted(pixels: Pixels, trend: Floats) -> Pixels:
 
 
 def change_of(trend: Floats) -> float:
-    """Return by how much the water has changed from first to last, relative [1]."""
+    """Return the relative change of the water from the first pixel to the last [1]."""
     return float(2 * np.sum(trend[::2]))
 
 
 def change_uncertainty(covariance: Floats, *, preferred: bool) -> float:
-    """Return the standard uncertainty of that change."""
+    """Return the standard uncertainty of `change_of` [1]."""
     if not len(covariance) or not preferred:
         return np.inf
     slope = np.where(np.arange(len(covariance)) % 2 == 0, 2.0, 0.0)
@@ -234,7 +234,7 @@ _STARTS: tuple[Widths, ...] = (
     (1e-3, 1e-6, 1e-6, 1e-6, 0.1),
 )
 
-#: Information below which there is none, far from where its inverse overflows [1].
+#: Information that counts as none, far above the overflow of its inverse [1].
 _NOTHING = 1e-200
 #: Twice the logarithm of odds beyond which the model's departures are real [1].
 DECISIVE = 10.0
@@ -244,46 +244,45 @@ NONE: Widths = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Shared:
-    """Estimate of everything that the pixels share."""
+    """Estimate of the parameters that all pixels share."""
 
     shape: Shape
     """Shape of the water signal."""
     table: Table
-    """Water signal of that shape against its end."""
+    """Water signal of this shape against its end."""
     strength: Floats
     """Strength of the water signal in each channel, see `Table` [V]."""
     departure: Complex
-    """Departure of the water signal from the model, over the strength, which depends
-    on the frequency only: light from in front of all targets, (channel, frequency)
-    [1]."""
+    """Departure of the water signal from the model, over the strength: light from in
+    front of all targets, (channel, frequency) [1]."""
     echo: Complex
     """Relative departure of the target's echo from a delay, (frequency,) [1]."""
     shot_change: float
     """Logarithm of the strength of the open-water shots over that of the scan [1]."""
     shot_departure: Complex
     """Departure of the shots from the water of the scan, over the strength, (channel,
-    frequency); empty where they are not doubted [1]."""
+    frequency); empty where the shots count as exact [1]."""
     trend: Floats
-    """Change of the strength during the scan, see `drift`; empty where none is looked
-    for [1]."""
+    """Coefficients of the change of the strength during the scan, of `trends_of`; empty
+    for constant water [1]."""
     fluctuation: float
     """Relative random change of the water signal from sample to sample [1]."""
     noise_scale: float
-    """How many times the stated errors are too small, 1 or more [1]."""
+    """Factor on the stated errors, 1 or more [1]."""
     judged: NDArray[np.bool_]
-    """Samples that may be left out of single pixels, (channel, frequency): not those
-    at which the model, and not the pixel, is wrong."""
+    """Samples that may be outliers of single pixels, (channel, frequency): not those at
+    which the model itself is wrong."""
     turn_width: float
     """Prior standard deviation of the direction of the receiver [rad]."""
     covariance: Floats
     """Covariance of all parameters, in the order of `Layout`."""
     parametric: Floats
-    """Covariance of the strengths and the logarithms of k' and spread, if the model
-    were right and nothing else known."""
+    """Covariance of the strengths and the logarithms of k' and spread, for a correct
+    model without priors."""
     widths: Widths
     """Standard deviations that the data prefer for correction, departure, echo [1]."""
     evidence: float
-    """Twice the logarithm of how much the data prefer departures over none [1]."""
+    """Twice the logarithm of the odds for departures from the model [1]."""
     misfit: float
     """Sum of squared errors over its degrees of freedom [1]."""
 
@@ -302,17 +301,17 @@ class Shared:
 
     @property
     def water_departs(self) -> bool:
-        """Whether the data prefer that the water is not as the model has it."""
+        """Whether the data favor a departure of the water from the model."""
         return self.widths[0] > _TRIED[0][0] or self.widths[1] > _TRIED[1][0]
 
     @property
     def echo_departs(self) -> bool:
-        """Whether the data prefer that the echo is no pure delay."""
+        """Whether the data favor a departure of the echo from a pure delay."""
         return self.widths[2] > _TRIED[2][0]
 
     @property
     def water_drifts(self) -> bool:
-        """Whether the data prefer that the water changes during the scan."""
+        """Whether the data favor a change of the water during the scan."""
         return self.widths[4] > _TRIED[4][0]
 
     @property
@@ -324,8 +323,8 @@ class Shared:
         """Return the signal of open-water shots, which may be of other water [V]."""
         signal: Complex = self.shot_factor * water_signal
         if self.shot_departure.size:
-            own = self.strength[:, None] * self.shot_departure
-            signal = signal + own * foreground[:, None]
+            departure = self.strength[:, None] * self.shot_departure
+            signal = signal + departure * foreground[:, None]
         return signal
 
     @property
@@ -335,7 +334,7 @@ class Shared:
 
 
 def layout_of(state: Shared) -> Layout:
-    """Return where the parameters of a state stand."""
+    """Return the positions of the parameters of a state."""
     channels, frequencies = state.departure.shape
     shape = state.shape
     return Layout(
@@ -350,7 +349,7 @@ def layout_of(state: Shared) -> Layout:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each group of parameters stands in a vector of all of them."""
+    """Positions of the groups of parameters in the vector of all parameters."""
 
     channels: int
     frequencies: int
@@ -382,7 +381,7 @@ class Layout:
 
     @property
     def rigid(self) -> int:
-        """Number of parameters before those for what the model does not know."""
+        """Number of parameters before those of departures from the model."""
         return self.channels + COEFFICIENTS + self.turns
 
     @property
@@ -421,17 +420,17 @@ def whitened_columns(weights: Floats, values: Complex) -> Floats:
     xx, xy, yy = (weights[..., k, :, None] for k in range(3))
     root = np.sqrt(xx)
     slant = np.divide(xy, root, out=np.zeros_like(root), where=root > 0)
-    rest = np.sqrt(np.maximum(yy - slant**2, 0.0))
+    diagonal = np.sqrt(np.maximum(yy - slant**2, 0.0))
     out = np.stack(
-        [root * values.real + slant * values.imag, rest * values.imag], axis=-2
+        [root * values.real + slant * values.imag, diagonal * values.imag], axis=-2
     )
     return out.reshape(len(values), -1, values.shape[-1])
 
 
 def inverse_of(matrix: Floats) -> Floats:
-    """Return the inverse of normal equations, rows and columns scaled first."""
+    """Return the inverse of normal equations, after scaling rows and columns."""
     diagonal = np.diag(matrix)
-    # Of a parameter that nothing depends on, only that it is not known.
+    # A parameter without any effect stays unknown.
     scale = np.sqrt(np.where(diagonal > _NOTHING, diagonal, 1.0))
     scaled = matrix / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(scaled)
@@ -441,7 +440,7 @@ def inverse_of(matrix: Floats) -> Floats:
 
 
 def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Floats]:
-    """Return the precision of the priors, and how far off their centres a state is."""
+    """Return the precision of the priors, and a state less their centers."""
     precision, origin = np.zeros(layout.size), np.zeros(layout.size)
     at = layout.shape.start
     shape = state.shape
@@ -465,9 +464,9 @@ def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Flo
     if widths[4] > 0:
         precision[layout.trend] = widths[4] ** -2
     if layout.doubts:
-        own = state.shot_departure
+        departure = state.shot_departure
         origin[layout.doubt] = np.concatenate(
-            [own.real.ravel(), own.imag.ravel(), [state.shot_change]]
+            [departure.real.ravel(), departure.imag.ravel(), [state.shot_change]]
         )
         if widths[3] > 0:
             precision[layout.doubt] = widths[3] ** -2
@@ -478,39 +477,38 @@ def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Flo
 def widths_of(
     matrix: Floats, vector: Floats, state: Shared, layout: Layout
 ) -> tuple[Widths, float]:
-    """Return the widths of the priors with the highest evidence, and its gain."""
-    known: dict[Widths, float] = {}
+    """Return the prior widths of highest evidence, and the evidence for departures."""
+    costs: dict[Widths, float] = {}
 
     def value(widths: Widths) -> float:
-        if widths not in known:
-            known[widths] = cost_of(matrix, vector, state, layout, widths)
-        return known[widths]
+        if widths not in costs:
+            costs[widths] = cost_of(matrix, vector, state, layout, widths)
+        return costs[widths]
 
     def best(start: Widths, free: tuple[int, ...]) -> Widths:
-        """Return the widths with the highest evidence, one after the other."""
+        """Return the widths of highest evidence by coordinate descent."""
         chosen, before = start, NONE
         while chosen != before:
             before = chosen
             for k in free:
-                tried = [_with(chosen, k, width) for width in _TRIED[k]]
-                chosen = min(tried, key=value)
+                candidates = [_replaced(chosen, k, width) for width in _TRIED[k]]
+                chosen = min(candidates, key=value)
         return chosen
 
     # Doubt falls on the shots first: they were taken at another time.
-    every: tuple[int, ...] = (3, 0, 1, 2) if layout.doubts else (0, 1, 2)
-    # That water drifts is likelier than that its model is wrong.
-    every = (4, *every) if layout.trends else every
+    blocks: tuple[int, ...] = (3, 0, 1, 2) if layout.doubts else (0, 1, 2)
+    # A drift of the water is likelier than a wrong model.
+    blocks = (4, *blocks) if layout.trends else blocks
     starts = _STARTS if state.widths == NONE else (state.widths,)
-    chosen = min((best(start, every) for start in starts), key=value)
-    # The water may drift and the shots be of other water, the model be right for all
-    # that.
-    harmless = tuple(k for k in every if k in (0, 3, 4))
+    chosen = min((best(start, blocks) for start in starts), key=value)
+    # A correct model allows for drift and for shots of other water.
+    harmless = tuple(k for k in blocks if k in (0, 3, 4))
     plain = best((chosen[0], _TRIED[1][0], _TRIED[2][0], *chosen[3:]), harmless)
     return chosen, value(plain) - value(chosen)
 
 
-def _with(widths: Widths, place: int, width: float) -> Widths:
-    """Return widths with another one in a place."""
+def _replaced(widths: Widths, place: int, width: float) -> Widths:
+    """Return a copy of the widths with one element replaced."""
     changed = list(widths)
     changed[place] = width
     return changed[0], changed[1], changed[2], changed[3], changed[4]
@@ -519,7 +517,7 @@ def _with(widths: Widths, place: int, width: float) -> Widths:
 def cost_of(
     matrix: Floats, vector: Floats, state: Shared, layout: Layout, widths: Widths
 ) -> float:
-    """Return minus twice the logarithm of the evidence, but for a constant."""
+    """Return minus twice the logarithm of the evidence, up to a constant."""
     prior, origin = prior_of(state, layout, widths)
     root = np.sqrt(1 / np.where(prior > 0, prior, 1.0))
     # In units of the priors' widths the determinant is that of the evidence.

@@ -1,4 +1,4 @@
-"""The samples that the fit of what pixels share is made to, and its steps."""
+"""Fit of the shared parameters: its samples, cost and Gauss-Newton steps."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ Complex = NDArray[np.complex128]
 
 #: Dampings tried for a step, each ten times the one before, and the least of them [1].
 _TRIALS, _LEAST_DAMPING = 6, 1e-3
-#: A step that promises or brings less than this in chi-square is the last one, and
-#: one that promises less than 1 is worth a few trials only.
+#: Gain in chi-square below which a step is the last one, and the number of trials of a
+#: step whose expected gain is below 1 [1].
 _SETTLED = 0.02
 _FEW_TRIALS = 3
 #: Largest coefficient of the drift: three of them leave some water at all times [1].
 _LARGEST = 0.3
-#: Prior standard deviations that the receiver may be turned by: further off, it is the
-#: water that is not as the model has it [1].
+#: Largest turn of the receiver in prior standard deviations; beyond it, the model of
+#: the water is wrong [1].
 _FURTHEST = 3.0
 
 
 class Problem:
-    """The samples of a fit, and its steps."""
+    """Samples of a fit of the shared parameters, and its steps."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class Problem:
         deepest: float,
     ) -> None:
         if shots is not None:
-            # Shots have a strength of their own, whatever the time.
+            # The strength of shots does not depend on their time.
             count = targets.trends.shape[1] if len(targets) else 0
             shots = replace(shots, trends=np.zeros((len(shots), count)))
         self.frame = frame
@@ -69,11 +69,11 @@ class Problem:
         self.transfer = transfer
         self.deepest = deepest
 
-    def part(self, which: NDArray[np.intp], *, shots: bool = True) -> Problem:
+    def part(self, index: NDArray[np.intp], *, shots: bool = True) -> Problem:
         """Return the problem with some of the pixels, with or without the shots."""
-        some = self.targets.part(which)
+        targets = self.targets.part(index)
         chosen = self.shots if shots else None
-        return Problem(self.frame, some, chosen, self.transfer, self.deepest)
+        return Problem(self.frame, targets, chosen, self.transfer, self.deepest)
 
     def of(self, targets: Pixels) -> Problem:
         """Return the problem with other pixels."""
@@ -84,23 +84,23 @@ class Problem:
         return Problem(self.frame, self.targets, shots, self.transfer, self.deepest)
 
     def cost(self, state: Shared) -> float:
-        """Return minus twice the logarithm of the evidence, but for a constant."""
+        """Return minus twice the logarithm of the evidence, up to a constant."""
         layout = layout_of(state)
         estimates = self.local(state, None)
         normal = self.normal(state, estimates, layout, layout.size)
-        own = cost_of(normal.matrix, normal.vector, state, layout, state.widths)
+        prior_cost = cost_of(normal.matrix, normal.vector, state, layout, state.widths)
         volume = 0.0
         for group in self.groups(state, estimates):
             deviation = self.deviation(state, group.pixels, group.path)
             inverse = weight(group.pixels, deviation, state.noise_scale)
             square = inverse[:, :, 0] * inverse[:, :, 2] - inverse[:, :, 1] ** 2
             volume -= float(np.sum(np.log(square[square > 0])))
-        return normal.square + own + volume
+        return normal.square + prior_cost + volume
 
     def descend(
         self, state: Shared, steps: int, *, free: bool, paths: Floats | None = None
     ) -> tuple[Shared, Floats]:
-        """Take Gauss-Newton steps until they are small against their own errors."""
+        """Take Gauss-Newton steps until they are small against the errors."""
         layout = layout_of(state)
         used = layout.size if free else layout.rigid
         estimates = self.local(state, paths)
@@ -122,7 +122,7 @@ class Problem:
             expected = float(vector @ state.covariance @ vector)
             best = (state, estimates, normal)
             for _ in range(_TRIALS if expected > 1 else _FEW_TRIALS):
-                # Levenberg's and Marquardt's way between Newton and steepest descent.
+                # Levenberg and Marquardt, between Newton and steepest descent.
                 damped = matrix + damping * np.diag(np.diag(matrix))
                 step = inverse_of(damped) @ vector
                 moved = self.moved(state, step, layout)
@@ -148,7 +148,7 @@ class Problem:
         )
 
     def moved(self, state: Shared, step: Floats, layout: Layout) -> Shared:
-        """Return the state after a step, its table made anew."""
+        """Return the state after a step, with a new table."""
         full = np.zeros(layout.size)
         full[: len(step)] = step
         bounded = full[layout.shape].copy()
@@ -165,9 +165,9 @@ class Problem:
         echo_step = full[echo].reshape(2, frequencies)
         shot_change, shot_departure = state.shot_change, state.shot_departure
         if layout.doubts:
-            own = full[layout.doubt]
-            parts = own[:-1].reshape(2, channels, frequencies)
-            shot_change = shot_change + float(np.clip(own[-1], -1, 1))
+            shot_step = full[layout.doubt]
+            parts = shot_step[:-1].reshape(2, channels, frequencies)
+            shot_change = shot_change + float(np.clip(shot_step[-1], -1, 1))
             shot_departure = shot_departure + parts[0] + 1j * parts[1]
         return replace(
             state,
@@ -184,7 +184,7 @@ class Problem:
     def local(
         self, state: Shared, paths: Floats | None, pixels: Pixels | None = None
     ) -> Estimates:
-        """Return the best paths and amplitudes of all or other pixels."""
+        """Return the best paths and amplitudes of all pixels, or of other ones."""
         start = None if paths is None else np.nan_to_num(paths, nan=0.0)
         pixels = drifted(self.targets if pixels is None else pixels, state.trend)
         return estimate(
@@ -201,7 +201,7 @@ class Problem:
             phase_per_path=self.frame.phase_per_path,
             fluctuation=state.fluctuation,
             front=state.foreground,
-            known=start,
+            start=start,
         )
 
     def deviation(
@@ -247,7 +247,7 @@ class Problem:
     def scatter(
         self, state: Shared, estimates: Estimates, *, neighbours: bool = True
     ) -> Scatter:
-        """Return what explains the scatter from pixel to pixel."""
+        """Return the noise scale and the fluctuation that explain the scatter."""
         return scatter_of(
             state,
             self.groups(state, estimates),
@@ -259,19 +259,19 @@ class Problem:
     def scattered(
         self, state: Shared, paths: Floats | None = None, *, neighbours: bool = True
     ) -> tuple[Shared, Estimates]:
-        """Return a state with what is random in the samples, and what it makes of them.
+        """Return a state with new noise scale and fluctuation, and its estimates.
 
-        From paths that are known, or from those that are looked for.
+        `paths` are the start of the search; by default all paths are searched.
         """
         estimates = self.local(state, paths)
-        found = self.scatter(state, estimates, neighbours=neighbours)
+        scatter = self.scatter(state, estimates, neighbours=neighbours)
         state = replace(
-            state, fluctuation=found.fluctuation, noise_scale=found.noise_scale
+            state, fluctuation=scatter.fluctuation, noise_scale=scatter.noise_scale
         )
         return state, self.local(state, estimates.path)
 
 
 def _objective(normal: Normal, state: Shared, layout: Layout, widths: Widths) -> float:
-    """Return minus twice the logarithm of the posterior, but for a constant."""
+    """Return minus twice the logarithm of the posterior, up to a constant."""
     prior, origin = prior_of(state, layout, widths)
     return normal.square + float(prior @ origin**2)

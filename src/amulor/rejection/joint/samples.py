@@ -1,4 +1,4 @@
-"""Samples of a cube as the joint estimation takes them, and what it must refuse."""
+"""Samples of the likelihood, with the paths and depths of their pixels."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from amulor.rejection.observation import FlatSamples, Observation
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Pixels that settle what all share, evenly spread over the scan, and shots likewise.
+#: Pixels of the fit of shared parameters, evenly spread over the scan; likewise shots.
 SHARING = 1024
 FEWEST_FREQUENCIES = 2
-#: Emitters that are this close to each other are in one place [m].
+#: Distance below which two emitters coincide [m].
 _SAME_PLACE = 1e-4
 
 
@@ -33,8 +33,8 @@ def shot_directions(
     if shots is None:
         return np.zeros(0), np.zeros(0)
     azimuth, elevation = (
-        np.full(shots.signal.shape[-1], mean) if stated is None else stated
-        for stated, mean in zip(shots.directions, middle, strict=True)
+        np.full(shots.signal.shape[-1], mean) if angle is None else angle
+        for angle, mean in zip(shots.directions, middle, strict=True)
     )
     return azimuth, elevation
 
@@ -119,7 +119,7 @@ _MOST_POINTS = 20_000
 
 @dataclass(frozen=True, kw_only=True)
 class Pixels:
-    """Samples with their errors, and where each pixel may lie.
+    """Samples with their errors, and the possible paths of each pixel.
 
     Arrays run over (pixel, channel, frequency).
     """
@@ -127,11 +127,11 @@ class Pixels:
     signal: Complex
     """Samples; 0 where none is usable [V]."""
     covariance: Covariance
-    """Their stated errors [V^2]."""
+    """Stated errors [V^2]."""
     usable: NDArray[np.bool_]
-    """Whether a sample counts."""
+    """Samples that count."""
     interpolation: Floats
-    """Place within the scan, from `Frame.interpolation`, (pixel, node) [1]."""
+    """Weights of the nodes, from `Directions.interpolation`, (pixel, node) [1]."""
     offset: Floats
     """Optical path before the water, out and back [m]."""
     shortest: Floats
@@ -148,17 +148,17 @@ class Pixels:
         """Return the number of pixels."""
         return len(self.signal)
 
-    def part(self, which: NDArray[np.intp] | slice) -> Pixels:
+    def part(self, index: NDArray[np.intp] | slice) -> Pixels:
         """Return some of the pixels."""
         return replace(
             self,
             covariance=Covariance(
-                self.covariance.in_phase[which],
-                self.covariance.quadrature[which],
-                self.covariance.cross[which],
+                self.covariance.in_phase[index],
+                self.covariance.quadrature[index],
+                self.covariance.cross[index],
             ),
             **{
-                name: getattr(self, name)[which]
+                name: getattr(self, name)[index]
                 for name in (
                     "signal",
                     "usable",
@@ -231,9 +231,9 @@ def weight(
 
 
 def grid_of(pixels: Pixels, phase_per_path: Floats) -> Floats:
-    """Return the paths at which the likelihood is looked at first."""
+    """Return the coarse grid of optical paths for the search [m]."""
     step = 2 * np.pi / phase_per_path.max() / _POINTS_PER_PERIOD
-    # Whole numbers of steps: the same paths whichever pixels come together.
+    # Whole numbers of steps, so that paths do not depend on the other pixels.
     first = int(np.floor(pixels.shortest.min() / step)) - 1
     count = int(np.ceil(pixels.longest.max() / step)) + 2 - first
     if count > _MOST_POINTS:
@@ -250,12 +250,12 @@ def coefficients(pixels: Pixels, table: Table) -> Floats:
 
 
 def samples(pixels: Pixels, weights: Floats) -> bundles.Samples:
-    """Return samples and their inverse covariance as compiled loops take them."""
+    """Return samples and their inverse covariance for compiled loops."""
     return bundles.Samples(to_pairs(pixels.signal), np.ascontiguousarray(weights))
 
 
 def places(pixels: Pixels, table: Table) -> bundles.Places:
-    """Return where pixels look, as compiled loops take it."""
+    """Return directions and possible paths of pixels for compiled loops."""
     return bundles.Places(
         coefficients(pixels, table),
         pixels.offset,
@@ -266,12 +266,12 @@ def places(pixels: Pixels, table: Table) -> bundles.Places:
 
 
 def echo_of(transfer: Complex, phase_per_path: Floats) -> bundles.Echo:
-    """Return what turns a path into an echo, as compiled loops take it."""
+    """Return phase per path and transfer function for compiled loops."""
     return bundles.Echo(phase_per_path, to_pairs(transfer))
 
 
 def phasors(path: Floats, echo: bundles.Echo) -> bundles.Grid:
-    """Return paths with the echoes of unit amplitude from there."""
+    """Return paths with the echoes of unit amplitude at these paths."""
     phasor = np.empty((path.size, 2, echo.phase_per_path.size))
     kernels.fill_phasors(path, echo, phasor)
     return bundles.Grid(path, phasor)

@@ -1,4 +1,4 @@
-"""What the scatter says: where targets are, outliers, a water that fluctuates."""
+"""Detection of targets, outliers, and the scatter between pixels."""
 
 from __future__ import annotations
 
@@ -34,31 +34,31 @@ _TINY = 1e-300
 
 
 def is_detected(estimates: Estimates) -> NDArray[np.bool_]:
-    """Return which pixels have a target rather than open water."""
+    """Return the mask of pixels with a target."""
     better = estimates.explained >= DETECTION
     is_positive = (estimates.amplitude > 0).any(axis=1)
     return np.asarray(np.isfinite(estimates.path) & better & is_positive)
 
 
 def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
-    """Return which pixels are no outliers, as edges, fish and bubbles are.
+    """Return the mask of pixels that are no outliers, such as edges, fish and bubbles.
 
-    Their misfit is compared with the median, whatever that is: a model that is wrong
-    for all pixels makes none of them an outlier.
+    The reference is the median misfit: a model that is wrong for all pixels makes none
+    of them an outlier.
     """
     from scipy.stats import chi2
 
     if not len(estimates.path):
         return np.ones(0, dtype=bool)
     cost, freedom = _misfit(estimates)
-    kept: NDArray[np.bool_] = (
+    is_inlier: NDArray[np.bool_] = (
         chi2.sf(cost / typical_misfit(estimates), freedom) > _OUTLIER
     )
-    return kept
+    return is_inlier
 
 
 def typical_misfit(estimates: Estimates) -> float:
-    """Return the median of chi-square over what chance makes it, 1 or more."""
+    """Return the median of chi-square over its expected median, 1 or more."""
     from scipy.stats import chi2
 
     if not len(estimates.path):
@@ -68,19 +68,19 @@ def typical_misfit(estimates: Estimates) -> float:
 
 
 def _misfit(estimates: Estimates) -> tuple[Floats, NDArray[np.intp]]:
-    """Return chi-square of each pixel, with or without target, and its freedom."""
+    """Return chi-square of each pixel and its degrees of freedom."""
     detected = is_detected(estimates)
     cost = np.where(detected, estimates.cost, estimates.empty_cost)
-    own = detected * (1 + estimates.amplitude.shape[1])
-    return cost, np.maximum(estimates.used - own, 1)
+    parameters = detected * (1 + estimates.amplitude.shape[1])
+    return cost, np.maximum(estimates.used - parameters, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """What differs from pixel to pixel beyond what the errors state."""
+    """Scatter between pixels beyond the stated errors."""
 
     noise_scale: float
-    """How many times the stated errors are too small, 1 or more [1]."""
+    """Factor on the stated errors, 1 or more [1]."""
     fluctuation: float
     """Relative random change of the water signal from sample to sample [1]."""
 
@@ -93,7 +93,7 @@ def scatter_of(
     phase_per_path: Floats,
     neighbours: bool = True,
 ) -> Scatter:
-    r"""Return the scale of the noise and the fluctuation that explain the scatter.
+    r"""Return the noise scale and the fluctuation that explain the scatter.
 
     Restricted maximum likelihood of :math:`s^2 C + \phi^2 w w^T` over the scale s and
     the fluctuation :math:`\phi`, with the stated covariance C and the water signal w,
@@ -102,7 +102,7 @@ def scatter_of(
     next, what the model does not know is the same in both and passes for no noise.
     """
     parts = [
-        _part_of(
+        _residuals_of(
             state, group, neighbours, transfer=transfer, phase_per_path=phase_per_path
         )
         for group in groups
@@ -117,7 +117,9 @@ def scatter_of(
     costs = [cost(ratio)[0] for ratio in _RATIOS]
     k = int(np.argmin(costs))
     if costs[0] - costs[k] < _REAL:
-        return Scatter(noise_scale=_real(cost(0.0)[1], parts), fluctuation=0.0)
+        return Scatter(
+            noise_scale=_significant_scale(cost(0.0)[1], parts), fluctuation=0.0
+        )
     low, high = (np.log(_RATIOS[max(min(j, _LAST), 1)]) for j in (k - 1, k + 1))
     for _ in range(_SECTIONS):
         inner = (high - _GOLDEN * (high - low), low + _GOLDEN * (high - low))
@@ -126,12 +128,12 @@ def scatter_of(
         else:
             low = inner[0]
     ratio = float(np.exp(0.5 * (low + high)))
-    scale = _real(cost(ratio)[1], parts)
+    scale = _significant_scale(cost(ratio)[1], parts)
     return Scatter(noise_scale=scale, fluctuation=min(ratio * scale, 1.0))
 
 
-def _real(square: float, parts: list[_Part]) -> float:
-    """Return the scale of the noise; 1 within three standard errors of chance."""
+def _significant_scale(square: float, parts: list[_Residuals]) -> float:
+    """Return the noise scale, or 1 if not significantly different from 1."""
     freedom = sum(part.freedom for part in parts)
     # Differences of neighbours share every pixel with another one: 3/2 of the variance.
     chance = 3 * np.sqrt(3 / max(freedom, 1))
@@ -139,7 +141,7 @@ def _real(square: float, parts: list[_Part]) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Part:
+class _Residuals:
     """Residuals of one group of pixels in the order of their distance."""
 
     pixels: Pixels
@@ -148,12 +150,12 @@ class _Part:
     """Samples less the model [V]."""
     water_signal: Complex
     """Water signal [V]."""
-    own: Complex
-    """Derivatives by amplitudes and path, (pixel, channel, frequency, own)."""
+    derivatives: Complex
+    """Derivatives by amplitudes and path, (pixel, channel, frequency, parameter)."""
     freedom: int
-    """Outputs that count, less the pixels' own parameters."""
+    """Outputs that count, less the parameters of single pixels."""
     neighbours: bool
-    """Whether only what differs between neighbours is random."""
+    """Whether only differences between neighbors count as random."""
 
     def sums(self, ratio: float) -> tuple[float, float, float]:
         """Return squares of differences, degrees of freedom, log determinants.
@@ -163,78 +165,82 @@ class _Part:
         deviation = ratio * self.water_signal if ratio > 0 else None
         weights = weight(self.pixels, deviation)
         count = len(self.pixels)
-        left = whitened(weights, self.residual).reshape(count, -1)
+        residual = whitened(weights, self.residual).reshape(count, -1)
         determinant = weights[..., 0, :] * weights[..., 2, :] - weights[..., 1, :] ** 2
         volume = -float(np.sum(np.log(determinant[determinant > 0])))
-        if self.own.shape[-1]:
-            columns = whitened_columns(weights, self.own)
+        if self.derivatives.shape[-1]:
+            columns = whitened_columns(weights, self.derivatives)
             transposed = np.swapaxes(columns, 1, 2)
             gram = transposed @ columns
             size = np.sqrt(np.maximum(np.einsum("nii->ni", gram), _TINY))
             gram /= size[:, :, None] * size[:, None, :]
             gram += 1e-9 * np.eye(gram.shape[1])
-            along = (transposed @ left[..., None])[..., 0] / size
+            along = (transposed @ residual[..., None])[..., 0] / size
             best = np.linalg.solve(gram, along[..., None])[..., 0] / size
-            left = left - (columns @ best[..., None])[..., 0]
+            residual = residual - (columns @ best[..., None])[..., 0]
             volume += float(
                 np.sum(np.linalg.slogdet(gram)[1] + 2 * np.log(size).sum(1))
             )
         if not self.neighbours or count < _FEWEST_NEIGHBOURS:
-            return float(np.sum(left**2)), self.freedom, volume
+            return float(np.sum(residual**2)), self.freedom, volume
         # Two samples that both count; the others have no weight and no difference.
         usable = np.repeat(self.pixels.usable.reshape(count, -1), 2, axis=1)
-        both = usable[1:] & usable[:-1]
-        square = 0.5 * float(np.sum(np.where(both, np.diff(left, axis=0), 0.0) ** 2))
-        share = float(np.sum(both)) / max(float(np.sum(usable)), 1.0)
+        usable_pair = usable[1:] & usable[:-1]
+        square = 0.5 * float(
+            np.sum(np.where(usable_pair, np.diff(residual, axis=0), 0.0) ** 2)
+        )
+        share = float(np.sum(usable_pair)) / max(float(np.sum(usable)), 1.0)
         return square / max(share, 1e-9), self.freedom, volume
 
 
 def _mixed(order: NDArray[np.intp], is_target: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return pixels at similar distances, one after the other by chance.
+    """Return pixels in the order of their distance, shuffled among similar distances.
 
-    Open water is at one distance. What drifts through the scan counts as random.
+    Open water is at one distance. A drift through the scan counts as random.
     """
     rng = np.random.default_rng(0)
-    targets, others = order[is_target[order]], order[~is_target[order]]
+    targets, open_water = order[is_target[order]], order[~is_target[order]]
     blocks = np.array_split(targets, max(len(targets) // _ALIKE, 1))
     return np.concatenate(
-        [*(rng.permutation(block) for block in blocks), rng.permutation(others)]
+        [*(rng.permutation(block) for block in blocks), rng.permutation(open_water)]
     )
 
 
-def _part_of(
+def _residuals_of(
     state: Shared,
     group: Fitted,
     neighbours: bool,
     *,
     transfer: Complex,
     phase_per_path: Floats,
-) -> _Part:
-    """Return what the scatter of a group of pixels is judged by."""
+) -> _Residuals:
+    """Return the residuals of a sample of a group of pixels."""
     model = modelled(state, group, transfer=transfer, phase_per_path=phase_per_path)
     pixels = group.pixels
     count, channels, frequencies = pixels.signal.shape
     is_target = np.isfinite(group.path)
-    few = np.linspace(0, count - 1, min(count, _JUDGED)).astype(np.intp)
+    sample = np.linspace(0, count - 1, min(count, _JUDGED)).astype(np.intp)
     key = np.where(is_target, group.path, pixels.longest.max() + np.arange(count))
-    order = _mixed(few[np.argsort(key[few], kind="stable")], is_target)
-    own = np.zeros((count, channels, frequencies, 0), dtype=complex)
+    order = _mixed(sample[np.argsort(key[sample], kind="stable")], is_target)
+    derivatives = np.zeros((count, channels, frequencies, 0), dtype=complex)
     if is_target.any():
-        own = np.zeros((count, channels, frequencies, channels + 1), dtype=complex)
+        derivatives = np.zeros(
+            (count, channels, frequencies, channels + 1), dtype=complex
+        )
         echo = model.echo * (1 + state.echo)
         for c in range(channels):
-            own[:, c, :, c] = echo
-            own[:, c, :, channels] = (
+            derivatives[:, c, :, c] = echo
+            derivatives[:, c, :, channels] = (
                 1j * phase_per_path * group.amplitude[:, c, None] * echo
                 + state.strength[c] * model.slope
             )
-        own[~is_target] = 0
+        derivatives[~is_target] = 0
     used = 2 * int(pixels.usable[order].sum())
-    return _Part(
+    return _Residuals(
         pixels=pixels.part(order),
         residual=model.residual[order],
         water_signal=model.water_signal[order],
-        own=own[order],
+        derivatives=derivatives[order],
         freedom=used - (channels + 1) * int(is_target[order].sum()),
         neighbours=neighbours,
     )
@@ -242,9 +248,9 @@ def _part_of(
 
 Bools = NDArray[np.bool_]
 
-#: Probability that the sample that disagrees most of a good pixel is left out [1].
+#: Probability that a good pixel loses a sample [1].
 CHANCE = 1e-3
-#: Part of the samples of a pixel that may be left out: the breakdown point [1].
+#: Largest share of outliers among the samples of a pixel, the breakdown point [1].
 BREAKDOWN = 1 / 3
 #: Another sample that explains the last disagreement as well, but for this in
 #: chi-square, leaves open which of both is wrong [1].
@@ -256,45 +262,45 @@ _MANY, _TIMES, _CHANCES = 0.15, 3.0, 4.0
 
 
 @dataclass(frozen=True)
-class Kept:
-    """Pixels without the samples that disagree."""
+class Cleaned:
+    """Pixels without outlying samples."""
 
     pixels: Pixels
-    """Samples, of which those that are left out do not count."""
+    """Samples; outliers do not count."""
     estimates: Estimates
-    """Estimates from the rest."""
+    """Estimates without the outliers."""
     unsettled: Bools
-    """Pixels in which it stays open which samples are wrong."""
+    """Pixels whose outliers are not certain."""
 
     def restored(
-        self, pixels: Pixels, estimates: Estimates, which: NDArray[np.intp]
-    ) -> Kept:
-        """Return this with all samples of some pixels."""
-        if not len(which):
+        self, pixels: Pixels, estimates: Estimates, index: NDArray[np.intp]
+    ) -> Cleaned:
+        """Return a copy in which all samples of some pixels count."""
+        if not len(index):
             return self
         usable, unsettled = self.pixels.usable.copy(), self.unsettled.copy()
-        usable[which], unsettled[which] = pixels.usable[which], False
-        found = {}
+        usable[index], unsettled[index] = pixels.usable[index], False
+        results = {}
         for f in fields(estimates):
-            found[f.name] = getattr(self.estimates, f.name).copy()
-            found[f.name][which] = getattr(estimates, f.name)[which]
+            results[f.name] = getattr(self.estimates, f.name).copy()
+            results[f.name][index] = getattr(estimates, f.name)[index]
         signal = np.where(usable, pixels.signal, 0.0)
-        return Kept(
+        return Cleaned(
             replace(pixels, usable=usable, signal=signal),
-            Estimates(**found),
+            Estimates(**results),
             unsettled,
         )
 
 
-def part_of(estimates: Estimates, which: NDArray[np.intp]) -> Estimates:
+def part_of(estimates: Estimates, index: NDArray[np.intp]) -> Estimates:
     """Return the estimates of some pixels."""
     return Estimates(
-        **{f.name: getattr(estimates, f.name)[which] for f in fields(estimates)}
+        **{f.name: getattr(estimates, f.name)[index] for f in fields(estimates)}
     )
 
 
 def disagrees(estimates: Estimates, typical: float = 1.0) -> Bools:
-    """Return in which pixels one sample disagrees with all others."""
+    """Return the mask of pixels in which one sample disagrees with all others."""
     samples = np.maximum(estimates.used / 2, 1)
     return np.asarray(estimates.outlying > 2 * typical * np.log(samples / CHANCE))
 
@@ -302,24 +308,24 @@ def disagrees(estimates: Estimates, typical: float = 1.0) -> Bools:
 def may_be_left_out(
     estimates: Estimates, shape: tuple[int, int], typical: float
 ) -> Bools:
-    """Return the samples that are not wrong in far too many pixels."""
+    """Return the samples (channel, frequency) that disagree in few enough pixels."""
     wrong = estimates.which[disagrees(estimates, typical)]
     count = np.bincount(wrong, minlength=shape[0] * shape[1])
     usual = float(np.median(count))
-    most = _TIMES * usual + _CHANCES * np.sqrt(usual + 1)
+    limit = _TIMES * usual + _CHANCES * np.sqrt(usual + 1)
     pixels = len(estimates.path)
-    few = count <= min(most, max(_MANY * pixels, 1))
-    return np.asarray(few.reshape(shape))
+    is_rare = count <= min(limit, max(_MANY * pixels, 1))
+    return np.asarray(is_rare.reshape(shape))
 
 
 def without_outliers(
     pixels: Pixels,
     estimates: Estimates,
-    again: Callable[[Pixels], Estimates],
+    estimate_again: Callable[[Pixels], Estimates],
     allowed: Bools,
     typical: float,
-) -> Kept:
-    """Return pixels and estimates without the samples that disagree with the rest.
+) -> Cleaned:
+    """Return pixels and estimates without outlying samples.
 
     A spike, a particle or a fish is in one sample, since the frequencies are measured
     one after the other. The sample that lowers chi-square most by its absence goes
@@ -330,44 +336,46 @@ def without_outliers(
     """
     frequencies = allowed.shape[1]
     usable = pixels.usable
-    found = {f.name: getattr(estimates, f.name) for f in fields(estimates)}
-    most = np.floor(BREAKDOWN * estimates.used / 2).astype(int)
-    left = np.zeros(len(pixels), dtype=int)
+    results = {f.name: getattr(estimates, f.name) for f in fields(estimates)}
+    limit = np.floor(BREAKDOWN * estimates.used / 2).astype(int)
+    removed = np.zeros(len(pixels), dtype=int)
     margin = np.full(len(pixels), np.inf)
     permitted = allowed.ravel()
 
-    def next_ones(which: NDArray[np.intp], now: Estimates) -> NDArray[np.intp]:
-        return which[disagrees(now, typical) & permitted[now.which]]
+    def disagreeing(which: NDArray[np.intp], current: Estimates) -> NDArray[np.intp]:
+        return which[disagrees(current, typical) & permitted[current.which]]
 
-    every = np.arange(len(pixels))
-    wrong = next_ones(every, estimates)
+    indices = np.arange(len(pixels))
+    wrong = disagreeing(indices, estimates)
     stuck = np.zeros(len(pixels), dtype=bool)
     while len(wrong):
-        stuck[wrong[left[wrong] >= most[wrong]]] = True
-        wrong = wrong[left[wrong] < most[wrong]]
+        stuck[wrong[removed[wrong] >= limit[wrong]]] = True
+        wrong = wrong[removed[wrong] < limit[wrong]]
         if not len(wrong):
             break
         if usable is pixels.usable:
             usable = usable.copy()
-            found = {name: values.copy() for name, values in found.items()}
-        channel, frequency = np.divmod(found["which"][wrong], frequencies)
+            results = {name: values.copy() for name, values in results.items()}
+        channel, frequency = np.divmod(results["which"][wrong], frequencies)
         usable[wrong, channel, frequency] = False
-        left[wrong] += 1
-        margin[wrong] = found["outlying"][wrong] - found["next_outlying"][wrong]
-        rest = pixels.part(wrong)
-        now = again(
+        removed[wrong] += 1
+        margin[wrong] = results["outlying"][wrong] - results["next_outlying"][wrong]
+        part = pixels.part(wrong)
+        current = estimate_again(
             replace(
-                rest,
+                part,
                 usable=usable[wrong],
-                signal=np.where(usable[wrong], rest.signal, 0.0),
+                signal=np.where(usable[wrong], part.signal, 0.0),
             )
         )
-        for name, values in found.items():
-            values[wrong] = getattr(now, name)
-        wrong = next_ones(wrong, now)
+        for name, values in results.items():
+            values[wrong] = getattr(current, name)
+        wrong = disagreeing(wrong, current)
     if usable is not pixels.usable:
         pixels = replace(
             pixels, usable=usable, signal=np.where(usable, pixels.signal, 0.0)
         )
-        estimates = Estimates(**found)
-    return Kept(pixels, estimates, stuck | ((left > 0) & (margin < MARGIN * typical)))
+        estimates = Estimates(**results)
+    return Cleaned(
+        pixels, estimates, stuck | ((removed > 0) & (margin < MARGIN * typical))
+    )

@@ -1,4 +1,4 @@
-"""The most likely path of each pixel for a known water signal."""
+"""Search for the most likely path of each pixel, or its two surfaces."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, kw_only=True)
 class Estimates:
-    """Most likely path of each pixel, and what belongs to it."""
+    """Most likely path of each pixel, with amplitudes, misfit and uncertainty."""
 
     path: Floats
     """Optical path, out and back; not a number where none is possible [m]."""
@@ -38,21 +38,21 @@ class Estimates:
     cost: Floats
     """Sum of squared errors in units of their standard deviation [1]."""
     empty_cost: Floats
-    """The same for open water without a target [1]."""
+    """Cost of open water without a target [1]."""
     explained: Floats
-    """How much less `cost` is with a target, for one covariance of the samples [1]."""
+    """Decrease of `cost` by a target, for one covariance of the samples [1]."""
     information: Floats
     """Inverse variance of the path with the water signal known [1/m^2]."""
     lower: Floats
-    """How far the path may be shorter until `cost` has risen by 1 [m]."""
+    """Decrease of the path at which `cost` has risen by 1 [m]."""
     upper: Floats
-    """How far it may be longer [m]."""
+    """Increase of the path at which `cost` has risen by 1 [m]."""
     wrong: Floats
     """Probability that the path lies in another ambiguity interval [1]."""
     outlying: Floats
-    """How much `cost` falls without the sample that disagrees most [1]."""
+    """Decrease of `cost` without the sample that disagrees most [1]."""
     next_outlying: Floats
-    """How much it falls without the one that disagrees most but for that one [1]."""
+    """Decrease of `cost` without the sample that disagrees second most [1]."""
     used: NDArray[np.intp]
     """Number of outputs that count, two for each sample."""
     which: NDArray[np.intp]
@@ -72,7 +72,7 @@ def estimate(
     phase_per_path: Floats,
     fluctuation: float = 0.0,
     front: Complex | None = None,
-    known: Floats | None = None,
+    start: Floats | None = None,
 ) -> Estimates:
     """Return the most likely path of each pixel for a given water signal."""
     count, channels, frequencies = pixels.signal.shape
@@ -99,13 +99,13 @@ def estimate(
             table.level,
         ),
         phasors(path, echo),
-        np.full(count, np.nan) if known is None else known,
+        np.full(count, np.nan) if start is None else start,
         out,
     )
     return Estimates(**out._asdict() | {"influence": from_pairs(out.influence)})
 
 
-#: Numbers that every pixel has one of.
+#: Scalar results of a pixel.
 _SCALARS = (
     "path", "cost", "empty_cost", "explained", "information", "lower", "upper",
     "wrong", "outlying", "next_outlying",
@@ -115,7 +115,7 @@ _SCALARS = (
 def without_foreground(
     pixels: Pixels, table: Table, *, strength: Complex, phase_per_path: Floats
 ) -> Pixels:
-    """Return samples less what the water sends from in front of all targets."""
+    """Return samples less the light from in front of all targets."""
     if not np.any(strength):
         return pixels
     light = foreground(pixels, table, phase_per_path)[:, None] * strength
@@ -124,10 +124,9 @@ def without_foreground(
 
 Bools = NDArray[np.bool_]
 
-#: Frequencies below which two surfaces are as good as anything [1].
+#: Fewest frequencies that can tell two surfaces from one [1].
 FEWEST = 3
-#: Pixels that fit one surface with a smaller p-value are asked, and those from which
-#: samples were left out [1].
+#: P-value of one surface below which two are tested, as in pixels with outliers [1].
 ASKED = 1e-3
 #: A second surface is real beyond this p-value of the likelihood ratio [1].
 REAL = 1e-4
@@ -140,7 +139,7 @@ _APART = (0.2, 0.8, 2.5, 6.0)
 _STEPS = 12
 #: Dampings of a step at first, least and most [1].
 _DAMPING, _LEAST, _MOST = 1e-2, 1e-6, 1e6
-#: Pixels looked at together: this bounds the memory.
+#: Pixels of a block: this bounds the memory.
 _AT_ONCE = 512
 _TINY = 1e-12
 
@@ -152,9 +151,9 @@ class Pair:
     cost: Floats
     """Sum of squared errors in units of their standard deviation [1]."""
     near: Floats
-    """Optical path to the nearer one [m]."""
+    """Optical path to the nearer surface [m]."""
     far: Floats
-    """Optical path to the farther one [m]."""
+    """Optical path to the farther surface [m]."""
 
 
 def two_surfaces(
@@ -165,7 +164,7 @@ def two_surfaces(
     transfer: Complex,
     phase_per_path: Floats,
 ) -> Pair:
-    """Return the two surfaces that explain pixels best.
+    """Return the best fit of two surfaces to each pixel.
 
     Levenberg's and Marquardt's steps on both paths, with the amplitudes of both in
     each channel fitted anew at every step, none below zero. The water ends at the
@@ -189,8 +188,8 @@ def two_surfaces(
     )
 
 
-def asked(estimates: Estimates, detected: Bools, left_out: Bools) -> Bools:
-    """Return the pixels that may see two surfaces."""
+def may_be_two(estimates: Estimates, detected: Bools, left_out: Bools) -> Bools:
+    """Return the mask of pixels that may see two surfaces."""
     from scipy.stats import chi2
 
     if estimates.influence.shape[2] < FEWEST:
@@ -201,25 +200,25 @@ def asked(estimates: Estimates, detected: Bools, left_out: Bools) -> Bools:
 
 
 def are_two(
-    pair: Pair, one: Estimates, rest: Estimates, number_left_out: NDArray[np.intp]
+    pair: Pair, single: Estimates, cleaned: Estimates, number_left_out: NDArray[np.intp]
 ) -> Bools:
-    """Which pixels see two surfaces rather than spoiled samples or one surface."""
+    """Return the mask of pixels that see two surfaces, not spoiled samples or one."""
     from scipy.stats import chi2
 
-    channels = one.amplitude.shape[1]
+    channels = single.amplitude.shape[1]
     extra = channels + 1
-    freedom = np.maximum(one.used - 2 * extra, 1)
-    is_real = one.cost - pair.cost > chi2.isf(REAL, extra)
+    freedom = np.maximum(single.used - 2 * extra, 1)
+    is_real = single.cost - pair.cost > chi2.isf(REAL, extra)
     fits = chi2.sf(pair.cost, freedom) > REAL
     two = pair.cost + _SURFACE + _PARAMETER * extra
-    spoiled = rest.cost + _SAMPLE * number_left_out
+    spoiled = cleaned.cost + _SAMPLE * number_left_out
     return np.asarray(is_real & fits & (two < spoiled))
 
 
 def _pair(
     pixels: Pixels, path: Floats, shared: Shared, transfer: Complex, rate: Floats
 ) -> Pair:
-    """Return the best of all starts, for pixels that are looked at together."""
+    """Return the best of all starts, for one block of pixels."""
     best = Pair(np.full(len(path), np.inf), path.copy(), path.copy())
     if not len(pixels):
         return best
@@ -251,21 +250,21 @@ def _descend(
     transfer: Complex,
     rate: Floats,
 ) -> tuple[Floats, Floats]:
-    """Return chi-square and both paths where it is smallest."""
+    """Return the smallest chi-square and both of its paths."""
     damping = np.full(len(ends), _DAMPING)
     cost, step_of = _linearised(pixels, ends, inverse, front, shared, transfer, rate)
     farthest = 0.5 / rate.max()
     for _ in range(_STEPS):
         move = np.clip(step_of(damping), -farthest, farthest)
-        tried = np.clip(ends + move, pixels.shortest[:, None], pixels.longest[:, None])
+        trial = np.clip(ends + move, pixels.shortest[:, None], pixels.longest[:, None])
         new, new_step = _linearised(
-            pixels, tried, inverse, front, shared, transfer, rate
+            pixels, trial, inverse, front, shared, transfer, rate
         )
         better = new < cost
-        ends = np.where(better[:, None], tried, ends)
+        ends = np.where(better[:, None], trial, ends)
         damping = np.clip(np.where(better, damping / 10, damping * 10), _LEAST, _MOST)
         cost = np.where(better, new, cost)
-        step_of = new_step.where(better, step_of)
+        step_of = new_step.select(better, step_of)
     return cost, ends
 
 
@@ -287,11 +286,11 @@ class _Step:
         step: Floats = np.linalg.solve(damped, self.vector[..., None])[..., 0]
         return step
 
-    def where(self, chosen: Bools, other: _Step) -> _Step:
-        """Return this one for some pixels and another one for the rest."""
+    def select(self, selected: Bools, others: _Step) -> _Step:
+        """Return these equations for selected pixels, and others elsewhere."""
         return _Step(
-            np.where(chosen[:, None, None], self.matrix, other.matrix),
-            np.where(chosen[:, None], self.vector, other.vector),
+            np.where(selected[:, None, None], self.matrix, others.matrix),
+            np.where(selected[:, None], self.vector, others.vector),
         )
 
 
@@ -304,7 +303,7 @@ def _linearised(
     transfer: Complex,
     rate: Floats,
 ) -> tuple[Floats, _Step]:
-    """Return chi-square with the best amplitudes, and the equations of the paths."""
+    """Return chi-square with the best amplitudes, and normal equations of the paths."""
     count, channels, frequencies = pixels.signal.shape
     near = ends.argmin(axis=1)
     _, water, slope = water_at(pixels, ends.min(axis=1), shared.table, rate)
@@ -320,46 +319,48 @@ def _linearised(
         wide = whitened_columns(inverse, values)
         return wide.reshape(count, channels, outputs, values.shape[-1])
 
-    own = by_channel(columns)
-    left = by_channel(signal[..., None])[..., 0]
-    gram = np.einsum("ncok,ncol->nckl", own, own)
-    along = np.einsum("ncok,nco->nck", own, left)
-    amplitude = _not_below_zero(gram, along)
-    left = left - np.einsum("ncok,nck->nco", own, amplitude)
+    echoes = by_channel(columns)
+    residual = by_channel(signal[..., None])[..., 0]
+    gram = np.einsum("ncok,ncol->nckl", echoes, echoes)
+    along = np.einsum("ncok,nco->nck", echoes, residual)
+    amplitude = _non_negative(gram, along)
+    residual = residual - np.einsum("ncok,nck->nco", echoes, amplitude)
     by_path = 1j * rate[:, None] * columns * amplitude[:, :, None, :]
     by_end = np.zeros((count, channels, frequencies, 2), dtype=complex)
     rows = np.arange(count)
     by_end[rows, :, :, near] = shared.strength[:, None] * slope[:, None]
     paths = by_channel(by_path + by_end)
-    # Amplitudes that are held at zero have no columns of their own.
+    # Amplitudes held at zero have no columns.
     free = (amplitude > 0).astype(float)
-    mixed = np.einsum("ncok,ncol->nckl", own * free[:, :, None, :], paths)
+    mixed = np.einsum("ncok,ncol->nckl", echoes * free[:, :, None, :], paths)
     gram = gram * free[..., None] * free[..., None, :]
     size = np.einsum("nckk->nck", gram)
     gram = gram + np.einsum("nck,kl->nckl", 1e-9 * size + (free == 0), np.eye(2))
     solved = np.linalg.solve(gram, mixed)
     matrix = np.einsum("ncok,ncol->nkl", paths, paths)
     matrix = matrix - np.einsum("nckl,nckm->nlm", mixed, solved)
-    vector = np.einsum("ncok,nco->nk", paths, left)
-    return np.einsum("nco,nco->n", left, left), _Step(matrix, vector)
+    vector = np.einsum("ncok,nco->nk", paths, residual)
+    return np.einsum("nco,nco->n", residual, residual), _Step(matrix, vector)
 
 
-def _not_below_zero(gram: Floats, along: Floats) -> Floats:
-    """Return two amplitudes of least squares, neither below zero, (..., 2)."""
+def _non_negative(gram: Floats, along: Floats) -> Floats:
+    """Return two amplitudes by non-negative least squares, (..., 2)."""
     a, b, d = gram[..., 0, 0], gram[..., 0, 1], gram[..., 1, 1]
     u, v = along[..., 0], along[..., 1]
     determinant = a * d - b * b
     regular = determinant > _TINY * a * d
     safe = np.where(regular, determinant, 1.0)
     first, second = (d * u - b * v) / safe, (a * v - b * u) / safe
-    one = np.where(a > 0, np.maximum(u, 0) / np.where(a > 0, a, 1.0), 0.0)
-    other = np.where(d > 0, np.maximum(v, 0) / np.where(d > 0, d, 1.0), 0.0)
-    both = regular & (first > 0) & (second > 0)
-    first_alone = one * u >= other * v
+    first_only = np.where(a > 0, np.maximum(u, 0) / np.where(a > 0, a, 1.0), 0.0)
+    second_only = np.where(d > 0, np.maximum(v, 0) / np.where(d > 0, d, 1.0), 0.0)
+    both_positive = regular & (first > 0) & (second > 0)
+    first_is_better = first_only * u >= second_only * v
     return np.stack(
         [
-            np.where(both, first, np.where(first_alone, one, 0.0)),
-            np.where(both, second, np.where(first_alone, 0.0, other)),
+            np.where(both_positive, first, np.where(first_is_better, first_only, 0.0)),
+            np.where(
+                both_positive, second, np.where(first_is_better, 0.0, second_only)
+            ),
         ],
         axis=-1,
     )

@@ -1,4 +1,4 @@
-"""Where the joint estimation starts: a shape of the water signal from a coarse grid."""
+"""Fit of the parameters that all pixels share, from a coarse grid of shapes on."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ from amulor.rejection.joint.tables import table_of
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Values of k' [1/m] and of b_f <theta^2> [rad^2/m] that are tried, with one b_f [1/m].
+#: Grid of k' [1/m] and of b_f <theta^2> [rad^2/m], with a single b_f [1/m].
 _GRID = (np.geomspace(0.06, 2.5, 7), np.geomspace(2e-3, 0.1, 3))
 _FORWARD = 1.0
-#: Pixels that decide.
+#: Pixels of the coarse grid search.
 _STARTERS = 48
 
 
@@ -50,37 +50,43 @@ def start(
     transfer: Complex,
     deepest: float,
 ) -> tuple[Shape, Floats]:
-    """Find a shape and strengths of the water signal from which to start."""
+    """Find a start of the fit: shape and strengths of the water signal."""
     lowest, best = np.inf, None
     if shots is None:
-        few = np.linspace(0, len(targets) - 1, min(_STARTERS, len(targets)))
-        some = targets.part(few.astype(np.intp))
-        path = grid_of(some, frame.phase_per_path)
+        index = np.linspace(0, len(targets) - 1, min(_STARTERS, len(targets)))
+        pixels = targets.part(index.astype(np.intp))
+        path = grid_of(pixels, frame.phase_per_path)
     else:
-        some, path = shots, np.zeros(0)
-    plain = weight(some)
-    given = samples(some, plain)
+        pixels, path = shots, np.zeros(0)
+    plain = weight(pixels)
+    given_samples = samples(pixels, plain)
     echo = echo_of(transfer, frame.phase_per_path)
     grid = phasors(path, echo)
-    channels = some.signal.shape[1]
+    channels = pixels.signal.shape[1]
     nothing = np.zeros(0)
     for loss, spread in itertools.product(*_GRID):
         shape = Shape(float(loss), float(spread), _FORWARD, nothing, nothing)
         table = table_of(frame, shape, deepest=deepest, derivatives=False)
         if shots is None:
-            cost = np.empty(len(some))
-            strength = np.zeros((len(some), channels))
+            cost = np.empty(len(pixels))
+            strength = np.zeros((len(pixels), channels))
             kernels.starting_costs(
-                given, places(some, table), table.arrays, echo, grid, cost, strength
+                given_samples,
+                places(pixels, table),
+                table.arrays,
+                echo,
+                grid,
+                cost,
+                strength,
             )
             total = float(cost.sum())
             typical = np.median(strength, axis=0)
         else:
-            open_path = np.full(len(some), np.inf)
-            _, water, _ = water_at(some, open_path, table, frame.phase_per_path)
+            open_path = np.full(len(pixels), np.inf)
+            _, water, _ = water_at(pixels, open_path, table, frame.phase_per_path)
             u, v = (
-                whitened(plain, some.signal),
-                whitened(plain, np.broadcast_to(water[:, None], some.signal.shape)),
+                whitened(plain, pixels.signal),
+                whitened(plain, np.broadcast_to(water[:, None], pixels.signal.shape)),
             )
             square = np.einsum("ncx,ncx->c", v, v)
             along = np.einsum("ncx,ncx->c", u, v)
@@ -93,16 +99,16 @@ def start(
 
 
 _FIRST_STEPS = 14
-#: Pixels that settle the coefficients before edges, fish and bubbles are left out.
+#: Pixels of the fit before edges, fish and bubbles are excluded.
 _FIRST = 256
-#: Pixels and steps that tell whether a scan is mostly water, and the fraction of the
-#: square of its samples that water must leave unexplained at most.
+#: Pixels and steps of the test whether a scan is mostly water, and the largest share of
+#: the power that water may leave unexplained.
 _LOOK, _LOOK_STEPS, _MOSTLY = 64, 3, 0.02
 
 
 @dataclass(frozen=True)
-class Begun:
-    """A fit without departures."""
+class InitialFit:
+    """Fit without departures from the model."""
 
     problem: Problem
     """Pixels that are no outliers, and the shots."""
@@ -112,39 +118,43 @@ class Begun:
     """Optical paths of the pixels [m]."""
 
 
-def begin(whole: Problem, turn_width: float, *, by_shots: bool) -> Begun:
-    """Return coefficients without departures, from who is no outlier."""
-    state = first(whole, turn_width, by_shots=by_shots)
-    every = np.arange(len(whole.targets))
-    few = every[np.linspace(0, len(every) - 1, min(_FIRST, len(every))).astype(int)]
-    state, _ = whole.part(few, shots=by_shots).descend(state, _FIRST_STEPS, free=False)
-    own = whole.part(every, shots=by_shots)
-    _, estimates = own.scattered(state)
-    kept = are_inliers(estimates)
-    own = own.part(np.flatnonzero(kept), shots=by_shots)
-    state, paths = own.descend(
-        state, _FIRST_STEPS, free=False, paths=estimates.path[kept]
+def begin(problem: Problem, turn_width: float, *, by_shots: bool) -> InitialFit:
+    """Fit the coefficients without departures, to pixels that are no outliers."""
+    state = first(problem, turn_width, by_shots=by_shots)
+    index = np.arange(len(problem.targets))
+    sample = index[np.linspace(0, len(index) - 1, min(_FIRST, len(index))).astype(int)]
+    state, _ = problem.part(sample, shots=by_shots).descend(
+        state, _FIRST_STEPS, free=False
     )
-    return Begun(whole.of(own.targets), state, paths)
+    cleaned = problem.part(index, shots=by_shots)
+    _, estimates = cleaned.scattered(state)
+    inlier = are_inliers(estimates)
+    cleaned = cleaned.part(np.flatnonzero(inlier), shots=by_shots)
+    state, paths = cleaned.descend(
+        state, _FIRST_STEPS, free=False, paths=estimates.path[inlier]
+    )
+    return InitialFit(problem.of(cleaned.targets), state, paths)
 
 
-def may_be_all(water: Problem, turn_width: float) -> bool:
-    """Return whether shots, of which some are looked at, are mostly water."""
+def is_mostly_water(water: Problem, turn_width: float) -> bool:
+    """Return whether samples are mostly water, by a fit to some of them."""
     assert water.shots is not None
     count = len(water.shots)
-    which = np.unique(np.linspace(0, count - 1, min(_LOOK, count)).astype(np.intp))
-    few = water.with_shots(water.shots.part(which))
-    state = first(few, turn_width, by_shots=True)
+    index = np.unique(np.linspace(0, count - 1, min(_LOOK, count)).astype(np.intp))
+    sample = water.with_shots(water.shots.part(index))
+    state = first(sample, turn_width, by_shots=True)
     layout = layout_of(state)
     dark = replace(state, strength=np.zeros_like(state.strength))
-    power = few.normal(dark, few.local(dark, None), layout, layout.rigid).square
-    state, paths = few.descend(state, _LOOK_STEPS, free=False)
-    rest = few.normal(state, few.local(state, paths), layout, layout.rigid).square
-    return rest < _MOSTLY * power
+    power = sample.normal(dark, sample.local(dark, None), layout, layout.rigid).square
+    state, paths = sample.descend(state, _LOOK_STEPS, free=False)
+    unexplained = sample.normal(
+        state, sample.local(state, paths), layout, layout.rigid
+    ).square
+    return unexplained < _MOSTLY * power
 
 
 def first(problem: Problem, turn_width: float, *, by_shots: bool) -> Shared:
-    """Return the first guess, without departures."""
+    """Return the start of the fit, without departures."""
     chosen = problem.shots if by_shots else None
     shape, strength = start(
         problem.frame, problem.targets, chosen, transfer=problem.transfer,
@@ -175,14 +185,14 @@ def first(problem: Problem, turn_width: float, *, by_shots: bool) -> Shared:
     )
 
 
-#: Fractions of the water signal that come from in front of the knots of the correction.
+#: Fractions of the water signal in front of the knots of the correction.
 _KNOTS = np.array([0.002, 0.01, 0.03, 0.08, 0.18, 0.32, 0.5, 0.68, 0.82, 0.92, 0.975])
 _STEPS = 10
-#: How often the fluctuation is estimated anew, unless it changes by less than this [1].
+#: Most rounds of the fluctuation, and the change below which they end [1].
 _ROUNDS, _STEADY = 4, 0.02
-#: How often samples that disagree are looked for with the scatter of the rest.
+#: Most rounds of the search for outlying samples.
 _CLEANINGS = 4
-#: A model whose chi-square over its degrees of freedom is below this fits [1].
+#: Chi-square over its degrees of freedom below which a model fits [1].
 _FITS = 1.2
 
 
@@ -195,10 +205,10 @@ def fit(
     deepest: float,
     turn_width: float = 0.0,
 ) -> Shared:
-    """Estimate what the pixels share, by maximum likelihood over all of them.
+    """Estimate the shared parameters, by maximum likelihood over all pixels.
 
     Damped Gauss-Newton on the strengths, k', b_f <theta^2> and b_f and then, with
-    normal priors, on what the model does not know: a smooth factor on the overlap,
+    normal priors, on departures from the model: a smooth factor on the overlap,
     light from in front of all targets at each frequency, and departures of the echo,
     which are the same in all pixels. The paths and amplitudes of the pixels
     are eliminated at every step (Schur complement). The widths of the priors maximise
@@ -207,25 +217,27 @@ def fit(
     problem = Problem(frame, targets, shots, transfer, deepest)
     by_shots = shots is not None
     if not by_shots:
-        # Is there a target at all? Not where water alone explains every sample.
+        # Without any target, water alone explains every sample.
         nothing = targets.part(slice(0, 0))
         water = Problem(frame, nothing, targets, transfer, deepest)
-        if may_be_all(water, turn_width):
-            empty = _followed(begin(water, turn_width, by_shots=True)).state
+        if is_mostly_water(water, turn_width):
+            empty = _with_departures(begin(water, turn_width, by_shots=True)).state
             if empty.evidence <= DECISIVE and empty.misfit < _FITS:
                 return empty
-    begun = begin(problem, turn_width, by_shots=by_shots)
-    found = _followed(begun)
-    if not len(targets) or found.state.evidence <= DECISIVE:
-        return found.state
+    initial = begin(problem, turn_width, by_shots=by_shots)
+    result = _with_departures(initial)
+    if not len(targets) or result.state.evidence <= DECISIVE:
+        return result.state
     # A drift that follows the distance looks like a model that is wrong.
-    other = _followed(replace(begun, problem=found.problem), neighbours=False)
-    return min((found.state, other.state), key=found.problem.cost)
+    with_drift = _with_departures(
+        replace(initial, problem=result.problem), neighbours=False
+    )
+    return min((result.state, with_drift.state), key=result.problem.cost)
 
 
-def _followed(begun: Begun, *, neighbours: bool = True) -> Begun:
-    """Return where the search ends: departures, and what is random in the samples."""
-    problem, state, paths = begun.problem, begun.state, begun.paths
+def _with_departures(initial: InitialFit, *, neighbours: bool = True) -> InitialFit:
+    """Continue a fit with departures, noise scale and fluctuation."""
+    problem, state, paths = initial.problem, initial.state, initial.paths
     frame, deepest = problem.frame, problem.deepest
     knots = frame.quantiles(state.shape, _KNOTS)
     free_shape = replace(state.shape, knots=knots, correction=np.zeros(len(knots)))
@@ -238,7 +250,7 @@ def _followed(begun: Begun, *, neighbours: bool = True) -> Begun:
         before = state.fluctuation, state.noise_scale
         state, estimates = problem.scattered(state, paths, neighbours=neighbours)
         changed = False
-        # Samples stay those that both were made to: only so can they be compared.
+        # Both fits use the same samples: only so are they comparable.
         if number and neighbours:
             cleaner, state = _cleaned(problem, state, estimates)
             changed = cleaner is not problem
@@ -249,32 +261,32 @@ def _followed(begun: Begun, *, neighbours: bool = True) -> Begun:
             and not changed
             and all(abs(a - b) <= _STEADY * a for a, b in zip(now, before, strict=True))
         ):
-            # What was estimated with them stays as it is.
+            # The estimates belong to the values before.
             state = replace(state, fluctuation=before[0], noise_scale=before[1])
             break
         state = replace(state, widths=NONE)
         state, paths = problem.descend(state, _STEPS, free=True, paths=paths)
-    return Begun(problem, state, paths)
+    return InitialFit(problem, state, paths)
 
 
 def _cleaned(
     problem: Problem, state: Shared, estimates: Estimates
 ) -> tuple[Problem, Shared]:
-    """Return the problem without samples that disagree, and what scatter is left."""
+    """Return the problem without outlying samples, and the state with its scatter."""
     for _ in range(_CLEANINGS):
         typical = typical_misfit(estimates)
         allowed = state.judged & may_be_left_out(estimates, state.judged.shape, typical)
-        found = without_outliers(
+        cleaned = without_outliers(
             problem.targets,
             estimates,
             partial(problem.local, state, None),
             allowed,
             typical,
         )
-        if found.pixels is problem.targets:
+        if cleaned.pixels is problem.targets:
             break
-        problem = problem.of(found.pixels)
+        problem = problem.of(cleaned.pixels)
         state, estimates = problem.scattered(
-            replace(state, judged=allowed), found.estimates.path
+            replace(state, judged=allowed), cleaned.estimates.path
         )
     return problem, state

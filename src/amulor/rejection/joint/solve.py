@@ -1,4 +1,4 @@
-"""Estimates of all pixels once what they share is known, with their errors."""
+"""Estimates of single pixels for known shared parameters, with their errors."""
 
 from __future__ import annotations
 
@@ -17,8 +17,13 @@ from amulor.rejection.joint._kernels.compiled import spread
 from amulor.rejection.joint.overlap import Frame
 from amulor.rejection.joint.priors import Shared, drifted, layout_of
 from amulor.rejection.joint.samples import FEWEST_FREQUENCIES, Pixels
-from amulor.rejection.joint.scatter import Kept, is_detected, part_of, without_outliers
-from amulor.rejection.joint.search import Estimates, are_two, asked, two_surfaces
+from amulor.rejection.joint.scatter import (
+    Cleaned,
+    is_detected,
+    part_of,
+    without_outliers,
+)
+from amulor.rejection.joint.search import Estimates, are_two, may_be_two, two_surfaces
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -31,51 +36,49 @@ class Result:
     estimates: Estimates
     """Paths and amplitudes, without the influences."""
     left_out: NDArray[np.bool_]
-    """Samples that disagree with the rest of their pixel, (pixel, channel,
-    frequency)."""
+    """Outlying samples, (pixel, channel, frequency)."""
     unsettled: NDArray[np.bool_]
-    """Pixels in which it stays open which samples are wrong."""
+    """Pixels whose outliers are not certain."""
     near: Floats
-    """Optical path to the nearer of two surfaces; not a number where one is seen
-    [m]."""
+    """Optical path to the nearer of two surfaces; NaN for a single surface [m]."""
     far: Floats
-    """Optical path to the farther one [m]."""
+    """Optical path to the farther surface [m]."""
     enough: NDArray[np.bool_]
     """Pixels with usable samples at two frequencies."""
     detected: NDArray[np.bool_]
-    """Where there is a target rather than open water."""
+    """Pixels with a target."""
     depth: Floats
     """Depth where the water ends, infinite for open water [m]."""
     water_signal: Complex
     """Water signal, (pixel, channel, frequency) [V]."""
     common: Covariance
-    """Its covariance, which all pixels have in common [V^2]."""
+    """Covariance of the water signal by the shared parameters [V^2]."""
     deviation: Complex | None
-    """One standard deviation of its random change, if it has one [V]."""
+    """Standard deviation of its random change; None for steady water [V]."""
     shared_variance: Floats
-    """Variance of the path by what all pixels share [m^2]."""
+    """Variance of the path by the shared parameters [m^2]."""
     bound: Floats
     """Cramer-Rao bound of the variance of the path [m^2]."""
     departure: Floats
-    """How far the departures from the model move the path, or may [m]."""
+    """Shift of the path by departures from the model, with its uncertainty [m]."""
 
 
 def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Result:
-    """Return the estimates of some pixels with the shared ones known."""
+    """Return the estimates of some pixels for known shared parameters."""
     rate = frame.phase_per_path
-    given = pixels.usable
+    usable = pixels.usable
     pixels = drifted(pixels, shared.trend)
-    whole = _estimates(frame, pixels, shared, transfer)
-    kept = without_outliers(
+    complete = _estimates(frame, pixels, shared, transfer)
+    cleaned = without_outliers(
         pixels,
-        whole,
-        lambda rest: _estimates(frame, rest, shared, transfer),
+        complete,
+        lambda part: _estimates(frame, part, shared, transfer),
         shared.judged,
         max(shared.misfit, 1.0),
     )
-    kept, near, far = _mixed(pixels, whole, kept, shared, transfer, rate)
-    left_out = pixels.usable & ~kept.pixels.usable
-    pixels, estimates = kept.pixels, kept.estimates
+    cleaned, near, far = _mixed(pixels, complete, cleaned, shared, transfer, rate)
+    left_out = pixels.usable & ~cleaned.pixels.usable
+    pixels, estimates = cleaned.pixels, cleaned.estimates
     detected = is_detected(estimates)
     path = np.where(detected, estimates.path, np.inf)
     depth, water, _ = joint_normal.water_at(pixels, path, shared.table, rate)
@@ -88,31 +91,31 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
     echo = np.exp(1j * np.where(detected, path, 0.0)[:, None] * rate) * transfer
     slopes = _path_slopes(shared, estimates, water, foreground, changes, echo)
     layout = layout_of(shared)
-    own = np.divide(
+    own_variance = np.divide(
         1.0,
         estimates.information,
         out=np.full(len(pixels), np.nan),
         where=estimates.information > 0,
     )
-    basic = slopes[:, layout.parametric]
+    parametric = slopes[:, layout.parametric]
     free = slice(layout.blocks[1].start, layout.blocks[2].stop)
     moved = np.abs(times(slopes[:, free], _free_parameters(shared)[:, None])[:, 0])
     unsure = _variance(slopes[:, free], shared.covariance[free, free])
     return Result(
-        # Nobody asks for the influences any more, and they are most of the memory.
+        # The influences are most of the memory, and no longer used.
         left_out=left_out,
-        unsettled=kept.unsettled,
+        unsettled=cleaned.unsettled,
         near=near,
         far=far,
         estimates=replace(estimates, influence=np.zeros((0, 0, 0), dtype=complex)),
-        enough=given.any(axis=1).sum(axis=1) >= FEWEST_FREQUENCIES,
+        enough=usable.any(axis=1).sum(axis=1) >= FEWEST_FREQUENCIES,
         detected=detected,
         depth=depth,
         water_signal=water_signal,
         common=_common(shared, water, foreground, changes),
         deviation=deviation,
         shared_variance=_variance(slopes, shared.covariance),
-        bound=own + _variance(basic, shared.parametric),
+        bound=own_variance + _variance(parametric, shared.parametric),
         departure=np.hypot(moved, np.sqrt(np.maximum(unsure, 0.0))),
     )
 
@@ -138,35 +141,38 @@ def _estimates(
 
 def _mixed(
     pixels: Pixels,
-    whole: Estimates,
-    kept: Kept,
+    complete: Estimates,
+    cleaned: Cleaned,
     shared: Shared,
     transfer: Complex,
     rate: Floats,
-) -> tuple[Kept, Floats, Floats]:
-    """Return who sees two surfaces, with all their samples, and where these are."""
+) -> tuple[Cleaned, Floats, Floats]:
+    """Return pixels with two surfaces restored to all their samples, and both paths."""
     count = len(pixels)
     near, far = np.full(count, np.nan), np.full(count, np.nan)
-    number = (pixels.usable & ~kept.pixels.usable).sum(axis=(1, 2))
-    some = np.flatnonzero(
-        asked(whole, is_detected(whole), (number > 0) | kept.unsettled)
+    number = (pixels.usable & ~cleaned.pixels.usable).sum(axis=(1, 2))
+    candidates = np.flatnonzero(
+        may_be_two(complete, is_detected(complete), (number > 0) | cleaned.unsettled)
     )
-    if not len(some):
-        return kept, near, far
+    if not len(candidates):
+        return cleaned, near, far
     pair = two_surfaces(
-        pixels.part(some), whole.path[some], shared, transfer=transfer,
+        pixels.part(candidates), complete.path[candidates], shared, transfer=transfer,
         phase_per_path=rate,
     )  # fmt: skip
-    are = are_two(
-        pair, part_of(whole, some), part_of(kept.estimates, some), number[some]
+    is_mixed = are_two(
+        pair,
+        part_of(complete, candidates),
+        part_of(cleaned.estimates, candidates),
+        number[candidates],
     )
-    some = some[are]
-    near[some], far[some] = pair.near[are], pair.far[are]
-    return kept.restored(pixels, whole, some), near, far
+    candidates = candidates[is_mixed]
+    near[candidates], far[candidates] = pair.near[is_mixed], pair.far[is_mixed]
+    return cleaned.restored(pixels, complete, candidates), near, far
 
 
 def _variance(slopes: Floats, covariance: Floats) -> Floats:
-    """Return the variances that follow from that of the parameters, (pixel,)."""
+    """Return the variances of the paths by the parameters, (pixel,) [m^2]."""
     variance: Floats = np.einsum("ni,ni->n", times(slopes, covariance), slopes)
     return variance
 
@@ -191,7 +197,7 @@ def _path_slopes(
     changes: Complex,
     echo: Complex,
 ) -> Floats:
-    """Return how the paths move with the shared parameters, (pixel, parameter)."""
+    """Return the derivatives of paths by shared parameters, (pixel, parameter)."""
     layout = layout_of(shared)
     channels = len(shared.strength)
     out = np.zeros((len(water), layout.size))
@@ -203,18 +209,18 @@ def _path_slopes(
     scaled = pull * shared.gain
     out[:, layout.shape] = -np.einsum("ncf,nmf->nm", scaled, changes).real
     _, free, echoes = layout.blocks
-    own = pull * shared.strength[:, None] * foreground[:, None]
-    both = np.stack([-own.real, own.imag], axis=1)
-    out[:, free] = both.reshape(len(water), -1)
-    back = np.einsum("ncf,nc->nf", pull, estimates.amplitude) * echo
-    out[:, echoes] = np.concatenate([-back.real, back.imag], axis=1)
+    by_light = pull * shared.strength[:, None] * foreground[:, None]
+    by_departure = np.stack([-by_light.real, by_light.imag], axis=1)
+    out[:, free] = by_departure.reshape(len(water), -1)
+    by_echo = np.einsum("ncf,nc->nf", pull, estimates.amplitude) * echo
+    out[:, echoes] = np.concatenate([-by_echo.real, by_echo.imag], axis=1)
     return out
 
 
 def _common(
     shared: Shared, water: Complex, foreground: Complex, changes: Complex
 ) -> Covariance:
-    """Return the covariance of the estimated water signal, which pixels share."""
+    """Return the covariance of the water signal by the shared parameters [V^2]."""
     layout = layout_of(shared)
     channels, frequencies = shared.departure.shape
     shape = (len(water), channels, frequencies)

@@ -18,7 +18,7 @@ from amulor.rejection.joint.overlap import (
     Frame,
     Shape,
     hats,
-    unseen,
+    unseen_beam,
 )
 
 Floats = NDArray[np.float64]
@@ -41,11 +41,11 @@ class Table:
     change: Complex
     """Derivative with respect to the parameters of the shape, one axis more [1]."""
     basis: Floats
-    """How much of each component a direction of `Frame` has, (direction, component)."""
+    """Coefficients of the components in each direction, (direction, component) [1]."""
     level: Floats
     """Open water at frequency 0, by component; 1 in the middle of the scan [1]."""
     strength: float
-    """Received per launched power behind strength 1, per backscatter [sr m]."""
+    """Received over launched power for strength 1, per backscatter [sr m]."""
 
     @cached_property
     def arrays(self) -> WaterTable:
@@ -102,8 +102,8 @@ def table_of(
     edges = np.arange(count + 1) * step
     if far > edges[-1]:
         # Behind the last target only the sum counts: longer cells.
-        more = int(np.ceil((far - edges[-1]) / (_BEHIND * period)))
-        edges = np.append(edges, np.linspace(edges[-1], far, more + 1)[1:])
+        cells = int(np.ceil((far - edges[-1]) / (_BEHIND * period)))
+        edges = np.append(edges, np.linspace(edges[-1], far, cells + 1)[1:])
     point, weight = legendre.leggauss(_ORDER)
     width = np.diff(edges)
     middle = 0.5 * (edges[1:] + edges[:-1])
@@ -120,7 +120,7 @@ def table_of(
     at_zero = (frame.directions.centre @ profile) @ measure
     strength = float(at_zero[0])
     if strength < SMALLEST_STRENGTH:
-        raise unseen()
+        raise unseen_beam()
     # Values over the strength, and what they change by: taken before the sums, whose
     # tables are large.
     reduced = component.T @ profile * (measure / strength)
@@ -171,7 +171,7 @@ def _profiles(
 
 
 def _components(light: Floats, derivatives: Floats) -> Floats:
-    """Return the directions in the space of the nodes that the profiles fill."""
+    """Return the principal components of the profiles over the nodes."""
     blocks = [light, *derivatives]
     gram = np.zeros((light.shape[0], light.shape[0]))
     for block in blocks:
@@ -180,6 +180,6 @@ def _components(light: Floats, derivatives: Floats) -> Floats:
             part = block[:, ::_ORDER] / size
             gram += part @ part.T
     values, vectors = np.linalg.eigh(gram)
-    kept = values > _SMALLEST_COMPONENT**2 * values[-1]
-    components: Floats = np.ascontiguousarray(vectors[:, kept])
+    significant = values > _SMALLEST_COMPONENT**2 * values[-1]
+    components: Floats = np.ascontiguousarray(vectors[:, significant])
     return components

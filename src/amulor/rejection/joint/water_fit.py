@@ -1,4 +1,4 @@
-"""Optical properties of the water from an open-water sweep, and which are known."""
+"""Optical properties of the water from an open-water sweep, with uncertainties."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from amulor.rejection.observation import Observation
 
 Floats = NDArray[np.float64]
 
-#: A coefficient is known when the error of its logarithm is below this [1].
+#: Error of the logarithm of a coefficient below which the data determine it [1].
 _KNOWN = 0.5
-#: With less unscattered light from z_max the data say only that b_f is large [1].
+#: Share of unscattered light from z_max below which b_f has no upper limit [1].
 _UNSCATTERED = 0.01
 #: Step of a parameter for the derivative of what follows from it [1].
 _STEP = 1e-3
@@ -34,7 +34,7 @@ _FEWEST_FREQUENCIES = 3
 
 @dataclass(frozen=True, kw_only=True)
 class WaterFit:
-    """What an open-water sweep says about the water, with standard uncertainties."""
+    """Estimates of water properties from an open-water sweep, with uncertainties."""
 
     reduced_attenuation: float
     """Reduced attenuation coefficient k' = a + b_d [1/m]."""
@@ -67,16 +67,16 @@ class WaterFit:
     departure_evidence: float
     """Twice the logarithm of odds that the water departs from the model [1]."""
     names: tuple[str, ...]
-    """Parameters of `covariance` and of the directions."""
+    """Names of the parameters of `covariance` and `direction`."""
     covariance: Floats
     """Covariance of the relative errors of these parameters [1]."""
     identified: tuple[bool, ...]
-    """Which of them the data settle to better than a factor of 1.6."""
+    """Whether the data determine each parameter to better than a factor of 1.6."""
     direction: Floats
     """Eigenvectors of the Fisher information of their logarithms, best known first,
     one to a column [1]."""
     direction_uncertainty: Floats
-    """Standard uncertainty of these combinations, from the data alone [1]."""
+    """Standard uncertainty of these combinations without priors [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +225,7 @@ def split_scattering(
 
 
 def _result(frame: Frame, shared: Shared, channels: list[str]) -> WaterFit:
-    """Return a fit with what follows from it."""
+    """Return a fit with its derived quantities."""
     count = len(channels)
     size = count + COEFFICIENTS
     relative = np.ones(len(shared.covariance))
@@ -287,7 +287,7 @@ def _result(frame: Frame, shared: Shared, channels: list[str]) -> WaterFit:
 def _propagated(
     shared: Shared, function: Callable[[Shape], float]
 ) -> tuple[float, float]:
-    """Return a function of the shape, and its uncertainty to first order."""
+    """Return the value of a function of the shape, and its first-order uncertainty."""
     begin = len(shared.strength)
     count = COEFFICIENTS + len(shared.shape.knots)
     slope = np.empty(count)
@@ -323,8 +323,8 @@ def _responses(frame: Frame, shape: Shape, frequency: Floats) -> Floats:
 
 def _level(frame: Frame, shape: Shape, frequency: float) -> float:
     """Return the response at a frequency over that at zero [1]."""
-    at_zero, there = _responses(frame, shape, np.array([0.0, frequency]))
-    return float(there / at_zero)
+    at_zero, response = _responses(frame, shape, np.array([0.0, frequency]))
+    return float(response / at_zero)
 
 
 def _cut_off(frame: Frame, shape: Shape) -> float:

@@ -11,7 +11,7 @@ from scipy.constants import speed_of_light
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint.samples import Pixels, weight
 from amulor.rejection.joint.scatter import (
-    Kept,
+    Cleaned,
     disagrees,
     may_be_left_out,
     without_outliers,
@@ -80,7 +80,7 @@ def solved(pixels: Pixels) -> Estimates:
     )
 
 
-def cleaned(signal: np.ndarray, allowed: np.ndarray = EVERY) -> Kept:
+def cleaned(signal: np.ndarray, allowed: np.ndarray = EVERY) -> Cleaned:
     """Return what is left of samples."""
     pixels = pixels_of(signal)
     return without_outliers(pixels, solved(pixels), partial(solved), allowed, 1.0)

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.optimize import nnls
 
-from amulor.rejection.joint.search import _not_below_zero
+from amulor.rejection.joint.search import _non_negative
 
 
 def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    return _not_below_zero(matrix.T @ matrix, matrix.T @ right)
+    return _non_negative(matrix.T @ matrix, matrix.T @ right)
 
 
 @given(seed=st.integers(0, 2**32 - 1), lean=st.sampled_from([0.0, 0.5, 0.99]))

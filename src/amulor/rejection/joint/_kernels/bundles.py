@@ -1,4 +1,4 @@
-"""What the compiled loops of the joint estimation take: arrays that belong together.
+"""Arguments of the compiled loops of the joint estimation, in named tuples.
 
 Complex numbers are pairs (real, imaginary) on the axis before the last, which runs over
 the modulation frequencies, so that one loop goes through memory in order. Symbols are
@@ -32,16 +32,16 @@ class WaterTable(NamedTuple):
 
 
 class Echo(NamedTuple):
-    """What turns a path into the echo H(f) exp(i k p) of a target of amplitude 1."""
+    """Echo H(f) exp(i k p) of a target of amplitude 1: phase per path and transfer."""
 
     phase_per_path: Array
     """k = 2 pi f / c_0, (frequency,) [rad/m]."""
     transfer: Array
-    """H(f), what the echo has beyond its delay, (2, frequency) [1]."""
+    """Transfer function H(f) of the echo beyond its delay, (2, frequency) [1]."""
 
 
 class Model(NamedTuple):
-    """What all pixels share, as known while the path of one of them is looked for."""
+    """Shared parameters, fixed during the search for the path of a pixel."""
 
     table: WaterTable
     """Water signal of strength 1."""
@@ -69,7 +69,7 @@ class Samples(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where many pixels look, and where their targets may lie."""
+    """Directions and possible paths of many pixels."""
 
     coefficient: Array
     """Coefficients of the components of the table, (pixel, component) [1]."""
@@ -96,7 +96,7 @@ class Limits(NamedTuple):
 
 
 class Pixel(NamedTuple):
-    """One pixel: its samples and its place."""
+    """Samples, direction and possible paths of one pixel."""
 
     signal: Array
     """Samples, (channel, 2, frequency) [V]."""
@@ -107,11 +107,11 @@ class Pixel(NamedTuple):
     turn: Array
     """exp(i k p_0) of the optical path p_0 before the water, (2, frequency) [1]."""
     limits: Limits
-    """Where its target may lie."""
+    """Possible paths of its target."""
 
 
 class Workspace(NamedTuple):
-    """Memory for the model of one pixel, used again for the next."""
+    """Memory for the model of one pixel, reused for the next."""
 
     water: Array
     """Water signal of strength 1, (2, frequency) [1]."""
@@ -128,7 +128,7 @@ class Workspace(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Paths in equal steps, at which the likelihood is looked at first."""
+    """Coarse grid of paths for the search."""
 
     path: Array
     """Optical paths, two or more [m]."""
@@ -150,7 +150,7 @@ class Candidates(NamedTuple):
 
 
 class Solutions(NamedTuple):
-    """What the search fills in, arrays over the pixels; see `search.Estimates`."""
+    """Results of the search, arrays over the pixels; see `search.Estimates`."""
 
     path: Array
     amplitude: Array
@@ -200,11 +200,11 @@ class Derivatives(NamedTuple):
     amplitude: Array
     """Amplitude of the target, (pixel, channel), real [V]."""
     is_target: Array
-    """Whether a pixel has a path and amplitudes of its own, (pixel,)."""
+    """Pixels with a path and amplitudes, (pixel,)."""
 
 
 class Parameters(NamedTuple):
-    """What all pixels share, and where its parameters stand in the normal equations."""
+    """Shared parameters, and their positions in the normal equations."""
 
     strength: Array
     """Strength s_c of the water signal, (channel,) [V]."""
@@ -223,7 +223,7 @@ class Parameters(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Normal equations, a sum of its own for each portion of the pixels."""
+    """Normal equations, one sum for each portion of the pixels."""
 
     matrix: Array
     """Information, (portion, parameter, parameter)."""
@@ -239,7 +239,7 @@ class WaterModel(NamedTuple):
     strength: Array
     """Strength s of each channel, real [V]."""
     gain: Array
-    """The same at each frequency, (channel, frequency) [V]."""
+    """Strength at each frequency, (channel, frequency) [V]."""
     departure: Array
     """Departure d over the strength, (channel, frequency) [1]."""
     foreground: Array

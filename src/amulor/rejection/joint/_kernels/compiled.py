@@ -55,7 +55,7 @@ _Result = TypeVar("_Result")
 
 
 class _Here(threading.local):
-    """What the thread that asks is doing."""
+    """State of the calling thread."""
 
     is_part = False
 
@@ -64,7 +64,7 @@ _here = _Here()
 
 
 class _Turns:
-    """As many parts at a time as there are threads, whoever started them.
+    """Limit on the parts that run at a time, over all callers.
 
     Callers on several threads, as the tasks of a cluster are, share the processors
     instead of multiplying them.
@@ -95,7 +95,7 @@ _turns = _Turns()
 
 
 def _forget_turns() -> None:
-    """Begin anew in a process that was forked off: its threads are gone."""
+    """Reset the limit in a forked process, which has no other threads."""
     global _turns
     _turns = _Turns()
 
@@ -107,7 +107,7 @@ if hasattr(os, "register_at_fork"):
 def spread(
     kernel: Callable[..., None], count: int, *arguments: Any, fewest: int = FEWEST
 ) -> None:
-    """Run a compiled loop over range(count) in as many threads as that is worth.
+    """Run a compiled loop over range(count), in several threads for large counts.
 
     Python's threads, since the loops give up its lock. Those of numba spin while they
     wait, and two calls at once end the process under its layer "workqueue": no loop of
@@ -135,7 +135,7 @@ def spread(
 def each(
     function: Callable[[_Item], _Result], items: Iterable[_Item]
 ) -> Iterator[_Result]:
-    """Return what a function makes of items, several of them at a time, in order.
+    """Return the results of a function on items in order, several at a time.
 
     What it calls takes no threads of its own: they have all been given out.
     """

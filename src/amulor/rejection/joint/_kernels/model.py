@@ -1,4 +1,4 @@
-"""Compiled loop of the joint estimation: cosines and sines of many phases at once."""
+"""Compiled loops of the joint estimation: water signal, echo and misfit of a pixel."""
 
 from __future__ import annotations
 
@@ -395,7 +395,7 @@ def integrate(
 
 @inner(forceinline=True)
 def _lost(place: float, table: Array) -> float:
-    """Return the logarithm of what is lost at a place among the nodes of its table.
+    """Return the logarithm of lost light, interpolated in its table.
 
     Cubic through four nodes; a line beyond the first ones and the last.
     """

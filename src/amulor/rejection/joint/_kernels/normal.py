@@ -1,4 +1,4 @@
-"""Compiled loop of the joint estimation: errors of the water that pixels share."""
+"""Compiled loops of the joint estimation: normal equations, and shared errors."""
 
 from __future__ import annotations
 
@@ -75,17 +75,17 @@ class _Row(NamedTuple):
     """Derivatives of one sample by the shared parameters that it depends on."""
 
     parameter: Array
-    """Which parameters."""
+    """Indices of the parameters."""
     values: Array
     """Derivatives, complex [V]."""
     real: Array
-    """In units of the errors, in phase [1]."""
+    """Derivatives in units of the errors, in phase [1]."""
     imaginary: Array
-    """In units of the errors, quadrature [1]."""
+    """Derivatives in units of the errors, quadrature [1]."""
 
 
 class _Own(NamedTuple):
-    """Normal equations of one pixel's amplitudes and, last, its path."""
+    """Normal equations of the amplitudes and, last, the path of one pixel."""
 
     gram: Array
     """Their information, (own, own), the lower triangle."""
@@ -165,7 +165,7 @@ def _add_own(
     row: _Row,
     own: _Own,
 ) -> None:
-    """Add one sample to the normal equations of its pixel's own parameters.
+    """Add one sample to the normal equations of its pixel.
 
     All in units of the errors, (in phase, quadrature).
     """
@@ -239,7 +239,7 @@ def _add_pixel(
 
 @inner(fastmath=LANES, forceinline=True)
 def _eliminate(own: _Own, matrix: Array, vector: Array) -> float:
-    """Eliminate one pixel's own parameters; return what chi-square falls by.
+    """Eliminate the parameters of one pixel; return the decrease of chi-square.
 
     Cholesky's steps towards the Schur complement; the amplitudes share no samples, so
     that only the path, which comes last, has something to subtract.
@@ -278,7 +278,7 @@ def _eliminate(own: _Own, matrix: Array, vector: Array) -> float:
 def accumulate(
     begin: int, end: int, derivatives: Derivatives, parameters: Parameters, sums: Sums
 ) -> None:
-    """Add up the normal equations of some portions, the pixels' own eliminated.
+    """Add up the normal equations of some portions, single pixels eliminated.
 
     Gauss-Newton for strength, shape and departures, with path and amplitudes of every
     pixel eliminated (Schur complement). A portion is a fixed part of the pixels with a

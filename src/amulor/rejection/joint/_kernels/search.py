@@ -40,7 +40,7 @@ CANDIDATES = 6
 
 @inner()
 def _keep(path: float, level: float, candidates: Candidates) -> bool:
-    """Put a minimum in the place of the highest one, if it is lower."""
+    """Replace the highest minimum by a lower one."""
     worst = 0
     for k in range(CANDIDATES):
         if candidates.level[k] > candidates.level[worst]:
@@ -154,7 +154,7 @@ _LEAST_REST = 1e-3
 def most_outlying(
     rate: float, information: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float, int]:
-    """Return what chi-square falls by without one sample: most, second, and which.
+    """Return the two largest decreases of chi-square without a sample, and its index.
 
     r' S^-1 r with the residual r of a sample and the covariance S = V - J C J' that
     is left of its own, V, when the path and the amplitude are fitted to it too; exact
@@ -388,7 +388,7 @@ def profile(
     model: Model,
     work: Workspace,
 ) -> float:
-    """Return how far the path may go to one side until chi-square has risen by 1.
+    """Return the distance on one side of a path at which chi-square has risen by 1.
 
     The amplitudes are fitted anew at every path (profile likelihood). Compiled because
     each pixel takes some dozens of paths.
@@ -440,7 +440,7 @@ def _outputs(weight: Array) -> int:
 
 @inner()
 def _fill_nothing(n: int, solutions: Solutions) -> None:
-    """Say that a pixel has no possible path."""
+    """Fill in the results of a pixel without a possible path."""
     solutions.path[n], solutions.cost[n] = np.nan, np.inf
     solutions.information[n] = 0.0
     solutions.lower[n], solutions.upper[n] = np.nan, np.nan
@@ -556,7 +556,7 @@ def estimate(
     known: Array,
     solutions: Solutions,
 ) -> None:
-    """Fill in the most likely path of some pixels, each by itself.
+    """Fill in the most likely path of each of some pixels.
 
     Maximum likelihood of A_c H(f) exp(i k p) + s_c W(f, z(p)) over p and A_c >= 0, the
     formula under Notes of `amulor.rejection.joint`. Where `known` holds a path, the
