@@ -1,4 +1,4 @@
-"""From a survey to the cube that its instrument would record."""
+"""Simulation: from a survey to the cube that its instrument would record."""
 
 from typing import TYPE_CHECKING
 

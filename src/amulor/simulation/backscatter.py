@@ -1,4 +1,4 @@
-"""The water signal of a survey against modulation frequency, by each model."""
+"""Water signal of a survey against modulation frequency, by each model."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ def _response(
 ) -> NDArray[np.complex128]:
     """Return the response of the beam in the middle of the scan."""
     water = water_properties(survey)
-    where = view(survey, np.array(survey.scan.azimuth), np.array(survey.scan.elevation))
+    beam = view(survey, np.array(survey.scan.azimuth), np.array(survey.scan.elevation))
     end = survey.water.column_end
     return model.column(
         np.asarray(modulation_frequency, dtype=np.float64),
         survey=survey,
         water=water,
-        view=where,
+        view=beam,
         end=np.inf if end is None else end,
     )

@@ -1,7 +1,7 @@
-"""The noise of a scan row by row: the numbers that one run of a generator gives it.
+"""Simulation of a scan row by row, with the same noise as the whole scan.
 
-A generator fills plane after plane of (row, column). Its state is kept where each
-plane begins; rows then go on from there, each plane with a generator of its own.
+A random generator fills plane after plane of (row, column). Its state is copied at the
+start of each plane; the rows of a plane continue from this copy.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ __all__ = ["RowNoise", "SimulatedRows"]
 
 
 Floats = NDArray[np.float64]
-#: Numbers that are drawn at once where they are not wanted.
+#: Numbers of a block that is drawn and discarded.
 _AT_ONCE = 2**20
 
 
 @dataclass(kw_only=True)
 class _Plane:
-    """One plane of (row, column), of which some numbers are drawn."""
+    """Random numbers of one plane of (row, column), drawn up to some number."""
 
     start: np.random.Generator
     now: np.random.Generator
@@ -63,7 +63,7 @@ class RowNoise:
             self._planes.append(planes)
 
     def rows(self, begin: int, end: int) -> RowNoise:
-        """Return itself, ready to be asked for some rows."""
+        """Return itself, set to some rows."""
         self._rows, self._next = slice(begin, end), 0
         return self
 
@@ -72,7 +72,7 @@ class RowNoise:
         return self._numbers("standard_normal", size)
 
     def gamma(self, shape: float, scale: float, /, size: tuple[int, ...]) -> Floats:
-        """Return numbers of the gamma distribution; see there."""
+        """Return gamma-distributed numbers; see `amulor.simulation.lock_in.Noise`."""
         if shape != self._gamma:
             raise RuntimeError(f"gamma({shape:g}) is asked for, not {self._gamma:g}")
         return self._numbers("gamma", size, scale)
@@ -83,8 +83,8 @@ class RowNoise:
         number, self._next = self._next, self._next + 1
         planes = self._planes[number] if number < len(self._planes) else []
         height = self._rows.stop - self._rows.start
-        wanted = (height, self._shape[1])
-        if not planes or self._draws[number][0] != method or size[-2:] != wanted:
+        shape = (height, self._shape[1])
+        if not planes or self._draws[number][0] != method or size[-2:] != shape:
             raise RuntimeError(
                 f"draw {number + 1} of a scan is {method} of shape {size}, which is "
                 f"none of {self._draws}: let lock_in.draws say what is drawn"
@@ -105,7 +105,7 @@ class RowNoise:
         return out
 
     def _skip(self, rng: np.random.Generator, method: str, count: int) -> None:
-        """Draw numbers that nobody wants."""
+        """Draw numbers and discard them."""
         unwanted: Floats = np.empty(min(count, _AT_ONCE))
         for first in range(0, count, _AT_ONCE):
             part = unwanted[: min(count - first, _AT_ONCE)]
@@ -116,11 +116,10 @@ class RowNoise:
 
 
 class SimulatedRows:
-    """The rows of a scan that is simulated as they are asked for.
+    """Rows of a scan, simulated on demand.
 
-    The tiles are those of `amulor.simulate`, bit for bit: noise comes from the same
-    numbers of the same generator, and the table of the light of water that columns look
-    up is fitted once.
+    The tiles equal those of `amulor.simulate`, bit for bit. The noise has the same
+    random numbers, and the table of the light of the water is fitted once.
     """
 
     def __init__(
@@ -191,4 +190,4 @@ class SimulatedRows:
 
 
 def _nobody(step: str, share: float) -> None:
-    """Take what a tile says it does; the file that it is for has a bar of its own."""
+    """Discard the progress of a tile; its file has a progress bar."""

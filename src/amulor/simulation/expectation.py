@@ -1,4 +1,4 @@
-"""What to expect of a scan before it is taken: hits, signal, water, overload."""
+"""Expected hits, signal, water signal and overload of a scan."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ __all__ = ["Expectation", "expectation"]
 
 Floats = NDArray[np.float64]
 
-#: Beams that are followed along each side of the scan.
+#: Most beams along each side of the scan.
 _BEAMS = 25
 
 
 @dataclass(frozen=True, kw_only=True)
 class Expectation:
-    """What the samples of a scan will be like; NaN where no beam meets a target.
+    """Expected samples of a scan; NaN where no beam meets a target.
 
     Examples
     --------
@@ -43,7 +43,7 @@ class Expectation:
     hit: float
     """Share of the beams that meet a target [1]."""
     hit_each: tuple[float, ...]
-    """The same for each target of the survey [1]."""
+    """Share of the beams that meet each target of the survey [1]."""
     saturated: float
     """Share of the samples that overload the detector [1]."""
     signal_to_noise: Floats
@@ -55,7 +55,7 @@ class Expectation:
 
 
 def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expectation:
-    """Return what the samples of a scan will be like, from a few of its beams.
+    """Estimate the samples of a scan from a few of its beams.
 
     Parameters
     ----------
@@ -97,13 +97,13 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
     (1.0, True)
     """
     scan = survey.scan
-    few = survey.with_(
+    coarse = survey.with_(
         {
             "scan.columns": min(scan.columns, _BEAMS),
             "scan.rows": min(scan.rows, _BEAMS),
         }
     )
-    setup = geometry_of.Setup(few)
+    setup = geometry_of.Setup(coarse)
     geometry = geometry_of.trace(setup)
     echo = lock_in.target_light(setup, geometry, model=model)
     column = lock_in.water_light(setup, geometry.view, end=geometry.depth, model=model)
@@ -115,7 +115,7 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
     number = range(len(survey.targets))
     return Expectation(
         hit=float(met.mean()),
-        hit_each=tuple(float((geometry.target == each).mean()) for each in number),
+        hit_each=tuple(float((geometry.target == index).mean()) for index in number),
         saturated=float((samples.saturated != 0).mean()),
         signal_to_noise=_median(size / noise, met),
         water_to_echo=_median(

@@ -70,23 +70,23 @@ class Geometry:
     time: Floats
     """Time since the start of the scan at which a pixel begins [s]."""
     view: View
-    """How the receiver looks at each beam."""
+    """View of the receiver for each beam."""
     target: NDArray[np.intp]
-    """Number of the target that is met, -1 for none."""
+    """Number of the target in the beam, -1 for none."""
     slant_range: Floats
     """Distance from the emitter along the beam, infinite without a target [m]."""
     depth: Floats
-    """The part of it that lies in water, infinite without a target [m]."""
+    """Length of the beam in the water, infinite without a target [m]."""
     optical_path: Floats
     """Group index times length, out and back; 0 without a target [m]."""
     return_path: Floats
     """Water on the way back to the receiver, infinite without a target [m]."""
     cosine: Floats
-    """Cosine of the surface's normal to the receiver, times the part of the aperture
-    that sees it [1]."""
+    """Cosine between the surface's normal and the receiver, times the visible share of
+    the aperture [1]."""
     brightness: Floats
-    """What the surface sends towards the receiver, over that of Lambert's law with the
-    target's reflectance: BRDF and texture [1]."""
+    """Radiance towards the receiver over that of Lambert's law with the target's
+    reflectance: BRDF and texture [1]."""
 
 
 def trace(
@@ -112,10 +112,12 @@ def trace(
     points, weights = aperture_points(receiver, radius=instrument.receiver.radius)
     fraction = scene.visible_fraction(hits, points, weights)
     met = hits.target >= 0
-    way = receiver - hits.point[met]
+    to_receiver = receiver - hits.point[met]
     cosine = np.zeros(met.size)
     cosine[met] = np.maximum(
-        np.sum(way * hits.normal[met], axis=1) / np.linalg.norm(way, axis=1), 0.0
+        np.sum(to_receiver * hits.normal[met], axis=1)
+        / np.linalg.norm(to_receiver, axis=1),
+        0.0,
     )
     path = np.zeros(met.size)
     path[met] = (
@@ -123,8 +125,8 @@ def trace(
         + medium.group_index * hits.distance[met]
         + rays.return_length(hits.point[met], receiver, medium=medium)
     )
-    back = np.full(met.size, np.inf)
-    back[met] = rays.return_distance(hits.point[met], receiver, medium=medium)
+    return_path = np.full(met.size, np.inf)
+    return_path[met] = rays.return_distance(hits.point[met], receiver, medium=medium)
     shape = azimuth.shape
     return Geometry(
         azimuth=azimuth,
@@ -135,7 +137,7 @@ def trace(
         slant_range=hits.distance.reshape(shape) + beam.length_before,
         depth=hits.distance.reshape(shape),
         optical_path=path.reshape(shape),
-        return_path=back.reshape(shape),
+        return_path=return_path.reshape(shape),
         cosine=(cosine * fraction).reshape(shape),
         brightness=_brightness(survey, scene, hits, beam, receiver).reshape(shape),
     )
@@ -144,27 +146,27 @@ def trace(
 def _brightness(
     survey: Survey, scene: Scene, hits: Hits, beam: rays.Beam, receiver: Floats
 ) -> Floats:
-    """Return what surfaces send to the receiver over that of Lambert's law."""
+    """Return the radiance towards the receiver over that of Lambert's law."""
     bright = scene.texture(hits)
     ray = -beam.direction.reshape(-1, 3)
     for number, target in enumerate(survey.targets):
-        own = np.flatnonzero(hits.target == number)
-        if target.surface is None or not own.size:
+        indices = np.flatnonzero(hits.target == number)
+        if target.surface is None or not indices.size:
             continue
-        normal, point = hits.normal[own], hits.point[own]
-        way = receiver - point
-        way = way / np.linalg.norm(way, axis=1, keepdims=True)
-        slopes = [np.sum(side * normal, axis=1) for side in (ray[own], way)]
+        normal, point = hits.normal[indices], hits.point[indices]
+        to_receiver = receiver - point
+        to_receiver = to_receiver / np.linalg.norm(to_receiver, axis=1, keepdims=True)
+        slopes = [np.sum(side * normal, axis=1) for side in (ray[indices], to_receiver)]
         flat = [
             side - slope[:, None] * normal
-            for side, slope in zip((ray[own], way), slopes, strict=True)
+            for side, slope in zip((ray[indices], to_receiver), slopes, strict=True)
         ]
         length = np.linalg.norm(flat[0], axis=1) * np.linalg.norm(flat[1], axis=1)
         # At right angles to the surface there is no azimuth; any will do.
         turn = np.sum(flat[0] * flat[1], axis=1) / np.where(length > 0, length, 1.0)
         angles = [np.arccos(np.clip(slope, 0.0, 1.0)) for slope in slopes]
         # The receiver behind the surface sees nothing of it, whatever its BRDF.
-        bright[own] *= surface.brightness(
+        bright[indices] *= surface.brightness(
             target.surface,
             reflectance=target.reflectance,
             incidence=angles[0],

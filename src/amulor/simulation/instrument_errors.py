@@ -44,7 +44,7 @@ class Chain:
     setup: Setup
     """Setup with the errors."""
     errors: InstrumentErrors
-    """Those of its instrument."""
+    """Errors of the instrument."""
     entropy: int
     """Seed of the random errors."""
 
@@ -54,8 +54,8 @@ class Chain:
         errors = setup.survey.instrument.errors
         if errors is None:
             return None
-        own = np.random.default_rng(rng).spawn(1)[0]
-        return cls(setup=setup, errors=errors, entropy=int(own.integers(2**63)))
+        generator = np.random.default_rng(rng).spawn(1)[0]
+        return cls(setup=setup, errors=errors, entropy=int(generator.integers(2**63)))
 
     @property
     def survey(self) -> Survey:
@@ -65,9 +65,9 @@ class Chain:
     @property
     def frequencies(self) -> Floats:
         """True modulation frequencies [Hz]."""
-        stated = np.array(self.survey.instrument.modulation_frequencies)
+        nominal = np.array(self.survey.instrument.modulation_frequencies)
         clock = self.errors.clock
-        return stated if clock is None else stated * (1 + clock.frequency_error)
+        return nominal if clock is None else nominal * (1 + clock.frequency_error)
 
     @property
     def light_setup(self) -> Setup:
@@ -83,13 +83,13 @@ class Chain:
     @property
     def _light_frequencies(self) -> Floats:
         harmonic = self.errors.harmonic
-        own = self.frequencies
+        frequencies = self.frequencies
         if harmonic is None:
-            return own
-        return np.unique(np.concatenate([own, harmonic.order * own]))
+            return frequencies
+        return np.unique(np.concatenate([frequencies, harmonic.order * frequencies]))
 
     def fundamental(self, light: Light) -> Light:
-        """Return the light at the modulation frequencies, of that of `light_setup`."""
+        """Return the part of light at the modulation frequencies."""
         return self._at(light, self.frequencies)
 
     def _at(self, light: Light, frequency: Floats) -> Light:
@@ -102,22 +102,22 @@ class Chain:
         )
 
     def pointed(self, directions: Directions) -> Directions:
-        """Return the true directions of beams whose recorded ones are given."""
+        """Return the true directions of beams for their recorded directions."""
         pointing = self.errors.pointing
         if pointing is None:
             return directions
         azimuth, elevation, time = directions
         rows, scan = self._rows(time), self.survey.scan
         noise = pointing.jitter * self._normal(_POINTING, rows, (2, scan.columns))
-        left = (rows % 2 == 1) & (scan.order == "serpentine")
-        lag = np.where(left, -0.5, 0.5)[:, None] * pointing.backlash
+        backward = (rows % 2 == 1) & (scan.order == "serpentine")
+        lag = np.where(backward, -0.5, 0.5)[:, None] * pointing.backlash
         return azimuth + noise[0] + lag, elevation + noise[1], time
 
     def shots(self, azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats]:
         """Return the directions of the open-water shots in the order of recording.
 
-        Where something drifts they go round again and again, half of the rounds before
-        the scan and half after it.
+        With drift, the shots run in rounds over all directions: half of the rounds
+        before the scan, half after it.
         """
         plan = self.survey.scan.open_water
         if plan is None or not self._drifts:
@@ -173,7 +173,7 @@ class Chain:
 
     @property
     def _step(self) -> float:
-        """Time that all samples of a pixel take [s]."""
+        """Duration of all samples of a pixel [s]."""
         frequencies, channels = self._plane
         return self.survey.scan.dwell * frequencies * channels
 
@@ -207,19 +207,21 @@ class Chain:
         axis: int = 1,
     ) -> Floats:
         """Return normal numbers of rows, each of a shape, stacked along an axis."""
-        each = [
+        generators = [
             np.random.default_rng([self.entropy, purpose, int(row)]) for row in rows
         ]
-        return np.stack([one.standard_normal(shape) for one in each], axis=axis)
+        return np.stack(
+            [generator.standard_normal(shape) for generator in generators], axis=axis
+        )
 
     def _course(self, time: Floats) -> Floats:
-        """Return how much of a drift has come about at given times [1]."""
+        """Return the share of a drift at given times [1]."""
         drift = self.errors.drift
         settling = None if drift is None else drift.settling_time
         if settling is None:
             return time / self._duration
-        whole = np.expm1(-self._duration / settling)
-        return np.asarray(np.expm1(-time / settling) / whole)
+        total = np.expm1(-self._duration / settling)
+        return np.asarray(np.expm1(-time / settling) / total)
 
     def _samples(
         self, target: Light, water: Light, *, time: Floats, part: Part, white: _Draw,
@@ -246,23 +248,23 @@ class Chain:
         if errors.harmonic is not None:
             order = errors.harmonic.order
             light = self._at(target + water, order * self.frequencies)
-            other = lock_in.expected_signal(self.setup, light)
+            overtone = lock_in.expected_signal(self.setup, light)
             if order in _CONJUGATE:
-                other = other.conj()
-            signal = signal + errors.harmonic.fraction * other
+                overtone = overtone.conj()
+            signal = signal + errors.harmonic.fraction * overtone
         signal = self._received(signal, time, part=part)
         return replace(samples, signal=self._demodulated(signal, time, white))
 
     def _detected(self, light: Light, *, part: Part) -> Light:
-        """Return the light with what leaks, and what a counter makes of both."""
+        """Return the light with leakage, after losses and late pulses of a counter."""
         leakage, counter = self.errors.optical_leakage, self.errors.counting
         axes = [1] * (light.mean.ndim - 2)
         turn = 2j * np.pi * self.frequencies.reshape(-1, 1, *axes)
         if leakage is not None and _has(leakage, part):
-            passed = leakage.fraction * self._passed(leakage).reshape(1, -1, *axes)
+            leak = leakage.fraction * self._passed(leakage).reshape(1, -1, *axes)
             light = light + Light(
-                passed * np.exp(turn * leakage.delay) + np.zeros(light.mean.shape),
-                passed + np.zeros(light.mean.shape),
+                leak * np.exp(turn * leakage.delay) + np.zeros(light.mean.shape),
+                leak + np.zeros(light.mean.shape),
             )
         if counter is None:
             return light
@@ -275,9 +277,9 @@ class Chain:
         return _scaled(light, modulated=live**2 * after, mean=live * (1 + late))
 
     def _passed(self, leakage: OpticalLeakage) -> Floats:
-        """Return the share of leaking light behind each analyser."""
-        kept = 1 - leakage.depolarization
-        state = matrix((kept, kept, kept))
+        """Return the share of leaking light behind each analyzer [1]."""
+        polarized = 1 - leakage.depolarization
+        state = matrix((polarized, polarized, polarized))
         return np.array(
             [
                 float(mueller.detected_fraction(state, pair=pair))
@@ -286,20 +288,20 @@ class Chain:
         )
 
     def _received(self, signal: Complex, time: Floats, *, part: Part) -> Complex:
-        """Return the signal behind amplifiers and cables, up to the demodulator."""
+        """Return the signal after amplifiers and cables, at the demodulator."""
         errors, axes = self.errors, [1] * (signal.ndim - 2)
         turn = 2j * np.pi * self.frequencies.reshape(-1, 1, *axes)
         if errors.compression is not None:
-            pressed = errors.compression
-            loss = pressed.fraction * np.abs(signal) / pressed.amplitude
+            compression = errors.compression
+            loss = compression.fraction * np.abs(signal) / compression.amplitude
             signal = signal * np.maximum(1 - loss, 0)
         if errors.walk is not None:
             size = np.where(signal == 0, errors.walk.amplitude, np.abs(signal))
             decades = np.log10(size / errors.walk.amplitude)
             signal = signal * np.exp(1j * errors.walk.phase_per_decade * decades)
         if errors.reflection is not None:
-            again = np.exp(turn * errors.reflection.delay)
-            signal = signal * (1 + errors.reflection.coefficient * again)
+            reflection = np.exp(turn * errors.reflection.delay)
+            signal = signal * (1 + errors.reflection.coefficient * reflection)
         if errors.crosstalk is not None and _has(errors.crosstalk, part):
             stray = errors.crosstalk
             size = np.broadcast_to(stray.amplitude, len(self.frequencies))
@@ -321,16 +323,16 @@ class Chain:
             signal = np.where(np.abs(signal) > scale.above, factor * signal, signal)
         if outputs is not None:
             angle = outputs.quadrature_phase
-            turned = signal.imag * np.cos(angle) + signal.real * np.sin(angle)
+            quadrature = signal.imag * np.cos(angle) + signal.real * np.sin(angle)
             signal = (
                 signal.real
                 + outputs.in_phase_offset
-                + 1j * (1 + outputs.quadrature_gain) * turned
+                + 1j * (1 + outputs.quadrature_gain) * quadrature
                 + 1j * outputs.quadrature_offset
             )
         if noise is not None:
-            both = noise.white * white() + noise.pink * self._pink(time)
-            signal = signal + both[0] + 1j * both[1]
+            noises = noise.white * white() + noise.pink * self._pink(time)
+            signal = signal + noises[0] + 1j * noises[1]
         if outputs is not None and outputs.resolution > 0:
             step = outputs.resolution
             signal = step * (
@@ -362,9 +364,9 @@ def _has(error: Crosstalk | OpticalLeakage, part: Part) -> bool:
 
 
 def _scaled(light: Light, *, modulated: Floats | Complex, mean: Floats) -> Light:
-    known = np.ndim(light.variance) == 0
+    is_exact = np.ndim(light.variance) == 0
     return Light(
         light.modulated * modulated,
         light.mean * mean,
-        light.variance if known else light.variance * np.abs(modulated) ** 2,
+        light.variance if is_exact else light.variance * np.abs(modulated) ** 2,
     )

@@ -1,4 +1,4 @@
-"""What reaches the detector from the target and from the water, as Stokes vectors."""
+"""Light of target and water at the detector, and the samples of the lock-in."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class Light:
     mean: NDArray[np.float64]
     """Power per launched power without modulation [1]."""
     variance: NDArray[np.float64] | float = 0.0
-    """Variance of the modulated power by the model's own errors, real and imaginary
-    part together [1]."""
+    """Variance of the modulated power by errors of the model, sum of real and imaginary
+    part [1]."""
 
     def __add__(self, other: Light) -> Light:
-        """Return what both send together."""
+        """Return the sum of both."""
         return Light(
             self.modulated + other.modulated,
             self.mean + other.mean,
@@ -54,26 +54,26 @@ def target_light(
     reflectance = np.zeros(met.shape)
     fraction = np.zeros((len(survey.instrument.polarizations), *met.shape))
     for number, target in enumerate(survey.targets):
-        own = geometry.target == number
-        reflectance[own] = target.reflectance
-        fraction[:, own] = _fractions(survey, target.mueller)[:, None]
+        pixels = geometry.target == number
+        reflectance[pixels] = target.reflectance
+        fraction[:, pixels] = _fractions(survey, target.mueller)[:, None]
     frequency = _frequencies(survey)
     depth = np.where(met, geometry.depth, 0.0)
     surface = {
         "depth": depth,
         "optical_path": geometry.optical_path,
-        # Without a target anything that can be.
+        # Any possible value where there is no target.
         "return_path": np.where(met, geometry.return_path, geometry.view.baseline),
         "reflectance": reflectance,
         "cosine": geometry.cosine,
     }
     common = _model_arguments(setup, geometry.view)
-    each = frequency[:, None, None, None]
-    passed = fraction * geometry.brightness * geometry.view.transmission
+    frequencies = frequency[:, None, None, None]
+    throughput = fraction * geometry.brightness * geometry.view.transmission
     if isinstance(model, UncertainModel):
-        response, error = model.echo_with_error(each, surface=surface, **common)
-        return _light(response * passed, error * passed)
-    return _light(model.echo(each, surface=surface, **common) * passed)
+        response, error = model.echo_with_error(frequencies, surface=surface, **common)
+        return _light(response * throughput, error * throughput)
+    return _light(model.echo(frequencies, surface=surface, **common) * throughput)
 
 
 def water_light(
@@ -88,12 +88,12 @@ def water_light(
     # The model counts the delay from where the water begins.
     turn = np.exp(2j * np.pi * frequency * view.optical_offset / speed_of_light)
     fraction = _fractions(setup.survey, setup.water.backscatter_mueller)
-    passed = fraction.reshape(-1, *[1] * view.tilt.ndim) * view.transmission
+    throughput = fraction.reshape(-1, *[1] * view.tilt.ndim) * view.transmission
     common = _model_arguments(setup, view)
     if isinstance(model, UncertainModel):
         response, error = model.column_with_error(frequency, end=stop, **common)
-        return _light(response * turn * passed, error * passed)
-    return _light(model.column(frequency, end=stop, **common) * turn * passed)
+        return _light(response * turn * throughput, error * throughput)
+    return _light(model.column(frequency, end=stop, **common) * turn * throughput)
 
 
 def _model_arguments(setup: Setup, view: View) -> dict[str, Any]:
@@ -109,7 +109,7 @@ def fitted(
     end: NDArray[np.float64],
     farthest: float,
 ) -> SignalModel:
-    """Return a model with the choices that all columns of water of a scan share."""
+    """Return a model with its fit to all water columns of a scan."""
     frequency, stop = _column_axes(setup.survey, view, end)
     return model.fit(
         frequency, end=stop, farthest=farthest, **_model_arguments(setup, view)
@@ -119,14 +119,14 @@ def fitted(
 def _column_axes(
     survey: Survey, view: View, end: NDArray[np.float64] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the frequencies with axes for a view, and where the columns end [m]."""
+    """Return the frequencies with axes for a view, and the ends of the columns [m]."""
     far = np.inf if survey.water.column_end is None else survey.water.column_end
     stop = np.minimum(np.inf if end is None else end, far)
     return _frequencies(survey).reshape(-1, 1, *[1] * view.tilt.ndim), stop
 
 
 def _frequencies(survey: Survey) -> NDArray[np.float64]:
-    """Return zero, for the mean light, and then the modulation frequencies."""
+    """Return zero, for the mean light, then the modulation frequencies [Hz]."""
     return np.array([0.0, *survey.instrument.modulation_frequencies])
 
 
@@ -139,10 +139,10 @@ def _light(
     return Light(response[1:], mean, 0.0 if error is None else error[1:] ** 2)
 
 
-def _fractions(survey: Survey, stated: Any) -> NDArray[np.float64]:
-    """Return the fraction of the light that each analyser passes."""
+def _fractions(survey: Survey, mueller_matrix: Any) -> NDArray[np.float64]:
+    """Return the fraction of the light behind each analyzer [1]."""
     pairs = survey.instrument.polarizations
-    reduced = matrix(stated)
+    reduced = matrix(mueller_matrix)
     return np.array([float(mueller.detected_fraction(reduced, pair=p)) for p in pairs])
 
 
@@ -168,7 +168,7 @@ def expected_signal(setup: Setup, light: Light) -> NDArray[np.complex128]:
 
 
 class Noise(Protocol):
-    """What a random generator does here; its rows can also come one after another."""
+    """Random generator of a simulation, of all rows or of some rows at a time."""
 
     def standard_normal(self, size: tuple[int, ...], /) -> NDArray[np.float64]:
         """Return normal numbers."""
@@ -182,7 +182,7 @@ class Noise(Protocol):
 
 
 def draws(survey: Survey) -> list[tuple[str, int]]:
-    """Return what `sample` asks of a random generator, in its order."""
+    """Return the distributions and numbers of planes that `sample` draws, in order."""
     analysers = len(survey.instrument.polarizations)
     planes = len(survey.instrument.modulation_frequencies) * analysers
     speckled = survey.instrument.receiver.speckle_cells is not None
@@ -224,7 +224,7 @@ def sample(
     daylight = setup.daylight_rate.reshape(-1, *[1] * (light.mean.ndim - 2))
     rate = setup.full_rate * light.mean + daylight
     time = counting.integration_time(survey)
-    # Who counts nothing does not know that there is nothing, but for one photoelectron.
+    # A count of zero has the uncertainty of one photoelectron.
     counted = np.maximum(rate, 1 / time - detector.dark_rate)
     variance = counting.counting_variance(survey, rate=counted, integration_time=time)
     noise = np.sqrt(variance) * (
@@ -249,9 +249,9 @@ def sample(
 
 
 def _speckled(survey: Survey, target: Light, *, rng: Noise) -> Light:
-    """Return the target's light with the speckle of each place and analyser.
+    """Return the target's light with the speckle of each pixel and analyzer.
 
-    What does not move has one pattern for all modulation frequencies.
+    A still scene has one pattern for all modulation frequencies.
     """
     cells = survey.instrument.receiver.speckle_cells
     if cells is None:

@@ -1,4 +1,4 @@
-"""From a survey to the measurement cube that its instrument would record."""
+"""Simulation of a survey: the cube that its instrument would record."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def simulate(
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """What all rows of a simulated scan share."""
+    """Inputs of a simulation that all rows share."""
 
     setup: geometry_of.Setup
     """Instrument, water and targets."""
@@ -144,19 +144,19 @@ class Setting:
 
 
 def fit(setting: Setting) -> SignalModel:
-    """Return the model with the choices that all pixels of a scan share.
+    """Return the model with its fit to all pixels of a scan.
 
-    They come from all pixels of a scan of up to `tiles.SAMPLE`, of a larger one from as
-    many that are spread over it from edge to edge.
+    The fit uses all pixels of a scan of up to `tiles.SAMPLE` pixels, else as many that
+    are spread over the scan from edge to edge.
     """
     survey, model = setting.setup.survey, setting.model
     scan = survey.scan
     if not isinstance(model, FittedModel):
         return model
     is_small = scan.rows * scan.columns <= tiles.SAMPLE
-    some = {} if is_small else _spread(scan.rows, scan.columns)
+    sample = {} if is_small else _spread(scan.rows, scan.columns)
     geometry = geometry_of.trace(
-        setting.setup, directions=scan_directions(survey, **some)
+        setting.setup, directions=scan_directions(survey, **sample)
     )
     end = survey.water.column_end
     farthest = np.inf if end is None else end
@@ -172,7 +172,7 @@ def fit(setting: Setting) -> SignalModel:
 
 
 def _spread(rows: int, columns: int) -> dict[str, NDArray[np.intp]]:
-    """Return rows and columns that stand for all, the first and last among them."""
+    """Return a sample of rows and columns, with the first and last of both."""
     high = min(rows, max(int(tiles.SAMPLE**0.5), tiles.SAMPLE // columns))
     wide = min(columns, tiles.SAMPLE // high)
     return {
@@ -184,7 +184,7 @@ def _spread(rows: int, columns: int) -> dict[str, NDArray[np.intp]]:
 def _light(
     setting: Setting, directions: tuple[Floats, Floats, Floats], *, model: SignalModel
 ) -> tuple[geometry_of.Geometry, lock_in.Light, lock_in.Light]:
-    """Return what beams meet, and the light of targets and water."""
+    """Return the geometry of beams, and the light of targets and water."""
     setup = setting.light_setup
     tell("following the beams to the targets", 0.0)
     geometry = geometry_of.trace(setting.setup, directions=directions)
@@ -206,7 +206,7 @@ def measured(
     model: SignalModel,
     noise: lock_in.Noise,
 ) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the samples of some rows of a scan, and the truth of them."""
+    """Return the samples and the truth of some rows of a scan."""
     setup, chain = setting.setup, setting.chain
     instrument = setup.survey.instrument
     azimuth, elevation, time = directions

@@ -1,4 +1,4 @@
-"""The forward models that a simulation can use for target and water light."""
+"""Forward models of target and water light for simulations."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Error = NDArray[np.float64]
 
 
 class SignalModel(Protocol):
-    """What a forward model gives: responses before any polarizer.
+    """Interface of forward models: responses before any polarizer.
 
     Examples
     --------
@@ -59,12 +59,12 @@ class SignalModel(Protocol):
 
     @property
     def title(self) -> str:
-        """What a cube says it was made with."""
+        """Name of the model in the attributes of a cube."""
         ...
 
     @property
     def late_echo(self) -> str:
-        """Whether light scattered on its way comes later, "present" or "absent"."""
+        """Whether scattered light arrives later, "present" or "absent"."""
         ...
 
     def echo(
@@ -76,7 +76,7 @@ class SignalModel(Protocol):
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received per launched power from the surfaces that beams meet [1].
+        """Return received over launched power from the surfaces in the beams [1].
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class SignalModel(Protocol):
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received per launched power from the water in front of `end` [1].
+        """Return received over launched power from the water in front of `end` [1].
 
         Parameters
         ----------
@@ -134,10 +134,10 @@ class SignalModel(Protocol):
 
 @runtime_checkable
 class FittedModel(Protocol):
-    """A forward model with choices that all columns of a scan share, as a table.
+    """Interface of forward models with a fit to all columns of a scan, such as a table.
 
-    It is a `SignalModel`, too. One that wraps another hands `fit` on to it, else a scan
-    by rows is that of the whole only within the error of such a table.
+    It is a `SignalModel`, too. A model that wraps another must call its `fit`; else
+    a scan by rows differs from the whole scan by the error of such a table.
     """
 
     def fit(
@@ -150,7 +150,7 @@ class FittedModel(Protocol):
         end: Any,
         farthest: float,
     ) -> SignalModel:
-        """Return the model with its choices made for a scan.
+        """Return the model fitted to a scan.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class FittedModel(Protocol):
 
 @runtime_checkable
 class UncertainModel(Protocol):
-    """A forward model that knows how sure it is, as `SignalModel` otherwise."""
+    """Interface of forward models with standard errors, otherwise as `SignalModel`."""
 
     def echo_with_error(
         self,
@@ -198,7 +198,7 @@ class UncertainModel(Protocol):
 
 @dataclass(frozen=True)
 class DiffusionModel:
-    """The diffusion form (43), (46) of Ricci et al. 2010, as rebuilt: the paper's.
+    """Diffusion form (43), (46) of Ricci et al. 2010, as rebuilt.
 
     Takes b_f, b_d and the second moment of the water, and spreads all light alike, what
     was never scattered included. With a split angle of 90 degrees its cut-off is some
@@ -212,7 +212,7 @@ class DiffusionModel:
     """
 
     title: str = "small-angle diffusion model, the paper's form"
-    """What a cube says it was made with."""
+    """Name of the model in the attributes of a cube."""
     late_echo: str = "absent"
     """All light takes the straight way."""
 
@@ -225,7 +225,7 @@ class DiffusionModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received per launched power from surfaces; see `SignalModel`."""
+        """Return received over launched power from surfaces; see `SignalModel`."""
         _refuse_for_diffusion(survey, water)
         return target_echo.target_response(
             modulation_frequency, **surface, **kernel_arguments(survey, water, view)
@@ -240,7 +240,7 @@ class DiffusionModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received per launched power from the water; see `SignalModel`."""
+        """Return received over launched power from the water; see `SignalModel`."""
         _refuse_for_diffusion(survey, water)
         return small_angle_diffusion.water_response(
             modulation_frequency,
@@ -253,7 +253,7 @@ class DiffusionModel:
 
 @dataclass(frozen=True)
 class SmallAngleModel:
-    """The small-angle form (29) of Ricci et al. 2010, as rebuilt: the default.
+    """Small-angle form (29) of Ricci et al. 2010, as rebuilt: the default.
 
     Takes the whole phase function of the water, and keeps the light that was not
     scattered. Within some percent of photons. Half a millisecond for each pixel.
@@ -266,12 +266,12 @@ class SmallAngleModel:
     """
 
     title: str = "small-angle model with the whole phase function"
-    """What a cube says it was made with."""
+    """Name of the model in the attributes of a cube."""
     late_echo: str = "absent"
     """All light takes the straight way."""
     shared_light: SharedLight | None = None
-    """Scattered light that the columns of a scan share, from `fit`; by default the
-    columns of each call share their own."""
+    """Table of scattered light for all columns of a scan, from `fit`; by default one
+    for each call."""
 
     def fit(
         self,
@@ -305,7 +305,7 @@ class SmallAngleModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received per launched power from surfaces; see `SignalModel`."""
+        """Return received over launched power from surfaces; see `SignalModel`."""
         echo = (
             target_echo.sharp_receiver_target_response
             if has_sharp_receiver(survey)
@@ -326,7 +326,7 @@ class SmallAngleModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received per launched power from the water; see `SignalModel`."""
+        """Return received over launched power from the water; see `SignalModel`."""
         column = (
             sharp_receiver.water_response
             if has_sharp_receiver(survey)
@@ -343,7 +343,7 @@ class SmallAngleModel:
 
 @dataclass(frozen=True)
 class ClosureModel:
-    """The closure of the small-angle form (29): for grids of many instruments.
+    """Closure of the small-angle form (29), for grids of many instruments.
 
     Takes the whole phase function, as `SmallAngleModel` does, and puts one Gaussian for
     the light of each depth. Where it holds, the cut-off is at most 30 % higher than
@@ -358,7 +358,7 @@ class ClosureModel:
     """
 
     title: str = "closure of the small-angle model"
-    """What a cube says it was made with."""
+    """Name of the model in the attributes of a cube."""
     late_echo: str = "absent"
     """All light takes the straight way."""
 
@@ -371,7 +371,7 @@ class ClosureModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received per launched power from surfaces; see `SignalModel`."""
+        """Return received over launched power from surfaces; see `SignalModel`."""
         return target_echo.closure_target_response(
             modulation_frequency,
             **surface,
@@ -387,7 +387,7 @@ class ClosureModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received per launched power from the water; see `SignalModel`."""
+        """Return received over launched power from the water; see `SignalModel`."""
         return small_angle_closure.water_response(
             modulation_frequency,
             backscatter_vsf=water.backscatter_vsf,
@@ -397,7 +397,7 @@ class ClosureModel:
         )
 
 
-#: What simulations use unless told otherwise.
+#: Forward model of simulations by default.
 DEFAULT_MODEL: SignalModel = SmallAngleModel()
 
 

@@ -1,4 +1,4 @@
-"""A function of beam and depth, known at a few places with errors, everywhere else."""
+"""Photon transport as a forward model: a few places, interpolated to all beams."""
 
 from __future__ import annotations
 
@@ -70,19 +70,19 @@ class Grid:
     @property
     def places(self) -> Floats:
         """The combinations, shape (places, axes)."""
-        each = np.meshgrid(*(axis.nodes for axis in self.axes), indexing="ij")
-        return np.stack([values.ravel() for values in each], axis=1)
+        nodes = np.meshgrid(*(axis.nodes for axis in self.axes), indexing="ij")
+        return np.stack([values.ravel() for values in nodes], axis=1)
 
-    def weights(self, where: Floats) -> Floats:
-        """Return how the places make up others."""
-        out = np.ones((len(where), 1))
-        for axis, values in zip(self.axes, where.T, strict=True):
+    def weights(self, points: Floats) -> Floats:
+        """Return the weights of the grid's places at other places, (n, places) [1]."""
+        out = np.ones((len(points), 1))
+        for axis, values in zip(self.axes, points.T, strict=True):
             part = axis.weights(np.ascontiguousarray(values))
-            out = (out[:, :, None] * part[:, None, :]).reshape(len(where), -1)
+            out = (out[:, :, None] * part[:, None, :]).reshape(len(points), -1)
         return out
 
     def between(self, count: int) -> Floats:
-        """Return places far from the nodes, for a check, shape (count, axes)."""
+        """Return places between the nodes, for a check, shape (count, axes)."""
         places = []
         for number in range(count):
             place = []
@@ -90,18 +90,20 @@ class Grid:
                 if axis.nodes.size == 1:
                     place.append(axis.nodes[0])
                     continue
-                # Half way between two nodes, other ones for each axis and number.
-                left = (number + position) % (axis.nodes.size - 1)
-                place.append((axis.nodes[left] + axis.nodes[left + 1]) / 2)
+                # Halfway between two nodes, other nodes for each axis and number.
+                index = (number + position) % (axis.nodes.size - 1)
+                place.append((axis.nodes[index] + axis.nodes[index + 1]) / 2)
             places.append(place)
         return np.array(places)
 
 
-def grid_of(values: Floats, *, least: Floats, most: NDArray[np.intp]) -> Grid:
+def grid_of(
+    values: Floats, *, smallest: Floats, largest_count: NDArray[np.intp]
+) -> Grid:
     """Return a grid that spans given places."""
     axes = []
     for low, high, small, limit in zip(
-        values.min(axis=0), values.max(axis=0), least, most, strict=True
+        values.min(axis=0), values.max(axis=0), smallest, largest_count, strict=True
     ):
         span = high - low
         if span <= small:
@@ -115,7 +117,7 @@ def grid_of(values: Floats, *, least: Floats, most: NDArray[np.intp]) -> Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """How the receiver looks at a beam, and where that beam ends."""
+    """View of the receiver for a beam, and the end of the beam."""
 
     baseline: float
     """Distance of receiver and beam where the depth is zero [m]."""
@@ -126,14 +128,14 @@ class Place:
     standoff: float
     """Air and glass before the water, as a depth of water [m]."""
     depth: float
-    """Where the surface stands, along the beam; infinite in open water [m]."""
+    """Depth of the surface along the beam; infinite in open water [m]."""
     reflectance: float
-    """Of the surface [1]."""
+    """Reflectance of the surface [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """What all places of a survey share."""
+    """Water, receiver and beam of a survey, for all places."""
 
     absorption: float
     """Absorption coefficient [1/m]."""
@@ -177,7 +179,7 @@ def follow(
     seed: int,
     progress: Callable[[Progress], None] | None = None,
 ) -> Light:
-    """Follow photons at one place."""
+    """Return the light of photons at one place."""
     tally = run(
         setting,
         place,
@@ -205,7 +207,7 @@ def run(
     seed: int,
     progress: Callable[[Progress], None] | None = None,
 ) -> Tally:
-    """Follow photons at one place, and keep all that is known of their light."""
+    """Simulate photons at one place."""
     layer = Layer(
         absorption=setting.absorption,
         scattering=setting.scattering,
@@ -256,7 +258,7 @@ def run(
 
 
 def ends(place: Place) -> tuple[Floats, Floats, Floats]:
-    """Return where a beam enters the water, its direction, and where it ends."""
+    """Return the start of a beam in the water, its direction, and its end."""
     across = np.array([place.tilt, place.cross_tilt])
     direction = np.append(across, np.sqrt(1.0 - across @ across))
     start = place.standoff * np.append(across, 1.0)
@@ -265,10 +267,10 @@ def ends(place: Place) -> tuple[Floats, Floats, Floats]:
 
 
 def way(place: Place) -> float:
-    """Return the way to the surface and back to the middle of the aperture [m]."""
+    """Return the distance to the surface and back to the middle of the aperture [m]."""
     _, _, point = ends(place)
-    back = np.linalg.norm(point - np.array([place.baseline, 0.0, 0.0]))
-    return place.depth + float(back) - place.standoff
+    return_length = np.linalg.norm(point - np.array([place.baseline, 0.0, 0.0]))
+    return place.depth + float(return_length) - place.standoff
 
 
 def _error(covariance: Floats) -> Floats:
@@ -276,20 +278,20 @@ def _error(covariance: Floats) -> Floats:
     return np.asarray(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)))
 
 
-#: Ranges of baseline [m], tilt [rad], squared cross tilt [rad^2] and depth [m] that one
-#: node stands for, and the most nodes of each.
+#: Range of baseline [m], tilt [rad], squared cross tilt [rad^2] and depth [m] that
+#: needs a single node only, and the most nodes of each.
 _LEAST = np.array([2e-3, 2e-3, 1e-4, 0.01])
 _MOST = np.array([2, 3, 2, 4])
-#: Places between the nodes that are followed as well: what the interpolation misses.
+#: Places between the nodes, for the error of the interpolation.
 _CHECKS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Factor:
-    """What photons bring over what the small-angle form says, with its errors."""
+    """Ratio of photon transport to the small-angle form, with its errors."""
 
     grid: Grid
-    """Where photons were followed: baseline, tilt, squared cross tilt, depth."""
+    """Places of photon transport: baseline, tilt, squared cross tilt, depth."""
     value: Complex
     """Ratios, shape (frequencies, places) [1]."""
     error: Floats
@@ -297,16 +299,16 @@ class Factor:
     between: Floats
     """Standard error of the interpolation, shape (frequencies,) [1]."""
 
-    def at(self, where: Floats) -> tuple[Complex, Floats]:
+    def at(self, points: Floats) -> tuple[Complex, Floats]:
         """Return the ratio at places and its standard error, (frequencies, n)."""
-        weight = self.grid.weights(where)
+        weight = self.grid.weights(points)
         variance = (self.error**2) @ (weight**2).T
         return self.value @ weight.T, np.sqrt(variance + self.between[:, None] ** 2)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhotonModel:
-    """Photon transport with all orders of scattering: slow, and the reference.
+    """Photon transport with all orders of scattering: the reference, slow.
 
     Photons are followed for a few beams and depths of the survey. Between these the
     ratio of what they bring to the small-angle form (29) is interpolated, a smooth
@@ -332,7 +334,7 @@ class PhotonModel:
     progress: Callable[[str, float], None] | None = field(
         default=None, compare=False, repr=False
     )
-    """Called with what is done now and the share of the work done before it."""
+    """Callback with the current step and the share of the work done before it."""
     title: str = "photon transport, all orders of scattering"
     """What a cube says it was made with."""
     late_echo: str = "present"
@@ -342,7 +344,7 @@ class PhotonModel:
     )
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse impossible values."""
         if not 0 < self.relative_error < 1:
             raise ValueError(
                 f"relative_error must be above 0 and below 1, got {self.relative_error}"
@@ -371,7 +373,7 @@ class PhotonModel:
         view: View,
         surface: dict[str, Any],
     ) -> tuple[Complex, Error]:
-        """Return the same and its standard error; see `UncertainModel`."""
+        """Return the response and its standard error; see `UncertainModel`."""
         plain = SmallAngleModel().echo(
             modulation_frequency, survey=survey, water=water, view=view, surface=surface
         )
@@ -379,12 +381,12 @@ class PhotonModel:
         frequency = modulation_frequency.ravel()
         share = np.broadcast_to(surface["reflectance"], view.tilt.shape)
         for reflectance in np.unique(share[share > 0]):
-            own = share == reflectance
-            where = _places(view, surface["depth"])[own.ravel()]
+            selected = share == reflectance
+            points = _places(view, surface["depth"])[selected.ravel()]
             factor = self._factor(
-                survey, water, view, where, frequency, float(reflectance), "target"
+                survey, water, view, points, frequency, float(reflectance), "target"
             )
-            _apply(factor.at(where), own, value, error)
+            _apply(factor.at(points), selected, value, error)
         return value, error
 
     def column(
@@ -410,7 +412,7 @@ class PhotonModel:
         view: View,
         end: Any,
     ) -> tuple[Complex, Error]:
-        """Return the same and its standard error; see `UncertainModel`."""
+        """Return the response and its standard error; see `UncertainModel`."""
         shape = view.tilt.shape
         axes = (-1,) + (1,) * (modulation_frequency.ndim - 1)
         frequency = modulation_frequency.ravel()
@@ -426,18 +428,18 @@ class PhotonModel:
         far = np.inf if survey.water.column_end is None else survey.water.column_end
         bounded = np.isfinite(stop)
         # Before targets; before the far end of the water; in open water.
-        for own, reflectance in (
+        for selected, reflectance in (
             (bounded & (stop < far), _brightness(survey)),
             (bounded & (stop >= far), 0.0),
             (~bounded, 0.0),
         ):
-            if own.any():
-                where = _places(view, stop)[own.ravel()]
+            if selected.any():
+                points = _places(view, stop)[selected.ravel()]
                 factor = self._factor(
-                    survey, water, view, where, frequency, reflectance, "water"
+                    survey, water, view, points, frequency, reflectance, "water"
                 )
-                places = where[:, : len(factor.grid.axes)]
-                _apply(factor.at(places), own, value, error)
+                places = points[:, : len(factor.grid.axes)]
+                _apply(factor.at(places), selected, value, error)
         return value, error
 
     # --------------------------------------------------------------- the photons
@@ -447,17 +449,19 @@ class PhotonModel:
         survey: Survey,
         water: WaterProperties,
         view: View,
-        where: Floats,
+        points: Floats,
         frequency: Floats,
         reflectance: float,
         light: str,
     ) -> Factor:
-        """Return the ratio to the small-angle form over the places of some beams."""
+        """Return the ratio to the small-angle form for some beams."""
         setting = _setting(survey, water, view)
         standoff = float(view.standoff.flat[0])
-        bounded = bool(np.isfinite(where[:, 3]).all())
+        bounded = bool(np.isfinite(points[:, 3]).all())
         axes = 4 if bounded else 3
-        grid = grid_of(where[:, :axes], least=_LEAST[:axes], most=_MOST[:axes])
+        grid = grid_of(
+            points[:, :axes], smallest=_LEAST[:axes], largest_count=_MOST[:axes]
+        )
         spots = np.concatenate([grid.places, grid.between(_CHECKS)])
         ratios, errors = [], []
         for number, spot in enumerate(spots):
@@ -469,31 +473,35 @@ class PhotonModel:
                 depth=float(spot[3]) if bounded else math.inf,
                 reflectance=reflectance,
             )
-            found = self._followed(setting, place, frequency, (number, len(spots)))
+            result = self._followed(setting, place, frequency, (number, len(spots)))
             expected = _small_angle(survey, water, view, place, frequency, light)
-            seen, rough = (
-                (found.water, found.water_error)
+            simulated, standard_error = (
+                (result.water, result.water_error)
                 if light == "water"
-                else (found.target, found.target_error)
+                else (result.target, result.target_error)
             )
-            # Water that sends nothing back by small angles keeps sending nothing.
+            # Water without light by small angles stays dark.
             lit = expected != 0
             safe = np.where(lit, expected, 1.0)
-            ratios.append(np.where(lit, seen / safe, 1.0))
-            errors.append(np.where(lit, rough / abs(safe), 0.0))
+            ratios.append(np.where(lit, simulated / safe, 1.0))
+            errors.append(np.where(lit, standard_error / abs(safe), 0.0))
         nodes = len(grid.places)
         value, error = np.array(ratios).T, np.array(errors).T
-        rest = Factor(
+        factor = Factor(
             grid=grid,
             value=value[:, :nodes],
             error=error[:, :nodes],
             between=np.zeros(len(frequency)),
         )
-        guess, doubt = rest.at(spots[nodes:])
-        # What is more than the photons' own errors is that of the interpolation.
-        miss = abs(guess - value[:, nodes:]) ** 2 - doubt**2 - error[:, nodes:] ** 2
+        guess, guess_error = factor.at(spots[nodes:])
+        # The error of the interpolation is the excess over the errors of the photons.
+        miss = (
+            abs(guess - value[:, nodes:]) ** 2 - guess_error**2 - error[:, nodes:] ** 2
+        )
         between = np.sqrt(np.maximum(miss.mean(axis=1), 0.0))
-        return Factor(grid=grid, value=rest.value, error=rest.error, between=between)
+        return Factor(
+            grid=grid, value=factor.value, error=factor.error, between=between
+        )
 
     def _followed(
         self,
@@ -502,7 +510,7 @@ class PhotonModel:
         frequency: Floats,
         count: tuple[int, int],
     ) -> Light:
-        """Return the light of a place, followed once."""
+        """Return the light of a place, simulated once."""
         key = (setting, place, tuple(frequency))
         if key not in self._known:
             self._known[key] = follow(
@@ -518,7 +526,7 @@ class PhotonModel:
         return light
 
     def _reported(self, count: tuple[int, int]) -> Callable[[Progress], None]:
-        """Return what tells how far photons have come at one place of several."""
+        """Return a callback for the progress of photons at one place of several."""
         tell = _progress.tell if self.progress is None else self.progress
         number, places = count
 
@@ -534,15 +542,17 @@ class PhotonModel:
 
 def _apply(
     factor: tuple[Complex, Floats],
-    own: NDArray[np.bool_],
+    selected: NDArray[np.bool_],
     value: Complex,
     error: Floats,
 ) -> None:
     """Multiply the light of some beams by ratios, and set its error."""
-    between = [1] * (value.ndim - 1 - own.ndim)
-    ratio, rough = factor
-    error[..., own] = abs(value[..., own]) * rough.reshape(len(value), *between, -1)
-    value[..., own] *= ratio.reshape(len(value), *between, -1)
+    between = [1] * (value.ndim - 1 - selected.ndim)
+    ratio, standard_error = factor
+    error[..., selected] = abs(value[..., selected]) * standard_error.reshape(
+        len(value), *between, -1
+    )
+    value[..., selected] *= ratio.reshape(len(value), *between, -1)
 
 
 def _places(view: View, depth: Any) -> Floats:
@@ -553,12 +563,12 @@ def _places(view: View, depth: Any) -> Floats:
 
 
 def _brightness(survey: Survey) -> float:
-    """Return the reflectance of what ends the water before targets."""
+    """Return the reflectance of the first target, the end of the water."""
     return float(survey.targets[0].reflectance) if survey.targets else 0.0
 
 
 def _setting(survey: Survey, water: WaterProperties, view: View) -> Setting:
-    """Return what all places share."""
+    """Return water and receiver of a survey for photons."""
     refuse_layers(water, model="the photon model")
     refuse_beam_and_edges(survey, model="the photon model")
     return Setting(
@@ -579,8 +589,8 @@ def _small_angle(
     frequency: Floats,
     light: str,
 ) -> Complex:
-    """Return what the small-angle form says of the same place."""
-    looking = View(
+    """Return the response of the small-angle form at a place."""
+    beam_view = View(
         baseline=np.array([place.baseline]),
         transmission=np.ones(1),
         tilt=np.array([place.tilt]),
@@ -589,19 +599,21 @@ def _small_angle(
         optical_offset=np.zeros(1),
         acceptance=view.acceptance,
     )
-    common: dict[str, Any] = {"survey": survey, "water": water, "view": looking}
+    common: dict[str, Any] = {"survey": survey, "water": water, "view": beam_view}
     model, f = SmallAngleModel(), frequency[:, None]
     if light == "water":
         return model.column(f, end=np.array([place.depth]), **common)[:, 0]
     length = way(place)
     # The cosine is that of the way back and the plane across the beam.
     _, direction, point = ends(place)
-    back = np.array([place.baseline, 0.0, 0.0]) - point
+    to_receiver = np.array([place.baseline, 0.0, 0.0]) - point
     surface = {
         "depth": np.array([place.depth]),
         "optical_path": np.array([water.group_index * length]),
         "return_path": np.array([length - place.depth]),
         "reflectance": np.array([place.reflectance]),
-        "cosine": np.array([float(-direction @ back / np.linalg.norm(back))]),
+        "cosine": np.array(
+            [float(-direction @ to_receiver / np.linalg.norm(to_receiver))]
+        ),
     }
     return model.echo(f, surface=surface, **common)[:, 0]

@@ -1,4 +1,4 @@
-"""Mesh files, and how bright their vertices or their image say that a place is."""
+"""Targets as triangles: mesh files, textures, ray casting."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def load(target: Mesh) -> Any:
         raise MissingExtraError(
             "trimesh", extra="scene", purpose=f"{target.file.name}, a mesh,"
         ) from None
-    # Merging vertices of one place would merge their colours, too.
+    # Merging vertices at the same point would merge their colors, too.
     options: dict[str, Any] = {} if target.texture is None else {"process": False}
     if not target.file.is_file():
         raise SurveyError(
@@ -36,7 +36,7 @@ def load(target: Mesh) -> Any:
     try:
         loaded: Any = trimesh.load(target.file, force="mesh", **options)
         corners = np.asarray(loaded.triangles, dtype=float)
-    # Readers of four formats raise errors of many kinds on a damaged file.
+    # Readers of four formats raise many kinds of errors on a damaged file.
     except Exception:
         raise SurveyError(
             f"{target.file}: cannot be read as a mesh; it is damaged, or no STL, PLY, "
@@ -56,20 +56,28 @@ def load(target: Mesh) -> Any:
 
 
 def solid(corners: Floats) -> NDArray[np.bool_]:
-    """Return which triangles have an area."""
+    """Return the mask of triangles with an area."""
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    whole: NDArray[np.bool_] = np.linalg.norm(across, axis=1) > 0
-    return whole
+    has_area: NDArray[np.bool_] = np.linalg.norm(across, axis=1) > 0
+    return has_area
 
 
 def barycentric(corners: Floats, point: Floats) -> Floats:
-    """Return the shares of the corners of triangles in points on them."""
-    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    way = point - corners[:, 0]
-    a, b, c = (
-        np.sum(x * y, axis=1) for x, y in ((one, one), (one, other), (other, other))
+    """Return the barycentric coordinates of points on triangles [1]."""
+    first_edge, second_edge = (
+        corners[:, 1] - corners[:, 0],
+        corners[:, 2] - corners[:, 0],
     )
-    u, v = np.sum(way * one, axis=1), np.sum(way * other, axis=1)
+    offset = point - corners[:, 0]
+    a, b, c = (
+        np.sum(x * y, axis=1)
+        for x, y in (
+            (first_edge, first_edge),
+            (first_edge, second_edge),
+            (second_edge, second_edge),
+        )
+    )
+    u, v = np.sum(offset * first_edge, axis=1), np.sum(offset * second_edge, axis=1)
     area = a * c - b * b
     second, third = (c * u - b * v) / area, (a * v - b * u) / area
     shares = np.clip(np.stack([1 - second - third, second, third], axis=1), 0, 1)
@@ -77,7 +85,7 @@ def barycentric(corners: Floats, point: Floats) -> Floats:
 
 
 class Texture:
-    """How bright a mesh is, by the colours of its vertices or by an image."""
+    """Brightness of a mesh, from the colors of its vertices or from an image."""
 
     def __init__(self, target: Mesh) -> None:
         self._channel = _CHANNELS[target.texture_channel or "mean"]
@@ -121,20 +129,20 @@ class Texture:
 
 
 _RAYS_AT_ONCE = 500_000
-#: A mesh of more metres across whose unit nobody stated is one of millimetres [m].
+#: Extent of a mesh without a unit beyond which its unit is in doubt [m].
 _ACROSS = 50.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hits:
-    """Where beams meet the scene; rows of beams that miss hold `target` = -1."""
+    """First hits of rays in the scene; `target` is -1 for a miss."""
 
     target: NDArray[np.intp]
-    """Number of the target that is met first, -1 for none."""
+    """Number of the first target, -1 for none."""
     distance: NDArray[np.float64]
-    """Distance along the ray, infinite where it misses [m]."""
+    """Distance along the ray, infinite for a miss [m]."""
     point: NDArray[np.float64]
-    """Where it is met, last axis (3,) [m]."""
+    """Point of the hit, last axis (3,) [m]."""
     normal: NDArray[np.float64]
     """Unit normal of the surface, towards the start of the ray, last axis (3,) [1]."""
     triangle: NDArray[np.intp]
@@ -167,19 +175,19 @@ class Scene:
             part = slice(first, first + _RAYS_AT_ONCE)
             triangle = self._caster.first(start[part], direction[part])
             hit = np.flatnonzero(triangle >= 0)
-            where = first + hit
+            rows = first + hit
             corner = self._corners[triangle[hit]]
             across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
             across /= np.linalg.norm(across, axis=1, keepdims=True)
-            ray = direction[where]
-            # The caster names the triangle; its plane gives the point.
+            ray = direction[rows]
+            # The ray caster returns the triangle; its plane gives the point.
             slope = np.einsum("ij,ij->i", across, ray)
-            gap = np.einsum("ij,ij->i", across, corner[:, 0] - start[where])
-            distance[where] = gap / slope
-            point[where] = start[where] + distance[where, None] * ray
-            normal[where] = -across * np.sign(slope)[:, None]
-            target[where] = self._owner[triangle[hit]]
-            met[where] = triangle[hit]
+            gap = np.einsum("ij,ij->i", across, corner[:, 0] - start[rows])
+            distance[rows] = gap / slope
+            point[rows] = start[rows] + distance[rows, None] * ray
+            normal[rows] = -across * np.sign(slope)[:, None]
+            target[rows] = self._owner[triangle[hit]]
+            met[rows] = triangle[hit]
         return Hits(
             target=target,
             distance=distance,
@@ -189,24 +197,28 @@ class Scene:
         )
 
     def texture(self, hits: Hits) -> NDArray[np.float64]:
-        """Return how bright the texture of a mesh is at each point that was met."""
+        """Return the brightness of the texture at each hit [1]."""
         bright = np.ones(len(hits.target))
         for number, target in enumerate(self._targets):
-            own = np.flatnonzero(hits.target == number)
-            if not isinstance(target, Mesh) or target.texture is None or not own.size:
+            indices = np.flatnonzero(hits.target == number)
+            if (
+                not isinstance(target, Mesh)
+                or target.texture is None
+                or not indices.size
+            ):
                 continue
-            which = hits.triangle[own]
-            share = barycentric(self._corners[which], hits.point[own])
+            triangle = hits.triangle[indices]
+            share = barycentric(self._corners[triangle], hits.point[indices])
             if number not in self._textures:
                 self._textures[number] = Texture(target)
             texture = self._textures[number]
-            bright[own] = texture(which - self._first[number], share)
+            bright[indices] = texture(triangle - self._first[number], share)
         return bright
 
     def visible_fraction(
         self, hits: Hits, aperture: NDArray[Any], weight: NDArray[Any]
     ) -> NDArray[np.float64]:
-        """Return how much of the receiver's aperture sees each point that was met."""
+        """Return the share of the receiver's aperture that sees each hit [1]."""
         fraction = np.zeros(len(hits.target))
         met = np.flatnonzero(hits.target >= 0)
         start, triangle = hits.point[met], hits.triangle[met]
@@ -220,7 +232,7 @@ class Scene:
 def aperture_points(
     position: NDArray[Any], *, radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points and weights that stand for a Gaussian aperture.
+    """Return quadrature points and weights of a Gaussian aperture.
 
     The centre with weight 1/2 and six points at sqrt(2) radii with 1/12 each: exact
     for the Gaussian mean of every polynomial up to the fifth degree.
@@ -236,14 +248,14 @@ def aperture_points(
 
 
 def triangles(target: Plate | Staircase | Disc | Mesh) -> NDArray[np.float64]:
-    """Return a described target as triangles in its place."""
+    """Return the triangles of a target in the scene."""
     from scipy.spatial.transform import Rotation
 
     shape = {Plate: _plate, Staircase: _staircase, Disc: _disc, Mesh: _mesh}[
         type(target)
     ](target)  # type: ignore[operator]
-    turned = Rotation.from_euler("xyz", target.rotation).apply(shape.reshape(-1, 3))
-    placed: NDArray[np.float64] = (turned + target.position).reshape(-1, 3, 3)
+    rotated = Rotation.from_euler("xyz", target.rotation).apply(shape.reshape(-1, 3))
+    placed: NDArray[np.float64] = (rotated + target.position).reshape(-1, 3, 3)
     return placed
 
 
@@ -281,7 +293,7 @@ def _staircase(target: Staircase) -> NDArray[np.float64]:
 
 
 def _disc(target: Disc) -> NDArray[np.float64]:
-    """Cover the disc with a fine net, drop what falls into a hole, bend the rest."""
+    """Return the triangles of a disc: a fine net without its holes, bent."""
     from scipy.spatial import Delaunay
 
     outer = target.diameter / 2
@@ -330,12 +342,12 @@ def _circle(x: float, y: float, radius: float, spacing: float) -> NDArray[np.flo
 def _mesh(target: Mesh) -> NDArray[np.float64]:
     loaded = load(target)
     corners = np.asarray(loaded.triangles, dtype=float)
-    kept: NDArray[np.float64] = corners[solid(corners)] * METRES[target.unit]
-    across = float(np.ptp(kept.reshape(-1, 3), axis=0).max())
+    solid_corners: NDArray[np.float64] = corners[solid(corners)] * METRES[target.unit]
+    across = float(np.ptp(solid_corners.reshape(-1, 3), axis=0).max())
     if "unit" not in target.model_fields_set and across > _ACROSS:
         raise SurveyError(
             f"{target.file}: is {across:.3g} m across if its coordinates are metres, "
             'more than a scan takes in; state unit = "mm" or what it is, also if it is '
             '"m"'
         )
-    return kept
+    return solid_corners

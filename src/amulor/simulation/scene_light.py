@@ -1,4 +1,4 @@
-"""The noiseless light of a survey, place by place: what simulated devices stand in."""
+"""Noiseless light of a survey in all directions, for simulated devices."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LightByDirection:
 
 @dataclass(frozen=True)
 class SceneLight:
-    """What a survey's instrument sees with its targets in the water, and without.
+    """Noiseless light of a survey with its targets in the water, and without.
 
     Examples
     --------
@@ -55,9 +55,9 @@ class SceneLight:
     """
 
     with_target: LightByDirection
-    """In the directions of the scan."""
+    """Light in the directions of the scan."""
     open_water: LightByDirection
-    """In the directions of the open-water shots and of the scan."""
+    """Light in the directions of the open-water shots and of the scan."""
 
 
 def scene_light(
@@ -65,7 +65,7 @@ def scene_light(
     *,
     model: SignalModel = DEFAULT_MODEL,
 ) -> SceneLight:
-    """Return the noiseless light that simulated devices stand in.
+    """Return the noiseless light of a survey, for simulated devices.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def scene_light(
     Returns
     -------
     SceneLight
-        What `amulor.acquisition.acquire` takes as its `scene`.
+        The argument `scene` of `amulor.acquisition.acquire`.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def _by_direction(
     water: lock_in.Light,
 ) -> LightByDirection:
     def rate(light: lock_in.Light) -> Floats:
-        # Light that is modulated wholly gives the depth times the mean output.
+        # Fully modulated light gives the depth times the mean output.
         instrument = setup.survey.instrument
         wholly = lock_in.Light(light.mean.astype(complex), light.mean)
         volts = expected_signal(setup, wholly).real

@@ -1,4 +1,4 @@
-"""The water signal of a survey by photon transport: all orders of scattering."""
+"""Water signal of a survey by photon transport: all orders of scattering."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def monte_carlo_response(
 
 
 def _layers(water: WaterProperties) -> tuple[Layer, ...]:
-    """Return the water as layers for photons, one if it is uniform."""
+    """Return the water as layers for photons, a single one for uniform water."""
     if not water.layers:
         return (
             Layer(
@@ -178,7 +178,7 @@ def relative_amplitude_uncertainty(tally: Tally) -> NDArray[np.float64]:
 
 
 def _moduli(tally: Tally) -> NDArray[np.float64]:
-    """Return each batch's part along the mean signal, shape (batches, n)."""
+    """Return the component of each batch along the mean signal, shape (batches, n)."""
     values = tally.batches.sum(axis=1)[:, 0]
     along: NDArray[np.float64] = (
         values * np.conj(tally.signal) / np.abs(tally.signal)

@@ -20,7 +20,7 @@ MOST = np.array([2, 3, 4])
 def test_polynomials_below_the_number_of_nodes_are_exact(seed, span):
     rng = np.random.default_rng(seed)
     where = rng.uniform(0, 1, (30, 3)) * span
-    grid = grid_of(where, least=LEAST, most=MOST)
+    grid = grid_of(where, smallest=LEAST, largest_count=MOST)
     degrees = [len(axis.nodes) - 1 for axis in grid.axes]
     assert all(degree >= 1 for degree in degrees)
     factors = rng.uniform(-1, 1, 3)
@@ -37,7 +37,7 @@ def test_polynomials_below_the_number_of_nodes_are_exact(seed, span):
 
 def test_a_narrow_axis_has_one_node_in_its_middle():
     where = np.array([[1.0, 0.0, 3.0], [1.05, 10.0, 3.2]])
-    grid = grid_of(where, least=LEAST, most=MOST)
+    grid = grid_of(where, smallest=LEAST, largest_count=MOST)
     assert [len(axis.nodes) for axis in grid.axes] == [1, 3, 2]
     assert_allclose(grid.axes[0].nodes, 1.025)
     # The ends of each range are nodes, so nothing is continued beyond them.
@@ -46,7 +46,7 @@ def test_a_narrow_axis_has_one_node_in_its_middle():
 
 def test_places_for_checks_are_no_nodes():
     where = np.random.default_rng(1).uniform(0, 9, (20, 3))
-    grid = grid_of(where, least=LEAST, most=MOST)
+    grid = grid_of(where, smallest=LEAST, largest_count=MOST)
     checks = grid.between(4)
     for axis, values in zip(grid.axes, checks.T, strict=True):
         span = np.ptp(axis.nodes)
