@@ -1,4 +1,4 @@
-"""What is described before anything is measured: one TOML file, strictly checked."""
+"""Survey files: water, targets, instrument and scan in TOML, strictly checked."""
 
 from amulor.survey.calibration import Calibration
 from amulor.survey.instrument import (

@@ -1,4 +1,4 @@
-"""How well the instrument's delay and geometry and the water's index are known."""
+"""Uncertainties of the instrument's delay and geometry, and of the water's index."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from amulor.survey.quantity import (
 
 
 class Calibration(Description):
-    """Standard uncertainties of what no sample can show; left out means not known.
+    """Standard uncertainties from a calibration; an omitted field is unknown.
 
     Examples
     --------
@@ -31,12 +31,12 @@ class Calibration(Description):
     date: datetime.date | None = None
     """Day on which the delay was measured, such as 2026-05-01."""
     delay_uncertainty: Annotated[Time, Field(ge=0, le=1e-6)] | None = None
-    """Standard uncertainty of the instrument's own delay, of all channels and
-    frequencies alike: 0.1 ns is 11 mm [s]. At the time of the scan, unless
-    delay_growth or delay_per_degree say what to add to it since the calibration."""
+    """Standard uncertainty of the instrument's delay, common to all channels and
+    frequencies; 0.1 ns is 11 mm [s]. It holds at the time of the scan, unless
+    delay_growth or delay_per_degree state its growth since the calibration."""
     delay_growth: Annotated[Time, Field(ge=0, le=1e-8)] | None = None
     """Standard uncertainty of the change of the delay in a day, in one direction: ten
-    days old counts ten times. Needs date, and a cube that says when it was measured
+    days count ten times. Needs date, and a cube with the time of the measurement
     [s]."""
     delay_per_degree: Annotated[Time, Field(ge=0, le=1e-8)] | None = None
     """Largest change of the delay by one degree of the instrument's temperature; needs
@@ -44,23 +44,23 @@ class Calibration(Description):
     instrument_temperature_uncertainty: (
         Annotated[Temperature, Field(ge=0, le=60)] | None
     ) = None
-    """Standard uncertainty of how much warmer or colder the instrument is in the scan
-    than it was in the calibration [degC]."""
+    """Standard uncertainty of the instrument's temperature in the scan less that in the
+    calibration [degC]."""
     receiver_position_uncertainty: Annotated[Length, Field(ge=0, le=0.5)] | None = None
     """Standard uncertainty of each coordinate of the receiver against the emitter
     [m]."""
     direction_uncertainty: Annotated[Angle, Field(ge=0, le=0.5)] | None = None
-    """Standard uncertainty of the direction of the beams, of all of them alike, across
+    """Standard uncertainty of the direction of the beams, common to all beams, across
     and upwards, against the line from emitter to receiver [rad]."""
     group_index_uncertainty: Annotated[float, Field(ge=0, le=0.1)] | None = None
     """Standard uncertainty of the group index [1]; or those of temperature and
     salinity."""
     temperature_uncertainty: Annotated[Temperature, Field(ge=0, le=30)] | None = None
-    """Standard uncertainty of the temperature that the water states, from which the
-    group index follows; where it states none, 0 to 30 degC count [degC]."""
+    """Standard uncertainty of the temperature of the water, for the group index;
+    without a stated temperature, 0 to 30 degC count [degC]."""
     salinity_uncertainty: Annotated[float, Field(ge=0, le=43)] | None = None
-    """Standard uncertainty of the practical salinity that the water states; where it
-    states none, fresh water to 40 counts [1]."""
+    """Standard uncertainty of the practical salinity of the water; without a stated
+    salinity, fresh water to 40 counts [1]."""
     scattering_uncertainty: Annotated[Fraction, Field(ge=0, le=2)] | None = None
     """Relative standard uncertainty of the scattering coefficient, for the light that
     arrives late [1]."""

@@ -1,4 +1,4 @@
-"""Changes some fields of a description, each named by its path."""
+"""Changes of fields of a description, each field by its path."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from amulor.errors import SurveyError
 
 
 def changed(content: Any, changes: Mapping[str, Any], *, name: str) -> Any:
-    """Return the content of a description with other values in some places.
+    """Return the content of a description with some values changed.
 
     Examples
     --------
@@ -18,45 +18,45 @@ def changed(content: Any, changes: Mapping[str, Any], *, name: str) -> Any:
     """
     result = _plain(content)
     for path in changes:
-        for other in changes:
-            if other.startswith(f"{path}."):
+        for nested in changes:
+            if nested.startswith(f"{path}."):
                 raise SurveyError(
-                    f"{name}: {other}: is a part of {path}, which is changed as well; "
+                    f"{name}: {nested}: is a part of {path}, which is changed as well; "
                     f"state it in the new {path}"
                 )
     for path, value in changes.items():
-        *way, last = path.split(".")
-        here = result
-        for depth, part in enumerate(way, start=1):
-            here = _at(here, part, path=".".join(way[:depth]), name=name)
-            if not isinstance(here, dict | list):
-                missing = "is not there" if here is None else "is no table"
+        *parents, last = path.split(".")
+        table = result
+        for depth, part in enumerate(parents, start=1):
+            table = _at(table, part, path=".".join(parents[:depth]), name=name)
+            if not isinstance(table, dict | list):
+                missing = "is not there" if table is None else "is no table"
                 raise SurveyError(
                     f"{name}: {path}: cannot be changed, since "
-                    f"{'.'.join(way[:depth])} {missing}; state it as a whole"
+                    f"{'.'.join(parents[:depth])} {missing}; state it as a whole"
                 )
-        if isinstance(here, list):
-            _at(here, last, path=path, name=name)
-            here[int(last)] = _plain(value)
+        if isinstance(table, list):
+            _at(table, last, path=path, name=name)
+            table[int(last)] = _plain(value)
         else:
-            here[last] = _plain(value)
+            table[last] = _plain(value)
     return result
 
 
-def _at(here: Any, part: str, *, path: str, name: str) -> Any:
-    """Return what a table or list holds under one part of a path."""
-    if isinstance(here, dict):
-        return here.get(part)
-    if not part.isdigit() or int(part) >= len(here):
+def _at(table: Any, part: str, *, path: str, name: str) -> Any:
+    """Return the entry of a table or list at one part of a path."""
+    if isinstance(table, dict):
+        return table.get(part)
+    if not part.isdigit() or int(part) >= len(table):
         raise SurveyError(
             f"{name}: {path}: found {part!r}, but it must be the number of an item, "
-            f"from 0 to {len(here) - 1}"
+            f"from 0 to {len(table) - 1}"
         )
-    return here[int(part)]
+    return table[int(part)]
 
 
 def _plain(value: Any) -> Any:
-    """Return tables and lists of their own, as a file has them."""
+    """Return copies of tables and lists, as in a file."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""How well an instrument counts light: integration time, rates and counting noise."""
+"""Photon counting of an instrument: integration time, rates, counting noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from amulor.survey.view import medium_of, seen_from_water
 
 
 def integration_time(survey: Survey) -> float:
-    """Return over how long one sample counts photoelectrons, in effect [s]."""
+    """Return the effective integration time of one sample [s]."""
     return float(
         detection.settled_integration_time(
             survey.scan.dwell, time_constant=survey.instrument.lock_in.time_constant
@@ -20,7 +20,7 @@ def integration_time(survey: Survey) -> float:
 
 
 def full_rate(survey: Survey) -> float:
-    """Return photoelectrons per second if all launched light came back [1/s]."""
+    """Return the rate of photoelectrons if all launched light came back [1/s]."""
     instrument, detector = survey.instrument, survey.instrument.detector
     return float(
         detection.photoelectron_rate(
@@ -32,7 +32,7 @@ def full_rate(survey: Survey) -> float:
 
 
 def background_rate(survey: Survey) -> NDArray[np.float64]:
-    """Return photoelectrons per second by daylight, behind each analyser."""
+    """Return the rate of photoelectrons by daylight, behind each analyzer [1/s]."""
     instrument, light = survey.instrument, survey.daylight
     pairs = instrument.polarizations
     if light is None:
@@ -51,14 +51,14 @@ def background_rate(survey: Survey) -> NDArray[np.float64]:
         transmission=instrument.detector.optical_transmission,
         quantum_efficiency=instrument.detector.quantum_efficiency,
     )
-    passed = np.array([1.0 if pair == "none" else 0.5 for pair in pairs])
-    return np.asarray(rate * passed)
+    transmission = np.array([1.0 if pair == "none" else 0.5 for pair in pairs])
+    return np.asarray(rate * transmission)
 
 
 def counting_variance(
     survey: Survey, *, rate: ArrayLike, integration_time: float
 ) -> NDArray[np.float64]:
-    """Return the variance of either output by counting photoelectrons."""
+    """Return the variance of either output by photon counting [V^2]."""
     detector = survey.instrument.detector
     return np.asarray(
         detector.volt_per_photoelectron_rate**2
@@ -72,7 +72,7 @@ def counting_variance(
 
 
 def photon_noise_volt(survey: Survey) -> float:
-    """Return V such that an amplitude A has the counting variance V * A / m [V]."""
+    """Return the voltage V in the counting variance V A / m of an amplitude A [V]."""
     volt = survey.instrument.detector.volt_per_photoelectron_rate
     time = integration_time(survey)
     return float(detection.photon_noise(time, volt_per_photoelectron_rate=volt))

@@ -1,4 +1,4 @@
-"""How large a scan may be where all of it is in memory at once."""
+"""Directions of pixels and open-water shots; largest scan in memory."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ MOST_SAMPLES = 10_000_000
 
 
 def samples_of(survey: Survey) -> int:
-    """Return how many samples a scan has [1]."""
+    """Return the number of samples of a scan [1]."""
     instrument = survey.instrument
     channels = len(instrument.modulation_frequencies) * len(instrument.polarizations)
     return survey.scan.rows * survey.scan.columns * channels
 
 
 def refuse_scans_beyond_memory(survey: Survey) -> None:
-    """Refuse a scan that is too large for what needs all of it at once."""
+    """Refuse a scan that is too large for the memory."""
     samples = samples_of(survey)
     if samples > MOST_SAMPLES:
         scan = survey.scan

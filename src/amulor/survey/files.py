@@ -1,4 +1,4 @@
-"""Looks for the files that a survey names, each beside the survey itself."""
+"""Files that a survey refers to, relative to the survey file."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _Described = TypeVar("_Described", bound=Description)
 
 @runtime_checkable
 class NamesFile(Protocol):
-    """A description that names a file."""
+    """Description with the name of a file."""
 
     def settled(self, folder: Path, *, where: str) -> Any:
-        """Return the same, for whoever is in another folder."""
+        """Return a copy for use in another folder."""
         ...
 
 
 def settled(description: _Described, folder: Path, *, where: str) -> _Described:
-    """Return a description whose files are found, or read, wherever they are named."""
-    found = _settled(description, folder, where=f"{where}: ", path="")
-    return found  # type: ignore[no-any-return]
+    """Return a description with the full paths or the content of its files."""
+    copy = _settled(description, folder, where=f"{where}: ", path="")
+    return copy  # type: ignore[no-any-return]
 
 
 def _settled(value: Any, folder: Path, *, where: str, path: str) -> Any:
@@ -99,7 +99,7 @@ def columns(path: Path, *, count: int, where: str) -> list[list[float]]:
 
 
 def validated(model: type[_Model], content: Any, *, where: str) -> _Model:
-    """Return a description made of a table, its mistakes in one line."""
+    """Return a description made of a table; errors are one line each."""
     try:
         return model.model_validate(content)
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Daylight in the water: how bright it is where the receiver looks."""
+"""Instrument of a survey: emitter, receiver, detector, lock-in, window, daylight."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from amulor.survey.quantity import (
 
 
 class Daylight(Description):
-    """Daylight that the receiver sees beside the laser's: it adds shot noise.
+    """Daylight in the view of the receiver, a source of shot noise.
 
     Examples
     --------
@@ -44,14 +44,14 @@ class Daylight(Description):
     """
 
     radiance: Annotated[SpectralRadiance, Field(ge=0)]
-    """Spectral radiance just below the surface, from where the receiver looks, such as
+    """Spectral radiance just below the surface, in the direction of the view, such as
     "0.01 W/m^2/sr/nm" [W/(m^2 sr m)]."""
     bandwidth: Annotated[Length, Field(gt=0, le=300e-9)]
     """Width of the optical filter before the detector [m]."""
     depth: Annotated[Length, Field(ge=0)] = 0.0
     """Depth of the instrument below the surface [m]."""
     diffuse_attenuation: Annotated[PerMetre, Field(ge=0)] = 0.0
-    """Diffuse attenuation coefficient K_d of the water above it [1/m]."""
+    """Diffuse attenuation coefficient K_d of the water above the instrument [1/m]."""
 
 
 #: Launched and analysed state: vertical, horizontal, +45 and -45 degrees, right, left.
@@ -75,14 +75,13 @@ class Emitter(Description):
     position: Position = (0.0, 0.0, 0.0)
     """Start of the beam (right, down, forward) [m]."""
     beam_radius: Annotated[Length, Field(ge=0, le=0.5)] | None = None
-    """1/e half-width of the Gaussian beam at its start; a thin beam if left out [m]."""
+    """1/e half-width of the Gaussian beam at its start; a thin beam by default [m]."""
     beam_divergence: Annotated[Angle, Field(ge=0, le=0.2)] | None = None
-    """1/e semi-angle of the beam, in the medium that the emitter stands in; none if
-    left out [rad]."""
+    """1/e semi-angle of the beam, in the medium at the emitter; 0 by default [rad]."""
 
 
 class Receiver(Description):
-    """The Gaussian receiver: 1/e half-widths of its aperture and of its acceptance.
+    """Receiver: aperture, field of view and direction.
 
     With sharp edges they are the radius of a disc and the semi-angle of a cone, of the
     same area and solid angle.
@@ -99,26 +98,26 @@ class Receiver(Description):
     """
 
     position: Position
-    """Centre of the aperture (right, down, forward) [m]."""
+    """Center of the aperture (right, down, forward) [m]."""
     azimuth: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
     """Direction of the axis to the right, at the middle of the scan [rad]."""
     elevation: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
     """Direction of the axis upwards, at the middle of the scan [rad]."""
     radius: Annotated[Length, Field(gt=0)]
-    """1/e half-width R of the aperture; its area counts as pi R^2 [m]."""
+    """1/e half-width R of the aperture, of area pi R^2 [m]."""
     acceptance: Annotated[Angle, Field(gt=0, le=0.5)]
-    """1/e half-width gamma of the field of view, in the medium that the receiver
-    stands in [rad]."""
+    """1/e half-width gamma of the field of view, in the medium at the receiver
+    [rad]."""
     edge: Literal["gaussian", "sharp"] | None = None
     """Aperture and field of view: Gaussian, or with sharp edges; Gaussian if left
     out."""
     speckle_cells: Annotated[float, Field(ge=1, le=1e15)] | None = None
-    """Number M of speckles of the target's light that the aperture takes in: its power
-    then varies by 1 / sqrt(M) from place to place; not at all if left out [1]."""
+    """Number M of speckles of the target's light within the aperture: the power varies
+    by 1 / sqrt(M) from pixel to pixel; no speckle by default [1]."""
 
 
 class Detector(Description):
-    """The photomultiplier and the optics in front of it.
+    """Photomultiplier and the optics in front of it.
 
     Examples
     --------
@@ -156,11 +155,11 @@ class LockIn(Description):
     time_constant: Annotated[Time, Field(gt=0)] = 0.01
     """Time constant of its one-pole output filter [s]."""
     phase_floor: Annotated[Angle, Field(ge=0, le=1)] = 0.0
-    """Random phase error of one sample that no amount of light removes [rad]."""
+    """Random phase error of one sample, independent of the amount of light [rad]."""
 
 
 class Window(Description):
-    """A flat window across the view, with the instrument in air behind it.
+    """Flat window across the view, with the instrument in air behind it.
 
     Examples
     --------
@@ -172,7 +171,7 @@ class Window(Description):
     """
 
     distance: Annotated[Length, Field(gt=0)]
-    """Forward coordinate of its near face [m]."""
+    """Forward coordinate of the near face [m]."""
     thickness: Annotated[Length, Field(ge=0)]
     """Thickness of the pane [m]."""
     refractive_index: Annotated[float, Field(ge=1, le=2.5)] = 1.47
@@ -184,7 +183,7 @@ class Window(Description):
 
 
 class Instrument(Description):
-    """An amplitude-modulated laser radar.
+    """Amplitude-modulated laser radar.
 
     Examples
     --------
@@ -206,21 +205,22 @@ class Instrument(Description):
     modulation_frequencies: Annotated[
         tuple[Annotated[Frequency, Field(gt=0, le=10e9)], ...], Field(min_length=1)
     ]
-    """Frequencies that are measured at every pixel, increasing [Hz]."""
+    """Modulation frequencies of every pixel, increasing [Hz]."""
     polarizations: Annotated[tuple[PolarizationPair, ...], Field(min_length=1)]
-    """Pairs of launched and analysed state, such as "VH"; "none" without polarizers."""
+    """Pairs of launched and analyzed polarization, such as "VH"; "none" without
+    polarizers."""
     emitter: Emitter = Emitter()
-    """The laser's side."""
+    """Emitter."""
     receiver: Receiver
-    """The collecting side."""
+    """Receiver."""
     detector: Detector = Detector()
-    """The photomultiplier."""
+    """Detector."""
     lock_in: LockIn = LockIn()
-    """The lock-in amplifier."""
+    """Lock-in amplifier."""
     window: Window | None = None
-    """A window between instrument and water; left out if the instrument is wet."""
+    """Window between instrument and water; none by default."""
     errors: InstrumentErrors | None = None
-    """Errors that a simulation puts into its samples; none if left out."""
+    """Errors of the instrument in simulated samples; none by default."""
 
     @model_validator(mode="after")
     def _lists_are_in_order(self) -> Self:
@@ -240,10 +240,10 @@ class Instrument(Description):
         crosstalk = None if self.errors is None else self.errors.crosstalk
         if crosstalk is None or not isinstance(crosstalk.amplitude, tuple):
             return self
-        stated, needed = len(crosstalk.amplitude), len(self.modulation_frequencies)
-        if stated != needed:
+        count, needed = len(crosstalk.amplitude), len(self.modulation_frequencies)
+        if count != needed:
             raise ValueError(
-                f"errors.crosstalk.amplitude has {stated} values for {needed} "
+                f"errors.crosstalk.amplitude has {count} values for {needed} "
                 "modulation frequencies; state one value, or one for each"
             )
         return self

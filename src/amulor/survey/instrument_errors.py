@@ -1,4 +1,4 @@
-"""Errors of a real instrument, which the simulation puts into its samples.
+"""Errors of a real instrument, for simulated samples.
 
 No method that evaluates a scan reads them: they are what a user does not know.
 """
@@ -38,7 +38,7 @@ class Clock(Description):
 
 
 class Harmonic(Description):
-    """Harmonic of the modulated light that the demodulator takes for the fundamental.
+    """Harmonic of the modulated light in the output of the fundamental.
 
     Its phasor is the complex conjugate for the orders 3 and 7, as with four samples a
     period.
@@ -47,29 +47,29 @@ class Harmonic(Description):
     order: Literal[3, 5, 7] = 3
     """Number of the harmonic [1]."""
     fraction: _Share
-    """Harmonic in the output per light at the harmonic frequency, over the same of the
-    fundamental [1]."""
+    """Response of the output to light at the harmonic frequency, over that to light at
+    the fundamental [1]."""
 
 
 class OpticalLeakage(Description):
     """Light that reaches the detector without leaving the instrument."""
 
     fraction: _Share
-    """Leaking over launched power, before the analyser [1]."""
+    """Leaking over launched power, before the analyzer [1]."""
     delay: _Delay = 0.0
     """Delay against the modulation of the launched light [s]."""
     depolarization: _Share = 0.0
-    """0 where the leaking light keeps its polarization, 1 where it has none [1]."""
+    """0 for leaking light that keeps its polarization, 1 for unpolarized light [1]."""
     part: Part = "all"
-    """Samples that have it."""
+    """Affected samples."""
 
 
 class Counting(Description):
     """Losses and late pulses of a photon-counting detector."""
 
     dead_time: Annotated[Time, Field(ge=0, le=1e-3)] = 0.0
-    """Time after each count in which none is counted; not extended by what arrives in
-    it [s]."""
+    """Time after each count without further counts; photons within it do not extend it
+    [s]."""
     after_pulse_probability: _Share = 0.0
     """After-pulses per count [1]."""
     after_pulse_delay: Annotated[Time, Field(ge=0, le=1e-3)] = 0.0
@@ -82,44 +82,44 @@ class Compression(Description):
     fraction: _Share
     """Loss of gain at the amplitude `amplitude`; gain never falls below zero [1]."""
     amplitude: Annotated[Voltage, Field(gt=0, le=1e4)]
-    """Amplitude for which the loss is stated [V]."""
+    """Amplitude of the stated loss [V]."""
 
 
 class Walk(Description):
     """Phase that depends on the amplitude."""
 
     phase_per_decade: _Phase
-    """Phase gained by ten times the amplitude [rad]."""
+    """Phase per factor of ten of the amplitude [rad]."""
     amplitude: Annotated[Voltage, Field(gt=0, le=1e4)]
-    """Amplitude at which the phase is right [V]."""
+    """Amplitude without a phase error [V]."""
 
 
 class Reflection(Description):
-    """Signal that runs up and down a cable once more."""
+    """Echo of the signal in a cable."""
 
     coefficient: Annotated[Fraction, Field(ge=-1, le=1)]
     """Product of the reflection coefficients of both ends [1]."""
     delay: Annotated[Time, Field(ge=0, le=1e-3)]
-    """Time to the far end and back: 10 ns for a metre of coaxial cable [s]."""
+    """Time to the far end and back: 10 ns for a meter of coaxial cable [s]."""
 
 
 class Crosstalk(Description):
-    """Modulation that reaches the receiver's electronics without light."""
+    """Electrical crosstalk of the modulation to the receiver's electronics."""
 
     amplitude: _Volts | tuple[_Volts, ...]
     """Amplitude in the output, of all modulation frequencies or of each [V]."""
     phase: _Phase = 0.0
     """Phase at frequency zero [rad]."""
     delay: _Delay = 0.0
-    """Delay: it adds to the phase in proportion to frequency [s]."""
+    """Delay, which adds a phase in proportion to frequency [s]."""
     change: _Change = 0.0
     """Relative change of the amplitude from the first to the last sample [1]."""
     part: Part = "all"
-    """Samples that have it."""
+    """Affected samples."""
 
 
 class Drift(Description):
-    """Changes from the first sample to the last, in time even or settling."""
+    """Changes from the first sample to the last, linear in time or exponential."""
 
     phase: _Phase = 0.0
     """Phase of all frequencies [rad]."""
@@ -130,19 +130,18 @@ class Drift(Description):
     modulation_depth: _Change = 0.0
     """Relative change of the modulation depth [1]."""
     settling_time: Annotated[Time, Field(gt=0, le=1e6)] | None = None
-    """Time constant of an exponential approach; a change that is even in time if left
-    out [s]."""
+    """Time constant of an exponential approach; linear in time by default [s]."""
 
 
 class ScaleChange(Description):
     """Error of an input range of the demodulator, above a threshold."""
 
     above: _Volts
-    """Amplitude above which the range is another one [V]."""
+    """Amplitude above which the demodulator uses another range [V]."""
     phase: _Phase = 0.0
-    """Phase of that range [rad]."""
+    """Phase of the other range [rad]."""
     gain: _Change = 0.0
-    """Relative gain of that range, minus 1 [1]."""
+    """Relative gain of the other range, minus 1 [1]."""
 
 
 class Demodulator(Description):
@@ -161,17 +160,17 @@ class Demodulator(Description):
 
 
 class OutputNoise(Description):
-    """Noise of both outputs that their stated uncertainty does not contain."""
+    """Noise of both outputs beyond their stated uncertainty."""
 
     white: _Volts = 0.0
     """Standard deviation of a sample, independent from sample to sample [V]."""
     pink: _Volts = 0.0
-    """Standard deviation over the measurement, the same power in each octave between
-    the time of a pixel and of the measurement [V]."""
+    """Standard deviation over the measurement, of equal power in each octave from the
+    duration of a pixel to that of the measurement [V]."""
 
 
 class InstrumentErrors(Description):
-    """Errors of the instrument that a simulation adds; each off if left out.
+    """Errors of the instrument in a simulation; each is off by default.
 
     They act in the order in which they stand here. Rejection and ranging do not read
     them: an error is what the survey's other sections do not say.
@@ -199,7 +198,7 @@ class InstrumentErrors(Description):
     counting: Counting | None = None
     """Dead time and after-pulses."""
     harmonic: Harmonic | None = None
-    """Harmonic taken for the fundamental."""
+    """Harmonic in the output of the fundamental."""
     compression: Compression | None = None
     """Gain against amplitude."""
     walk: Walk | None = None
@@ -213,4 +212,4 @@ class InstrumentErrors(Description):
     demodulator: Demodulator | None = None
     """Offsets, gain and angle of the outputs."""
     noise: OutputNoise | None = None
-    """Noise that nothing states."""
+    """Noise beyond the stated uncertainty."""

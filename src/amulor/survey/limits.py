@@ -1,4 +1,4 @@
-"""Largest and smallest numbers that a survey file may state, each with its reason.
+"""Limits of the numbers in a survey file, each with its reason.
 
 Whoever builds a survey in Python may go beyond, to look at limits of the formulas. In a
 file such a number is a slip: a unit that was mistaken, or a digit too many.
@@ -17,19 +17,19 @@ __all__ = ["LIMITS", "Limit", "beyond"]
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """How far a number may go."""
+    """Limits of a number."""
 
     quantity: str
-    """What it measures, a key of `amulor.units.SI_UNITS`."""
+    """Physical quantity, a key of `amulor.units.SI_UNITS`."""
     least: float | None = None
     """Smallest value that is allowed, its size for coordinates [SI]."""
     most: float
     """Largest value that is allowed, its size for coordinates [SI]."""
     reason: str
-    """Why."""
+    """Reason of the limits."""
 
     def broken(self, value: float) -> str:
-        """Return what is wrong with a value, empty if nothing is."""
+        """Return the error message of a value, empty for a valid one."""
         if abs(value) > self.most:
             word, end = "at most", self.most
         elif self.least is not None and abs(value) < self.least:
@@ -119,26 +119,28 @@ LIMITS: Mapping[str, Limit] = {
 
 
 def beyond(content: Any) -> Iterator[tuple[str, str]]:
-    """Yield what of a survey is beyond what an instrument can have."""
+    """Yield the numbers of a survey beyond the limits of an instrument."""
     for path, limit in LIMITS.items():
-        for where, value in _at(content, path.split("."), ""):
-            said = limit.broken(value)
-            if said:
-                yield where, said
+        for path_of_value, value in _at(content, path.split("."), ""):
+            message = limit.broken(value)
+            if message:
+                yield path_of_value, message
 
 
-def _at(content: Any, path: list[str], where: str) -> Iterator[tuple[str, float]]:
-    """Yield the places and numbers that a path stands for."""
+def _at(content: Any, path: list[str], parent: str) -> Iterator[tuple[str, float]]:
+    """Yield the full paths and numbers that match a path."""
     if content is None:
         return
     if not path:
         if isinstance(content, int | float):
-            yield where, float(content)
+            yield parent, float(content)
         return
-    first, rest = path[0], path[1:]
+    first, remainder = path[0], path[1:]
     if first == "*":
         if isinstance(content, list | tuple):
             for number, item in enumerate(content):
-                yield from _at(item, rest, f"{where}.{number}")
+                yield from _at(item, remainder, f"{parent}.{number}")
     elif isinstance(content, Mapping) and first in content:
-        yield from _at(content[first], rest, f"{where}.{first}" if where else first)
+        yield from _at(
+            content[first], remainder, f"{parent}.{first}" if parent else first
+        )

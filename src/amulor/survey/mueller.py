@@ -1,4 +1,4 @@
-"""How a survey states a Mueller matrix: three diagonal numbers, all sixteen, a name."""
+"""Mueller matrices in a survey: three diagonal numbers, all sixteen, or a name."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SURFACES: dict[str, tuple[float, float, float]] = {
 
 
 def keeping(m22: float) -> tuple[float, float, float]:
-    """Return (m22, m33, m44) straight backwards of particles that lie at random."""
+    """Return (m22, m33, m44) straight backwards for randomly oriented particles."""
     return m22, -m22, 1.0 - 2.0 * m22
 
 
@@ -40,29 +40,29 @@ def keeping(m22: float) -> tuple[float, float, float]:
 SEA = keeping(2 * 0.66 / (1 + 0.66))
 
 
-def matrix(stated: Any) -> NDArray[np.float64]:
+def matrix(description: Any) -> NDArray[np.float64]:
     """Return the reduced Mueller matrix that a survey states."""
-    if isinstance(stated, str):
-        stated = SURFACES[stated]
-    values = np.asarray(stated, dtype=float)
+    if isinstance(description, str):
+        description = SURFACES[description]
+    values = np.asarray(description, dtype=float)
     if values.shape == (3,):
         return np.diag([1.0, *values])
     return values
 
 
-def _known(stated: Any) -> Any:
-    """Refuse a name that no published matrix stands behind."""
-    if isinstance(stated, str) and stated not in SURFACES:
+def _named(description: Any) -> Any:
+    """Refuse a name without a published matrix."""
+    if isinstance(description, str) and description not in SURFACES:
         raise ValueError(
-            f"found {stated!r}, for which no published Mueller matrix is known here; "
-            f"the names are {', '.join(SURFACES)}; of other surfaces state m22, m33 "
-            "and m44 as you measured them"
+            f"found {description!r}, for which no published Mueller matrix is known "
+            f"here; the names are {', '.join(SURFACES)}; of other surfaces state m22, "
+            "m33 and m44 as you measured them"
         )
-    return stated
+    return description
 
 
-def _check(stated: _Stated) -> _Stated:
-    values = matrix(stated)
+def _check(description: _Stated) -> _Stated:
+    values = matrix(description)
     if not np.all(np.isfinite(values)):
         raise ValueError("a Mueller matrix must hold finite numbers")
     if values[0, 0] != 1:
@@ -77,7 +77,7 @@ def _check(stated: _Stated) -> _Stated:
             f"no surface or particle can have this Mueller matrix: the smallest "
             f"eigenvalue of its coherency matrix is {-defect:.3g}, below 0"
         )
-    return stated
+    return description
 
 
-ReducedMueller = Annotated[_Stated, BeforeValidator(_known), AfterValidator(_check)]
+ReducedMueller = Annotated[_Stated, BeforeValidator(_named), AfterValidator(_check)]

@@ -1,4 +1,4 @@
-"""What follows from a description of water: indices, split scattering, backscatter."""
+"""Optical properties of the water: indices, split scattering, backscatter."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _INNERMOST, _WIDE, _HEAD, _REST = 1e-5, 0.1, 160, 360
 
 @dataclass(frozen=True, kw_only=True)
 class WaterProperties:
-    """The numbers of the water that the signal models take.
+    """Optical properties of the water, the input of the signal models.
 
     Examples
     --------
@@ -62,9 +62,9 @@ class WaterProperties:
     source: str = ""
     """Where the coefficients come from."""
     backscatter_mueller: Any = (1.0, -1.0, -1.0)
-    """Reduced Mueller matrix straight backwards, in a form that a survey states [1]."""
+    """Reduced Mueller matrix straight backwards, in a form of survey files [1]."""
     depolarization_known: bool = True
-    """False where polarization is kept for lack of knowledge."""
+    """False where polarization counts as kept for lack of data."""
 
     @property
     def reduced_attenuation(self) -> float:
@@ -132,13 +132,15 @@ def water_properties(survey: Survey) -> WaterProperties:
         phase_function=optics.phase_function,
         layers=optics.layers,
         source=optics.source,
-        backscatter_mueller=water.backscatter_mueller or optics.mueller or _KEPT,
+        backscatter_mueller=water.backscatter_mueller
+        or optics.mueller
+        or _POLARIZATION_KEPT,
         depolarization_known=bool(water.backscatter_mueller or optics.mueller),
     )
 
 
 #: Mueller matrix straight backwards of water of which nothing is known.
-_KEPT = (1.0, -1.0, -1.0)
+_POLARIZATION_KEPT = (1.0, -1.0, -1.0)
 
 
 def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
@@ -152,30 +154,34 @@ def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
             }
         )
         return survey.model_copy(update={"water": changed})
-    known = water_properties(survey)
-    scattered = known.scattering > 0
+    properties = water_properties(survey)
+    scattered = properties.scattering > 0
     common = set(Water.model_fields) & set(type(water).model_fields)
-    kept = {name: getattr(water, name) for name in common}
-    stated = {
-        **kept,
+    shared = {name: getattr(water, name) for name in common}
+    fields = {
+        **shared,
         "kind": None,
-        "absorption": known.absorption * factor,
-        "scattering": known.scattering * factor,
+        "absorption": properties.absorption * factor,
+        "scattering": properties.scattering * factor,
         "forward_fraction": (
-            min(known.forward_scattering / known.scattering, 1.0) if scattered else 1.0
+            min(properties.forward_scattering / properties.scattering, 1.0)
+            if scattered
+            else 1.0
         ),
-        "second_moment": known.second_moment,
+        "second_moment": properties.second_moment,
         "phase_function_at_180": (
-            known.backscatter_vsf / known.scattering if scattered else 0.0
+            properties.backscatter_vsf / properties.scattering if scattered else 0.0
         ),
         "phase_function": (
-            None if known.phase_function is None else _tabulated(known.phase_function)
+            None
+            if properties.phase_function is None
+            else _tabulated(properties.phase_function)
         ),
-        "refractive_index": known.refractive_index,
-        "group_index": known.group_index,
-        "backscatter_mueller": known.backscatter_mueller,
+        "refractive_index": properties.refractive_index,
+        "group_index": properties.group_index,
+        "backscatter_mueller": properties.backscatter_mueller,
     }
-    return survey.model_copy(update={"water": Water.model_validate(stated)})
+    return survey.model_copy(update={"water": Water.model_validate(fields)})
 
 
 @lru_cache(maxsize=8)
@@ -212,27 +218,27 @@ def indices(survey: Survey) -> tuple[float, float]:
 
 def group_index_uncertainty(survey: Survey) -> float | None:
     """Return the standard uncertainty of the group index of a survey's water."""
-    water, known = survey.water, survey.calibration
-    if known is not None and known.group_index_uncertainty is not None:
-        return known.group_index_uncertainty
+    water, calibration = survey.water, survey.calibration
+    if calibration is not None and calibration.group_index_uncertainty is not None:
+        return calibration.group_index_uncertainty
     spans: dict[str, tuple[float, float]] = {}
     errors: dict[str, float | None] = {"temperature": None, "salinity": None}
-    if known is not None:
-        errors["temperature"] = known.temperature_uncertainty
-        errors["salinity"] = known.salinity_uncertainty
+    if calibration is not None:
+        errors["temperature"] = calibration.temperature_uncertainty
+        errors["salinity"] = calibration.salinity_uncertainty
     if water.group_index is None:
         if water.temperature is None:
             spans["temperature"] = TEMPERATURES
         if water.salinity is None:
             spans["salinity"] = SALINITIES
-    stated = {name: error for name, error in errors.items() if name not in spans}
-    if not spans and None in stated.values():
+    known_errors = {name: error for name, error in errors.items() if name not in spans}
+    if not spans and None in known_errors.values():
         return None
     try:
         parts = [_spread(survey, spans)]
         parts += [
             _slope(survey, name) * error
-            for name, error in stated.items()
+            for name, error in known_errors.items()
             if error is not None
         ]
     except ValueError as error:
@@ -250,7 +256,7 @@ _POINTS = 41
 
 
 def _spread(survey: Survey, spans: Mapping[str, tuple[float, float]]) -> float:
-    """Return the root mean square change of the index over spans of the state."""
+    """Return the root mean square change of the index over spans of the state [1]."""
     state = state_of(survey.water)
     if not spans:
         return 0.0
@@ -259,17 +265,17 @@ def _spread(survey: Survey, spans: Mapping[str, tuple[float, float]]) -> float:
     part = (np.arange(_POINTS) + 0.5) / _POINTS
     grid = np.meshgrid(*[low + (high - low) * part for low, high in ends])
     wavelength = survey.instrument.wavelength
-    there = seawater.group_index(wavelength, temperature=grid[0], salinity=grid[1])
-    here = seawater.group_index(wavelength, **state)
-    return float(np.sqrt(np.mean((there - here) ** 2)))
+    index = seawater.group_index(wavelength, temperature=grid[0], salinity=grid[1])
+    nominal = seawater.group_index(wavelength, **state)
+    return float(np.sqrt(np.mean((index - nominal) ** 2)))
 
 
 def _slope(survey: Survey, name: str) -> float:
     """Return the derivative of the index by temperature or salinity."""
     state = state_of(survey.water)
-    most = {"temperature": 30.0, "salinity": 43.0}[name]
+    highest = {"temperature": 30.0, "salinity": 43.0}[name]
     # One-sided at the ends of what the formula holds for.
-    ends = max(state[name] - _STEP, 0.0), min(state[name] + _STEP, most)
+    ends = max(state[name] - _STEP, 0.0), min(state[name] + _STEP, highest)
     low, high = (
         float(
             seawater.group_index(survey.instrument.wavelength, **{**state, name: end})

@@ -1,4 +1,4 @@
-"""Field types of survey files: SI floats that are written as text with a unit."""
+"""Field types of survey files: SI floats, written as text with a unit."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Description(BaseModel):
     ) -> dict[str, Any]:
         """Return the JSON Schema, which editors show, without examples in Python."""
         schema = handler(core_schema)
-        shown = handler.resolve_ref_schema(schema)
-        if "description" in shown:
-            shown["description"] = shown["description"].split("\n\nExamples\n")[0]
+        resolved = handler.resolve_ref_schema(schema)
+        if "description" in resolved:
+            resolved["description"] = resolved["description"].split("\n\nExamples\n")[0]
         return schema
 
     def model_copy(
@@ -48,8 +48,8 @@ class Description(BaseModel):
         copy = super().model_copy(deep=deep)
         if not update:
             return copy
-        stated = {name: getattr(copy, name) for name in copy.model_fields_set}
-        return type(self).model_validate({**stated, **update})
+        fields = {name: getattr(copy, name) for name in copy.model_fields_set}
+        return type(self).model_validate({**fields, **update})
 
 
 #: Largest size of what a file may state, where no field says less: beyond, a digit or
@@ -63,11 +63,11 @@ def _read(quantity: str) -> Any:
     def read(value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, str):
             number = units.parse(value, quantity)
-            most = _LARGEST.get(quantity, _LARGEST_OTHER)
-            if abs(number) > most:
+            largest = _LARGEST.get(quantity, _LARGEST_OTHER)
+            if abs(number) > largest:
                 raise ValueError(
                     f"found {value!r}; no {quantity} is beyond "
-                    f"{units.write(most, quantity)}"
+                    f"{units.write(largest, quantity)}"
                 )
             return number
         from_text = bool(info.context and info.context.get("from_text"))
@@ -165,8 +165,8 @@ SpectralRadiance = Annotated[
 Fraction = Annotated[float, _read("fraction"), _finite]
 
 
-def _no_truth(value: Any) -> Any:
-    """Refuse true and false, which Python takes for 1 and 0."""
+def _whole_number(value: Any) -> Any:
+    """Refuse true and false, which count as 1 and 0 in Python."""
     if isinstance(value, bool):
         raise ValueError(f"found {str(value).lower()}; needed is a whole number")
     if isinstance(value, int) and abs(value) > _LARGEST_COUNT:
@@ -174,7 +174,7 @@ def _no_truth(value: Any) -> Any:
     return value
 
 
-Count = Annotated[int, BeforeValidator(_no_truth)]
+Count = Annotated[int, BeforeValidator(_whole_number)]
 
 #: Coordinates: no reference system has larger ones [m].
 _Coordinate = Annotated[Length, Field(ge=-1e9, le=1e9)]

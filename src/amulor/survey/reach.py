@@ -1,4 +1,4 @@
-"""How near and how far a survey has its targets, and whether phases can tell."""
+"""Nearest and farthest slant range of a survey's targets, and ambiguity of phases."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BEAMS = 65
 
 
 def target_reach(survey: Survey) -> tuple[float, float] | None:
-    """Return the nearest and the farthest slant range at which beams meet targets.
+    """Return the nearest and the farthest slant range of targets in the beams [m].
 
     Every target stands in one box or a few: a plate is one without depth, a staircase
     one for each tread, a disc one as deep as it is bent, a mesh one around all of it.
@@ -43,7 +43,7 @@ def target_reach(survey: Survey) -> tuple[float, float] | None:
         return None
     beam = _beams(survey)
     ranges = [beam.length_before[..., None] + _crossing(beam, *box) for box in boxes]
-    met = np.concatenate([each.ravel() for each in ranges])
+    met = np.concatenate([values.ravel() for values in ranges])
     met = met[np.isfinite(met)]
     return (float(met.min()), float(met.max())) if met.size else None
 
@@ -51,7 +51,7 @@ def target_reach(survey: Survey) -> tuple[float, float] | None:
 def unsettled_interval(
     survey: Survey | None, *, modulation_frequency: ArrayLike
 ) -> str:
-    """Return why phases alone do not tell how far the targets of a survey are.
+    """Return the reason why the ranges of a survey's targets are ambiguous.
 
     Phases repeat with the ambiguity interval of the smallest frequency, or of the
     smallest difference of two. Which of the repetitions is right must be known: from
@@ -76,14 +76,14 @@ def unsettled_interval(
 
 
 def repetition(modulation_frequency: ArrayLike, *, group_index: float) -> float:
-    """Return the distance after which the phases at all frequencies repeat."""
+    """Return the distance after which the phases at all frequencies repeat [m]."""
     frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=float))
     smallest = np.min(np.append(np.diff(frequency), frequency[0]))
     return float(ranging.ambiguity_interval(smallest, group_index=group_index))
 
 
 def _beams(survey: Survey) -> rays.Beam:
-    """Return beams spread evenly over the scan, its edges included."""
+    """Return beams that are spread evenly over the scan, with its edges."""
     scan = survey.scan
     across = np.linspace(-0.5, 0.5, min(scan.columns, _BEAMS))
     down = np.linspace(0.5, -0.5, min(scan.rows, _BEAMS))
@@ -102,14 +102,14 @@ def _beams(survey: Survey) -> rays.Beam:
 def _crossing(
     beam: rays.Beam, turn: Floats, position: Floats, low: Floats, high: Floats
 ) -> Floats:
-    """Return where beams enter and leave a box, nan where they miss [m]."""
+    """Return the distances at which beams enter and leave a box, NaN for a miss [m]."""
     start = (beam.entry - position) @ turn
-    way = beam.direction @ turn
+    direction = beam.direction @ turn
     with np.errstate(divide="ignore", invalid="ignore"):
-        first, second = (low - start) / way, (high - start) / way
+        first, second = (low - start) / direction, (high - start) / direction
     # A beam along a pair of faces is between them everywhere or nowhere.
     inside = (start >= low) & (start <= high)
-    along = way == 0
+    along = direction == 0
     near = np.where(along, np.where(inside, -np.inf, np.inf), np.fmin(first, second))
     far = np.where(along, np.where(inside, np.inf, -np.inf), np.fmax(first, second))
     enter, leave = near.max(axis=-1), far.min(axis=-1)
@@ -119,22 +119,22 @@ def _crossing(
 
 
 def _rotation(angles: tuple[float, float, float]) -> Floats:
-    """Return turns about the axes right, down, forward, one after the other."""
-    turned = np.eye(3)
+    """Return the rotation about the axes right, down, forward, in this order."""
+    rotation = np.eye(3)
     for axis, angle in enumerate(angles):
         c, s = math.cos(angle), math.sin(angle)
         i, j = (axis + 1) % 3, (axis + 2) % 3
         step = np.eye(3)
         step[i, i] = step[j, j] = c
         step[i, j], step[j, i] = -s, s
-        turned = step @ turned
-    return turned
+        rotation = step @ rotation
+    return rotation
 
 
 def _boxes(
     target: Plate | Staircase | Disc | Mesh,
 ) -> list[tuple[Floats, Floats]] | None:
-    """Return the corners of boxes around a target in its own axes."""
+    """Return the corners of boxes around a target, in the axes of the target."""
     if isinstance(target, Plate):
         half = np.array([target.width / 2, target.height / 2, 0.0])
         return [(-half, half)]
@@ -150,14 +150,14 @@ def _boxes(
 
 def _treads(target: Staircase) -> list[tuple[Floats, Floats]]:
     levels = -np.concatenate([[0.0], np.cumsum(target.step_heights)])
-    left = (np.arange(len(levels)) - len(levels) / 2) * target.tread_width
+    left_edges = (np.arange(len(levels)) - len(levels) / 2) * target.tread_width
     half = target.height / 2
     return [
         (
             np.array([edge, -half, level]),
             np.array([edge + target.tread_width, half, level]),
         )
-        for edge, level in zip(left, levels, strict=True)
+        for edge, level in zip(left_edges, levels, strict=True)
     ]
 
 

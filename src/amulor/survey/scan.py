@@ -1,4 +1,4 @@
-"""Reference systems of frames: a projected system of EPSG in metres, or a name."""
+"""Scan and pose of the instrument, and reference systems of coordinates."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ _NEEDED = 'state a projected system in metres, such as "EPSG:32632", or a name'
 
 
 def epsg_code(text: str) -> int | None:
-    """Return the number that a text states, or None where it is a name."""
+    """Return the EPSG number in a text; None for a name."""
     if not re.match(r"\s*(epsg\b|\d+\s*$)", text, flags=re.IGNORECASE):
         return None
-    found = re.fullmatch(r"\s*epsg:(\d{4,5})\s*", text, flags=re.IGNORECASE)
-    if not found:
+    match = re.fullmatch(r"\s*epsg:(\d{4,5})\s*", text, flags=re.IGNORECASE)
+    if not match:
         raise ValueError(
             f'"{text}" is no number of EPSG: write "EPSG:" and its four or five '
             'digits, such as "EPSG:32632"'
         )
-    return int(found[1])
+    return int(match[1])
 
 
 def projected_code(text: str) -> int | None:
-    """Return the number of a projected system in metres; None for a name."""
+    """Return the number of a projected system in meters; None for a name."""
     code = epsg_code(text)
     if code is None:
         return None
@@ -68,7 +68,7 @@ def projected_code(text: str) -> int | None:
 
 
 def _checked(text: str) -> str:
-    """Return the text if it is right, as far as can be told without pyproj."""
+    """Return the text of a valid system; checks without pyproj are limited."""
     # What writes coordinates in the system asks for pyproj.
     with contextlib.suppress(MissingExtraError):
         projected_code(text)
@@ -90,7 +90,7 @@ ReferenceSystem = Annotated[str, Field(max_length=200), AfterValidator(_checked)
 
 
 class OpenWater(Description):
-    """Shots of the same water without the target, spread over the scan.
+    """Open-water shots: the same water without the target, spread over the scan.
 
     Examples
     --------
@@ -103,7 +103,7 @@ class OpenWater(Description):
     """
 
     columns: Annotated[Count, Field(ge=1, le=10_000)] = 9
-    """Directions along a row; the first and the last are the scan's own edges [1]."""
+    """Directions along a row, from edge to edge of the scan [1]."""
     rows: Annotated[Count, Field(ge=1, le=10_000)] = 3
     """Rows of directions [1]."""
     repeats: Annotated[Count, Field(ge=1, le=100_000)] = 10
@@ -111,7 +111,7 @@ class OpenWater(Description):
 
 
 class Scan(Description):
-    """A rectangular grid of directions.
+    """Rectangular grid of directions.
 
     Examples
     --------
@@ -142,11 +142,12 @@ class Scan(Description):
     dwell: Annotated[Time, Field(gt=0)]
     """Time spent on each pixel, for each frequency and channel [s]."""
     order: Literal["raster", "serpentine"] = "raster"
-    """Every row from left to right, or every second one from right to left."""
+    """Order of the rows: all from left to right, or every second one from right to
+    left."""
     moves: Literal["beam", "both"] = "beam"
     """Moving part: the beam alone, or emitter and receiver together."""
     open_water: OpenWater | None = None
-    """Reference shots without a target; left out if there are none."""
+    """Open-water shots; none by default."""
 
 
 class Pose(Description):
@@ -182,23 +183,23 @@ class Pose(Description):
     separate, since many programs lose the millimeters of coordinates in the millions
     [m]."""
     position_uncertainty: Annotated[Length, Field(ge=0, le=1000)] | None = None
-    """Standard uncertainty of each coordinate of the position; not known if left out
+    """Standard uncertainty of each coordinate of the position; unknown by default
     [m]."""
     heading_uncertainty: Annotated[Angle, Field(ge=0, le=1)] | None = None
-    """Standard uncertainty of the heading; not known if left out [rad]."""
+    """Standard uncertainty of the heading; unknown by default [rad]."""
     level_uncertainty: Annotated[Angle, Field(ge=0, le=1)] | None = None
-    """Standard uncertainty of pitch and of roll; not known if left out [rad]."""
+    """Standard uncertainty of pitch and of roll; unknown by default [rad]."""
 
 
 class _PoseFile(Description):
-    """A file with nothing but a pose."""
+    """File with a pose only."""
 
     pose: Pose
-    """Where the instrument stands in the world."""
+    """Position and attitude of the instrument."""
 
 
 def read_pose(path: str | Path) -> Pose:
-    r"""Read the section [pose] of a TOML file that has nothing else.
+    r"""Read the pose from a TOML file with the section [pose] only.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How the surface of a target sends light back: Lambert, Oren-Nayar, or a table."""
+"""Reflection of target surfaces: Lambert, Oren-Nayar, or a table."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _Slant = Annotated[Angle, Field(ge=0, le=math.pi / 2)]
 
 
 class Lambertian(Description):
-    """A matte surface: equally bright from everywhere.
+    """Matte surface, equally bright from all directions.
 
     Examples
     --------
@@ -38,7 +38,7 @@ class Lambertian(Description):
 
 
 class OrenNayar(Description):
-    """A rough matte surface, of facets that each follow Lambert's law.
+    """Rough matte surface, with facets that follow Lambert's law.
 
     Examples
     --------
@@ -54,7 +54,7 @@ class OrenNayar(Description):
 
 
 class TabulatedSurface(Description):
-    """A surface whose BRDF is a table, linear in between.
+    """Surface with a tabulated BRDF, linear between the entries.
 
     Examples
     --------
@@ -82,9 +82,9 @@ class TabulatedSurface(Description):
     reflection: tuple[_Slant, ...] | None = None
     """Angles of reflection, rising from 0 [rad]."""
     azimuth: tuple[Annotated[Angle, Field(ge=0, le=math.pi)], ...] | None = None
-    """Azimuths between 0 and 180 degrees, rising; one alone stands for all [rad]."""
+    """Azimuths between 0 and 180 degrees, rising; a single one holds for all [rad]."""
     values: tuple[Annotated[float, Field(ge=0)], ...] | None = None
-    """BRDF for every incidence, reflection and azimuth, the last running fastest
+    """BRDF for every incidence, reflection and azimuth, azimuth running fastest
     [1/sr]."""
 
     @model_validator(mode="after")
@@ -111,7 +111,7 @@ class TabulatedSurface(Description):
         for axis in axes:
             if any(b <= a for a, b in pairwise(axis or ())):
                 raise ValueError("angles of a tabulated surface must rise")
-        most = _sent_back(axes[0], axes[1], axes[2], self.values)
+        most = _largest_reflectance(axes[0], axes[1], axes[2], self.values)
         if most > 1.001:
             raise ValueError(
                 f"the table sends back {most:.3g} times the light that it gets; a BRDF "
@@ -120,7 +120,7 @@ class TabulatedSurface(Description):
         return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
-        """Return the same with the table of its file inside."""
+        """Return a copy that holds the table of its file."""
         if self.file is None:
             return self
         columns = files.columns(folder / self.file, count=4, where=where)
@@ -143,8 +143,10 @@ class TabulatedSurface(Description):
         return files.validated(type(self), content, where=where)
 
 
-def _sent_back(incidence: Any, leaving: Any, azimuth: Any, values: Any) -> float:
-    """Return the largest share of the light that the angles of a table send back."""
+def _largest_reflectance(
+    incidence: Any, leaving: Any, azimuth: Any, values: Any
+) -> float:
+    """Return the largest reflected share of light over the angles of a table [1]."""
     slant, turn = np.asarray(leaving), np.asarray(azimuth)
     table = np.reshape(values, (len(incidence), slant.size, turn.size))
     around = (
@@ -167,25 +169,25 @@ SurfaceStated = Annotated[
 
 
 def brightness(
-    stated: SurfaceStated | None,
+    surface: SurfaceStated | None,
     *,
     reflectance: float,
     incidence: Floats,
     leaving: Floats,
     azimuth: Floats,
 ) -> Floats:
-    """Return the BRDF of a surface over that of Lambert's law."""
-    if isinstance(stated, OrenNayar):
-        found = reflection.oren_nayar(
+    """Return the BRDF of a surface over that of Lambert's law [1]."""
+    if isinstance(surface, OrenNayar):
+        ratio = reflection.oren_nayar(
             incidence=incidence,
             reflection=leaving,
             azimuth=azimuth,
-            roughness=stated.roughness,
+            roughness=surface.roughness,
             reflectance=reflectance,
         )
-        return np.asarray(found * np.pi / reflectance)
-    if isinstance(stated, TabulatedSurface):
-        return np.pi * _interpolated(stated, incidence, leaving, azimuth)
+        return np.asarray(ratio * np.pi / reflectance)
+    if isinstance(surface, TabulatedSurface):
+        return np.pi * _interpolated(surface, incidence, leaving, azimuth)
     return np.ones(incidence.shape)
 
 
@@ -206,18 +208,18 @@ def _interpolated(
     if grid[2].size == 1:
         grid, places, values = grid[:2], places[:2], values[..., 0]
     names = ("incidence", "reflection", "azimuth")
-    for name, axis, asked in zip(names, grid, places, strict=False):
-        outside = (asked < axis[0] - 1e-9) | (asked > axis[-1] + 1e-9)
+    for name, axis, angle in zip(names, grid, places, strict=False):
+        outside = (angle < axis[0] - 1e-9) | (angle > axis[-1] + 1e-9)
         if outside.any():
-            worst = math.degrees(float(asked[outside].flat[0]))
+            worst = math.degrees(float(angle[outside].flat[0]))
             raise SurveyError(
                 f"surface: its table has {name} from {math.degrees(axis[0]):g} to "
                 f"{math.degrees(axis[-1]):g} deg, but a beam meets the target at "
                 f"{worst:.3g} deg; extend the table"
             )
     inside = [
-        np.clip(asked, axis[0], axis[-1])
-        for axis, asked in zip(grid, places, strict=True)
+        np.clip(angle, axis[0], axis[-1])
+        for axis, angle in zip(grid, places, strict=True)
     ]
-    found = RegularGridInterpolator(grid, values)(np.stack(inside, axis=-1))
-    return np.asarray(found)
+    value = RegularGridInterpolator(grid, values)(np.stack(inside, axis=-1))
+    return np.asarray(value)

@@ -1,4 +1,4 @@
-"""The survey file: reads and writes TOML, and says what is wrong in one line each."""
+"""Survey files in TOML: reading, writing, and error messages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SIZE_LIMIT = 1_000_000
 
 
 class Survey(Description):
-    """Water, targets, instrument and scan: all that is known before measuring.
+    """Water, targets, instrument and scan of a measurement.
 
     Examples
     --------
@@ -48,7 +48,7 @@ class Survey(Description):
     calibration: Calibration | None = None
     """Uncertainties of delay, geometry and index; unknown if left out."""
     daylight: Daylight | None = None
-    """Daylight in the water; dark if left out."""
+    """Daylight in the water; dark by default."""
     pose: Pose | None = None
     """Position and attitude of the instrument; unknown if left out."""
 
@@ -105,7 +105,7 @@ class Survey(Description):
         slips = list(beyond(survey.model_dump(mode="python", exclude_none=True)))
         if slips:
             raise SurveyError(
-                "\n".join(f"{path}: {field}: {said}" for field, said in slips)
+                "\n".join(f"{path}: {field}: {message}" for field, message in slips)
             )
         return survey
 
@@ -196,7 +196,7 @@ class Survey(Description):
         ... )  # doctest: +SKIP
         """
         content = changed(self.model_dump(exclude_none=True), changes, name="survey")
-        content = _without_nothing(content)
+        content = _without_none(content)
         try:
             survey = type(self).model_validate(content)
         except ValidationError as error:
@@ -218,16 +218,16 @@ class Survey(Description):
         return tomli_w.dumps(content)
 
 
-def _without_nothing(content: Any) -> Any:
+def _without_none(content: Any) -> Any:
     """Leave out fields that are None, so that messages call them missing."""
     if isinstance(content, dict):
         return {
-            key: _without_nothing(item)
+            key: _without_none(item)
             for key, item in content.items()
             if item is not None
         }
     if isinstance(content, list):
-        return [_without_nothing(item) for item in content]
+        return [_without_none(item) for item in content]
     return content
 
 

@@ -1,4 +1,4 @@
-"""The targets: shape, place in front of the instrument, reflectance, Mueller matrix."""
+"""Targets: shape, position, reflectance, Mueller matrix."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 
 class _Target(Description):
     position: Position
-    """Centre of the target (right, down, forward) in the instrument's axes [m]."""
+    """Center of the target (right, down, forward) in the instrument's axes [m]."""
     rotation: Rotation = (0.0, 0.0, 0.0)
-    """Turns about the axes right, down, forward, one after the other [rad]."""
+    """Rotation about the axes right, down, forward, in this order [rad]."""
     reflectance: Annotated[Fraction, Field(gt=0, le=1)]
-    """Fraction of the light that the surface sends back diffusely [1]."""
+    """Diffuse reflectance of the surface [1]."""
     mueller: ReducedMueller = PAINTED_METAL
     """Reduced Mueller matrix of the surface straight backwards, or "painted-metal",
     "smooth-metal" or "ideal-depolarizer" [1]."""
@@ -43,7 +43,7 @@ class _Target(Description):
 
 
 class Plate(_Target):
-    """A flat rectangle that faces the instrument.
+    """Flat rectangle that faces the instrument.
 
     Examples
     --------
@@ -69,7 +69,7 @@ class Plate(_Target):
 
 
 class Staircase(_Target):
-    """Treads side by side, each nearer to the instrument than the one on its left.
+    """Staircase: treads side by side, each nearer to the instrument than its left one.
 
     The first tread lies in the plane of `position`.
 
@@ -101,7 +101,7 @@ class Staircase(_Target):
 
 
 class Disc(_Target):
-    """A round plate with holes, bent or flat.
+    """Round plate with holes, bent or flat.
 
     Examples
     --------
@@ -126,14 +126,14 @@ class Disc(_Target):
     central_hole: Annotated[Length, Field(ge=0)] = 0.0
     """Diameter of the hole in the middle, 0 for none [m]."""
     hole_count: Annotated[Count, Field(ge=0, le=100)] = 0
-    """Number of small holes, evenly round the middle [1]."""
+    """Number of small holes, evenly spaced around the middle [1]."""
     hole_diameter: Annotated[Length, Field(ge=0)] = 0.0
     """Diameter of the small holes [m]."""
     hole_circle: Annotated[Length, Field(ge=0)] = 0.0
-    """Diameter of the circle that the centres of the small holes lie on [m]."""
+    """Diameter of the circle through the centers of the small holes [m]."""
     curvature_radius: Annotated[Length, Field(gt=0)] | None = None
-    """Radius of the cylinder the disc is bent to, about the vertical; flat if left
-    out. The middle is nearest to the instrument [m]."""
+    """Radius of the cylinder of a bent disc, with a vertical axis; flat by default. The
+    middle is nearest to the instrument [m]."""
 
     @model_validator(mode="after")
     def _holes_fit(self) -> Self:
@@ -165,7 +165,7 @@ class Disc(_Target):
 
 
 class Mesh(_Target):
-    """A surface from a file: STL, PLY, OBJ or GLB.
+    """Surface from a mesh file: STL, PLY, OBJ or GLB.
 
     Examples
     --------
@@ -212,7 +212,7 @@ class Mesh(_Target):
         return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
-        """Return the same with the whole path of its file.
+        """Return a copy with the full path of its file.
 
         One that is whole already is looked for when the mesh is read: a cube names the
         mesh that it was made of, and goes to other computers without it.

@@ -1,4 +1,4 @@
-"""Says what is wrong in a survey file: file, field, what was found, what is allowed."""
+"""Reading of TOML files, and messages about errors in them."""
 
 from __future__ import annotations
 
@@ -24,9 +24,13 @@ def lines(
     name: str,
     what: str = "a survey",
 ) -> list[str]:
-    """Turn the findings of the validator into one line each."""
+    """Return the errors of the validator, one line each."""
     problems = error.errors()
-    above = {one["loc"][:end] for one in problems for end in range(len(one["loc"]))}
+    above = {
+        problem["loc"][:end]
+        for problem in problems
+        for end in range(len(problem["loc"]))
+    }
     result = [
         _line(problem, content, model, name, what)
         for problem in problems
@@ -51,7 +55,7 @@ def _line(
     field = ".".join(str(part) for part in location) or what.partition(" ")[2]
     field = field if len(field) <= _LONGEST else f"{field[:_LONGEST]}..."
     kind, bounds = problem["type"], problem.get("ctx", {})
-    result = _found(location, content)
+    result = _value_text(location, content)
     if kind == "extra_forbidden":
         allowed = list(_table(location[:-1], content, model).model_fields)
         close = difflib.get_close_matches(str(location[-1]), allowed, n=1)
@@ -71,7 +75,9 @@ def _line(
     if kind == "literal_error":
         return f"{name}: {field}: found {result}, but it must be {limit}"
     if kind == "string_pattern_mismatch" and "polarizations" not in location:
-        return f"{name}: {field}: found {result}; {_meant(location, content, model)}"
+        return (
+            f"{name}: {field}: found {result}; {_description(location, content, model)}"
+        )
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         kinds = ", ".join(_kinds_at(location, content, model))
         needed = f"it must be a table with kind = one of {kinds}"
@@ -106,63 +112,68 @@ _NEEDED = {
 
 def _location(loc: tuple[Any, ...], content: Any) -> list[Any]:
     """Drop the parts of a location that name a choice of type, not a field."""
-    kept: list[Any] = []
-    here = content
+    location: list[Any] = []
+    value = content
     for position, part in enumerate(loc):
         last = position == len(loc) - 1
-        if isinstance(here, list) and isinstance(part, int):
-            kept.append(part)
-            here = here[part] if part < len(here) else None
-        elif isinstance(here, dict) and (part in here or last):
-            kept.append(part)
-            here = here.get(part)
-    return kept
+        if isinstance(value, list) and isinstance(part, int):
+            location.append(part)
+            value = value[part] if part < len(value) else None
+        elif isinstance(value, dict) and (part in value or last):
+            location.append(part)
+            value = value.get(part)
+    return location
 
 
 def _at(location: list[Any], content: Any) -> Any:
-    """Return what the file has at a place; nothing is None."""
-    here = content
+    """Return the value of the file at a location; None if it has none."""
+    value = content
     for part in location:
         try:
-            here = here[part]
+            value = value[part]
         except (KeyError, IndexError, TypeError):
             return None
-    return here
+    return value
 
 
-def _bound(found: Any, limit: float) -> str:
-    """Return a limit in the unit of what was found."""
-    if isinstance(found, str):
-        return units.write_like(limit, found)
-    return f"{limit:g} in SI units" if isinstance(found, float) else f"{limit:g}"
+def _bound(value: Any, limit: float) -> str:
+    """Return a limit in the unit of the value in the file."""
+    if isinstance(value, str):
+        return units.write_like(limit, value)
+    return f"{limit:g} in SI units" if isinstance(value, float) else f"{limit:g}"
 
 
-def _found(location: list[Any], content: Any) -> str:
-    here = _at(location, content)
-    if here is None:
+def _value_text(location: list[Any], content: Any) -> str:
+    value = _at(location, content)
+    if value is None:
         return "nothing"
-    text = json.dumps(here, default=str)
+    text = json.dumps(value, default=str)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _table(
     location: list[Any], content: Any, model: type[BaseModel]
 ) -> type[BaseModel]:
-    """Return the description class that a table of the file stands for."""
-    here = content
+    """Return the description class of a table of the file."""
+    value = content
     annotation: Any = model
     for part in location:
-        here = here[part]
+        value = value[part]
         if not isinstance(part, int):  # an item of a list has the kinds of the list
             annotation = model.model_fields[part].annotation
         model = next(
-            (one for one in _models(annotation) if _is_of_kind(here, one)), model
+            (
+                candidate
+                for candidate in _models(annotation)
+                if _is_of_kind(value, candidate)
+            ),
+            model,
         )
     return model
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield every description class that an annotation names, at any depth."""
+    """Yield all description classes in an annotation, at any depth."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
@@ -170,7 +181,7 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _is_of_kind(table: Any, model: type[BaseModel]) -> bool:
-    """Return whether a table of the file can stand for a class, by its `kind`."""
+    """Return whether a table of the file matches a class, by its `kind`."""
     field = model.model_fields.get("kind")
     if field is None or not isinstance(table, dict):
         return True
@@ -180,7 +191,7 @@ def _is_of_kind(table: Any, model: type[BaseModel]) -> bool:
 
 
 def _kinds(model: type[BaseModel]) -> list[str]:
-    """Return what `kind` of a description class may be."""
+    """Return the values of `kind` of a description class."""
 
     def texts(annotation: Any) -> Iterator[str]:
         for part in get_args(annotation):
@@ -192,26 +203,26 @@ def _kinds(model: type[BaseModel]) -> list[str]:
 
 
 def _kinds_at(location: list[Any], content: Any, model: type[BaseModel]) -> list[str]:
-    """Return the kinds that a table of the file may have."""
+    """Return the kinds allowed for a table of the file."""
     fields = [part for part in location if not isinstance(part, int)]
     above = location[: location.index(fields[-1])]
     annotation = _table(above, content, model).model_fields[fields[-1]].annotation
     return [
         kind
-        for one in _models(annotation)
-        if "kind" in one.model_fields
-        for kind in _kinds(one)
+        for candidate in _models(annotation)
+        if "kind" in candidate.model_fields
+        for kind in _kinds(candidate)
     ]
 
 
 def _needed(location: list[Any], content: Any, model: type[BaseModel]) -> str:
     if isinstance(location[-1], int):
         return f"needed are at least {location[-1] + 1} values"
-    return _meant(location, content, model)
+    return _description(location, content, model)
 
 
-def _meant(location: list[Any], content: Any, model: type[BaseModel]) -> str:
-    """Return what a field is, or the one that a key or an item belongs to."""
+def _description(location: list[Any], content: Any, model: type[BaseModel]) -> str:
+    """Return the docstring of a field, or of the field of a key or an item."""
     for end in range(len(location) - 1, -1, -1):
         fields = _table(location[:end], content, model).model_fields
         if location[end] in fields:
@@ -228,12 +239,12 @@ def text_of(path: str | Path, *, error: type[AmulorError]) -> str:
     path = Path(path)
     try:
         return path.read_text("utf-8-sig")
-    except OSError as found:
+    except OSError as problem:
         raise error(
-            f"{path}: cannot be read ({found.strerror}); check the name"
+            f"{path}: cannot be read ({problem.strerror}); check the name"
         ) from None
-    except UnicodeDecodeError as found:
-        raise error(f"{path}: is no valid TOML: {found}") from None
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: is no valid TOML: {problem}") from None
 
 
 def described(
@@ -244,12 +255,12 @@ def described(
     what: str,
     error: type[AmulorError],
 ) -> Model:
-    """Return what the text of a TOML file describes."""
+    """Return the description in the text of a TOML file."""
     content = _content(text, name=name, what=what, error=error)
     try:
         model_of_text = model.model_validate(content, context={"from_text": True})
-    except ValidationError as found:
-        complaints = lines(found, content, model=model, name=name, what=what)
+    except ValidationError as problem:
+        complaints = lines(problem, content, model=model, name=name, what=what)
         raise error("\n".join(complaints)) from None
     for path in _paths(model_of_text.model_dump(mode="python")):
         # The operating system would refuse to look for it, in its own words.
@@ -297,7 +308,7 @@ _DEEPEST, _DOTS = 20, 100
 
 
 def _paths(content: Any) -> Iterator[Path]:
-    """Yield all names of files in a description."""
+    """Yield the names of all files in a description."""
     if isinstance(content, Path):
         yield content
     elif isinstance(content, dict | list | tuple):

@@ -1,4 +1,4 @@
-"""How the receiver of a survey looks at its beams: what the signal models take."""
+"""View of the receiver for the beams of a survey, the input of the signal models."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ _SMALLEST_COSINE = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """How beams and the receiver stand to each other, arrays over the beams."""
+    """Geometry of receiver and beams, arrays over the beams."""
 
     baseline: Floats
-    """Distance of receiver and beam where the depth is zero [m]."""
+    """Distance of receiver and beam at depth zero [m]."""
     tilt: Floats
-    """Inclination of the beam against the receiver's axis, along the baseline: the
-    distance by which they near each other over a way along the beam [rad]."""
+    """Inclination of the beam against the receiver's axis, along the baseline: decrease
+    of their distance per length of the beam [rad]."""
     cross_tilt: Floats
     """The inclination across the baseline [rad]."""
     standoff: Floats
     """Air and glass before the water, as a depth of water [m]."""
     optical_offset: Floats
-    """Group index times length, out and back, where the depth is zero [m]."""
+    """Group index times length, out and back, at depth zero [m]."""
     acceptance: float
     """1/e half-width of the field of view, in the water [rad]."""
     transmission: Floats
-    """Share of the light that the faces of a window let pass, out and back; 1 where
-    reflections are left out [1]."""
+    """Transmission of the faces of a window, out and back; 1 without reflection losses
+    [1]."""
 
 
 def medium_of(survey: Survey) -> rays.Medium:
-    """Return what the light of a survey crosses."""
+    """Return the media that the light of a survey crosses."""
     window = survey.instrument.window
     phase_index, group_index = indices(survey)
     if window is None:
@@ -57,7 +57,7 @@ def medium_of(survey: Survey) -> rays.Medium:
 
 
 def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
-    """Return where the receiver seems to be from the water, and what it accepts."""
+    """Return the standoff of the receiver as a depth of water, and its acceptance."""
     receiver = survey.instrument.receiver
     if medium.window_distance is None:
         return 0.0, receiver.acceptance
@@ -71,7 +71,7 @@ def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
 
 
 def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
-    """Return how the receiver looks at beams of given directions.
+    """Return the view of the receiver for beams of given directions.
 
     The signal models are small-angle models. They also count the delay of the water
     along the beam, twice the depth, where the way back to a receiver aside is longer:
@@ -82,10 +82,11 @@ def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
     instrument, scan = survey.instrument, survey.scan
     receiver, medium = instrument.receiver, medium_of(survey)
     standoff, acceptance = seen_from_water(survey, medium)
-    turned = scan.moves == "both"
+    receiver_turns = scan.moves == "both"
     axis = rays.direction(
-        receiver.azimuth + (azimuth - scan.azimuth if turned else 0 * azimuth),
-        receiver.elevation + (elevation - scan.elevation if turned else 0 * elevation),
+        receiver.azimuth + (azimuth - scan.azimuth if receiver_turns else 0 * azimuth),
+        receiver.elevation
+        + (elevation - scan.elevation if receiver_turns else 0 * elevation),
     )
     beam = rays.enter_water(
         instrument.emitter.position, rays.direction(azimuth, elevation), medium=medium
@@ -135,35 +136,35 @@ def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
 def _transmission(
     survey: Survey, medium: rays.Medium, launched: Floats, axis: Floats
 ) -> Floats:
-    """Return what two faces let pass on the way out and along the receiver's axis.
+    """Return the transmission of two faces, out and back along the receiver's axis [1].
 
     Of light that was reflected twice within the pane nothing is counted: less than a
     thousandth.
     """
-    passed = np.ones(launched.shape[:-1])
+    transmission = np.ones(launched.shape[:-1])
     window = survey.instrument.window
     if window is None or not window.reflection_loss:
-        return passed
-    for way in (launched, axis):
-        ahead = np.clip(way[..., 2], 0.0, 1.0)
+        return transmission
+    for direction in (launched, axis):
+        ahead = np.clip(direction[..., 2], 0.0, 1.0)
         inside = np.sqrt(1 - (1 - ahead**2) / window.refractive_index**2)
-        passed = passed * reflection.fresnel_transmission(
+        transmission = transmission * reflection.fresnel_transmission(
             ahead,
             refractive_index=1.0,
             refractive_index_behind=window.refractive_index,
         )
-        passed = passed * reflection.fresnel_transmission(
+        transmission = transmission * reflection.fresnel_transmission(
             inside,
             refractive_index=window.refractive_index,
             refractive_index_behind=medium.refractive_index,
         )
-    return passed
+    return transmission
 
 
 def kernel_arguments(
     survey: Survey, water: WaterProperties, view: View
 ) -> dict[str, Any]:
-    """Return what target and water signal both take from a survey."""
+    """Return the arguments of target and water signal from a survey."""
     return {
         "absorption": water.absorption,
         "forward_scattering": water.forward_scattering,
@@ -179,7 +180,7 @@ def kernel_arguments(
 
 
 def beam_arguments(survey: Survey, water: WaterProperties) -> dict[str, float]:
-    """Return radius and divergence of the beam, where a survey states them."""
+    """Return radius and divergence of the beam, if stated."""
     emitter = survey.instrument.emitter
     arguments = {}
     if emitter.beam_radius:
@@ -193,7 +194,7 @@ def beam_arguments(survey: Survey, water: WaterProperties) -> dict[str, float]:
 def widths_together(
     survey: Survey, water: WaterProperties, acceptance: float
 ) -> tuple[float, float]:
-    """Return radius [m] and semi-angle [rad] of receiver and beam together."""
+    """Return radius [m] and semi-angle [rad] of receiver and beam combined."""
     beam = beam_arguments(survey, water)
     return (
         float(np.hypot(survey.instrument.receiver.radius, beam.get("beam_radius", 0))),
@@ -207,7 +208,7 @@ def has_sharp_receiver(survey: Survey) -> bool:
 
 
 def refuse_layers(water: WaterProperties, *, model: str) -> None:
-    """Refuse layered water in a model that knows uniform water only."""
+    """Refuse layered water in a model of uniform water."""
     if water.layers:
         raise SurveyError(
             f"water.layers: {model} knows uniform water only; `amulor backscatter "
@@ -216,26 +217,26 @@ def refuse_layers(water: WaterProperties, *, model: str) -> None:
 
 
 def refuse_beam_and_edges(survey: Survey, *, model: str) -> None:
-    """Refuse what only the small-angle forms and photons know of an instrument."""
+    """Refuse beam widths and sharp edges in a model without them."""
     emitter = survey.instrument.emitter
-    stated = [
+    unsupported = [
         name
-        for name, there in (
+        for name, present in (
             ("emitter.beam_radius", emitter.beam_radius),
             ("emitter.beam_divergence", emitter.beam_divergence),
             ('receiver.edge = "sharp"', has_sharp_receiver(survey)),
         )
-        if there
+        if present
     ]
-    if stated:
+    if unsupported:
         raise SurveyError(
             f"instrument: {model} knows thin beams and Gaussian receivers only, found "
-            f"{', '.join(stated)}; use the small-angle model, or leave them out"
+            f"{', '.join(unsupported)}; use the small-angle model, or leave them out"
         )
 
 
 def geometry_attributes(survey: Survey) -> dict[str, Any]:
-    """Return what a cube says about indices, window and places of the instrument."""
+    """Return indices, window and positions of the instrument, for a cube."""
     medium = medium_of(survey)
     attributes: dict[str, Any] = {
         "group_index": medium.group_index,

@@ -1,4 +1,4 @@
-"""The water by its coefficients, and what every description of water states."""
+"""Water by its coefficients, and the fields of all descriptions of water."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
 class WaterState(Description):
-    """What is stated of any water, whatever its coefficients follow from."""
+    """Fields of all descriptions of water."""
 
     split_angle: Annotated[Angle, Field(gt=0, le=math.pi)] = math.pi / 2
     """Scattering below this angle counts as forward, beyond it as diffuse [rad]. 90
@@ -41,9 +41,9 @@ class WaterState(Description):
     """Practical salinity, sets the indices; 0 is fresh water. If left out, that of
     water between fresh and 40: 20, and ranges state the error [1]."""
     refractive_index: Annotated[float, Field(ge=1.2, le=1.5)] | None = None
-    """Phase index, where it is not to follow from temperature and salinity [1]."""
+    """Phase index; from temperature and salinity by default [1]."""
     group_index: Annotated[float, Field(ge=1.2, le=1.6)] | None = None
-    """Group index, where it is not to follow from temperature and salinity [1]."""
+    """Group index; from temperature and salinity by default [1]."""
     backscatter_mueller: ReducedMueller | None = None
     """Reduced Mueller matrix of the water straight backwards. If left out, as measured
     in the sea for jerlov, petzold and case-1, of molecules and spheres for pure, milk
@@ -62,7 +62,7 @@ SALINITIES, TEMPERATURES = (0.0, 40.0), (0.0, 30.0)
 
 
 def state_of(water: WaterState) -> dict[str, float]:
-    """Return temperature and salinity of a water, stated or the middle of its span."""
+    """Return temperature and salinity of a water, stated or by default."""
     stated = {"temperature": water.temperature, "salinity": water.salinity}
     spans = {"temperature": TEMPERATURES, "salinity": SALINITIES}
     return {
@@ -98,13 +98,13 @@ class Water(WaterState):
     asymmetry: Annotated[float, Field(gt=-1, lt=1)] | None = None
     """Mean cosine g of a Henyey-Greenstein phase function [1]."""
     forward_fraction: Annotated[Fraction, Field(ge=0, le=1)] | None = None
-    """Fraction of the scattering below the split angle, where it is known [1]."""
+    """Fraction of the scattering below the split angle, if known [1]."""
     second_moment: Annotated[AngleSquared, Field(ge=0)] | None = None
-    """Mean square angle of the forward part, where it is known [rad^2]."""
+    """Mean square angle of the forward part, if known [rad^2]."""
     phase_function_at_180: Annotated[PerSteradian, Field(ge=0)] | None = None
-    """Phase function straight backwards, where it is known [1/sr]."""
+    """Phase function straight backwards, if known [1/sr]."""
     phase_function: PhaseFunctionStated | None = None
-    """Any other phase function, in place of an asymmetry or moments."""
+    """Phase function, in place of an asymmetry or moments."""
 
     @model_validator(mode="after")
     def _phase_function_is_stated(self) -> Self:
@@ -136,7 +136,7 @@ class Water(WaterState):
 
     @model_serializer(mode="wrap")
     def _coefficients_first(self, dump: SerializerFunctionWrapHandler) -> Any:
-        """Write the fields in the order in which surveys always had them."""
+        """Write the fields in a fixed order, coefficients first."""
         content = dump(self)
         return {name: content[name] for name in _ORDER if name in content}
 
@@ -163,7 +163,7 @@ _ORDER = (
 
 
 def refuse_clear(absorption: float, scattering: float) -> None:
-    """Refuse water that takes no light at all."""
+    """Refuse water without any attenuation."""
     if absorption + scattering <= 0:
         raise ValueError(
             "absorption and scattering are both 0 1/m; even the clearest water "

@@ -15,20 +15,20 @@ _BASES = ("published", "deduced", "assumed")
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """An instrument that was published, as a survey."""
+    """Published instrument, as a survey."""
 
     name: str
-    """What `Survey.preset` calls it."""
+    """Name for `Survey.preset`."""
     title: str
-    """What it is."""
+    """Title of the instrument."""
     source: str
     """Authors, journal, year."""
     doi: str
     """Digital object identifier of the source."""
     use: str
-    """What it is for."""
+    """Purpose of the instrument."""
     counts: dict[str, int]
-    """Number of statements that are published, deduced from it, and assumed."""
+    """Numbers of published, deduced and assumed statements."""
     text: str
     """The survey file, with a remark on each line."""
 
@@ -45,22 +45,24 @@ def names() -> list[str]:
 
 @cache
 def preset(name: str) -> Preset:
-    """Return a preset with what it says about itself."""
-    known = names()
-    if name not in known:
-        raise SurveyError(f"there is no preset {name!r}; there are {', '.join(known)}")
+    """Return a preset with its title, source and text."""
+    available = names()
+    if name not in available:
+        raise SurveyError(
+            f"there is no preset {name!r}; there are {', '.join(available)}"
+        )
     file = resources.files("amulor.survey.presets") / f"{name}.toml"
     text = file.read_text(encoding="utf-8")
     lines = text.splitlines()
-    said = dict(
+    header = dict(
         line.removeprefix("# ").split(": ", 1) for line in lines[1:4] if ": " in line
     )
     return Preset(
         name=name,
         title=lines[0].removeprefix("# "),
-        source=said["Source"],
-        doi=said["DOI"],
-        use=said["Use"],
+        source=header["Source"],
+        doi=header["DOI"],
+        use=header["Use"],
         counts={
             basis: sum(bool(re.search(rf" # \[{basis}\]", line)) for line in lines)
             for basis in _BASES

@@ -1,1 +1,1 @@
-"""Waters by name, what each resolves to, and its whole phase function."""
+"""Kinds of water, their optical properties and phase functions."""

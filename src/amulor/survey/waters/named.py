@@ -1,4 +1,4 @@
-"""Waters that a survey names: their coefficients follow from what is stated."""
+"""Kinds of water whose coefficients follow from other statements."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
 class JerlovWater(WaterState):
-    """One of Jerlov's types of sea water.
+    """Jerlov's types of sea water.
 
     Examples
     --------
@@ -40,8 +40,8 @@ class JerlovWater(WaterState):
     """Source of absorption and scattering: a model fitted to diffuse attenuation, or
     averages of measurements (IB to 5C). The two differ by a factor of several."""
     particles: PhaseFunctionStated | None = None
-    """Phase function of what the water holds; Petzold's average particle if left out.
-    That of the molecules is added."""
+    """Phase function of the particles; Petzold's average particle by default. The
+    molecules are added."""
 
 
 class PetzoldWater(WaterState):
@@ -75,10 +75,10 @@ class PetzoldWater(WaterState):
     ]
     """Clear ocean (AUTEC), coast (HAOCE) or San Diego Harbor (NUC)."""
     absorption: Annotated[PerMetre, Field(ge=0)] | None = None
-    """Absorption coefficient; that of the station, which holds within 20 nm of 530 nm,
-    if left out [1/m]."""
+    """Absorption coefficient; by default the measured one, within 20 nm of 530 nm
+    [1/m]."""
     scattering: Annotated[PerMetre, Field(gt=0)] | None = None
-    """Scattering coefficient; that of the station, as above, if left out [1/m]."""
+    """Scattering coefficient; by default the measured one, as above [1/m]."""
 
 
 class PureWater(WaterState):
@@ -102,7 +102,7 @@ class PureWater(WaterState):
 
 
 class Case1Water(WaterState):
-    """Open ocean whose optics follow from its chlorophyll.
+    """Open ocean, with optical properties from its chlorophyll.
 
     Examples
     --------
@@ -118,14 +118,14 @@ class Case1Water(WaterState):
     chlorophyll: Annotated[MassConcentration, Field(ge=0.02, le=30)]
     """Concentration of chlorophyll a [mg/m^3]."""
     cdom_absorption: Annotated[PerMetre, Field(ge=0)] | None = None
-    """Absorption of dissolved matter at 440 nm; a fifth of that of the particles there
-    if left out [1/m]."""
+    """Absorption of dissolved matter at 440 nm; by default a fifth of the absorption of
+    the particles [1/m]."""
     cdom_slope: Annotated[PerMetre, Field(ge=0, le=0.1e9)] = 0.014e9
     """Spectral slope of dissolved matter, such as "0.014 1/nm" [1/m]."""
 
 
 class MilkWater(WaterState):
-    """Pure water with milk in it.
+    """Pure water with milk.
 
     Examples
     --------
@@ -145,7 +145,7 @@ class MilkWater(WaterState):
     kind: Literal["milk"]
     """Kind of water."""
     volume_fraction: Annotated[Fraction, Field(gt=0, le=0.05)]
-    """Milk per volume of the mixture; 0.001 is 1 ml in a litre [1]."""
+    """Milk per volume of the mixture; 0.001 is 1 ml in a liter [1]."""
     fat: Annotated[Fraction, Field(ge=0.001, le=0.05)]
     """Fat of the milk by mass [1]."""
     scattering_source: Literal["mie", "jensen-2001"] = "mie"
@@ -166,7 +166,7 @@ class MilkWater(WaterState):
 
 
 class SphereWater(WaterState):
-    """Pure water with spheres of one size in it: Mie scattering.
+    """Pure water with spheres of one size, by Mie scattering.
 
     Examples
     --------
@@ -195,8 +195,8 @@ class SphereWater(WaterState):
     scattering: Annotated[PerMetre, Field(gt=0)] | None = None
     """Scattering coefficient of the spheres, in place of their volume [1/m]."""
     absorption: Annotated[PerMetre, Field(ge=0)] | None = None
-    """Absorption coefficient of all, where it is known; else that of pure water and
-    spheres [1/m]."""
+    """Absorption coefficient of the mixture; by default that of pure water and spheres
+    [1/m]."""
 
     @model_validator(mode="after")
     def _is_stated_once(self) -> Self:
@@ -206,7 +206,7 @@ class SphereWater(WaterState):
 
 
 class WaterLayer(Description):
-    """A layer of water across the forward axis.
+    """Layer of water across the forward axis.
 
     Examples
     --------
@@ -223,7 +223,7 @@ class WaterLayer(Description):
     """
 
     thickness: Annotated[Length, Field(gt=0)] | None = None
-    """Thickness along the forward axis; the last layer has none and goes on [m]."""
+    """Thickness along the forward axis; none for the last layer [m]."""
     absorption: Annotated[PerMetre, Field(ge=0)]
     """Absorption coefficient a [1/m]."""
     scattering: Annotated[PerMetre, Field(ge=0)]
@@ -238,7 +238,7 @@ class WaterLayer(Description):
 
 
 class LayeredWater(WaterState):
-    """Layers of water, one behind the other, for the photons of open water alone.
+    """Layers of water, for photons in open water only.
 
     Examples
     --------
@@ -262,7 +262,7 @@ class LayeredWater(WaterState):
     kind: Literal["layers"]
     """Kind of water."""
     layers: Annotated[tuple[WaterLayer, ...], Field(min_length=2, max_length=50)]
-    """The layers, the one at the instrument first."""
+    """Layers, the nearest first."""
 
     @model_validator(mode="after")
     def _only_the_last_goes_on(self) -> Self:
@@ -274,11 +274,11 @@ class LayeredWater(WaterState):
         return self
 
 
-def _kind(stated: Any) -> Any:
-    """Return the tag of a description; water without a kind has coefficients."""
-    if isinstance(stated, dict):
-        return stated.get("kind") or "coefficients"
-    return getattr(stated, "kind", None) or "coefficients"
+def _kind(description: Any) -> Any:
+    """Return the kind of a water; water without a kind states coefficients."""
+    if isinstance(description, dict):
+        return description.get("kind") or "coefficients"
+    return getattr(description, "kind", None) or "coefficients"
 
 
 WaterStated = Annotated[

@@ -1,4 +1,4 @@
-"""How a survey states a phase function: by name and parameters, or as a table."""
+"""Phase functions in a survey: by name and parameters, or as a table."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _Asymmetry = Annotated[float, Field(ge=-0.9999, le=0.999999)]
 
 
 class HenyeyGreenstein(Description):
-    """The Henyey-Greenstein phase function.
+    """Henyey-Greenstein phase function.
 
     Examples
     --------
@@ -38,12 +38,12 @@ class HenyeyGreenstein(Description):
     """Mean cosine g of the scattering angle [1]."""
 
     def function(self) -> PhaseFunction:
-        """Return the phase function that is stated."""
+        """Return the phase function."""
         return models.henyey_greenstein_function(asymmetry=self.asymmetry)
 
 
 class TwoTerm(Description):
-    """Two Henyey-Greenstein functions, a forward and mostly a backward one.
+    """Two Henyey-Greenstein terms, a forward one and mostly a backward one.
 
     Examples
     --------
@@ -72,7 +72,7 @@ class TwoTerm(Description):
     """Share of the first term [1]."""
 
     def function(self) -> PhaseFunction:
-        """Return the phase function that is stated."""
+        """Return the phase function."""
         return models.two_term(
             forward_asymmetry=self.forward_asymmetry,
             backward_asymmetry=self.backward_asymmetry,
@@ -81,7 +81,7 @@ class TwoTerm(Description):
 
 
 class FournierForand(Description):
-    """The Fournier-Forand phase function of particles of the sea.
+    """Fournier-Forand phase function of marine particles.
 
     Examples
     --------
@@ -118,7 +118,7 @@ class FournierForand(Description):
         return self
 
     def function(self) -> PhaseFunction:
-        """Return the phase function that is stated."""
+        """Return the phase function."""
         if self.relative_index is None or self.slope is None:
             assert self.backscatter_fraction is not None
             return mixture.fournier_forand_with_backscatter(self.backscatter_fraction)
@@ -128,7 +128,7 @@ class FournierForand(Description):
 
 
 class Petzold(Description):
-    """A phase function of natural water that Petzold measured in 1972.
+    """Phase function of natural water, measured by Petzold in 1972.
 
     Examples
     --------
@@ -159,12 +159,12 @@ class Petzold(Description):
     average particle of Mobley et al. 1993, without the water."""
 
     def function(self) -> PhaseFunction:
-        """Return the phase function that is stated."""
+        """Return the phase function."""
         return tables.petzold(self.station)
 
 
 class Rayleigh(Description):
-    """The phase function of molecules: of water without particles.
+    """Phase function of molecules, for water without particles.
 
     Examples
     --------
@@ -181,15 +181,15 @@ class Rayleigh(Description):
     kind: Literal["rayleigh"]
     """Kind of phase function."""
     depolarization: Annotated[Fraction, Field(ge=0, le=1)] = 0.039
-    """Depolarization ratio at 90 degrees; 0.039 is that of water [1]."""
+    """Depolarization ratio at 90 degrees, 0.039 for water [1]."""
 
     def function(self) -> PhaseFunction:
-        """Return the phase function that is stated."""
+        """Return the phase function."""
         return models.rayleigh_phase(depolarization=self.depolarization)
 
 
 class Tabulated(Description):
-    """Your own phase function or volume scattering function, as a table.
+    """Phase function or volume scattering function of your own, as a table.
 
     Examples
     --------
@@ -235,7 +235,7 @@ class Tabulated(Description):
         return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
-        """Return the same with the table of its file inside."""
+        """Return a copy that holds the table of its file."""
         if self.file is None:
             return self
         columns = files.columns(folder / self.file, count=2, where=where)
@@ -248,7 +248,7 @@ class Tabulated(Description):
         return files.validated(type(self), content, where=where)
 
     def function(self) -> PhaseFunction:
-        """Return the phase function that is stated."""
+        """Return the phase function."""
         if self.angles is None or self.values is None:
             raise SurveyError(
                 "phase_function.file: has not been read; make the survey with "
@@ -266,6 +266,6 @@ PhaseFunctionStated = Annotated[
 
 
 @lru_cache(maxsize=64)
-def phase_function(stated: PhaseFunctionStated) -> PhaseFunction:
-    """Return the phase function that a survey states, one object for one statement."""
-    return stated.function()
+def phase_function(description: PhaseFunctionStated) -> PhaseFunction:
+    """Return the phase function of a survey, cached by its description."""
+    return description.function()

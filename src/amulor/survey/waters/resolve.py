@@ -1,4 +1,4 @@
-"""From any water that a survey states to coefficients and one phase function."""
+"""Coefficients and phase function of any kind of water."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _SKIM = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class LayerOptics:
-    """A layer of water."""
+    """Coefficients and phase function of a layer of water."""
 
     thickness: float
     """Thickness along the forward axis, infinite for the last one [m]."""
@@ -58,11 +58,11 @@ class WaterOptics:
     scattering: float
     """Scattering coefficient b [1/m]."""
     phase_function: PhaseFunction | None
-    """Phase function; None where moments are all that is stated."""
+    """Phase function; None if moments only are stated."""
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
     mueller: tuple[float, float, float] | None = None
-    """Mueller matrix straight backwards, (m22, m33, m44); None where not known [1]."""
+    """Mueller matrix straight backwards, (m22, m33, m44); None if unknown [1]."""
     layers: tuple[LayerOptics, ...] = ()
     """Layers, if the water has any; the coefficients are those of the first."""
 
@@ -71,7 +71,7 @@ class WaterOptics:
 def resolved(
     water: WaterStated, *, wavelength: float, refractive_index: float
 ) -> WaterOptics:
-    """Return coefficients and phase function of a water, one object for one water."""
+    """Return coefficients and phase function of a water, cached."""
     try:
         return _resolved(water, wavelength, refractive_index)
     except ValueError as error:
@@ -127,42 +127,42 @@ def _henyey_greenstein(asymmetry: float) -> PhaseFunction | None:
 
 
 def _jerlov(water: JerlovWater, wavelength: float) -> WaterOptics:
-    known = types.jerlov(water.type, wavelength, source=water.source)
-    whole = float(known.scattering)
-    molecules = min(_molecules(water, wavelength), whole)
+    optics = types.jerlov(water.type, wavelength, source=water.source)
+    scattering = float(optics.scattering)
+    molecules = min(_molecules(water, wavelength), scattering)
     particles = (
         tables.petzold("average_particle")
         if water.particles is None
         else phase_function(water.particles)
     )
     return WaterOptics(
-        absorption=float(known.absorption),
-        scattering=whole,
+        absorption=float(optics.absorption),
+        scattering=scattering,
         phase_function=mixture.mixture(
             [models.rayleigh_phase(depolarization=_MOLECULES), particles],
-            scattering=[molecules, whole - molecules],
+            scattering=[molecules, scattering - molecules],
         ),
         mueller=SEA,
-        source=f"Jerlov type {water.type}, {water.source} ({known.status})",
+        source=f"Jerlov type {water.type}, {water.source} ({optics.status})",
     )
 
 
 def _petzold(water: PetzoldWater, wavelength: float) -> WaterOptics:
     station = types.petzold_station(water.station)
-    given = (water.absorption, water.scattering)
-    if None in given and abs(wavelength - _PETZOLD) > _PETZOLD_SPAN:
+    coefficients = (water.absorption, water.scattering)
+    if None in coefficients and abs(wavelength - _PETZOLD) > _PETZOLD_SPAN:
         raise SurveyError(
             f"water: Petzold measured {water.station} at 530 nm, not at "
             f"{1e9 * wavelength:g} nm, where only the shape of his phase function may "
             "serve; state absorption and scattering beside the station"
         )
     return WaterOptics(
-        absorption=station.absorption if given[0] is None else given[0],
-        scattering=station.scattering if given[1] is None else given[1],
+        absorption=station.absorption if coefficients[0] is None else coefficients[0],
+        scattering=station.scattering if coefficients[1] is None else coefficients[1],
         phase_function=_station(water.station),
         mueller=SEA,
         source=f"Petzold 1972, {water.station}"
-        + ("" if None in given else " (phase function)"),
+        + ("" if None in coefficients else " (phase function)"),
     )
 
 
@@ -194,7 +194,7 @@ def _case_1(water: Case1Water, wavelength: float) -> WaterOptics:
             case_1.particle_absorption(440e-9, **pigment)
         )
     scattering = float(case_1.particle_scattering(wavelength, **pigment))
-    back = float(case_1.particle_backscattering(wavelength, **pigment))
+    backscattering = float(case_1.particle_backscattering(wavelength, **pigment))
     molecules = _molecules(water, wavelength)
     cdom = case_1.cdom_absorption(
         wavelength, absorption_at_440=dissolved, cdom_slope=water.cdom_slope
@@ -207,7 +207,7 @@ def _case_1(water: Case1Water, wavelength: float) -> WaterOptics:
         phase_function=mixture.mixture(
             [
                 models.rayleigh_phase(depolarization=_MOLECULES),
-                mixture.fournier_forand_with_backscatter(back / scattering),
+                mixture.fournier_forand_with_backscatter(backscattering / scattering),
             ],
             scattering=[molecules, scattering],
         ),
@@ -227,10 +227,10 @@ def _milk(water: MilkWater, wavelength: float, refractive_index: float) -> Water
     added, absorbed, source = spheres.scattering, spheres.absorption, "Mie spheres"
     if water.scattering_source == "jensen-2001":
         kind = "skim" if water.fat <= _SKIM else "whole"
-        seen = milk.measured_milk(wavelength, kind=kind)
+        measured = milk.measured_milk(wavelength, kind=kind)
         share = 1 - spheres.phase_function.asymmetry
-        added = water.volume_fraction * seen.reduced_scattering / share
-        absorbed = water.volume_fraction * seen.absorption
+        added = water.volume_fraction * measured.reduced_scattering / share
+        absorbed = water.volume_fraction * measured.absorption
         source = f"{kind} milk of Jensen 2001"
     return _in_pure_water(
         water,
@@ -246,20 +246,22 @@ def _spheres(
     water: SphereWater, wavelength: float, refractive_index: float
 ) -> WaterOptics:
     volume = np.pi / 6 * water.diameter**3
-    made = mie.size_distribution(
+    suspension = mie.size_distribution(
         water.diameter,
         number=(water.volume_fraction or 1e-6) / volume,
         wavelength=wavelength,
         particle_index=complex(water.particle_index, water.particle_absorption_index),
         medium_index=refractive_index,
     )
-    factor = 1.0 if water.scattering is None else water.scattering / made.scattering
+    factor = (
+        1.0 if water.scattering is None else water.scattering / suspension.scattering
+    )
     return _in_pure_water(
         water,
         wavelength,
-        absorption=max(made.extinction - made.scattering, 0.0) * factor,
-        scattering=made.scattering * factor,
-        function=made.phase_function,
+        absorption=max(suspension.extinction - suspension.scattering, 0.0) * factor,
+        scattering=suspension.scattering * factor,
+        function=suspension.phase_function,
         source=f"Mie spheres of {1e6 * water.diameter:g} um",
         whole_absorption=water.absorption,
     )
@@ -295,21 +297,21 @@ def _in_pure_water(
     source: str,
     whole_absorption: float | None = None,
 ) -> WaterOptics:
-    """Return particles with the pure water that they are in."""
+    """Return the sum of particles and pure water."""
     molecules = _molecules(water, wavelength)
     if whole_absorption is None:
         whole_absorption = _absorption(water, wavelength) + absorption
     rayleigh = models.rayleigh_phase(depolarization=_MOLECULES)
     # Spheres keep polarization straight backwards; molecules keep a little less.
-    back = molecules * rayleigh.at_180, scattering * function.at_180
-    lost = _MOLECULES * back[0] / sum(back)
+    backward = molecules * rayleigh.at_180, scattering * function.at_180
+    depolarized = _MOLECULES * backward[0] / sum(backward)
     return WaterOptics(
         absorption=whole_absorption,
         scattering=molecules + scattering,
         phase_function=mixture.mixture(
             [rayleigh, function], scattering=[molecules, scattering]
         ),
-        mueller=keeping(1 - lost),
+        mueller=keeping(1 - depolarized),
         source=f"{source}, in pure water",
     )
 

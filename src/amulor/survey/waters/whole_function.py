@@ -1,4 +1,4 @@
-"""The whole phase function of any water, and what small-angle models take with it."""
+"""Phase function of any water over all angles, and arguments of small-angle models."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 def phase_function_of(water: Water | WaterProperties) -> PhaseFunction:
-    r"""Return the phase function of a survey's water, for photons to follow.
+    r"""Return the phase function of a survey's water over all angles.
 
     With :math:`u = (\cos\theta_s - \cos\theta) / (\cos\theta_s + 1)`, from 0 at the
     split angle to 1 straight back, :math:`\ln p` goes from its value at the split angle
@@ -77,7 +77,7 @@ def phase_function_of(water: Water | WaterProperties) -> PhaseFunction:
 def whole_function_arguments(
     survey: Survey, water: WaterProperties, view: View
 ) -> dict[str, Any]:
-    """Return what target and water signal both take in the small-angle model.
+    """Return the arguments of target and water signal in the small-angle model.
 
     Water that states moments only gets the phase function that
     `phase_function_of` makes of them. Water that
@@ -94,7 +94,7 @@ def whole_function_arguments(
         # Light that is scattered by no angle is not scattered.
         arguments["absorption"] = arguments["absorption"] + diffuse
         beam = beam_arguments(survey, water)
-        return {**arguments, **beam, "scattering": 0.0, **_nowhere()}
+        return {**arguments, **beam, "scattering": 0.0, **_no_scattering()}
     try:
         function = whole_phase_function(water)
     except SurveyError as problem:
@@ -112,7 +112,7 @@ def whole_function_arguments(
 
 @lru_cache(maxsize=8)
 def whole_phase_function(water: WaterProperties) -> PhaseFunction:
-    """Return the phase function of a water, one and the same each time."""
+    """Return the phase function of a water, cached."""
     if water.phase_function is None and water.backscatter_vsf == 0:
         # What small angles need is the forward part, which has a curve to join on to.
         water = replace(water, backscatter_vsf=_DARK * water.scattering)
@@ -120,8 +120,8 @@ def whole_phase_function(water: WaterProperties) -> PhaseFunction:
 
 
 @lru_cache(maxsize=1)
-def _nowhere() -> dict[str, Any]:
-    """Return a phase function for water that scatters nothing."""
+def _no_scattering() -> dict[str, Any]:
+    """Return a phase function for water without scattering."""
     return {"phase_function": isotropic(), "split_angle": np.pi / 2}
 
 
@@ -140,22 +140,28 @@ def _joined(
     u = (math.cos(split) - np.cos(theta)) / (math.cos(split) + 1)
     weight = 2 * np.pi * np.sin(theta)
 
-    def beyond(k: float, rest: float) -> Array:
-        start = (1 - rest) * float(forward(split)) / below
+    def beyond(k: float, diffuse_fraction: float) -> Array:
+        start = (1 - diffuse_fraction) * float(forward(split)) / below
         along = u ** math.exp(min(k, 0.0))
         line = math.log(start) + along * math.log(backwards / start)
         curve: Array = np.exp(line + 4 * max(k, 0.0) * u * (1 - u))
         return curve
 
-    def excess(k: float, rest: float) -> float:
-        return float(np.trapezoid(weight * beyond(k, rest), theta)) - rest
+    def excess(k: float, diffuse_fraction: float) -> float:
+        return (
+            float(np.trapezoid(weight * beyond(k, diffuse_fraction), theta))
+            - diffuse_fraction
+        )
 
-    rest, k = 1 - fraction, 0.0
-    if rest > 0 and excess(_LOWEST, rest) * excess(_HIGHEST, rest) < 0:
-        k = float(brentq(excess, _LOWEST, _HIGHEST, args=(rest,)))
+    diffuse_fraction, k = 1 - fraction, 0.0
+    if (
+        diffuse_fraction > 0
+        and excess(_LOWEST, diffuse_fraction) * excess(_HIGHEST, diffuse_fraction) < 0
+    ):
+        k = float(brentq(excess, _LOWEST, _HIGHEST, args=(diffuse_fraction,)))
     else:
         straight = float(brentq(lambda value: excess(0.0, value), 0.0, 1 - 1e-9))
-        if not (rest < straight <= NEGLIGIBLE):
+        if not (diffuse_fraction < straight <= NEGLIGIBLE):
             raise SurveyError(
                 f"no smooth phase function has a forward_fraction of {fraction:g} with "
                 f"a phase_function_at_180 of {backwards:g} 1/sr and a second_moment of "
@@ -163,11 +169,16 @@ def _joined(
                 f"beyond {math.degrees(split):g} deg; state an asymmetry, or moments "
                 "that fit"
             )
-        rest = straight
+        diffuse_fraction = straight
     head = np.concatenate([[0.0], np.geomspace(1e-5, split, _POINTS)[:-1]])
     return tabulated(
         np.concatenate([head, theta]),
-        value=np.concatenate([(1 - rest) / below * forward(head), beyond(k, rest)]),
+        value=np.concatenate(
+            [
+                (1 - diffuse_fraction) / below * forward(head),
+                beyond(k, diffuse_fraction),
+            ]
+        ),
         name=f"Henyey-Greenstein forwards (g = {g:.4f}), then to {backwards:g} 1/sr",
     )
 
