@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING
 
 from amulor import _lazy
-from amulor.simulation.expectation import Expectation, expectation
 from amulor.simulation.measurement import simulate
 from amulor.simulation.models import (
     ClosureModel,
@@ -11,7 +10,12 @@ from amulor.simulation.models import (
     SignalModel,
     SmallAngleModel,
 )
-from amulor.simulation.scene_light import SceneLight, scene_light
+from amulor.simulation.scene_light import (
+    Expectation,
+    SceneLight,
+    expectation,
+    scene_light,
+)
 
 if TYPE_CHECKING:
     from amulor.simulation.photons import PhotonModel

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from amulor.errors import SurveyError
 from amulor.survey import OpenWater, Survey, Water
-from amulor.survey.changes import changed
+from amulor.survey.survey import changed
 
 
 def test_a_change_is_what_the_file_with_it_says(plate: Survey, plate_text: str) -> None:
