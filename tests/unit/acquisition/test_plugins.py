@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,8 @@ import pytest
 from amulor import acquisition
 from amulor.acquisition.cube.build import shows_no_target
 from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.links.tcp import DeviceServer
+from amulor.acquisition.plugins import GuardedDevice, Wiring
 from amulor.acquisition.protocols import Overload, Reading
 from amulor.acquisition.settings import Settings
 from amulor.errors import InstrumentError
@@ -196,3 +200,47 @@ def test_a_scan_with_the_signal_of_open_water_is_noticed(
             cube = acquisition.build(journal)
         assert shows_no_target(cube) == (name == "same")
     assert water
+
+
+class Instrument:
+    """The other end of the lock-in of the page: 3 mV and 4 mV rms, input overloaded."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def answer(self, line: str) -> list[str]:
+        self.lines.append(line)
+        answers = {"*IDN?": "Mine,1", "FREQ?": "3.9e7", "XY?": "3e-3,-4e-3"}
+        answers["STAT?"] = "1"
+        return [answers[line]] if line in answers else []
+
+
+def test_the_lock_in_of_the_page_is_complete(clock) -> None:
+    page = Path(__file__).parents[3] / "docs" / "how-to" / "add-an-instrument.md"
+    blocks = re.findall(r"```py\n(.*?)```", page.read_text("utf-8"), flags=re.DOTALL)
+    (program,) = (block for block in blocks if "class LockIn" in block)
+    space: dict = {}
+    exec(program, space)
+    instrument = Instrument()
+    with DeviceServer(instrument) as server:
+        wiring = Wiring(address=server.address, timeout=5.0, clock=clock)
+        device = GuardedDevice(space["LockIn"](wiring), "lock_in 'mine'")
+        device.prepare(time_constant=0.01)
+        assert device.set_frequency(39e6, timeout=5.0) == 39e6
+        reading = device.read()
+        device.make_safe()
+        device.close()
+    # Peak values, and a phase that rises with delay.
+    assert reading.signal == pytest.approx(math.sqrt(2) * (3e-3 + 4e-3j))
+    assert reading.overload == Overload.INPUT
+    assert not reading.unlocked
+    assert instrument.lines[:2] == ["TC 0.01", "FREQ 39000000"]
+    (devices,) = (
+        block
+        for block in re.findall(
+            r"```toml\n(.*?)```", page.read_text("utf-8"), flags=re.DOTALL
+        )
+        if "my_lock_in" in block
+    )
+    parts = tomllib.loads(devices)
+    assert {"lock_in", "scanner", "laser", "launch", "analyser", "target"} == {*parts}
