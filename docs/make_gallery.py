@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from amulor.studies.ricci2010 import reproduce, results
+from amulor.studies.ricci2010.figures import FIGURES
 from amulor.studies.ricci2010.results import FOREWORD, Check
 
 DOCS = Path(__file__).parent
@@ -82,6 +83,11 @@ def merged(found: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _file(number: int) -> str:
+    """Return the name of the file that draws a figure."""
+    return f"{FIGURES[number].draw.__module__.rpartition('.')[2]}.py"
+
+
 def page(study: dict[str, Any]) -> str:
     """Return the page that shows the figures and checks of a run.
 
@@ -114,7 +120,7 @@ def page(study: dict[str, Any]) -> str:
             f"## Figure {figure['number']}. {figure['title']}",
             f"![{figure['title']}](../images/ricci2010/{stem}.png)",
             f"{figure['caption']} "
-            f"([code]({CODE}/figures/{stem}.py), "
+            f"([code]({CODE}/figures/{_file(figure['number'])}), "
             f"[SVG](../images/ricci2010/{stem}.svg))",
             _table(
                 list(results.CHECK_HEADER),
