@@ -3,7 +3,13 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { Beams, covariance, distance, height } from "../../src/amulor/view/page/static/geometry.js";
+import {
+  Beams,
+  covariance,
+  distance,
+  height,
+  surfaceMarks,
+} from "../../src/amulor/view/page/static/geometry.js";
 
 /** Beams at two pixels of one row: place, direction, azimuth, elevation of each. */
 function twoBeams(one, other) {
@@ -140,4 +146,35 @@ test("what cannot be measured is refused in words", () => {
     [0, 0],
   ];
   assert.throws(() => distance(scene, same), /Both points are the same/);
+});
+
+const none = () => false;
+
+test("a surface joins all pixels of a grid without steps", () => {
+  assert.deepEqual(
+    [...surfaceMarks([1, 1, 1, 1, 1, 1], new Array(6).fill(0), none, 3)],
+    [8, 8, 8, 8, 8, 8],
+  );
+});
+
+test("a surface ends at a step and keeps both sides", () => {
+  // Columns 0 and 1 stand before columns 2 and 3, in two rows.
+  const range = [1, 1, 2, 2, 1, 1, 2, 2];
+  const marks = surfaceMarks(range, [0, 1, 0, 0, 0, 1, 0, 0], none, 4);
+  assert.deepEqual([...marks], [8, 9, 8, 8, 8, 9, 8, 8]);
+  // With a single column behind the step, it belongs to no triangle.
+  const narrow = surfaceMarks([1, 1, 2, 1, 1, 2], [0, 1, 0, 0, 1, 0], none, 3);
+  assert.deepEqual([...narrow], [8, 9, 0, 8, 9, 0]);
+});
+
+test("a missing or flagged corner leaves one triangle of a cell", () => {
+  assert.deepEqual([...surfaceMarks([1, 1, 1, NaN], [0, 0, 0, 0], none, 2)], [8, 8, 8, 4]);
+  assert.deepEqual([...surfaceMarks([NaN, 1, 1, 1], [0, 0, 0, 0], none, 2)], [4, 8, 8, 8]);
+  const flagged = surfaceMarks([1, 1, 1, 1], [0, 0, 0, 0], (at) => at === 1, 2);
+  assert.deepEqual([...flagged], [8, 4, 8, 8]);
+});
+
+test("steps to rows and columns part a corner from its cell", () => {
+  // Pixel 0 steps to the right and down: only the triangle of the other three is there.
+  assert.deepEqual([...surfaceMarks([2, 1, 1, 1], [3, 0, 0, 0], none, 2)], [3, 8, 8, 8]);
 });

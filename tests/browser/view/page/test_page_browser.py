@@ -281,3 +281,44 @@ def test_the_pointer_moves_on_a_layer_of_its_own(
         shown.keyboard.press("2")
         settled(shown)
         assert shown.evaluate("window.drawn.map") > 0
+
+
+#: Where the middle between two pixels is on the canvas, seen from the right.
+BETWEEN = """([first, second]) => {
+  const { scene, views } = amulor;
+  const { matrix, canvas } = views.cloud;
+  const [a, b] = [scene.point(...first), scene.point(...second)];
+  const middle = [0, 1, 2].map((k) => (a[k] + b[k]) / 2);
+  const [x, y, , w] = [0, 1, 2, 3].map((row) => matrix[12 + row]
+    + middle.reduce((sum, part, k) => sum + matrix[4 * k + row] * part, 0));
+  return [(0.5 + x / w / 2) * canvas.width, (0.5 - y / w / 2) * canvas.height];
+}"""
+
+
+def test_the_surface_ends_where_the_range_steps(
+    tab: Callable[..., Any], steps: page.Recording
+) -> None:
+    with page.background(steps) as address:
+        opened = tab()
+        shown = opened.open(address)
+        shown.evaluate(
+            "Object.assign(amulor.views.cloud.camera, { turn: 0.8, rise: 0 })"
+        )
+        shown.keyboard.press("Escape")
+        settled(shown)
+
+        def colour(first: tuple[int, int], second: tuple[int, int]) -> list[int]:
+            spot = shown.evaluate(BETWEEN, [list(first), list(second)])
+            return drawn(shown, "cloud")[round(spot[1]), round(spot[0]), :3].tolist()
+
+        ground = drawn(shown, "cloud")[2, 2, :3].tolist()
+        # Column 19 is the last of the board, 20 the first of the wall behind it.
+        assert colour((6, 19), (6, 20)) == ground
+        assert colour((6, 30), (6, 31)) != ground
+        assert colour((6, 8), (7, 8)) != ground
+        surface = drawn(shown, "cloud")
+        shown.click("#points")
+        settled(shown)
+        assert shown.get_attribute("#points", "aria-pressed") == "true"
+        assert (drawn(shown, "cloud") != surface).any()
+        assert opened.errors == []

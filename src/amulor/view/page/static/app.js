@@ -582,6 +582,7 @@ const KEYS = {
     views.cloud.home(state.scene, shownRaw() ? "range_before" : state.scene.main);
   },
   o: () => page.orthographic(views.cloud.camera),
+  v: pointsOrSurface,
   f: () => views.cloud.front(),
   d: () => page.otherTheme(),
   s: () => page.save(),
@@ -596,6 +597,12 @@ const KEYS = {
   Escape: () => page.choose(null),
   Enter: entered,
 };
+
+/** Change between the surface through the pixels and the points alone. */
+function pointsOrSurface() {
+  views.cloud.points = !views.cloud.points;
+  $("points").setAttribute("aria-pressed", String(views.cloud.points));
+}
 
 /** Close a measurement that has its points, or else pick the pixel pointed at. */
 function entered() {
@@ -651,6 +658,7 @@ function wired() {
       auto: automatic,
       narrow,
       ortho: KEYS.o,
+      points: KEYS.v,
       front: KEYS.f,
       home: KEYS.r,
       "profile-csv": csv,

@@ -1,4 +1,4 @@
-// Points in space, seen by a camera that goes around them.
+// The surface of a scan in space, or its points, seen by a camera that goes around them.
 
 import { Camera, extent, projected } from "./camera.js";
 import { inkOf, over, ratioOf, spotOn } from "./dom.js";
@@ -6,16 +6,21 @@ import { clearedOver } from "./map.js";
 import { axes, chains, dot, scaleBar } from "./marks.js";
 import { Motion, turnable } from "./turning.js";
 
-/** Points that a picture still moves with, and at rest. */
-const MOVING = 250000;
+/** Pixels that are drawn at rest, and the fewest while the view moves. */
 const RESTING = 2000000;
+const FEWEST = 20000;
+/** Pixels up to which the pointer is followed. */
+const HOVERED = 250000;
+/** Time of a frame in motion, above which fewer pixels are drawn, below which more [ms]. */
+const SLOW = 70;
+const FAST = 25;
 const AXES = [
   ["right", [1, 0, 0]],
   ["down", [0, 1, 0]],
   ["forward", [0, 0, 1]],
 ];
 
-/** Draws the points of a scan and tells what is pointed at. */
+/** Draws the surface or the points of a scan and tells what is pointed at. */
 export class CloudView {
   constructor(canvas, { hover, pick, changed }) {
     this.canvas = canvas;
@@ -28,10 +33,13 @@ export class CloudView {
     this.fitting = 1;
     this.placed = "";
     this.motion = new Motion(changed);
+    /** Pixels that are drawn while the view moves; follows from the time that frames take. */
+    this.moving = 250000;
+    this.points = false;
     turnable(canvas, this.camera, {
       moved: () => this.motion.moved(),
       hover: (event) => {
-        if (this.state && this.state.scene.wide * this.state.scene.high <= MOVING) {
+        if (this.state && this.state.scene.wide * this.state.scene.high <= HOVERED) {
           hover(this.seen(event));
         }
       },
@@ -141,12 +149,26 @@ export class CloudView {
   draw(state, colours) {
     const { scene, renderer } = state;
     this.state = state;
-    const stride = this.#stride(scene, this.motion.busy ? MOVING : RESTING);
+    const { busy } = this.motion;
+    const stride = this.#stride(scene, busy ? this.moving : RESTING);
     const parts = this.#parts(state, stride);
-    renderer.drawCloud(this.context, parts);
+    const cells = [scene.wide, scene.high].map((count) => Math.ceil((count - 1) / stride));
+    const began = performance.now();
+    renderer.drawCloud(this.context, {
+      ...parts,
+      across: cells[0],
+      cells: this.points ? 0 : cells[0] * cells[1],
+    });
+    if (busy) this.#paced(performance.now() - began);
     this.matrix = parts.matrix;
     this.#marks(state, colours);
     this.point(state, colours);
+  }
+
+  /** Draw fewer pixels in motion where a frame took long, more where it did not. */
+  #paced(time) {
+    if (time > SLOW) this.moving = Math.max(this.moving / 2, FEWEST);
+    else if (time < FAST) this.moving = Math.min(this.moving * 1.5, RESTING);
   }
 
   /** Return the pixel whose point is seen at a place, null beside all of them. */

@@ -253,3 +253,41 @@ export function height(scene, pixels, axis = [0, -1, 0]) {
     dot(up, other.direction),
   ]);
 }
+
+/**
+ * Marks of pixels for a surface through the grid: 1 for a step to the next column, 2 for one
+ * to the next row, 4 for a pixel off the surface, 8 for one that belongs to a triangle. A cell
+ * of four pixels has two triangles along the diagonal that keeps more of them; a triangle has
+ * three usable corners and no step along its two sides in the grid.
+ * @param {ArrayLike<number>} range
+ * @param {ArrayLike<number>} steps
+ * @param {(at: number) => boolean} off
+ * @param {number} wide
+ * @returns {Uint8Array}
+ */
+export function surfaceMarks(range, steps, off, wide) {
+  const marks = new Uint8Array(range.length);
+  for (let at = 0; at < range.length; at += 1)
+    marks[at] = (steps[at] & 3) | (Number.isFinite(range[at]) && !off(at) ? 0 : 4);
+  const high = range.length / wide;
+  for (let row = 0; row < high - 1; row += 1) {
+    for (let column = 0; column < wide - 1; column += 1) {
+      const a = row * wide + column;
+      const [b, c, d] = [a + 1, a + wide, a + wide + 1];
+      /** @type {(i: number, j: number, bit: number) => boolean} */
+      const joined = (i, j, bit) => !((marks[i] | marks[j]) & 4 || marks[i] & bit);
+      const [above, below] = [joined(a, b, 1), joined(c, d, 1)];
+      const [left, right] = [joined(a, c, 2), joined(b, d, 2)];
+      const rising = Number(above && left) + Number(below && right);
+      const falling = Number(above && right) + Number(below && left);
+      const fall =
+        falling > rising ||
+        (falling === rising && Math.abs(range[a] - range[d]) < Math.abs(range[b] - range[c]));
+      const first = above && (fall ? right : left);
+      const second = below && (fall ? left : right);
+      if (first) for (const at of [a, b, fall ? d : c]) marks[at] |= 8;
+      if (second) for (const at of [fall ? a : b, d, c]) marks[at] |= 8;
+    }
+  }
+  return marks;
+}

@@ -1,7 +1,7 @@
 // One graphics context for all views: textures are made once and drawn anywhere.
 
 import { program } from "./program.js";
-import { CLOUD, MAP } from "./shaders.js";
+import { CLOUD, MAP, SURFACE } from "./shaders.js";
 
 /** Draws maps and clouds into any canvas. */
 export class Renderer {
@@ -24,6 +24,7 @@ export class Renderer {
     });
     this.map = program(gl, MAP);
     this.cloud = program(gl, CLOUD);
+    this.surface = program(gl, SURFACE);
     gl.bindVertexArray(gl.createVertexArray());
     this.longest = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     this.textures = new Map();
@@ -133,8 +134,9 @@ export class Renderer {
     this.#copied(context, width, height);
   }
 
-  /** Draw points; with `pick`, return the number of the pixel at a place, or -1. */
-  drawCloud(context, { layer, table, set, textures, points, ground, pick }) {
+  /** Draw a surface of some cells with the points beside it, or, without cells, all points;
+  with `pick`, return the number of the pixel at a place, or -1. */
+  drawCloud(context, { layer, table, set, textures, points, across = 0, cells = 0, ground, pick }) {
     const { gl } = this;
     const { width, height } = context.canvas;
     this.#sized(width, height);
@@ -143,11 +145,13 @@ export class Renderer {
     gl.clearColor(red, green, blue, cover);
     if (pick) gl.scissor(Math.max(pick.x - 6, 0), Math.max(height - pick.y - 7, 0), 13, 13);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    this.#use(
-      this.cloud,
-      { ...textures, uLayer: layer, uTable: table },
-      { ...set, uPick: ["1i", pick ? 1 : 0] },
-    );
+    const maps = { ...textures, uLayer: layer, uTable: table };
+    if (cells) {
+      this.#use(this.surface, maps, { ...set, uAcross: ["1i", across] });
+      gl.drawArrays(gl.TRIANGLES, 0, 6 * cells);
+    }
+    const alone = ["1i", cells ? 1 : 0];
+    this.#use(this.cloud, maps, { ...set, uAlone: alone, uPick: ["1i", pick ? 1 : 0] });
     gl.drawArrays(gl.POINTS, 0, points);
     if (!pick) {
       this.#copied(context, width, height);

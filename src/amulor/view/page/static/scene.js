@@ -1,7 +1,7 @@
 // One channel of a recording: its maps, its beams, and what a pixel of it says.
 
 import { flagRanks, flagTable, MAP_OF, MAPS, table } from "./colour.js";
-import { Beams } from "./geometry.js";
+import { Beams, surfaceMarks } from "./geometry.js";
 
 /** Lengths [m] and chances [1] below this are rounding. */
 export const ROUNDING = 1e-9;
@@ -39,6 +39,8 @@ export class Scene {
     this.renderer = renderer;
     this.maps = new Map();
     this.loading = new Map();
+    /** Rows that came in since the last picture. */
+    this.fresh = new Set();
     for (const name of MAPS) renderer.keep(`table ${name}`, 256, 1, table(name));
   }
 
@@ -54,6 +56,7 @@ export class Scene {
     const before = [this.channel, this.wide, this.high].join();
     Object.assign(this, await this.source.scene(channel));
     this.loading.clear();
+    this.fresh.clear();
     this.wide = Math.ceil(this.columns / this.stride);
     this.high = Math.ceil(this.rows / this.stride);
     this.byName = new Map(this.layers.map((layer) => [layer.name, layer]));
@@ -148,6 +151,7 @@ export class Scene {
     this.renderer.keep(`map ${name}`, this.wide, this.high, shown);
     if (name === "range" || name === "range_before") this.smooth(name);
     if (layer.name.startsWith("steps")) this.smooth(name.replace("steps", "range"));
+    if (layer.kind === "flags") this.#marked(name.replace("flags", "range"));
   }
 
   /** Average a range map over neighbours, for light and contours only. Until it is known
@@ -159,12 +163,24 @@ export class Scene {
     const steps = this.maps.get(name.replace("range", "steps"))?.values;
     map.smooth = averaged(map.values, this.wide, this.high, steps ? reach : 0, steps);
     this.renderer.keep(`smooth ${name}`, this.wide, this.high, map.smooth);
-    this.renderer.keep(
-      `edges ${name}`,
-      this.wide,
-      this.high,
-      steps ?? new Float32Array(map.values.length),
-    );
+    this.#marked(name);
+  }
+
+  /** Mark steps, pixels off the surface, and those that belong to one. Until steps are known,
+  all pixels are off it: rows that came in since the last picture, too. */
+  #marked(name) {
+    const map = this.maps.get(name);
+    if (!map) return;
+    const steps = this.maps.get(name.replace("range", "steps"))?.values;
+    const flags = this.maps.get(name.replace("range", "flags"))?.values;
+    const stray = this.flags
+      .filter((flag) => ["mixed", "outlier"].includes(flag.name))
+      .reduce((bits, flag) => bits | flag.mask, 0);
+    const off = (at) =>
+      !steps || this.fresh.has(Math.floor(at / this.wide)) || Boolean(flags && flags[at] & stray);
+    const marks = surfaceMarks(map.values, steps ?? map.values, off, this.wide);
+    if (!steps) marks.fill(4);
+    this.renderer.keep(`edges ${name}`, this.wide, this.high, Float32Array.from(marks));
   }
 
   /** Take over rows that came in; the maps must have been loaded. */
@@ -173,6 +189,7 @@ export class Scene {
     if (!map) return;
     map.values.set(values, first * this.wide);
     const count = values.length / this.wide;
+    for (let row = first; row < first + count; row += 1) this.fresh.add(row);
     const shown = map.layer.kind === "flags" ? flagRanks(values, this.flags) : values;
     this.renderer.rows(`map ${name}`, first, count, this.wide, shown);
   }

@@ -1,4 +1,4 @@
-// Programs of the graphics unit: a map of one layer, and points made from ranges.
+// Programs of the graphics unit: a map of one layer, and surface and points made from ranges.
 
 const HEADER = `#version 300 es
 precision highp float;
@@ -10,7 +10,7 @@ precision highp sampler2D;
 const POINTS = `
 uniform sampler2D uRange;    // slant range of every pixel
 uniform sampler2D uSmooth;   // the same, averaged over neighbours, for light only
-uniform sampler2D uSteps;    // 1 where the surface steps to the next column, plus 2: row
+uniform sampler2D uSteps;    // 1: step to the next column, 2: to the next row, 4: off the surface, 8: in a triangle
 uniform sampler2D uBase;     // place at range zero, azimuth
 uniform sampler2D uAim;      // direction, elevation
 uniform sampler2D uRows;     // for every row: node before, share of the next
@@ -130,6 +130,58 @@ void main() {
 }`,
 };
 
+export const SURFACE = {
+  vertex: `${HEADER}${POINTS}${COLOUR}${LIGHTING}
+uniform mat4 uProject;
+uniform int uStride;
+uniform int uAcross;          // cells of a row at this stride
+uniform bool uAveraged;       // vertices on the surface that the light falls on
+out vec4 vColour;
+
+// Whether the surface steps between two pixels of a row (bit 1) or of a column (bit 2).
+bool parted(ivec2 at, ivec2 end, int bit) {
+  ivec2 way = ivec2(bit == 1 ? 1 : 0, bit == 2 ? 1 : 0);
+  for (; at != end; at += way) if (steps(at, bit)) return true;
+  return false;
+}
+
+bool usable(ivec2 at) { return !bad(rangeAt(uRange, at)) && !steps(at, 4); }
+
+// As neighbours in geometry.js: two triangles a cell, along the better of its diagonals.
+void main() {
+  int cell = gl_VertexID / 6;
+  int corner = gl_VertexID % 6;
+  ivec2 a = ivec2(cell % uAcross, cell / uAcross) * uStride;
+  ivec2 d = min(a + uStride, uSize - 1);
+  ivec2 b = ivec2(d.x, a.y), c = ivec2(a.x, d.y);
+  bool above = usable(a) && usable(b) && !parted(a, b, 1);
+  bool below = usable(c) && usable(d) && !parted(c, d, 1);
+  bool left = usable(a) && usable(c) && !parted(a, c, 2);
+  bool right = usable(b) && usable(d) && !parted(b, d, 2);
+  int rising = int(above && left) + int(below && right);
+  int falling = int(above && right) + int(below && left);
+  bool fall = falling > rising || (falling == rising &&
+    abs(rangeAt(uRange, a) - rangeAt(uRange, d)) < abs(rangeAt(uRange, b) - rangeAt(uRange, c)));
+  bool second = corner > 2;
+  bool there = second ? below && (fall ? left : right) : above && (fall ? right : left);
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  vColour = vec4(0.0);
+  if (!there) return;
+  ivec2 first[3] = ivec2[3](a, b, fall ? d : c);
+  ivec2 last[3] = ivec2[3](fall ? a : b, d, c);
+  ivec2 at = second ? last[corner - 3] : first[corner];
+  gl_Position = uProject * vec4(place(at, rangeAt(uRange, at)), 1.0);
+  if (uAveraged) gl_Position = uProject * vec4(place(at, rangeAt(uSmooth, at)), 1.0);
+  vec3 shown = coloured(texelFetch(uLayer, at, 0).r);
+  if (uKind != 1) shown *= lit(at);
+  vColour = vec4(shown, 1.0);
+}`,
+  fragment: `${HEADER}
+in vec4 vColour;
+out vec4 colour;
+void main() { colour = vColour; }`,
+};
+
 export const CLOUD = {
   vertex: `${HEADER}${POINTS}${COLOUR}${LIGHTING}
 uniform mat4 uProject;
@@ -138,6 +190,7 @@ uniform int uAcross;          // points of a row at this stride
 uniform float uDot;           // size of a point, times its distance if far ones shrink
 uniform bool uShrinks;
 uniform bool uPick;
+uniform bool uAlone;          // only pixels that no triangle has
 uniform bool uAveraged;       // points on the surface that the light falls on
 flat out vec4 vColour;
 
@@ -146,7 +199,7 @@ void main() {
   int row = (gl_VertexID / uAcross) * uStride;
   ivec2 at = ivec2(column, row);
   float range = rangeAt(uRange, at);
-  if (bad(range)) {
+  if (bad(range) || (uAlone && steps(at, 8))) {
     gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
     gl_PointSize = 0.0;
     vColour = vec4(0.0);
