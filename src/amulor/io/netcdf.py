@@ -398,6 +398,7 @@ def _decoded(content: bytes, path: Path) -> xr.Dataset:
                 f"{path} is no cube of amulor: it lacks the attribute "
                 "'amulor_schema_version'; name a file that amulor wrote"
             )
+        _check_size(storage, path)
         with h5netcdf.File(storage, "r", decode_vlen_strings=True) as file:
             cube = _opened(file, None)
             for group in schema.GROUPS:
@@ -406,6 +407,24 @@ def _decoded(content: bytes, path: Path) -> xr.Dataset:
                     _check_fits(part, cube, path=path, group=group)
                     cube = cubes.attach(cube, part, group)
     return cubes.without_unknown_errors(_with_present_names(cube))
+
+
+def _check_size(storage: Any, path: Path) -> None:
+    """Refuse a file whose variables are larger than its compressed bytes can hold."""
+    import h5py
+
+    def check(name: str, node: Any) -> None:
+        if not isinstance(node, h5py.Dataset) or node.nbytes <= _PLAIN_SIZE:
+            return
+        stored = node.id.get_storage_size()
+        if node.nbytes > _MOST_COMPRESSED * stored:
+            raise FormatError(
+                f"{path}: variable '{name}' has the shape {node.shape}, of which the "
+                f"file holds {stored} bytes; it is damaged or was not written to its "
+                "end: make it again"
+            )
+
+    storage.visititems(check)
 
 
 def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
@@ -472,6 +491,10 @@ def _reason(error: Exception) -> str:
     return "its parts do not fit together"
 
 
+#: Size up to which a variable may be declared and not stored [byte].
+_PLAIN_SIZE = 1 << 28
+#: Bytes that deflate makes of one, at most.
+_MOST_COMPRESSED = 1032
 #: Bytes of a file that are read at once for its digest.
 _PIECE = 2**24
 
@@ -582,6 +605,7 @@ def open_rows(
                     f"{path} is no cube of amulor: it lacks the attribute "
                     "'amulor_schema_version'; name a file that amulor wrote"
                 )
+            _check_size(storage, path)
             file = stack.enter_context(
                 h5netcdf.File(storage, "r", decode_vlen_strings=True)
             )

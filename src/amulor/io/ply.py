@@ -247,6 +247,8 @@ def read_ply(path: Path, *, unit: float) -> Shape:
             )
         comments = _comments(file)
         file.seek(0)
+        _check_lines(file, path.name)
+        file.seek(0)
         try:
             # Without `fix_texture` the vertices are those of the file, in its order.
             loaded: Any = ply.load_ply(file, fix_texture=False, skip_materials=True)
@@ -298,6 +300,25 @@ def _comments(file: BinaryIO) -> list[str]:
         if line.startswith(("comment ", "obj_info ")):
             comments.append(line.partition(" ")[2])
     return comments
+
+
+def _check_lines(file: BinaryIO, name: str) -> None:
+    """Refuse a text file with fewer lines than its header promises."""
+    lengths: list[int] = []
+    for _ in range(_MOST_LINES):
+        words = file.readline(4096).split()
+        if words[:1] == [b"format"] and words[1:2] != [b"ascii"]:
+            return
+        if words[:1] == [b"element"] and len(words) == 3 and words[2].isdigit():
+            lengths.append(int(words[2]))
+        if words == [b"end_header"]:
+            break
+    lines = sum(1 for line in file if not line.isspace())
+    if lines < sum(lengths):
+        raise FormatError(
+            f"{name} says that it has {sum(lengths)} lines, and has {lines}; it "
+            "is damaged or was not copied whole"
+        )
 
 
 def _columns_of(element: Mapping[str, Any]) -> dict[str, NDArray[Any]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import h5py
 import numpy as np
 import pytest
@@ -164,3 +166,21 @@ def test_rows_of_another_program_are_decoded(samples, path, coding):
         found = source.tile(0, 3)["in_phase"].values
     np.testing.assert_array_equal(found, whole)
     assert np.isnan(found[0, 0, 1, 2])
+
+
+def test_a_small_file_that_declares_many_pixels_is_refused_at_once(path):
+    with h5py.File(path, "w") as file:
+        file.attrs["amulor_schema_version"] = 2
+        file.create_dataset(
+            "in_phase", (100_000, 100_000), "f4", chunks=(512, 512), compression="gzip"
+        )
+    assert path.stat().st_size < 80_000
+    began = time.process_time()
+    with pytest.raises(FormatError, match=r"'in_phase' has the shape .* 0 bytes"):
+        io.read_cube(path)
+    with (
+        pytest.raises(FormatError, match=r"'in_phase' has the shape .* 0 bytes"),
+        netcdf.open_rows(path),
+    ):
+        pass
+    assert time.process_time() - began < 1

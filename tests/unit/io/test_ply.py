@@ -6,6 +6,7 @@ import trimesh
 
 from amulor.errors import FormatError
 from amulor.io import write_ply
+from amulor.io.ply import read_ply
 
 
 @pytest.fixture
@@ -84,3 +85,22 @@ def test_a_full_disk_leaves_nothing(make, rng, path, small_disk):
     with small_disk(), pytest.raises(FormatError, match=r"cloud\.ply cannot be"):
         write_ply(cloud, path)
     assert list(path.parent.iterdir()) == []
+
+
+@pytest.mark.parametrize("written", [72, 71])
+def test_a_text_file_has_the_points_that_it_promises(path, written):
+    places = [f"{k} {2 * k} 1.5\n" for k in range(written)]
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 72\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        f"{''.join(places)}3 0 1 2\n"
+    )
+    if written == 72:
+        shape = read_ply(path, unit=1.0)
+        assert shape.position[71].tolist() == [71, 142, 1.5]
+        assert shape.faces.tolist() == [[0, 1, 2]]
+        return
+    # Without a check the line of the triangle would be read as the last point.
+    with pytest.raises(FormatError, match=r"cloud\.ply .* 73 lines.* has 72;"):
+        read_ply(path, unit=1.0)

@@ -7,6 +7,7 @@ name that it lets point here (`Host`), and not without the token of the address.
 from __future__ import annotations
 
 import ipaddress
+import re
 import secrets
 from collections.abc import Collection, Mapping
 from typing import Literal
@@ -36,16 +37,19 @@ HEADERS = {
 }
 
 
+#: Host and port of a header: an address in brackets, or a name without any of `@[]/`.
+_HOST = re.compile(r"(\[(?P<six>[0-9a-fA-F:.]+)\]|(?P<name>[\w.-]+))(:\d{1,5})?")
+
+
 def new_token() -> str:
     """Unguessable token for an address."""
     return secrets.token_urlsafe(24)
 
 
 def host_of(header: str) -> str:
-    """Name in a `Host` header without port and brackets."""
-    if header.startswith("["):
-        return header[1:].partition("]")[0].lower()
-    return header.partition(":")[0].lower()
+    """Name in a `Host` header without port and brackets; empty if it is no host."""
+    match = _HOST.fullmatch(header)
+    return (match["six"] or match["name"]).lower() if match else ""
 
 
 def _is_number(host: str) -> bool:

@@ -29,7 +29,17 @@ def test_without_the_token_there_is_nothing(client: TestClient, path: str) -> No
 
 @pytest.mark.parametrize(
     "host",
-    ["evil.example", "evil.example:8000", "127.0.0.1.evil.example", "", "10.1.2.3"],
+    [
+        "evil.example",
+        "evil.example:8000",
+        "127.0.0.1.evil.example",
+        "",
+        "10.1.2.3",
+        "[::1]evil.com",
+        "[::1",
+        "127.0.0.1:1@evil.com",
+        "127.0.0.1:port",
+    ],
 )
 def test_a_name_that_was_let_point_here_is_refused(
     client: TestClient, host: str
