@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import {
+  clockIn,
   duration,
   scaled,
   short,
@@ -76,4 +77,10 @@ test("seconds as a person says them", () => {
   assert.equal(duration(3725), "1 h 02 min");
   assert.equal(duration(-3), "0 s");
   assert.equal(duration(NaN), "–");
+});
+
+test("the end of a scan is a time of day, of another day with its name", () => {
+  const evening = new Date(2026, 10, 25, 23, 30, 0);
+  assert.equal(clockIn(90, evening), "23:31");
+  assert.equal(clockIn(3600, evening), "Thu 00:30");
 });

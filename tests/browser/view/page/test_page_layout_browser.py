@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -69,4 +70,32 @@ def test_nothing_is_cut_off_and_all_points_are_in_view(
         shown.click("#front")
         settled(shown)
         assert 0.7 < shown.evaluate(REACH) < 1.05
+        assert opened.errors == []
+
+
+def test_the_map_has_a_scale_and_a_finger_scrolls_the_page(
+    tab: Callable[..., Any], steps: page.Recording
+) -> None:
+    with page.background(steps) as address:
+        opened = tab(
+            viewport={"width": 420, "height": 860}, is_mobile=True, has_touch=True
+        )
+        shown = opened.open(address)
+        bar, wide, typical = shown.evaluate(
+            "[amulor.views.map.bar, document.getElementById('map').width,"
+            " amulor.scene.typical]"
+        )
+        # 40 columns over 8 degrees fill the width; beams diverge by so much at the
+        # median range, which the bar names.
+        across = typical * math.radians(8)
+        assert bar["pixels"] / bar["metres"] == pytest.approx(wide / across, rel=0.03)
+        # The pixel is at the lower end of the screen, whatever is scrolled to.
+        box = shown.locator("#pixel-card").bounding_box()
+        assert box["y"] + box["height"] == pytest.approx(860, abs=1)
+        action = "getComputedStyle(document.getElementById('map')).touchAction"
+        assert shown.evaluate(action) == "pan-y"
+        shown.locator("#tools button[data-kind=plane]").dispatch_event("click")
+        assert shown.evaluate(action) == "none"
+        shown.locator("#tools button[data-kind=plane]").dispatch_event("click")
+        assert shown.evaluate(action) == "pan-y"
         assert opened.errors == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
 import threading
@@ -108,6 +109,14 @@ def test_a_scan_grows_while_the_page_is_open(
             until(shown, f"({KNOWN}) > {first}")
             assert shown.inner_text("#scan-card .state").startswith("taking")
             assert "time left" in shown.inner_text("#scan-card")
+            # The band across the top, and the title of the tab.
+            until(shown, "document.querySelector('#band .end') !== null")
+            assert re.fullmatch(
+                r"ends (\w{3} )?\d\d:\d\d", shown.inner_text("#band .end")
+            )
+            share = shown.evaluate("document.querySelector('#band progress').value")
+            assert 0 < share < 1
+            assert re.fullmatch(rf"\d+ % · {survey.name} · amulor", shown.title())
             # The pointer is in the newest row, until it is moved.
             until(shown, "amulor.cursor[0] === amulor.live.status.row")
             assert "none" not in shown.inner_text("#readout")
@@ -129,6 +138,7 @@ def test_a_scan_grows_while_the_page_is_open(
             finish.set()
             until(shown, "document.documentElement.dataset.state === 'finished'")
             until(shown, f"({KNOWN}) >= 155")
+            until(shown, "document.title.startsWith('finished · ')")
             assert shown.evaluate("amulor.scene.byName.has('range_before')")
             assert one.errors == []
             # Nobody moved the view in space, so that it looks at the middle of all.

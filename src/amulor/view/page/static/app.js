@@ -140,6 +140,8 @@ function calm() {
   while (reach < most && noiseOf(reach).degrees > 6) reach += 1;
   $("reach").value = String(reach);
   $("light").checked = noiseOf(reach).degrees <= 12;
+  // Noise of single pixels that is steeper than this would be all there is to see.
+  $("averaged").checked = noiseOf(0).degrees > 35 && noiseOf(reach).degrees <= 12;
   for (const name of [scene.main, "range_before"]) scene.smooth(name, reach);
 }
 
@@ -485,6 +487,7 @@ function dragged(phase, start, event, view) {
   if (line) {
     state.section = [one, other];
     if (phase === "end") state.drawing = false;
+    page.dragsOn("map", state.drawing);
   } else {
     state.region = [
       Math.min(one[0], other[0]),
@@ -508,6 +511,7 @@ function profileAlong(kind) {
   for (const button of $("profile-kind").children)
     button.setAttribute("aria-pressed", String(button.dataset.kind === kind));
   if (state.drawing) page.hint("Drag a line over the map.");
+  page.dragsOn("map", state.drawing);
   page.redraw();
 }
 
@@ -728,6 +732,8 @@ const forLive = {
       .then(async () => {
         await opened(state.scene.channel);
         await point(state.cursor);
+        // The title of the tab states the progress.
+        state.live?.draw();
       });
     return reloading;
   },

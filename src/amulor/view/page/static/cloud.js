@@ -202,7 +202,8 @@ export class CloudView {
     const spotOf = (pixel) => this.#spot(state.scene.point(...pixel, shape));
     chains(ctx, state, spotOf, ratio, colours);
     axes(ctx, camera, AXES, ratio, colours);
-    if (camera.orthographic) this.bar = scaleBar(ctx, camera, ratio, colours);
+    if (camera.orthographic)
+      this.bar = scaleBar(ctx, ctx.canvas.height / camera.span(), ratio, colours);
   }
 }
 

@@ -1,8 +1,8 @@
 // A scan that is going on: rows as they come, how it goes, and what to do about it.
 
-import { inkOf } from "./dom.js";
+import { $, inkOf } from "./dom.js";
 import { fitted } from "./map.js";
-import { duration, short, ticks } from "./text.js";
+import { clockIn, duration, short, ticks } from "./text.js";
 
 /** How long to wait before asking again for a server that is gone [ms]. */
 const PAUSES = [500, 1000, 2000, 5000];
@@ -62,6 +62,7 @@ export class Live {
     socket.onclose = () => {
       this.state.textContent = "connection lost";
       this.state.classList.add("lost");
+      $("band").dataset.severity = "lost";
       this.page.say(
         "The connection to the scan is lost; it is tried again by itself. The scan goes on without this page.",
       );
@@ -147,10 +148,31 @@ export class Live {
       ...rows.flatMap(([term, text]) => [made("dt", "", term), made("dd", "", text)]),
     );
     this.#advise(status);
+    this.#band(status, share);
     this.#drift(status.drift, colours);
     this.replay.hidden = status.state !== "finished";
     document.documentElement.dataset.done = String(status.done);
     document.documentElement.dataset.state = status.state;
+  }
+
+  /** State, progress, end and the first advice across the top; progress in the tab's title. */
+  #band({ state, left, advice, resume, error }, share) {
+    const band = $("band");
+    band.hidden = false;
+    band.dataset.severity = error || resume ? "lost" : advice.length ? "advice" : "";
+    const percent = `${Math.floor(100 * share)} %`;
+    const bar = document.createElement("progress");
+    Object.assign(bar, { max: 1, value: share, ariaLabel: "Scan done" });
+    const parts = [made("strong", "", this.state.textContent), bar, made("span", "", percent)];
+    if (left !== null) parts.push(made("span", "end", `ends ${clockIn(left, new Date())}`));
+    const [first] = advice;
+    if (first) parts.push(made("span", "advice", `${first[0].toUpperCase()}${first.slice(1)}.`));
+    // A status is read aloud where it changes: only then it is written again.
+    const words = parts.map((part) => part.textContent).join();
+    if (words !== this.words) band.replaceChildren(...parts);
+    this.words = words;
+    const title = this.page.state.scene.title;
+    document.title = `${state === "running" ? `${percent} · ` : `${state} · `}${title} · amulor`;
   }
 
   #advise({ advice, resume }) {

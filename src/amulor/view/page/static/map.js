@@ -1,7 +1,7 @@
 // The map of one layer: zoom, pick, lines and regions on it.
 
 import { inkOf, over, ratioOf, spotOn } from "./dom.js";
-import { chain, dot, halo, polyline } from "./marks.js";
+import { chain, dot, halo, polyline, scaleBar } from "./marks.js";
 import { ticks, withUnit } from "./text.js";
 
 /** Fit a canvas to its place on the screen; returns whether it changed. */
@@ -117,6 +117,11 @@ export class MapView {
     const { context: ctx, canvas } = this;
     const { scene } = state;
     const ratio = ratioOf(canvas);
+    // Beams spread: the bar holds at the median range, which it states.
+    if (scene.columns > 1) {
+      const perMetre = 1 / (this.view(scene).x * scene.spacing.column);
+      this.bar = scaleBar(ctx, perMetre, ratio, colours, ` at ${withUnit(scene.typical, "m", 3)}`);
+    }
     if (state.section) {
       const ends = state.section.map((pixel) => this.spot(scene, pixel));
       halo(ctx, 2 * ratio, colours, () => polyline(ctx, ends), true);
@@ -197,19 +202,25 @@ export class MapView {
     if (this.pointers.size === 2) {
       const [other] = [...this.pointers.values()].filter((one) => one !== pointer);
       const span = (x, y) => Math.hypot(x - other.x, y - other.y);
+      // The middle of two fingers moves by half of what one of them does.
+      this.#panned((event.clientX - before[0]) / 2, (event.clientY - before[1]) / 2);
       this.#zoomed(span(event.clientX, event.clientY) / Math.max(span(...before), 1), {
         clientX: (event.clientX + other.x) / 2,
         clientY: (event.clientY + other.y) / 2,
       });
-    } else if (!this.on.drag("move", pointer.at, event, this)) {
-      const view = this.view(this.scene);
-      const ratio = this.canvas.width / this.canvas.clientWidth;
-      this.middle[0] -= (event.clientX - before[0]) * ratio * view.x;
-      this.middle[1] -= (event.clientY - before[1]) * ratio * view.y;
-      this.on.hover(undefined);
+    } else if (!this.on.drag("move", pointer.at, event, this) && event.pointerType !== "touch") {
+      this.#panned(event.clientX - before[0], event.clientY - before[1]);
     }
     pointer.x = event.clientX;
     pointer.y = event.clientY;
+  }
+
+  #panned(dx, dy) {
+    const view = this.view(this.scene);
+    const ratio = ratioOf(this.canvas);
+    this.middle[0] -= dx * ratio * view.x;
+    this.middle[1] -= dy * ratio * view.y;
+    this.on.hover(undefined);
   }
 
   #zoomed(factor, event) {

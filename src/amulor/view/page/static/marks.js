@@ -114,14 +114,24 @@ export function axes(ctx, camera, named, ratio, colours) {
   ctx.restore();
 }
 
-/** Draw a scale bar for an orthographic view; returns its length in metres and pixels. */
-export function scaleBar(ctx, camera, ratio, colours) {
+/** Draw a scale bar of a view with so many pixels a meter, with words behind its length; returns
+the length in meters and pixels. */
+export function scaleBar(ctx, perMetre, ratio, colours, words = "") {
   const { width, height } = ctx.canvas;
-  const perMetre = height / camera.span();
   const { step } = ticks(0, (150 * ratio) / perMetre, 1.2);
   const length = step * perMetre;
   const [end, low] = [width - 18 * ratio, height - 20 * ratio];
+  const text = `${withUnit(step, "m", 2)}${words}`;
   ctx.save();
+  ctx.font = `${12 * ratio}px ${colours.font}`;
+  const half = Math.max(length, ctx.measureText(text).width) / 2 + 6 * ratio;
+  const middle = Math.min(end - length / 2, width - half - 4 * ratio);
+  ctx.fillStyle = colours.plate;
+  ctx.globalAlpha = 0.85;
+  ctx.beginPath();
+  ctx.roundRect(middle - half, low - 23 * ratio, 2 * half, 29 * ratio, 5 * ratio);
+  ctx.fill();
+  ctx.globalAlpha = 1;
   ctx.strokeStyle = ctx.fillStyle = colours.ink;
   ctx.lineWidth = 2 * ratio;
   ctx.beginPath();
@@ -130,9 +140,8 @@ export function scaleBar(ctx, camera, ratio, colours) {
   ctx.lineTo(end, low);
   ctx.lineTo(end, low - 5 * ratio);
   ctx.stroke();
-  ctx.font = `${12 * ratio}px ${colours.font}`;
   ctx.textAlign = "center";
-  ctx.fillText(withUnit(step, "m", 2), end - length / 2, low - 8 * ratio);
+  ctx.fillText(text, middle, low - 8 * ratio);
   ctx.restore();
   return { metres: step, pixels: length };
 }

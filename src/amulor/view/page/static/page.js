@@ -89,7 +89,13 @@ export class Page {
       button.setAttribute("aria-pressed", String(button.dataset.kind === state.tool));
     }
     this.hint(this.tool()?.hint ?? this.#on.idle);
+    this.dragsOn("map", Boolean(this.tool()?.region));
     this.redraw();
+  }
+
+  /** Let a finger draw on a view instead of scrolling the page. */
+  dragsOn(id, draws) {
+    $(id)?.classList.toggle("draws", draws);
   }
 
   /** Keep a measurement. */

@@ -166,7 +166,8 @@ function marks({ matrix }, canvas, ratio) {
     ratio,
     colours,
   );
-  if (camera.orthographic) state.bar = scaleBar(context, camera, ratio, colours);
+  if (camera.orthographic)
+    state.bar = scaleBar(context, canvas.height / camera.span(), ratio, colours);
 }
 
 /** The middle, where Enter picks. */

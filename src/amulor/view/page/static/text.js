@@ -110,6 +110,18 @@ export function ticks(low, high, wanted = 5) {
 }
 
 /**
+ * Return the time of day some seconds from now, with the day of the week where it is another day.
+ * @param {number} seconds
+ * @param {Date} now
+ */
+export function clockIn(seconds, now) {
+  const end = new Date(now.getTime() + 1000 * seconds);
+  const clock = `${String(end.getHours()).padStart(2, "0")}:${String(end.getMinutes()).padStart(2, "0")}`;
+  if (end.toDateString() === now.toDateString()) return clock;
+  return `${end.toLocaleDateString("en", { weekday: "short" })} ${clock}`;
+}
+
+/**
  * Return seconds as a person says them.
  * @param {number} seconds
  */
