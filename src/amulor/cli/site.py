@@ -126,6 +126,8 @@ def register(
                 "disagreements": result.disagreements,
                 "weaknesses": [vars(entry) for entry in result.weaknesses],
                 "contradictions": [vars(entry) for entry in result.contradictions],
+                "patterns": [vars(test) for test in result.patterns],
+                "reliability": [vars(line) for line in result.reliability],
                 "remarks": result.remarks,
                 "settled": result.settled,
             }
