@@ -44,7 +44,7 @@ PATTERNS = {
 #: Smallest window of the mean range, in pixels [1].
 _WINDOW = 15
 #: Chance of a false alarm in a site [1].
-_CHANCE = 5e-3
+_CHANCE = 1e-3
 #: Minimal detectable size over the standard uncertainty: power 80 %, chance 1e-4 [1].
 _POWERFUL = float(norm.isf(1e-4 / 2) + norm.isf(1 - 0.8))
 
