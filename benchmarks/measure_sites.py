@@ -1,0 +1,398 @@
+"""Registers drawn sites and tests each statement: python benchmarks/measure_sites.py 20
+
+Sites come from `tests/oracles/underwater_sites.py`, which shares no code with the
+package: beds, walls, bodies, planes and corners; starts wrong by up to 50 cm and 20
+degrees, stated as they are or too small; a fish, a scan that nothing explains, a drift
+over the rows, a delay, another height datum, and quiet sites. Each site is a row of
+`benchmarks/sites.csv`. A number of further sites is measured, and the campaign goes on
+where it ended. Without a number the table of all rows is printed.
+
+`--changes` measures pairs of visits instead, with a bump of 2 to 50 mm or without
+change, into `benchmarks/site_changes.csv`. `--first 1000` draws from that number on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import dataclasses
+import itertools
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).parent
+for folder in ("oracles", "support"):
+    sys.path.insert(0, str(HERE.parent / "tests" / folder))
+
+import drawn_sites  # noqa: E402
+import underwater_sites as oracle  # noqa: E402
+
+from amulor.errors import AmulorError  # noqa: E402
+from amulor.site.change.distances import change, regions  # noqa: E402
+from amulor.site.merging.cloud import merge  # noqa: E402
+from amulor.site.registration.pose import start_pose  # noqa: E402
+from amulor.site.registration.register import register  # noqa: E402
+
+TABLE, CHANGES = HERE / "sites.csv", HERE / "site_changes.csv"
+KINDS = ("bed", "wall", "amphorae", "corner", "plane")
+#: Rows of pixels; struts need more.
+ROWS = {"bed": 42, "wall": 72, "amphorae": 48, "corner": 42, "plane": 42}
+#: Standard deviation of start poses, each axis by itself [m, deg].
+STARTS = ((0.01, 0.5), (0.05, 3.0), (0.05, 3.0), (0.15, 6.0), (0.3, 10.0), (0.5, 20.0))
+#: The stated one over the drawn one; below 1 a statement is wrong [1].
+STATED = (1.0, 1.0, 1.0, 0.2)
+SPOILERS = ("quiet", "quiet", "quiet", "fish", "outlier", "drift", "delay", "datum")
+#: A pose is grossly wrong beyond so many standard uncertainties, and beyond so much
+#: [1, m, rad].
+GROSS = (6.0, 0.02, 0.01)
+COLUMNS = (
+    "site", "kind", "spoiler", "start_m", "start_deg", "stated", "outcome", "settled",
+    "gross", "silent", "within_1", "within_2", "components", "points_1", "points_2",
+    "points",
+    "lengths_1", "lengths_2", "lengths", "largest_m", "gicp_gross", "seconds", "words",
+)  # fmt: skip
+
+
+def ramp(distance: np.ndarray, size: float) -> np.ndarray:
+    """Ranges with a drift over the rows, minus to plus a size."""
+    return distance + size * np.linspace(-1, 1, distance.shape[0])[:, None]
+
+
+def drawn(number: int) -> tuple[Any, dict[str, Any]]:
+    """Function that scans the site of a number, and its draw in words."""
+    rng = np.random.default_rng([40, number])
+    kind = KINDS[number % len(KINDS)]
+    rows = ROWS[kind]
+    spoiler = SPOILERS[rng.integers(len(SPOILERS))]
+    position, degrees = STARTS[rng.integers(len(STARTS))]
+    stated = STATED[rng.integers(len(STATED))]
+    angle = np.radians(degrees)
+    if kind == "wall":
+        scene, places = oracle.wall(rng), oracle.wall_stations(4, rng)
+    elif kind == "corner":
+        scene, places = oracle.corner(rng), oracle.corner_stations(4, rng)
+    else:
+        scene = {
+            "bed": oracle.bed,
+            "amphorae": oracle.amphorae,
+            "plane": lambda _: oracle.Bed(),
+        }[kind](rng)
+        places = oracle.ring(4, rng)
+    stations = {f"a{k + 1}": place for k, place in enumerate(places)}
+    statement = (stated * position, stated * angle)
+    starts = {
+        name: oracle.start_of(
+            place, rng, position=position, angle=angle, stated=statement
+        )
+        for name, place in stations.items()
+    }
+    starts["a1"] = oracle.start_of(
+        stations["a1"], rng,
+        position=drawn_sites.SURVEYED[0], angle=drawn_sites.SURVEYED[1],
+    )  # fmt: skip
+    for name, start in starts.items():
+        # No start pose states a pitch beyond upright.
+        pitch = float(np.clip(start.station.pitch, -1.55, 1.55))
+        station = dataclasses.replace(start.station, pitch=pitch)
+        starts[name] = dataclasses.replace(start, station=station)
+    spoiled = {}
+    if spoiler == "fish":
+        row, column = rng.integers(8, rows - 12), rng.integers(8, rows * 4 // 3 - 12)
+
+        def fish(distance: np.ndarray) -> np.ndarray:
+            nearer = distance.copy()
+            nearer[row : row + 5, column : column + 8] -= 0.6
+            return nearer
+
+        spoiled["a2"] = fish
+    elif spoiler == "outlier":
+        spoiled["a3"] = lambda distance: 1.05 * distance + 0.1
+    elif spoiler == "drift":
+        size = float(rng.choice([0.005, 0.01, 0.03]))
+        spoiled["a2"] = lambda distance: ramp(distance, size)
+    elif spoiler == "delay":
+        size = float(rng.choice([0.02, 0.05]))
+        spoiled["a2"] = lambda distance: distance + size
+    elif spoiler == "datum":
+        for name in ("a3", "a4"):
+            east, north, up = starts[name].station.place
+            other = dataclasses.replace(
+                starts[name].station, place=(east, north, up + 6.2)
+            )
+            starts[name] = dataclasses.replace(starts[name], station=other)
+    words = {
+        "site": number, "kind": kind, "spoiler": spoiler, "start_m": position,
+        "start_deg": degrees, "stated": stated,
+    }  # fmt: skip
+
+    def scanned() -> Any:
+        return drawn_sites.drawn_site(
+            {"one": scene}, {"one": stations}, starts, rng, rows=rows, spoiled=spoiled
+        )
+
+    return scanned, words
+
+
+def measured(number: int) -> dict[str, Any]:
+    """Row of one site."""
+    scanned, row = drawn(number)
+    begin = time.process_time()
+    try:
+        site = scanned()
+        begin = time.process_time()
+        result = register(site.site, surfaces=site.surfaces, images=site.images)
+    except AmulorError as error:
+        row |= {"outcome": "refused", "words": str(error).splitlines()[0]}
+        return row | {"seconds": round(time.process_time() - begin, 1)}
+    row["seconds"] = round(time.process_time() - begin, 1)
+    row["outcome"] = "contradicted" if result.contradictions else "good"
+    if not result.contradictions and (result.weaknesses or result.remarks):
+        row["outcome"] = "good, warned"
+    if not result.contradictions and result.disagreements:
+        row["outcome"] = "good, pair contradicts"
+    row["settled"] = int(result.settled)
+    row["words"] = "; ".join(one.sentence for one in result.contradictions[:1])
+    scores, lengths, points, gross, largest = [], [], [], [], 0.0
+    names = [name for name in result.poses if name != "a1"]
+    for name in names:
+        true, pose = site.stations[name], result.poses[name]
+        off = np.concatenate(
+            [pose.position - true.place, rotation_vector(pose.rotation @ true.matrix.T)]
+        )
+        spread = result.covariance_of(f"pose {name}")
+        sigma = np.sqrt(np.diag(spread))
+        scores += list(off / sigma)
+        largest = max(largest, float(np.linalg.norm(off[:3])))
+        whitened = off @ np.linalg.solve(spread, off)
+        if whitened > 6 * GROSS[0] ** 2 and (
+            np.linalg.norm(off[:3]) > GROSS[1] or np.linalg.norm(off[3:]) > GROSS[2]
+        ):
+            gross.append(name)
+        # Some points at the true ranges, placed by the pose alone.
+        cloud = oracle.grid(5, 7)[2].reshape(-1, 3) * 2.5
+        for point in cloud[::6]:
+            arm = pose.rotation @ point
+            turn = np.array(
+                [[0, arm[2], -arm[1]], [-arm[2], 0, arm[0]], [arm[1], -arm[0], 0]]
+            )
+            rows_of = np.hstack([np.eye(3), turn])
+            shift = pose.place(point) - (true.matrix @ point + true.place)
+            points += list(shift / np.sqrt(np.diag(rows_of @ spread @ rows_of.T)))
+    for one, other in itertools.pairwise(names):
+        both = result.covariance_of(f"pose {one}", f"pose {other}")
+        between = result.poses[one].position - result.poses[other].position
+        unit = between / np.linalg.norm(between)
+        line = np.concatenate([unit, np.zeros(3), -unit, np.zeros(3)])
+        true = np.subtract(site.stations[one].place, site.stations[other].place)
+        off = np.linalg.norm(between) - np.linalg.norm(true)
+        lengths.append(off / np.sqrt(line @ both @ line))
+    for name, values in (
+        ("within", scores), ("points", points), ("lengths", lengths),
+    ):  # fmt: skip
+        inside = np.abs(values)
+        row[f"{name}_1"] = int((inside < 1).sum())
+        row[f"{name}_2"] = int((inside < 1.96).sum())
+        row["components" if name == "within" else name] = len(values)
+    warnings_text = " ".join(
+        [*result.remarks, *(weak.scan for weak in result.weaknesses)]
+    )
+    silent = [name for name in gross if name not in warnings_text]
+    row |= {"gross": len(gross), "silent": len(silent), "largest_m": round(largest, 4)}
+    row["gicp_gross"] = gicp(site)
+    return row
+
+
+#: Heights of bumps, 16 x 16 cm with flanks by a smooth step [m], and their middle.
+HEIGHTS = (0.0, 0.002, 0.0, 0.005, 0.01, 0.0, 0.02, -0.02, 0.05)
+MIDDLE = (0.1, 0.05)
+CHANGE_COLUMNS = (
+    "site", "height_mm", "outcome", "places", "called", "called_far", "volume_cm3",
+    "stated_cm3", "true_cm3", "lost_cm2", "seconds",
+)  # fmt: skip
+
+
+def measured_change(number: int) -> dict[str, Any]:
+    """Row of two visits to one bed."""
+    rng = np.random.default_rng([41, number])
+    height = HEIGHTS[number % len(HEIGHTS)]
+    before = oracle.bed(rng, high=(0.03, 0.08))
+    after = dataclasses.replace(before, bump=height, middle=MIDDLE)
+    site = drawn_sites.two_visits(before, after, rng, rows=54, count=3)
+    begin = time.process_time()
+    result = register(site.site, surfaces=site.surfaces, images=site.images)
+    cloud = merge(site.site, result, site.surfaces, site.images)
+    found = change(site.site, result, site.surfaces, cloud)
+    away = np.linalg.norm(found.position[:, :2] - MIDDLE, axis=1)
+    row = {
+        "site": number, "height_mm": round(1e3 * height, 1),
+        "outcome": "contradicted" if result.contradictions else "good",
+        "places": int(np.isfinite(found.value).sum()),
+        "called": int(found.significant.sum()),
+        "called_far": int((found.significant & (away > 0.2)).sum()),
+        "true_cm3": round(1e6 * height * 0.16**2, 2),
+        "seconds": round(time.process_time() - begin, 1),
+    }  # fmt: skip
+    near = [
+        place for place in regions(found)
+        if np.linalg.norm(place.centre[:2] - MIDDLE) < 0.1
+    ]  # fmt: skip
+    if near and height:
+        row |= {
+            "volume_cm3": round(1e6 * near[0].volume, 2),
+            "stated_cm3": round(1e6 * near[0].volume_uncertainty, 2),
+            "lost_cm2": round(1e4 * near[0].lost, 1),
+        }
+    return row
+
+
+def change_table(rows: list[dict[str, str]]) -> None:
+    """Print the summary of all pairs of visits."""
+    good = [row for row in rows if row["outcome"] == "good"]
+    still = [row for row in good if float(row["height_mm"]) == 0]
+    places = sum(int(row["places"]) for row in still)
+    print(
+        f"{len(rows)} pairs of visits, {len(good)} good; {len(still)} without change: "
+        f"{sum(int(row['called']) for row in still)} of {places} places called; with "
+        f"change {sum(int(r['called_far']) for r in good if r not in still)} of "
+        f"{sum(int(r['called']) for r in good if r not in still)} called lie far off"
+    )
+    for height in sorted({float(row["height_mm"]) for row in rows} - {0.0}):
+        some = [row for row in good if float(row["height_mm"]) == height]
+        sizes = [row for row in some if row["volume_cm3"]]
+        scores = [
+            (float(row["volume_cm3"]) - float(row["true_cm3"]))
+            / float(row["stated_cm3"])
+            for row in sizes
+        ]
+        inside = np.abs(scores)
+        print(
+            f"{height:6.0f} mm: detected {len(sizes)} of {len(some)}; volume within "
+            f"1 and 1.96 stated errors {(inside < 1).mean() if sizes else 0:.0%}, "
+            f"{(inside < 1.96).mean() if sizes else 0:.0%}; mean score "
+            f"{np.mean(scores) if sizes else 0:+.2f}; stated "
+            f"{np.mean([float(r['stated_cm3']) for r in sizes]) if sizes else 0:.1f} "
+            f"of {abs(height) * 25.6:.0f} cm3"
+        )
+
+
+def rotation_vector(matrix: np.ndarray) -> np.ndarray:
+    """Turn of a rotation [rad]."""
+    angle = oracle.angle_between(np.eye(3), matrix)
+    axis = np.array(
+        [
+            matrix[2, 1] - matrix[1, 2],
+            matrix[0, 2] - matrix[2, 0],
+            matrix[1, 0] - matrix[0, 1],
+        ]
+    )
+    size = np.linalg.norm(axis)
+    return axis * (angle / size) if size > 0 else axis
+
+
+def gicp(site: Any) -> int:
+    """Scans that small_gicp with its defaults leaves more than 2 cm or 10 mrad off."""
+    import small_gicp
+
+    clouds, gross = {}, 0
+    for scan in site.site.scan:
+        surface = site.surfaces[scan.name]
+        pose = start_pose(scan.start)
+        clouds[scan.name] = (surface.position[surface.usable], pose)
+    cloud, pose = clouds["a1"]
+    merged = pose.place(cloud)
+    for name, (cloud, pose) in clouds.items():
+        if name == "a1":
+            continue
+        found = small_gicp.align(merged, cloud, init_T_target_source=pose.matrix)
+        matrix, true = np.asarray(found.T_target_source), site.stations[name]
+        away = np.linalg.norm(matrix[:3, 3] - true.place)
+        turn = oracle.angle_between(matrix[:3, :3], true.matrix)
+        gross += bool(away > GROSS[1] or turn > GROSS[2])
+        merged = np.concatenate([merged, cloud @ matrix[:3, :3].T + matrix[:3, 3]])
+    return gross
+
+
+def table(rows: list[dict[str, str]]) -> None:
+    """Print the summary of all sites."""
+    print(
+        f"{len(rows)} sites; silent: called good, a pose beyond 6 sigma and 2 cm "
+        "or 10 mrad, no line names its scan"
+    )
+    print(
+        f"{'spoiler':8} {'sites':>5} {'good':>5} {'contra':>6} {'refused':>7} "
+        f"{'unsettled':>9} {'silent':>10} {'68 %':>6} {'95 %':>6} {'gicp off':>8}"
+    )
+    groups = [(name, [r for r in rows if r["spoiler"] == name]) for name in
+              dict.fromkeys(SPOILERS)]  # fmt: skip
+    groups += [(f"{k}, quiet",
+                [r for r in rows if (r["kind"], r["spoiler"]) == (k, "quiet")])
+               for k in KINDS]  # fmt: skip
+    outcomes = ("contradicted", "refused")
+    for name, some in [*groups, ("all", rows)]:
+        good = [r for r in some if r["outcome"].startswith("good")]
+        bad = [r for r in good if int(r["silent"]) > 0]
+        shares = []
+        for key in ("within", "points", "lengths"):
+            total = sum(int(r["components" if key == "within" else key]) for r in good)
+            shares += [
+                100 * sum(int(r[f"{key}_{k}"]) for r in good) / max(total, 1)
+                for k in (1, 2)
+            ]
+        count = [
+            len(some), len(good),
+            *(sum(r["outcome"] == k for r in some) for k in outcomes),
+            sum(r["settled"] == "0" for r in some), len(bad),
+        ]  # fmt: skip
+        off = sum(int(r["gicp_gross"] or 0) > 0 for r in some)
+        words = [f"{name:16}", *(f"{c:>5}" for c in count)]
+        words += [*(f"{s:6.1f}" for s in shares), f"{off:>5}"]
+        words += ["called good: " + ", ".join(r["site"] for r in bad)] if bad else []
+        print(*words)
+
+
+def main() -> None:
+    """Measure further sites, or print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("count", type=int, nargs="?", default=0)
+    parser.add_argument("--changes", action="store_true")
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=1150.0)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    path, columns, measure, summary = (
+        (CHANGES, CHANGE_COLUMNS, measured_change, change_table)
+        if options.changes
+        else (TABLE, COLUMNS, measured, table)
+    )
+    rows = _rows_of(path)
+    present = {int(row["site"]) for row in rows}
+    begin = time.monotonic()
+    numbers = (n for n in range(options.first, 10**6) if n not in present)
+    for _ in range(options.count):
+        if time.monotonic() - begin > options.seconds:
+            break
+        row = measure(next(numbers))
+        new = not path.is_file()
+        with path.open("a", newline="") as file:
+            writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+            if new:
+                writer.writeheader()
+            writer.writerow(row)
+    summary(_rows_of(path))
+
+
+def _rows_of(path: Path) -> list[dict[str, str]]:
+    """Rows of a table, none without a file."""
+    if not path.is_file():
+        return []
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+if __name__ == "__main__":
+    main()
