@@ -30,6 +30,7 @@ height = "60 cm"
 reflectance = 0.2
 mueller = [0.4, -0.4, -0.2]
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = "532 nm"
 power = "{power} mW"
 modulation_depth = 0.8

@@ -40,6 +40,7 @@ width = "2 m"
 height = "2 m"
 reflectance = {reflectance}
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = "405 nm"
 power = "20 mW"
 modulation_depth = 0.8

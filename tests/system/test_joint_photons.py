@@ -38,6 +38,7 @@ width = "2 m"
 height = "2 m"
 reflectance = 0.1
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = "405 nm"
 power = "20 mW"
 modulation_depth = 0.8

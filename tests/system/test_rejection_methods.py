@@ -39,6 +39,7 @@ width = "44 cm"
 height = "34 cm"
 reflectance = {reflectance}
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = "405 nm"
 power = "20 mW"
 modulation_depth = 0.8
@@ -361,6 +362,7 @@ height = "1 m"
 reflectance = 0.02
 mueller = [0.3, -0.3, -0.2]
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = "532 nm"
 power = "20 mW"
 modulation_depth = 0.8

@@ -38,6 +38,7 @@ file = "{name}.ply"
 position = ["0 m", "0 m", "0 m"]
 reflectance = 0.3
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = "520 nm"
 power = "200 mW"
 modulation_depth = 0.8

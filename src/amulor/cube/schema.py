@@ -69,6 +69,11 @@ TERMS = {
             meaning="position of the receiver, direction of the beams",
             kind="B",
         ),
+        Term(
+            name="instrument",
+            meaning="leakage, walk, harmonics and drift of the instrument",
+            kind="A, B",
+        ),
     )
 }
 #: Terms that a rejection method may put into its target signal.
@@ -85,7 +90,7 @@ SIGNAL_TERMS = (
 #: combination of channels, is a matter of each sample.
 SHARED_TERMS = ("reference", "drift", "column", "polarization_optics")
 #: Terms that move all pixels of an image the same way.
-ALIKE_TERMS = ("late_echo", "delay", "group_index", "geometry")
+ALIKE_TERMS = ("late_echo", "delay", "group_index", "geometry", "instrument")
 #: Terms in proportion to the water, the same part of it at all pixels.
 WATER_TERMS = ("drift", "column")
 #: Start of the names of variables that hold one term.

@@ -7,11 +7,12 @@ The command line, `auto`, work by rows and sites take it from here.
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib import metadata
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import xarray as xr
 
@@ -19,6 +20,7 @@ from amulor import _plugins
 from amulor import cube as cubes
 from amulor.cube import tiles
 from amulor.errors import AmulorError, CubeError
+from amulor.rejection.reference.instrument import without_drift
 
 __all__ = ["Method", "Needs", "load", "method", "names", "reject"]
 
@@ -128,9 +130,10 @@ class Method:
             As a call.
         """
         accepted = self._accepted(options)
-        if self.fitter is not None:
-            return self.fitter(source, **accepted)
-        return lambda rows, first: self.function(rows, **accepted)
+        if self.fitter is None:
+            return lambda rows, first: self.function(rows, **accepted)
+        of = self.fitter(tiles.Changed(source, without_drift), **accepted)
+        return lambda rows, first: of(without_drift(rows), first)
 
     def without_open_water(self) -> Method:
         """Return the method that is not shown the open-water reference measurements.
@@ -197,7 +200,8 @@ _WITHOUT = " without shots"
 
 
 def _bare(cube: xr.Dataset) -> xr.Dataset:
-    return cubes.without_groups(cube, "open_water")
+    """Remove the references, after the drift that they show."""
+    return cubes.without_groups(without_drift(cube), "open_water")
 
 
 def method(name: str, **declared: Any) -> Callable[[_Function], _Function]:
@@ -214,7 +218,8 @@ def method(name: str, **declared: Any) -> Callable[[_Function], _Function]:
     Returns
     -------
     callable
-        Decorator that returns the function as it is.
+        Decorator of the function. The drift of the phase that the open-water
+        references show is removed from the samples before the function is called.
 
     Notes
     -----
@@ -256,9 +261,14 @@ def method(name: str, **declared: Any) -> Callable[[_Function], _Function]:
     """
 
     def declare(function: _Function) -> _Function:
-        made = Method(name=name, function=function, **declared)
-        function.declared = made  # type: ignore[attr-defined]
-        return function
+        @functools.wraps(function)
+        def of_steady(cube: xr.Dataset, **options: Any) -> xr.Dataset:
+            return function(without_drift(cube), **options)
+
+        of_steady.declared = Method(  # type: ignore[attr-defined]
+            name=name, function=of_steady, **declared
+        )
+        return cast("_Function", of_steady)
 
     return declare
 

@@ -219,6 +219,10 @@ class Instrument(Description):
     """Lock-in amplifier."""
     window: Window | None = None
     """Window between instrument and water; none by default."""
+    phase_uncertainty: Annotated[Angle, Field(ge=0, le=0.5)] | None = None
+    """Standard uncertainty of the phase of each modulation frequency by leakage, walk
+    with the amplitude and harmonics. If left out 0.5 degrees count, as of typical
+    instruments; 0 is an instrument without such errors [rad]."""
     errors: InstrumentErrors | None = None
     """Errors of the instrument in simulated samples; none by default."""
 

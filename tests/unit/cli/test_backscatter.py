@@ -24,6 +24,7 @@ phase_function_at_180 = "0.001 1/sr"
 refractive_index = 1.34
 group_index = 1.34
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = "405 nm"
 power = "20 mW"
 modulation_depth = 1.0

@@ -547,3 +547,24 @@ def test_what_a_joint_estimation_counts_of_the_instrument_counts_once(target, te
         better["slant_range_uncertainty"].values[usable]
         < 0.6 * image["slant_range_uncertainty"].values[usable]
     )
+
+
+@pytest.mark.parametrize(("stated", "degrees"), [(None, 0.5), ("2 deg", 2.0)])
+def test_the_phases_of_an_instrument_are_uncertain(
+    plate_text: str, target: xr.Dataset, stated: str | None, degrees: float
+) -> None:
+    line = "" if stated is None else f'phase_uncertainty = "{stated}"\n'
+    text = plate_text.replace('phase_uncertainty = "0 deg"\n', line)
+    low = surveyed(target.isel(modulation_frequency=[0]), text)
+    image = imaging.range_image(low, polarization="VV", interval=(1.0, 2.0))
+    term = image["slant_range_uncertainty_instrument"].values
+    # A range is c / (4 pi n f) times the phase, at 39 MHz in water of 1.38.
+    expected = speed_of_light / (4 * np.pi * 1.38 * 39e6) * np.radians(degrees)
+    assert_allclose(term[np.isfinite(term)], expected, rtol=5e-3)
+
+
+def test_an_instrument_without_errors_of_phase_has_no_term(
+    target: xr.Dataset,
+) -> None:
+    image = imaging.range_image(target, polarization="VV", interval=(1.0, 2.0))
+    assert "slant_range_uncertainty_instrument" not in image

@@ -53,6 +53,7 @@ backscatter_mueller = [0.81, -0.81, -0.62]
 signal_fluctuation = "{fluctuation} %"
 {targets}
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = "405 nm"
 power = "20 mW"
 modulation_depth = 0.8

@@ -110,6 +110,7 @@ width = "30 cm"
 height = "60 cm"
 reflectance = 0.1
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = "405 nm"
 power = "20 mW"
 modulation_depth = 0.8

@@ -60,6 +60,7 @@ width = "44 cm"
 height = "34 cm"
 reflectance = {reflectance}
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = "{wavelength} m"
 power = "{power} W"
 modulation_depth = {modulation_depth}

@@ -106,6 +106,7 @@ reflectance = {study["ladder_reflectance"]}
 mueller = [{m22}, {-m22}, {m44}]
 {target}
 [instrument]
+phase_uncertainty = "0 deg"
 wavelength = {text(study["wavelength"], "length")}
 power = {text(study["power"], "power")}
 modulation_depth = {study["modulation_depth"]}

@@ -187,11 +187,13 @@ def with_effect(
     case = case_of(
         _with(_with(recorded.cube, scan), shots, _SHOTS), interval=around(_DISTANCE)
     )
-    if not calibrated:
-        return case
     believed = case.samples.amulor.survey
-    stated = believed.with_({"calibration": CALIBRATION})
-    return replace(case, samples=case.samples.assign_attrs(survey=stated.to_toml()))
+    # The user does not know how good the instrument is.
+    instrument = believed.instrument.model_copy(update={"phase_uncertainty": None})
+    believed = believed.model_copy(update={"instrument": instrument})
+    if calibrated:
+        believed = believed.with_({"calibration": CALIBRATION})
+    return replace(case, samples=case.samples.assign_attrs(survey=believed.to_toml()))
 
 
 def _outputs(cube: xr.Dataset, prefix: str = "") -> Complex:
