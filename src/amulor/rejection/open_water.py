@@ -105,8 +105,9 @@ def open_water(
         - `open_water_change`, `open_water_change_uncertainty`: relative difference
           of the water of the scan from the reference, estimated from the phases of
           the scan. The signal is corrected for it.
-
-
+        - `channel_phase_probability`: probability of so large a phase between
+          channels of the target by chance. Below 1e-4 `channel_phase_rad` is the
+          phase for each frequency. It counts as an error of the range.
 
     Raises
     ------
@@ -132,9 +133,9 @@ def open_water(
     - `WATER_RESIDUAL` of a pixel: with two frequencies or channels, a residual has
       the shape of the water signal. At a single frequency, the water behind the
       target is stronger than 0.3 (30 %) of the target.
-    - `WATER_RESIDUAL` of all pixels: the water changed by more than 30 %, or no water
-      explains the shots (departure beyond 20 %). `water_residual_cause` names the
-      reason.
+    - `WATER_RESIDUAL` of all pixels: the water changed by more than 30 %, no water
+      explains the shots (departure beyond 20 %), or the channels of the target differ
+      in phase by more than 0.05 rad. `water_residual_cause` names the reason.
 
     References
     ----------
@@ -209,6 +210,11 @@ def reference_attributes(left: Subtraction) -> dict[str, Any]:
         "open_water_change": left.fit.strength.change,
         "open_water_change_uncertainty": left.fit.strength.uncertainty,
     }
+    channel_phase = left.fit.channel_phase
+    if channel_phase is not None:
+        told["channel_phase_probability"] = channel_phase.probability
+        if channel_phase.is_real:
+            told["channel_phase_rad"] = channel_phase.phase
     if left.fit.disagreement:
         limits = [pair.limit for pair in left.fit.disagreement]
         # netCDF gives an array of one number back as a number.

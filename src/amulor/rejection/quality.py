@@ -185,6 +185,88 @@ def channels_disagree(
     return marked, tuple(limits), size
 
 
+#: A phase between channels that chance makes rarer than this is real [1].
+_REAL_PHASE = 1e-4
+#: A larger one flags the scan [rad].
+LARGEST_CHANNEL_PHASE = 0.05
+#: Standard error of a median over that of the mean, of normal deviates [1].
+_OF_MEDIAN = 1.2533
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelPhase:
+    """Phase of the target between two channels, the median of a scan.
+
+    All channels see one echo. Leakage, a phase that depends on the amplitude and a
+    layer of other water turn the channels by different angles.
+    """
+
+    phase: NDArray[np.float64]
+    """Largest phase of all pairs, frequency by frequency [rad]."""
+    significance: NDArray[np.float64]
+    """The same over its standard uncertainty [1]."""
+    probability: float
+    """Probability of so large a phase by chance, in any pair at any frequency [1]."""
+
+    @property
+    def is_real(self) -> bool:
+        """Whether chance does not explain it."""
+        return self.probability < _REAL_PHASE
+
+    @property
+    def cause(self) -> WaterResidualCause:
+        """Failed test of the scan, 0 if it is passed."""
+        if self.is_real and self.phase.max() > LARGEST_CHANNEL_PHASE:
+            return WaterResidualCause.INSTRUMENT
+        return WaterResidualCause(0)
+
+
+def channel_phase(
+    signal: NDArray[np.complex128],
+    independent: Covariance,
+    shared: Covariance,
+    *,
+    shown: NDArray[np.bool_],
+) -> ChannelPhase | None:
+    """Return the phase between channels of a target; None with one channel.
+
+    Errors of the pixels average out, those that they share do not.
+    """
+    frequencies, channels = signal.shape[:2]
+    seen = np.isfinite(signal) & (signal != 0)
+    own = phase_error(signal, independent, seen)
+    common = phase_error(signal, shared, seen)
+    seen &= (np.hypot(own, common) < LARGEST_PHASE_ERROR) & shown
+    phases = np.zeros(frequencies)
+    significance = np.zeros(frequencies)
+    tests = 0
+    for index in range(frequencies):
+        for first in range(channels):
+            for second in range(first):
+                pair = [first, second]
+                both = seen[index, pair].all(axis=0)
+                if both.sum() < 2:
+                    continue
+                turn = np.angle(signal[index, first] * signal[index, second].conj())
+                phase = abs(float(np.median(turn[both])))
+                random = np.linalg.norm(own[index, pair][:, both], axis=0)
+                systematic = np.linalg.norm(common[index, pair][:, both], axis=0)
+                error = np.hypot(
+                    np.median(systematic),
+                    _OF_MEDIAN * np.median(random) / np.sqrt(both.sum()),
+                )
+                tests += 1
+                phases[index] = max(phases[index], phase)
+                significance[index] = max(significance[index], phase / error)
+    if not tests:
+        return None
+    return ChannelPhase(
+        phase=phases,
+        significance=significance,
+        probability=min(1.0, 2 * tests * float(ndtr(-significance.max()))),
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Disagreement:
     """What two channels must differ by, in standard errors, of each frequency."""

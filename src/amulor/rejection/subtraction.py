@@ -46,6 +46,8 @@ class SubtractionFit:
     """How much stronger than the shots the water was."""
     disagreement: tuple[quality.Disagreement, ...]
     """What the phases of each pair of channels must differ by."""
+    channel_phase: quality.ChannelPhase | None
+    """Phase of the target between channels; None with one channel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,6 +176,17 @@ def subtract_open_water(
     similar, shape = quality.looks_like_water(cube, target, water.signal, errors)
     cause[similar] |= WaterResidualCause.WATER_SHAPE
     cause |= contradiction(strength, water.turbidity)
+    if fit is not None:
+        channel_phase = fit.channel_phase
+    else:
+        channel_phase = quality.channel_phase(
+            target,
+            counting + water.fluctuation,
+            water.common + column + change,
+            shown=seen,
+        )
+    if channel_phase is not None:
+        cause |= channel_phase.cause
     outlying, disagreement, size = quality.channels_disagree(
         target,
         errors + change,
@@ -204,6 +217,7 @@ def subtract_open_water(
             usual_column=usual_column,
             strength=strength,
             disagreement=disagreement,
+            channel_phase=channel_phase,
         ),
     )
 

@@ -1,0 +1,56 @@
+"""The phase between channels of a target, a witness of leakage and walk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_allclose
+
+from amulor import rejection
+from amulor.cube import WaterResidualCause
+
+Make = Callable[..., xr.Dataset]
+TWO = {"VV": (1.0, 1.0), "VH": (0.25, 0.1)}
+
+
+def _leaking(cube: xr.Dataset, leak: complex) -> xr.Dataset:
+    """Samples with the same leakage in all channels."""
+    leaking = cube.copy(deep=True)
+    leaking["in_phase"].values[:] += leak.real
+    leaking["quadrature"].values[:] += leak.imag
+    return leaking
+
+
+@pytest.mark.parametrize("share", [0.01, 0.03])
+def test_leakage_shows_as_its_phase_between_the_channels(
+    by_hand: Make, share: float
+) -> None:
+    frequency = np.array([20e6, 80e6])
+    cube = by_hand(frequency=list(frequency), channels=TWO)
+    target = rejection.open_water(_leaking(cube, share * 1j))
+    clean = np.exp(4j * np.pi * frequency * 1.38 * 1.5 / 299792458.0)
+    expected = np.angle((clean + share * 1j) / (0.25 * clean + share * 1j))
+    # The estimated change of the water takes up to 2 mrad of it.
+    found = target.attrs["channel_phase_rad"]
+    assert_allclose(found, np.abs(expected), rtol=0.1, atol=2e-3)
+    assert target.attrs["channel_phase_probability"] < 1e-6
+    # More than 0.05 rad is no water: the whole scan is flagged.
+    causes = target["water_residual_cause"].values
+    large = bool(np.abs(expected).max() > 0.05)
+    assert bool((causes & WaterResidualCause.INSTRUMENT).all()) == large
+
+
+def test_channels_without_leakage_have_one_phase(by_hand: Make) -> None:
+    for seed in range(40):
+        cube = by_hand(seed, frequency=[20e6, 80e6], channels=TWO, shape=(4, 4))
+        target = rejection.open_water(cube)
+        assert target.attrs["channel_phase_probability"] > 1e-4
+        assert "channel_phase_rad" not in target.attrs
+
+
+def test_one_channel_has_nothing_to_compare(by_hand: Make) -> None:
+    target = rejection.open_water(by_hand(frequency=[20e6], channels={"VV": (1, 1)}))
+    assert "channel_phase_probability" not in target.attrs
