@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -16,9 +17,10 @@ from amulor._progress import part, tell
 from amulor.cube import UNUSABLE, QualityFlag, WaterResidualCause, tiles
 from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
 from amulor.errors import AmulorError, CubeError
-from amulor.optics import ambiguity, detection, ranging
+from amulor.optics import ambiguity, detection, ranging, rays
 from amulor.rejection.covariance import covariance_of
 from amulor.rejection.methods import Method, compared_methods, load, method
+from amulor.survey.view import medium_of
 
 Floats = NDArray[np.float64]
 Interval = tuple[float, float] | None
@@ -31,6 +33,10 @@ _HARDLY_ANY = 0.03
 _FEW = 0.8
 #: Frequencies that disagree by more than this chance do not agree [1].
 _DISAGREEMENT = 1e-4
+#: Ranges of two methods disagree where they differ by more of their errors [1].
+_DISAGREE = 4.0
+#: Pixels that two methods must both trust to be compared.
+_FEWEST_PIXELS = 10
 #: Errors closer than this count as equal: the simpler method wins [1].
 _EQUAL = 0.05
 _INSTRUMENT = (
@@ -141,6 +147,9 @@ class Comparison:
     """Its best channel."""
     reason: str
     """Why."""
+    disagreement: float = 0.0
+    """Largest difference of the ranges of another method that both errors do not
+    explain, median over the scan [m]."""
 
 
 def _repeat_distance(cube: xr.Dataset) -> float:
@@ -158,6 +167,16 @@ def _shots_are_doubted(cube: xr.Dataset, rows: list[Row]) -> bool:
     ran = any(row.polarization for row in rows)
     trusted = max((row.trusted for row in rows), default=0.0)
     return ran and cube.amulor.open_water is not None and trusted < _FEW
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Trial:
+    """Result of one method in one channel."""
+
+    row: Row
+    """Its row of the comparison."""
+    path: Floats | None = None
+    """Optical paths, not a number in pixels that are not trusted [m]."""
 
 
 def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
@@ -189,17 +208,25 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     a flag whose frequencies agree, beside at least one other. Of errors within a
     twentieth of each other the simpler method wins. A bias that nothing tells counts as
     infinite. The joint estimation is tried without the shots, too, where with them it
-    trusts few pixels.
+    trusts few pixels and the shots show no error of the instrument. Where the ranges of
+    another method differ by more than four of both errors, the difference is stated.
     """
     cube = cubes.checked(cube, "samples")
     candidates, broken = compared_methods()
-    rows = [_not_run(name, str(error)) for name, error in broken.items()]
+    trials = [_Trial(row=_not_run(name, str(error))) for name, error in broken.items()]
     for number, candidate in enumerate(candidates):
         with part(number / len(candidates), (number + 1) / len(candidates)):
             found = _rows(candidate, cube, interval)
-            if candidate.distrusts_open_water and _shots_are_doubted(cube, found):
+            doubted = _shots_are_doubted(cube, [trial.row for trial in found])
+            # What is wrong with the instrument is wrong without the shots, too.
+            if (
+                candidate.distrusts_open_water
+                and doubted
+                and not any(trial.row.caution is Caution.INSTRUMENT for trial in trials)
+            ):
                 found += _rows(candidate.without_open_water(), cube, interval)
-        rows += found
+        trials += found
+    rows = [trial.row for trial in trials]
     if any(row.caution is Caution.INSTRUMENT for row in rows):
         # The channels of the scan are wrong, too, beside the shots.
         touched = [
@@ -231,12 +258,21 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
         listed = "; ".join(f"{row.method}: {row.note or 'no pixel'}" for row in rows)
         raise CubeError(f"no method has a pixel that it can use ({listed})")
     reason = _reason(rows, best, has_shots=cube.amulor.open_water is not None)
+    other, disagreement = _disagreement(trials, best, cube)
+    if other is not None:
+        reason += (
+            f"; {other.method} {other.polarization} differs by {_length(disagreement)}"
+            ", more than both errors explain: leakage, a phase that depends on the "
+            "amplitude, or water of another kind before the target; the difference "
+            "counts as an error"
+        )
     rows[best] = replace(rows[best], recommended=True, note=reason)
     return Comparison(
         rows=tuple(rows),
         method=rows[best].method,
         polarization=rows[best].polarization,
         reason=reason,
+        disagreement=disagreement,
     )
 
 
@@ -312,21 +348,25 @@ def _fit_auto(
 
 def _of_comparison(target: xr.Dataset, comparison: Comparison) -> xr.Dataset:
     """Return the recommended channel, with the method and the reason."""
-    return target.sel(polarization=[comparison.polarization]).assign_attrs(
-        rejection_method=comparison.method, rejection_reason=comparison.reason
-    )
+    attributes: dict[str, Any] = {
+        "rejection_method": comparison.method,
+        "rejection_reason": comparison.reason,
+    }
+    if comparison.disagreement > 0:
+        attributes["method_disagreement_m"] = comparison.disagreement
+    return target.sel(polarization=[comparison.polarization]).assign_attrs(attributes)
 
 
-def _rows(method: Method, cube: xr.Dataset, interval: Interval) -> list[Row]:
+def _rows(method: Method, cube: xr.Dataset, interval: Interval) -> list[_Trial]:
     """Row of each channel that a method makes, or the reason why it cannot run."""
     tell(f"trying {method.name}", 0.0)
     if method.needs.open_water is False and cube.amulor.open_water is not None:
         note = "not needed: there are open-water shots, so no water stays in"
-        return [_not_run(method.name, note)]
+        return [_Trial(row=_not_run(method.name, note))]
     try:
         target = method(cube, interval=interval)
     except (AmulorError, ValueError) as error:
-        return [_not_run(method.name, str(error))]
+        return [_Trial(row=_not_run(method.name, str(error)))]
     return [
         _row(method, target.sel(polarization=[name]), interval)
         for name in target.amulor.polarizations
@@ -347,7 +387,7 @@ def _not_run(name: str, reason: str) -> Row:
     )
 
 
-def _row(method: Method, target: xr.Dataset, interval: Interval) -> Row:
+def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
     """Return what a method made of one channel."""
     is_joint = "joint_slant_range_uncertainty" in target
     flag, left_out = flags_of_pixels(
@@ -358,8 +398,9 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> Row:
     caution, note = Caution.NONE, ""
     bias, noise = float("nan"), float("nan")
     agree = np.zeros(usable.shape, dtype=bool)
+    path = np.full(usable.shape, np.nan)
     if usable.any():
-        noises, biases, agree[usable] = _errors(target, usable, left_out)
+        noises, biases, agree[usable], path[usable] = _errors(target, usable, left_out)
         water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
         # A few pixels of which it is not known say so by a flag, and count there.
         clear = flag[usable] == 0
@@ -383,7 +424,7 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> Row:
     trusted = sound & _beside(sound)
     if any(each.any() and not (each & _beside(each)).any() for each in (usable, sound)):
         caution, note = Caution.LONE_PIXELS, "no pixel that it trusts has a neighbour"
-    return Row(
+    row = Row(
         method=method.name,
         polarization=target.amulor.polarizations[0],
         bias=bias,
@@ -394,6 +435,7 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> Row:
         caution=caution,
         note=note,
     )
+    return _Trial(row=row, path=np.where(trusted, path, np.nan))
 
 
 def _beside(there: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -415,11 +457,11 @@ def _beside(there: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _errors(
     target: xr.Dataset, usable: NDArray[np.bool_], left_out: NDArray[np.bool_]
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
     """Return what usable pixels say of themselves, without samples that are left out.
 
-    Uncertainty and estimated bias of the slant range [m], and whether the frequencies
-    agree.
+    Uncertainty and estimated bias of the slant range [m], whether the frequencies
+    agree, and the optical path [m].
     """
     if "joint_slant_range_uncertainty" in target:
         own = target["joint_slant_range_uncertainty"].values[usable]
@@ -427,7 +469,7 @@ def _errors(
         # What is not known of the instrument is in no other method's error.
         known = target.attrs["joint_instrument_uncertainty_m"]
         rest = np.sqrt(np.maximum(own[settled] ** 2 - known**2, 0.0))
-        return rest, np.zeros(settled.shape), settled
+        return rest, np.zeros(settled.shape), settled, _joint_path(target)[usable]
     signal = target.amulor.signal.values[:, 0][:, usable]
     errors = covariance_of(target).part((slice(None), 0))
     to_range = ranging.range_per_phase(
@@ -463,7 +505,62 @@ def _errors(
     # Only whether they agree: which interval is right is a matter of its limits.
     few = (np.isfinite(sigma) & ~path.left_out).sum(axis=0) - 1
     agree = path.strain <= chdtri(np.maximum(few, 1), _DISAGREEMENT)
-    return noise, bias, np.asarray(agree | (few < 1))
+    return noise, bias, np.asarray(agree | (few < 1)), path.length
+
+
+def _joint_path(target: xr.Dataset) -> Floats:
+    """Return the optical paths of a joint estimation, NaN without a survey [m]."""
+    distance: Floats = target["joint_slant_range"].values
+    survey = target.amulor.survey
+    if survey is None:
+        return np.full(distance.shape, np.nan)
+    medium = medium_of(survey)
+    beam = rays.enter_water(
+        survey.instrument.emitter.position,
+        rays.direction(target["azimuth"].values, target["elevation"].values),
+        medium=medium,
+    )
+    receiver = np.asarray(survey.instrument.receiver.position)
+    settled = np.isfinite(distance)
+    path = rays.optical_path(
+        np.where(settled, distance, beam.length_before + 1.0),
+        beam,
+        receiver,
+        medium=medium,
+    )
+    return np.where(settled, path, np.nan)
+
+
+def _disagreement(
+    trials: list[_Trial], best: int, cube: xr.Dataset
+) -> tuple[Row | None, float]:
+    """Return the method whose ranges differ most beyond both errors, and by how much.
+
+    The median of the differences, less whole intervals after which phases repeat [m].
+    """
+    chosen = trials[best]
+    group_index = float(cube["geometry"].attrs["group_index"])
+    repeat = _repeated_path(cube["modulation_frequency"].values)
+    other, largest = None, 0.0
+    for trial in trials:
+        row = trial.row
+        if (
+            trial is chosen
+            or trial.path is None
+            or chosen.path is None
+            or row.caution is not Caution.NONE
+        ):
+            continue
+        apart = trial.path - chosen.path
+        apart = apart[np.isfinite(apart)]
+        if apart.size < _FEWEST_PIXELS:
+            continue
+        apart -= repeat * np.round(apart / repeat)
+        difference = abs(float(np.median(apart))) / (2 * group_index)
+        error = float(np.hypot(row.error, chosen.row.error))
+        if difference > max(_DISAGREE * error, largest):
+            other, largest = row, difference
+    return other, largest
 
 
 def _repeated_path(frequency: Floats) -> float:

@@ -241,10 +241,60 @@ def test_a_few_flagged_pixels_do_not_make_the_bias_unknown(cube: xr.Dataset) -> 
     row, column = np.argwhere((flag == 0).all(axis=(0, 1)))[0]
     target["residual_in_phase"].values[:, :, row, column] = np.nan
     # Where the pixel does not say so, nothing is known of all.
-    unknown = table._row(method, target, (0.5, 3.0))
+    unknown = table._row(method, target, (0.5, 3.0)).row
     assert np.isinf(unknown.bias)
     flag[:, :, row, column] |= QualityFlag.WATER_RESIDUAL
-    found = table._row(method, target, (0.5, 3.0))
+    found = table._row(method, target, (0.5, 3.0)).row
     assert found.bias < 1e-4
     assert found.caution.value == "none"
     assert found.trusted < unknown.trusted
+
+
+def _row(method: str, noise: float) -> rejection.Row:
+    return rejection.Row(
+        method=method,
+        polarization="VV",
+        bias=0.0,
+        noise=noise,
+        usable=1.0,
+        flagged=0.0,
+        trusted=1.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("noise", "expected"), [(1e-3, 10e-3), (5e-3, 0.0)], ids=["apart", "in errors"]
+)
+def test_ranges_of_methods_are_compared_within_their_errors(
+    by_hand: Make, noise: float, expected: float
+) -> None:
+    module = importlib.import_module("amulor.rejection.compare")
+    cube = by_hand(frequency=[20e6, 80e6], channels={"VV": (1.0, 1.0)})
+    # The phases of 20 and 80 MHz repeat after a path of 299792458 / 20e6 m.
+    path = np.full((6, 8), 4.0)
+    apart = path + 2 * 1.38 * 10e-3 + 299792458.0 / 20e6
+    trials = [
+        module._Trial(row=_row("first", noise), path=path),
+        module._Trial(row=_row("second", noise), path=apart),
+        module._Trial(row=_row("near", noise), path=path + 1e-4),
+    ]
+    other, difference = module._disagreement(trials, 0, cube)
+    assert difference == pytest.approx(expected, rel=1e-6)
+    assert (other is None) == (expected == 0)
+    if other is not None:
+        assert other.method == "second"
+
+
+def test_a_disagreement_of_methods_counts_as_an_error(by_hand: Make) -> None:
+    cube = by_hand(frequency=[20e6, 80e6], channels={"VV": (1.0, 1.0)})
+    comparison = rejection.Comparison(
+        rows=(_row("open-water", 1e-3),),
+        method="open-water",
+        polarization="VV",
+        reason="smallest error",
+        disagreement=7e-3,
+    )
+    target = rejection.auto(cube, comparison=comparison)
+    image = imaging.range_image(target, interval=(0.5, 3.0))
+    assert image["slant_range_uncertainty_instrument"].values == pytest.approx(7e-3)
+    assert np.all(image["slant_range_common_uncertainty"].values > 7e-3)
