@@ -149,7 +149,7 @@ def target_ratio(
     -------
     Ratio
         One for all pixels; where they differ by more than their errors, the spread is
-        part of the uncertainty.
+        part of the uncertainty. So is a phase between the channels.
 
     Raises
     ------
@@ -197,6 +197,10 @@ def ratio_of(left: xr.Dataset) -> Ratio:
         weight = 1 / np.maximum(noise[1] + value**2 * noise[0], np.finfo(float).tiny)
         bottom = float(np.sum(weight * (np.abs(a) ** 2 - 2 * noise[0])))
         value = float(np.sum(weight * (a.conj() * b).real)) / bottom
+    # Target and channels have one phase: a part across it is leakage, or a channel of
+    # another gain, which may be as large along it.
+    across = weight * (a.conj() * b).imag
+    askew = abs(float(np.sum(across))) / bottom
     own = (a.conj() * (b - value * a)).real
     random = np.sqrt(float(np.sum((weight * own) ** 2))) / bottom
     each = own / np.abs(a) ** 2
@@ -213,10 +217,11 @@ def ratio_of(left: xr.Dataset) -> Ratio:
     common = np.hypot(
         float(np.sum(strength * shared[1])), value * float(np.sum(strength * shared[0]))
     )
+    askew = askew if askew > _BY_CHANCE * np.hypot(random, common) else 0.0
     count = int(usable.any(axis=0).sum())
     return Ratio(
         value,
-        float(np.sqrt(random**2 + spread**2 + common**2)),
+        float(np.sqrt(random**2 + spread**2 + common**2 + askew**2)),
         f"{count} pixels that show a target",
     )
 
@@ -229,7 +234,12 @@ def _line(first: Complex, second: Complex) -> tuple[float, float]:
     value = b.mean() / a.mean()
     # Both channels follow the directions alike, so their difference does not.
     rest = b - value * a
-    return float(value), float(rest.std(ddof=1) / np.sqrt(len(rest)) / abs(mean))
+    random = float(rest.std(ddof=1) / np.sqrt(len(rest)) / abs(mean))
+    # Across the phase of the water there is leakage alone, see `ratio_of`.
+    askew = abs(float((second / turn).imag.mean())) / abs(mean)
+    return float(value), float(
+        np.hypot(random, askew if askew > _BY_CHANCE * random else 0.0)
+    )
 
 
 def _weighted_mean(values: Floats, errors: Floats) -> tuple[float, float]:

@@ -2,10 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
+import xarray as xr
 
+from amulor import rejection
 from amulor.rejection.ratios import _weighted_mean
+
+Make = Callable[..., xr.Dataset]
+TWO = {"VV": (1.0, 1.0), "VH": (0.25, 0.1)}
+
+
+def _leaking(cube: xr.Dataset, prefix: str, leak: Any) -> xr.Dataset:
+    """Samples or shots with the same leakage in all channels."""
+    leaking = cube.copy(deep=True)
+    leaking[f"{prefix}in_phase"].values[:] += leak.real
+    leaking[f"{prefix}quadrature"].values[:] += leak.imag
+    return leaking
 
 
 def test_the_mean_is_weighted_by_variances_and_its_error_grows_with_the_spread() -> (
@@ -20,3 +36,30 @@ def test_the_mean_is_weighted_by_variances_and_its_error_grows_with_the_spread()
     mean, error = _weighted_mean(np.array([1.0, 1.1]), errors)
     assert mean == pytest.approx(1.02)
     assert error == pytest.approx(np.sqrt(1 / 125))
+
+
+def test_leakage_is_in_the_error_of_the_ratio_of_targets(by_hand: Make) -> None:
+    frequency = np.array([20e6, 80e6])
+    cube = by_hand(frequency=list(frequency), channels=TWO)
+    clean = rejection.target_ratio(cube, interval=(0.5, 3.0))
+    echo = np.exp(4j * np.pi * frequency * 1.38 * 1.5 / 299792458.0)
+    leak = 0.03 * np.exp(0.25j * np.pi)
+    found = rejection.target_ratio(
+        _leaking(cube, "", leak * echo[:, None, None, None]), interval=(0.5, 3.0)
+    )
+    # Channels of 1 and 0.25 with the same leakage; the part across is stated. The
+    # estimated change of the water takes some of it.
+    across = abs(((0.25 + leak) / (1 + leak)).imag)
+    assert clean.uncertainty < across / 3
+    assert 0.5 * across < found.uncertainty < 1.5 * across
+    assert abs(found.value - 0.25) < 2 * found.uncertainty
+
+
+def test_leakage_is_in_the_error_of_the_ratio_of_the_water(by_hand: Make) -> None:
+    cube = by_hand(frequency=[20e6], channels=TWO, cut_off=1e12)
+    clean = rejection.water_ratio(cube)
+    # Water of 0.2 V and of 0.02 V, both of the phase 0.
+    found = rejection.water_ratio(_leaking(cube, "open_water_", 0.004 + 0.004j))
+    expected = (0.02 + 0.004 + 0.004j) / (0.2 + 0.004 + 0.004j)
+    assert found.uncertainty == pytest.approx(abs(expected.imag), rel=0.1)
+    assert clean.uncertainty < abs(expected.imag) / 3

@@ -163,6 +163,18 @@ def test_a_change_beyond_that_of_water_and_shots_unlike_water_have_a_cause(
     assert before_target.contradiction(strength, None) == known
 
 
+@pytest.mark.parametrize("shown", [0.01, 0.1])
+def test_shots_that_no_turbidity_explains_have_a_cause(shown: float) -> None:
+    survey = Survey.preset("amulor-2010")
+    turbidity = before_target.Turbidity(
+        survey=survey, factor=4.0, uncertainty=0.7, steeper=survey, misfit=0.1,
+        shown=shown, is_extreme=True,
+    )  # fmt: skip
+    steady = before_target.Strength(change=0.0, uncertainty=0.02)
+    expected = WaterResidualCause.INSTRUMENT if shown > 0.05 else 0
+    assert before_target.contradiction(steady, turbidity) == expected
+
+
 def test_leakage_in_the_scan_alone_flags_all_and_auto_says_why() -> None:
     case = instrument.with_effect(1, 1, effect=instrument.leakage(0.03))
     found = rejection.open_water(case.samples, interval=case.interval)

@@ -66,6 +66,8 @@ class Turbidity:
     not explain, or what could not be seen, in parts of the open water [1]."""
     shown: float
     """The part of it that the shots do show [1]."""
+    is_extreme: bool = False
+    """Whether the best factor lies at or beyond the ends of those that were tried."""
     paper: bool = False
     """Whether the diffusion form of the paper is the model, and not the small-angle
     form."""
@@ -128,7 +130,8 @@ def turbidity_of(
     scale = max(lowest / len(directions) / freedom, 1.0)
     width = step * float(np.sqrt(2 * scale * len(directions) / max(curvature, 1e-12)))
     uncertainty = min(width, float(np.log(4.0)))
-    if not 0.5 < place < len(_FACTORS) - 1.5:
+    is_extreme = not 0.5 < place < len(_FACTORS) - 1.5
+    if is_extreme:
         # The best factor lies beyond those that were tried.
         uncertainty = max(uncertainty, float(np.log(2.0)))
     explained = len(directions) * freedom
@@ -141,6 +144,7 @@ def turbidity_of(
         steeper=scaled(survey, factor * float(np.exp(uncertainty))),
         misfit=min(misfit, 1.0),
         shown=min(float(np.sqrt(left)), 1.0),
+        is_extreme=is_extreme,
         paper=paper,
     )
 
@@ -374,6 +378,8 @@ _SURPRISE = 3.0
 LARGEST_CHANGE = 0.3
 #: Shots that depart from any water of the survey by more are not water alone [1].
 LARGEST_MISFIT = 0.2
+#: And by so much where not even four times or a fourth of its turbidity is enough [1].
+_EXTREME_MISFIT = 0.05
 #: A limit must be exceeded by so many standard uncertainties [1].
 _SURE = 3.0
 
@@ -395,7 +401,10 @@ def contradiction(
     sure = abs(strength.change) - _SURE * strength.uncertainty > LARGEST_CHANGE
     # No water has a negative strength, and none is like these shots.
     negative = sure and strength.change <= -1
-    unlike = turbidity is not None and turbidity.misfit > LARGEST_MISFIT
+    unlike = turbidity is not None and (
+        turbidity.misfit > LARGEST_MISFIT
+        or (turbidity.is_extreme and turbidity.shown > _EXTREME_MISFIT)
+    )
     if negative or unlike:
         return WaterResidualCause.INSTRUMENT
     return WaterResidualCause.WATER_CHANGED if sure else WaterResidualCause(0)
