@@ -393,13 +393,13 @@ def test_what_fails_is_told_and_left_safe(monkeypatch, tiny):
     ):
         before = set(threading.enumerate())
         with pytest.raises(InstrumentError, match=text):
-            connect(tiny, changed(part, **options))
+            connect(tiny, changed(part, **options), ask=print)
         # No loop of a device that is not there goes on.
         assert set(threading.enumerate()) <= before
-    devices = connect(tiny, settings)
+    devices = connect(tiny, settings, ask=print)
     # One scan at a time, although there is no address.
     with pytest.raises(InstrumentError, match="driven by another scan"):
-        connect(tiny, settings)
+        connect(tiny, settings, ask=print)
     # What sticks is told when the time is over, and can be stopped.
     bench.faults = type(bench.faults).parse(["stuck@0x9999"])
     with pytest.raises(InstrumentError, match=r"not done within 0\.2 s"):

@@ -78,12 +78,14 @@ def test_mistakes_of_a_command_get_one_line(here, capsys) -> None:
     Path("other.toml").write_text(other.to_toml())
     Path("slow.toml").write_text("[procedure]\nsettling = 6.0\n")
     Path("odd.toml").write_text("[lock_in]\ntimout = 1\n")
-    Path("far.toml").write_text(
+    devices = (
         '[lock_in]\ndriver = "sr844"\naddress = "tcp://127.0.0.1:1"\n'
         '[scanner]\ndriver = "pi_gcs"\naddress = "tcp://127.0.0.1:1"\n'
         '[launch]\ndriver = "none"\n[analyser]\ndriver = "none"\n'
-        '[laser]\ndriver = "lock_in_output"\n[target]\ndriver = "operator"\n'
+        '[laser]\ndriver = "lock_in_output"\n[target]\ndriver = '
     )
+    Path("by-hand.toml").write_text(f'{devices}"operator"\n')
+    Path("far.toml").write_text(f'{devices}"pi_gcs"\naddress = "tcp://127.0.0.1:1"\n')
     for words, message in (
         (
             "acquire tank.toml -o scan",
@@ -96,6 +98,7 @@ def test_mistakes_of_a_command_get_one_line(here, capsys) -> None:
         ("acquire tank.toml -o scan --resume --devices slow.toml", "what it is told"),
         ("acquire tank.toml -o new --devices odd.toml", "did you mean 'timeout'"),
         ("acquire tank.toml -o new --devices far.toml", "check address, cable"),
+        ("acquire tank.toml -o new --devices by-hand.toml", "this is no terminal"),
         ("acquire tank.toml -o new --devices none.toml", "cannot be read"),
         ("recover scan", "exists already"),
         ("recover .", "holds no journal"),
