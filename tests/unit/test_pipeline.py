@@ -246,7 +246,9 @@ def test_methods_that_are_not_installed_are_refused() -> None:
         reject_step("magic")
 
 
-@pytest.mark.parametrize("level", ["samples", "target_signal"])
+@pytest.mark.parametrize(
+    "level", ["samples", pytest.param("target_signal", marks=pytest.mark.slow)]
+)
 def test_no_tile_stays_in_memory(level: str, samples: xr.Dataset) -> None:
     cube, step = samples, reject_step("open-water", interval=INTERVAL)
     if level == "target_signal":

@@ -58,7 +58,9 @@ def test_ratios_at_the_ends_are_not_refused_for_their_noise(
     assert abs(np.mean(found.amulor.signal.values[1]) - np.exp(1j * phase)) < 0.02
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 4))]
+)
 def test_the_preset_with_two_channels_is_unmixed(seed: int) -> None:
     changed = {"instrument.polarizations": ["VV", "VH"]}
     changed |= {"scan.columns": 6, "scan.rows": 4}

@@ -126,7 +126,9 @@ def _small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("known_by", PLACES)
 @pytest.mark.parametrize("form", ["csv", "hdf5"])
-@pytest.mark.parametrize("rows", [1, 2, 4, ROWS, 50])
+@pytest.mark.parametrize(
+    "rows", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 4, ROWS, 50))]
+)
 def test_any_tiles_give_the_file_of_the_whole(
     tmp_path, survey, known_by, form, rows
 ) -> None:

@@ -60,6 +60,7 @@ def test_an_honest_start_is_not_thrown_away_for_another_amphora() -> None:
     assert max(shift for shift, _ in drawn.wrong(found).values()) < 0.03
 
 
+@pytest.mark.slow
 def test_a_start_far_beyond_its_stated_error_is_named() -> None:
     drawn = one_visit("bed", 3, position=0.01, angle=0.005, rows=48)
     assert registered(drawn).contradictions == ()

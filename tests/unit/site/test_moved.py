@@ -71,6 +71,7 @@ def test_what_single_pairs_do_not_hold_is_no_matter_where_others_do() -> None:
         np.testing.assert_array_equal(whole, one)
 
 
+@pytest.mark.slow
 def test_shift_and_turn_of_an_amphora_hold_at_the_point_that_is_named() -> None:
     rng = np.random.default_rng(3)
     ground = oracle.Bed((), (0.02, 0.03))

@@ -136,6 +136,7 @@ def test_the_check_of_a_site_ends_with_the_line(
     assert "counts downwards" in line
 
 
+@pytest.mark.slow
 def test_a_surveyed_station_is_not_called_weak(
     drawn: DrawnSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -156,6 +156,7 @@ def test_intervals_that_fit_alike_state_the_probability_of_another(
     assert found[0].limit == "> 0.000335"
 
 
+@pytest.mark.slow
 def test_a_joint_estimate_states_what_contradicts_its_model(tmp_path: Path) -> None:
     cube = samples.cube("sweep").isel(
         modulation_frequency=slice(0, None, 3), row=[2, 3], shot=slice(0, None, 4)

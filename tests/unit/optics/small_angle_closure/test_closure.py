@@ -464,7 +464,10 @@ def test_columns_in_which_it_holds_have_a_cut_off_that_is_at_most_30_percent_hig
     assert np.nanmax(warned) > 3
 
 
-@pytest.mark.parametrize("acceptance", [0.005, 0.01, 0.02, 0.03])
+@pytest.mark.parametrize(
+    "acceptance",
+    [0.005, *(pytest.param(a, marks=pytest.mark.slow) for a in (0.01, 0.02, 0.03))],
+)
 def test_a_narrow_receiver_aside_is_warned_of(acceptance):
     view = {
         "absorption": 0.3,
