@@ -460,7 +460,7 @@ def validity_drawn(rows: list[dict[str, float]]) -> Figure:
 def validity_table(rows: list[dict[str, float]]) -> str:
     """Return the range of both ratios where the closure holds and where it warns."""
     lines = [
-        "| closure over (29) | where it holds | where it warns |",
+        "| closure divided by (29) | without a warning | with a warning |",
         "| --- | --- | --- |",
     ]
     for quantity, name in (("echo", "echo at 2 m"), ("cut_off", "cut-off")):
