@@ -151,14 +151,14 @@ function boxes(canvas, narrow) {
 
 // ------------------------------------------------------------------- figures
 const SLIDERS = {
-  frequency: ["Modulation", 4, 200, 1, 40, (v) => `${v} MHz`],
+  frequency: ["Modulation frequency", 4, 200, 1, 40, (v) => `${v} MHz`],
   distance: ["Distance", 0.5, 6, 0.05, 2, (v) => `${v.toFixed(2)} m`],
   water: ["Attenuation", 0, 5, 1, 3, (v) => `${table().attenuation[v]} 1/m`],
   reflectance: ["Reflectance", 0.02, 1, 0.02, 0.1, (v) => `${Math.round(100 * v)} %`],
   drift: ["Water changed by", -20, 20, 1, 5, (v) => `${v} %`],
-  targetKeeps: ["Target keeps", 0, 1, 0.01, 0.61, (v) => `${Math.round(100 * v)} %`],
-  waterKeeps: ["Water keeps", 0.5, 1, 0.01, 0.96, (v) => `${Math.round(100 * v)} %`],
-  dwell: ["Dwell", 1, 200, 1, 10, (v) => `${v} ms`],
+  targetKeeps: ["Polarization kept by target", 0, 1, 0.01, 0.61, (v) => `${Math.round(100 * v)} %`],
+  waterKeeps: ["Polarization kept by water", 0.5, 1, 0.01, 0.96, (v) => `${Math.round(100 * v)} %`],
+  dwell: ["Measuring time", 1, 200, 1, 10, (v) => `${v} ms`],
 };
 const FIGURES = {
   "lock-in": {
@@ -170,8 +170,8 @@ const FIGURES = {
       const places = Array.from({length: 400}, (_, i) => 0.5 + 5.5 * i / 399);
       plot(context, two, {curves: [{points: places.map((d) => [d, wrapped(d)])}],
         marks: [state.distance], x: "distance [m]", y: "phase [deg]", low: 0, high: 360});
-      return `Phase ${(wrapped(state.distance)).toFixed(1)} deg; one degree is `
-        + `${(1e3 * Math.PI / 180 / k).toFixed(2)} mm; distances repeat every ${(2 * Math.PI / k).toFixed(3)} m.`;
+      return `Phase: ${(wrapped(state.distance)).toFixed(1)} deg. One degree is a distance of `
+        + `${(1e3 * Math.PI / 180 / k).toFixed(2)} mm. The phase repeats every ${(2 * Math.PI / k).toFixed(3)} m.`;
     },
   },
   "two-phasors": {
@@ -180,12 +180,12 @@ const FIGURES = {
       const t = target(state, state.frequency), w = water(state, state.frequency);
       phasors(context, one, [
         {at: [0, 0], tip: t, label: "target"}, {at: t, tip: [t[0] + w[0], t[1] + w[1]], label: "water"},
-        {at: [0, 0], tip: [t[0] + w[0], t[1] + w[1]], label: "what is measured"}]);
+        {at: [0, 0], tip: [t[0] + w[0], t[1] + w[1]], label: "measured"}]);
       const points = sweep((m) => rangeError(target(state, m), water(state, m), m), 10);
       const top = nice(Math.max(5, ...points.map((p) => Math.abs(p[1]))));
       plot(context, two, {curves: [{points}], marks: [state.frequency], low: -top, high: top,
-        x: "modulation frequency [MHz]", y: "error of the range [mm]"});
-      return `Water over target ${(Math.hypot(...w) / Math.hypot(...t)).toPrecision(3)}; the range is off by `
+        x: "modulation frequency [MHz]", y: "range error [mm]"});
+      return `Ratio of water to target: ${(Math.hypot(...w) / Math.hypot(...t)).toPrecision(3)}. Range error: `
         + `${rangeError(t, w, state.frequency).toFixed(2)} mm.`;
     },
   },
@@ -197,7 +197,7 @@ const FIGURES = {
         points: sweep((m) => Math.hypot(...water({water: i}, m)) / Math.hypot(...water({water: i}, 0)), 0),
         label: `${c} 1/m`, wide: i === state.water ? 4 : 1.2, colour: COLOURS[i]}));
       plot(context, two, {curves, marks: [table().cutOff[state.water]], low: 0, high: 1,
-        x: "modulation frequency [MHz]", y: "water signal, relative"});
+        x: "modulation frequency [MHz]", y: "water signal / value at 0 MHz"});
       return `At ${table().attenuation[state.water]} 1/m the water signal falls to 1/sqrt(2) at `
         + `${table().cutOff[state.water].toFixed(1)} MHz.`;
     },
@@ -210,10 +210,10 @@ const FIGURES = {
       const drift = state.drift / 100;
       plot(context, two, {curves: [
         {points: off(1), label: "as recorded"}, {points: off(drift), label: "subtracted"}], log: true,
-        low: 0.01, high: 1000, x: "modulation frequency [MHz]", y: "error of the range [mm]"});
+        low: 0.01, high: 1000, x: "modulation frequency [MHz]", y: "range error [mm]"});
       const at = (part) => rangeError(target(state, 40), scaled(water(state, 40), part), 40);
-      return `At 40 MHz: ${at(1).toFixed(2)} mm as recorded, ${at(drift).toFixed(2)} mm with a reference `
-        + `that is ${state.drift} % off.`;
+      return `Range error at 40 MHz: ${at(1).toFixed(2)} mm as recorded, ${at(drift).toFixed(2)} mm after subtraction `
+        + `of a reference that is wrong by ${state.drift} %.`;
     },
   },
   "polarization": {
@@ -226,12 +226,12 @@ const FIGURES = {
         scaled(water(state, m), share(state.waterKeeps, crossed)), m));
       plot(context, two, {curves: [
         {points: sweep(off(false), 10), label: "parallel (VV)"}, {points: sweep(off(true), 10), label: "crossed (VH)"}],
-        log: true, low: 0.01, high: 1000, x: "modulation frequency [MHz]", y: "error of the range [mm]"});
+        log: true, low: 0.01, high: 1000, x: "modulation frequency [MHz]", y: "range error [mm]"});
       const gain = share(state.targetKeeps, true) / share(state.targetKeeps, false)
         / (share(state.waterKeeps, true) / share(state.waterKeeps, false));
-      return `Crossing the analyser takes ${Math.round(100 * (1 - share(state.targetKeeps, true) / share(state.targetKeeps, false)))} % `
-        + `of the target and ${Math.round(100 * (1 - share(state.waterKeeps, true) / share(state.waterKeeps, false)))} % of the water: `
-        + `target over water grows ${Number.isFinite(gain) ? gain.toPrecision(3) : "without bound"} times.`;
+      return `The crossed analyzer removes ${Math.round(100 * (1 - share(state.targetKeeps, true) / share(state.targetKeeps, false)))} % `
+        + `of the target signal and ${Math.round(100 * (1 - share(state.waterKeeps, true) / share(state.waterKeeps, false)))} % of the water signal, `
+        + `compared with the parallel analyzer. The ratio of target to water changes ${Number.isFinite(gain) ? `by a factor of ${gain.toPrecision(3)}` : "without limit"}.`;
     },
   },
   "bound": {
@@ -246,10 +246,10 @@ const FIGURES = {
       const best = points.reduce((a, b) => (b[1] < a[1] ? b : a));
       plot(context, two, {curves: [
         {points: sweep(noise, 10), label: "counting noise", dash: [6, 4]},
-        {points: sweep(left, 10), label: "water left in", dash: [2, 3]},
-        {points, label: "together", wide: 3}], marks: [best[0]], log: true, low: 0.001, high: 100,
-        x: "modulation frequency [MHz]", y: "error of the range [mm]"});
-      return `Smallest at ${best[0]} MHz: ${best[1].toPrecision(2)} mm, unambiguous over `
+        {points: sweep(left, 10), label: "residual water", dash: [2, 3]},
+        {points, label: "total", wide: 3}], marks: [best[0]], log: true, low: 0.001, high: 100,
+        x: "modulation frequency [MHz]", y: "range error [mm]"});
+      return `Smallest total error: ${best[1].toPrecision(2)} mm at ${best[0]} MHz. At this frequency the range is unambiguous over `
         + `${(2 * Math.PI / phasePerMetre(best[0])).toFixed(2)} m.`;
     },
   },
