@@ -107,11 +107,12 @@ def page(study: dict[str, Any]) -> str:
     looked_into = {entry["figure"] for entry in study["sensitivity"]}
     parts = [
         "# The figures of Ricci et al. 2010, redrawn",
-        "Made by `python docs/make_gallery.py`; `amulor reproduce ricci2010` makes the "
-        "same figures, tables and a report in a folder of yours (`--figure 7` for one "
-        "of them, `--quick` for a first look in less than a minute).",
+        "`amulor reproduce ricci2010 -o FOLDER` writes these figures and tables and a "
+        "report into a folder. With `--figure 7` it writes one figure, and with "
+        "`--quick` it takes less than a minute. `python docs/make_gallery.py` writes "
+        "this page.",
         FOREWORD,
-        f"{results.tally(every)} What fails is discussed "
+        f"{results.tally(every)} The failed statements are discussed "
         "[below](#what-does-not-hold-and-why).",
     ]
     for figure in study["figures"]:
@@ -135,10 +136,10 @@ def page(study: dict[str, Any]) -> str:
         (DOCS / "gallery" / "ricci2010-discussion.md").read_text().strip(),
         "## What the conclusions depend on",
         "Each number that the paper does not print was set to both ends of its range, "
-        "one at a time. The table lists the conclusions that change. All other "
-        f"conclusions of these {len(looked_into)} figures do not depend on them.",
+        "one number at a time. The table lists the conclusions that change. All other "
+        f"conclusions of these {len(looked_into)} figures stay the same.",
         _table(
-            ["figure", "statement", "as it is", "flips when"],
+            ["figure", "statement", "with the chosen numbers", "changes with"],
             [
                 [
                     str(entry["figure"]),
@@ -155,8 +156,8 @@ def page(study: dict[str, Any]) -> str:
         ),
         "## The numbers",
         f"From [parameters.toml]({CODE}/parameters.toml). *text*: printed in the "
-        "paper; *deduced*: follows from what is printed; *assumed*: chosen, as nothing "
-        "fixes it.",
+        "paper. *deduced*: follows from printed numbers and statements. *assumed*: "
+        "chosen, because the paper does not determine it.",
         _table(
             ["number", "value", "basis", "range", "why"],
             [

@@ -47,11 +47,11 @@ def failed(checks: list[Check]) -> set[str]:
 
 #: What honest physics does not meet with the numbers of the study.
 FAILURES: dict[PaperFigure, set[str]] = {
-    figure_05: {"the same, for a column of water that ends with the tank"},
+    figure_05: {"the modulation frequency is above the cut-off of water that ends with the tank"},
     # 39 MHz is twice the cut-off of thin water.
-    figure_06: {"the modulation frequency is just above the cut-off: their quotient"},
+    figure_06: {"the modulation frequency is just above the cut-off (modulation frequency over cut-off)"},
     figure_13: {
-        "(c) VH, milk: steps are right to the stated 2 mm (the one farthest off)"
+        "(c) VH, milk: steps are right to the stated 2 mm (largest error)"
     },
     figure_14: set(),
     # The water left in moves the disc nearer, so that it seems smaller.
@@ -77,7 +77,7 @@ def test_only_thin_water_and_the_errors_behind_the_noise_are_no_test(
 ) -> None:
     fixed = [c.statement for f in FIGURES for c in f.checks(study) if c.role == "set"]
     assert fixed == [
-        "the water is optically thin, up to the ladder",
+        "the water up to the ladder is optically thin (optical thickness)",
         "(a) VH, clear water: range error of a pixel",
         "(c) VH, milk: range error of a pixel",
         "(d) VV, milk: range error of a pixel",
@@ -185,11 +185,11 @@ def test_without_backscatter_polarizers_and_subtraction_gain_nothing(
         "(d) VV, milk: range error of a pixel",
         "the range error grows from (a) to (d)",
     } <= failed(figure_13.checks(clean))
-    contrast = "contrast of disc and surround better in VH, open water subtracted"
+    contrast = "contrast of disc and surrounding water higher in VH, open water subtracted"
     assert contrast in failed(figure_15.checks(clean))
     # And the frequency alone then gives the steps in the long tank.
     left = failed(figure_06.checks(clean))
-    assert "the frequency alone, nothing subtracted, reproduces the ladder" not in left
+    assert "the ladder is reproduced without subtraction" not in left
 
 
 def test_water_of_the_sweeps_would_not_be_thin_and_would_flatten_the_ladder(
@@ -199,8 +199,8 @@ def test_water_of_the_sweeps_would_not_be_thin_and_would_flatten_the_ladder(
     # ladder at 3.7 m, and its steps nearly vanish.
     thick = with_numbers(study, ladder_attenuation=1.0)
     assert {
-        "the water is optically thin, up to the ladder",
-        "the frequency alone, nothing subtracted, reproduces the ladder",
+        "the water up to the ladder is optically thin (optical thickness)",
+        "the ladder is reproduced without subtraction",
     } <= failed(figure_06.checks(thick))
 
 
@@ -215,7 +215,7 @@ def test_water_that_depolarizes_like_the_paint_leaves_no_better_channel(
 ) -> None:
     alike = with_numbers(study, maalox_m22=0.61)
     names = failed(figure_15.checks(alike))
-    assert "contrast of disc and surround better in VH, the polarizers alone" in names
+    assert "contrast of disc and surrounding water higher in VH, the polarizers alone" in names
 
 
 # Drawing ------------------------------------------------------------------------------

@@ -125,16 +125,16 @@ def test_figure_1_keeps_what_the_text_says(study) -> None:
     # What (46) gives over the family of numbers that fits the text: 1.2 to 1.7 m and
     # 2.4 to 4.2 m.
     assert 1.2 < depths.profile(study, "low").peak < 1.7
-    nearer = _only(checks, "few metres, low turbidity, diffusion")
+    nearer = _only(checks, "few meters, low turbidity, diffusion")
     assert nearer.value is not None
     assert 2.4 < nearer.value < 4.2
 
 
 FAILS = (
-    "followed by photons",
+    "photon transport computes",
     "diffusion form and by a free fit of (71)",
     "the realistic diffusion form agrees with transport",
-    "measurement: a free fit of (71) is in accordance",
+    "measurement: a free fit of (71) agrees",
     "measurement: a free fit of (71) coincides",
     "curves: a free fit of (71)",
     "curves: a fit of (71) to power",
@@ -189,7 +189,7 @@ def test_accordance_that_a_number_was_chosen_for_is_no_test(study) -> None:
     chosen = [check for check in figure_03.checks(study) if check.role == "set"]
     # The share of absorption makes both diffusion curves agree.
     assert [check.statement for check in chosen] == [
-        "cut-offs of simple and realistic water agree, both by the diffusion form"
+        "cut-offs of simple and realistic water agree, both computed by the diffusion form"
     ]
 
 
@@ -199,12 +199,12 @@ def test_accordance_that_a_number_was_chosen_for_is_no_test(study) -> None:
 def test_a_receiver_on_the_axis_sees_the_water_right_at_the_instrument(study) -> None:
     checks = figure_01.checks(_with(study, long_baseline=0.0))
     assert not _only(checks, "right at the instrument").passed
-    assert not _only(checks, "maximum lies in the first metres, low").passed
+    assert not _only(checks, "maximum lies in the first meters, low").passed
 
 
 def test_clear_water_is_seen_from_farther_than_a_few_metres(study) -> None:
     checks = figure_01.checks(_with(study, attenuation_low=0.05))
-    assert not _only(checks, "few metres, low turbidity, diffusion").passed
+    assert not _only(checks, "few meters, low turbidity, diffusion").passed
 
 
 def test_less_turbid_water_in_figure_4_is_noticed(study) -> None:
@@ -229,7 +229,7 @@ def test_checks_of_curves_follow_the_curves(study) -> None:
         at_cut_off=0.6,
     )
     checks = low_pass.sweep_checks(replace(found, simple=wrong))
-    for words in ("exceeds 1", "at half power", "agree, both by the diffusion form"):
+    for words in ("exceeds 1", "at half power", "agree, both computed by the diffusion form"):
         first = next(check for check in checks if words in check.statement)
         assert not first.passed
 

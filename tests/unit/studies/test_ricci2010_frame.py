@@ -180,7 +180,7 @@ def test_the_tally_counts_set_statements_and_those_of_ours_apart() -> None:
     checks = _checks(Study(parameters.parse(ENTRY)))
     text = results.tally(checks)
     assert text.startswith("1 of 1 statements of the paper hold. For 1 more")
-    assert text.endswith("adds 1 checks that the paper does not state; 1 hold.")
+    assert text.endswith("the paper does not state, and 1 of these hold.")
 
 
 def test_a_statement_of_the_paper_says_where_it_stands_there() -> None:

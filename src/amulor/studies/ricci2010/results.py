@@ -349,13 +349,13 @@ def tally(checks: Iterable[Check]) -> str:
     text = f"{passed} of {tests} statements of the paper hold."
     if chosen:
         text += (
-            f" For {chosen} more a number of the study was chosen, and {met} of these "
-            "hold."
+            f" For {chosen} more, a number of the study was chosen to fit the "
+            f"statement, and {met} of these hold."
         )
     if unstated:
         text += (
-            f" The study adds {unstated} checks that the paper does not state; "
-            f"{right} hold."
+            f" The study adds {unstated} checks that the paper does not state, and "
+            f"{right} of these hold."
         )
     return text
 
@@ -363,12 +363,12 @@ def tally(checks: Iterable[Check]) -> str:
 #: Foreword of the report.
 FOREWORD = (
     "The data points and many numbers of the paper survive only in pictures that are "
-    "not available. The measured data in these figures are synthetic. They are "
-    "computed with the models of amulor from the numbers listed at the end, with the "
-    'noise of these numbers. "FAIL" means that these physics do not reproduce the '
-    'statement. "(set)" marks a statement from which a number of the study was '
-    "deduced; it proves nothing. "
-    '"(own)" marks a check that the paper does not state.'
+    "not available. The measured data in these figures are synthetic. The models of "
+    "amulor compute them from the numbers listed at the end, and add the noise that "
+    'is listed there. "FAIL" means that the models do not reproduce the statement. '
+    '"(set)" marks a statement from which a number of the study was deduced. Such a '
+    'statement proves nothing. "(own)" marks a check of this study that the paper '
+    "does not state."
 )
 
 

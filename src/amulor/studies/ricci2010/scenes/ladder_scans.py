@@ -235,7 +235,7 @@ def steps_are_faithful(
         abs(worst) <= limit,
         ", ".join(f"{height * 1e3:.1f}" for height in steps.heights) + " mm",
         wanted=", ".join(f"{height * 1e3:.0f}" for height in true)
-        + f" mm, each within {limit:.1f} mm, what 0.25 degrees stand for",
+        + f" mm, each within {limit:.1f} mm, the equivalent of 0.25 degrees",
     )
     return replace(check, value=worst)
 
