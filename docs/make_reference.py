@@ -136,8 +136,9 @@ def cube_page() -> str:
         "",
         "A measurement cube is an `xarray.Dataset`, stored as CF netCDF. The attribute",
         "`level` is the processing level. Signals are peak amplitudes in volts, not",
-        "rms. A delayed echo has a positive phase: the signal is in-phase plus i times",
-        "quadrature. `docs/make_reference.py` generates this page from the code.",
+        "rms. A delayed echo has a positive phase: the complex signal is the in-phase",
+        "output plus i times the quadrature output. The last column of a table marks",
+        "required variables. `docs/make_reference.py` generates this page.",
         "",
     ]
     for level in schema.LEVELS.values():
@@ -166,17 +167,17 @@ def flags_page() -> str:
     parts = [
         "# Flags, warnings, error terms",
         "",
-        "This page explains every flag and warning: its test, its rate of false",
-        "alarms, its effect and the remedy. `amulor explain NAME` prints the same",
-        "text, and also finds the flag behind a printed message. `amulor explain FILE",
-        "--pixel ROW,COLUMN` prints the flags of one pixel of a target signal or a",
-        "range image: for each channel the measured value, the limit and the remedy.",
-        "Row and column count from 0.",
+        "This page states the test, the rate of false alarms, the effect and the",
+        "remedy of every flag and warning. `amulor explain NAME` prints the same text.",
+        "NAME may also be a printed message. `amulor explain FILE --pixel ROW,COLUMN`",
+        "prints the flags of one pixel of a target signal or a range image, with",
+        "the measured value, the limit and the remedy for each channel. Rows and",
+        "columns count from 0.",
         "",
-        "The measured values are in the file, as variables such as",
+        "The file contains the measured values of the tests as variables, such as",
         "`no_target_probability` and `water_residual_cause` ([cube files](cube.md)).",
-        "`docs/make_reference.py` generates this page from the code, with the limits",
-        "that the code uses.",
+        "`docs/make_reference.py` generates this page with the limits that the code",
+        "uses.",
         "",
     ]
     kind = ""
@@ -230,15 +231,15 @@ def samples_page() -> str:
     parts = [
         "# Sample data",
         "",
-        "The package contains sample data, so that `pip install` is enough to begin.",
-        "`amulor samples` lists them, and `amulor samples NAME -o FOLDER` writes them.",
-        "In Python, `amulor.samples.copy(NAME, FOLDER)` writes them, and",
-        '`amulor.samples.cube("ladder")` reads a cube without a file.',
-        "`tools/make_samples.py` makes the cubes.",
+        "The package contains sample data, so a first test needs no download.",
+        "`amulor samples` lists the samples. `amulor samples NAME -o FOLDER` writes",
+        "the files of a sample. In Python, `amulor.samples.copy(NAME, FOLDER)` writes",
+        'the files, and `amulor.samples.cube("ladder")` reads a cube directly.',
+        "`tools/make_samples.py` generates the cubes.",
         "",
     ]
     for name, one in samples.samples().items():
-        parts += [f"## `{name}`", "", f"{one.title}. It shows {one.shows}.", ""]
+        parts += [f"## `{name}`", "", f"{one.title}. The sample shows {one.shows}.", ""]
         parts += [
             f"- *Files:* {', '.join(f'`{file}`' for file in one.files)}, "
             f"{one.size / 1e3:.0f} kB",
@@ -253,7 +254,10 @@ def samples_page() -> str:
 
 
 def _variables(specs: dict[str, schema.Variable]) -> list[str]:
-    rows = ["| name | over | unit | what | needed |", "| --- | --- | --- | --- | --- |"]
+    rows = [
+        "| name | dimensions | unit | meaning | needed |",
+        "| --- | --- | --- | --- | --- |",
+    ]
     for name, spec in specs.items():
         over = ", ".join(spec.dimensions)
         needed = "yes" if spec.required else ""

@@ -112,7 +112,10 @@ def test_the_long_tank_sends_back_what_spheres_of_milk_do(study: Study) -> None:
 def test_a_target_elsewhere_moves_the_extrema(study: Study) -> None:
     near = parameters.varied(study.parameters, "distance_2", 2.5)
     failing = _failing(figure_07.checks(study.with_parameters(near)))
-    assert "experiment 2: neighboring extrema of one kind are 33.5 to 43.4 MHz apart" in failing
+    assert (
+        "experiment 2: neighboring extrema of one kind are 33.5 to 43.4 MHz apart"
+        in failing
+    )
 
 
 @pytest.mark.slow

@@ -47,12 +47,15 @@ def failed(checks: list[Check]) -> set[str]:
 
 #: What honest physics does not meet with the numbers of the study.
 FAILURES: dict[PaperFigure, set[str]] = {
-    figure_05: {"the modulation frequency is above the cut-off of water that ends with the tank"},
-    # 39 MHz is twice the cut-off of thin water.
-    figure_06: {"the modulation frequency is just above the cut-off (modulation frequency over cut-off)"},
-    figure_13: {
-        "(c) VH, milk: steps are right to the stated 2 mm (largest error)"
+    figure_05: {
+        "the modulation frequency is above the cut-off of water that ends with the tank"
     },
+    # 39 MHz is twice the cut-off of thin water.
+    figure_06: {
+        "the modulation frequency is just above the cut-off "
+        "(modulation frequency over cut-off)"
+    },
+    figure_13: {"(c) VH, milk: steps are right to the stated 2 mm (largest error)"},
     figure_14: set(),
     # The water left in moves the disc nearer, so that it seems smaller.
     figure_15: {
@@ -185,7 +188,9 @@ def test_without_backscatter_polarizers_and_subtraction_gain_nothing(
         "(d) VV, milk: range error of a pixel",
         "the range error grows from (a) to (d)",
     } <= failed(figure_13.checks(clean))
-    contrast = "contrast of disc and surrounding water higher in VH, open water subtracted"
+    contrast = (
+        "contrast of disc and surrounding water higher in VH, open water subtracted"
+    )
     assert contrast in failed(figure_15.checks(clean))
     # And the frequency alone then gives the steps in the long tank.
     left = failed(figure_06.checks(clean))
@@ -215,7 +220,10 @@ def test_water_that_depolarizes_like_the_paint_leaves_no_better_channel(
 ) -> None:
     alike = with_numbers(study, maalox_m22=0.61)
     names = failed(figure_15.checks(alike))
-    assert "contrast of disc and surrounding water higher in VH, the polarizers alone" in names
+    assert (
+        "contrast of disc and surrounding water higher in VH, the polarizers alone"
+        in names
+    )
 
 
 # Drawing ------------------------------------------------------------------------------

@@ -189,7 +189,8 @@ def test_accordance_that_a_number_was_chosen_for_is_no_test(study) -> None:
     chosen = [check for check in figure_03.checks(study) if check.role == "set"]
     # The share of absorption makes both diffusion curves agree.
     assert [check.statement for check in chosen] == [
-        "cut-offs of simple and realistic water agree, both computed by the diffusion form"
+        "cut-offs of simple and realistic water agree, "
+        "both computed by the diffusion form"
     ]
 
 
@@ -229,7 +230,11 @@ def test_checks_of_curves_follow_the_curves(study) -> None:
         at_cut_off=0.6,
     )
     checks = low_pass.sweep_checks(replace(found, simple=wrong))
-    for words in ("exceeds 1", "at half power", "agree, both computed by the diffusion form"):
+    for words in (
+        "exceeds 1",
+        "of half power",
+        "agree, both computed by the diffusion form",
+    ):
         first = next(check for check in checks if words in check.statement)
         assert not first.passed
 

@@ -266,20 +266,22 @@ _PIXEL_COORDINATES = {
     "origin_y": _optional(_PIXEL, "m", "start of the beam, downwards"),
     "origin_z": _optional(_PIXEL, "m", "start of the beam, forwards"),
     "time": _optional(_PIXEL, "s", "time since the start of the scan"),
-    "geometry": _needed((), "1", "where the instrument stands and what it fires into"),
+    "geometry": _needed((), "1", "position of the instrument and indices of the water"),
 }
 _SAMPLE_COORDINATES = {
     "modulation_frequency": _needed(
         ("modulation_frequency",), "Hz", "frequency of the intensity modulation"
     ),
     "polarization": _needed(
-        ("polarization",), "1", "launched and analysed state of polarization"
+        ("polarization",), "1", "launched and analyzed state of polarization"
     ),
     **_PIXEL_COORDINATES,
 }
 _MEASURED = {
     "in_phase": _needed(_SAMPLE, "V", "lock-in output in phase with the reference"),
-    "quadrature": _needed(_SAMPLE, "V", "lock-in output a quarter period behind"),
+    "quadrature": _needed(
+        _SAMPLE, "V", "lock-in output a quarter period behind the reference"
+    ),
     "in_phase_uncertainty": _needed(
         _SAMPLE, "V", "standard uncertainty of the in-phase output"
     ),
@@ -297,49 +299,49 @@ PIXEL_TESTS = {
     "no_target_probability": _optional(
         _PIXEL,
         "1",
-        "chance of so large a chi-square without a target, NaN with one",
+        "p-value of chi-square without a target, NaN if there is a target",
     ),
     "column_over_target": _optional(
-        _PIXEL, "1", "water signal behind the target over target signal, largest"
+        _PIXEL, "1", "water signal behind the target over target signal, maximum"
     ),
     "water_shape_significance": _optional(
-        _PIXEL, "1", "signal of the shape of the water over its error, where flagged"
+        _PIXEL, "1", "part of the signal like the water over its error, if flagged"
     ),
     "water_shape_probability": _optional(
-        _PIXEL, "1", "probability of so large a rest besides it, where flagged"
+        _PIXEL, "1", "p-value of the part of the signal unlike the water, if flagged"
     ),
     "joint_detection": _optional(
-        _PIXEL, "1", "fall of chi-square by a target, of the joint estimation"
+        _PIXEL, "1", "decrease of chi-square by a target, joint estimation"
     ),
     "joint_misfit_probability": _optional(
-        _PIXEL, "1", "probability of so large a chi-square, of the joint estimation"
+        _PIXEL, "1", "p-value of chi-square, joint estimation"
     ),
     "joint_departure": _optional(
         _PIXEL, "m", "shift of the slant range by departures from the model"
     ),
     "joint_departure_limit": _optional(
-        _PIXEL, "m", "such a shift from which on the range is flagged"
+        _PIXEL, "m", "shift of the slant range above which the pixel is flagged"
     ),
 }
 #: The same of the range image itself.
 _IMAGE_TESTS = {
     "ambiguous_interval_probability": _optional(
-        _PIXEL, "1", "probability of another interval where that is ambiguous"
+        _PIXEL, "1", "probability of another interval, for ambiguous pixels"
     ),
     "ambiguous_misfit_probability": _optional(
-        _PIXEL, "1", "probability of so large a misfit of phases where ambiguous"
+        _PIXEL, "1", "p-value of the phases of all frequencies, for ambiguous pixels"
     ),
 }
 #: The same of each sample.
 SAMPLE_TESTS = {
     "signal_significance": _optional(
-        _SAMPLE, "1", "target signal over its standard error, both outputs together"
+        _SAMPLE, "1", "target signal over its standard error, from both outputs"
     ),
     "residual_phase_ratio": _optional(
-        _SAMPLE, "1", "phase shift by residual water over phase error, where flagged"
+        _SAMPLE, "1", "phase shift by residual water over phase error, if flagged"
     ),
     "channel_disagreement": _optional(
-        _SAMPLE, "1", "phase difference to another channel over its scatter, largest"
+        _SAMPLE, "1", "phase difference between channels over its scatter, maximum"
     ),
 }
 
@@ -360,10 +362,10 @@ _JOINT = {
     "joint_slant_range_lower": _optional(_PIXEL, "m", "lower end of the 68 % interval"),
     "joint_slant_range_upper": _optional(_PIXEL, "m", "upper end of the 68 % interval"),
     "joint_nearer_surface": _optional(
-        _PIXEL, "m", "nearer of two surfaces that one beam meets"
+        _PIXEL, "m", "nearer of two surfaces in one beam"
     ),
     "joint_farther_surface": _optional(
-        _PIXEL, "m", "farther of two surfaces that one beam meets"
+        _PIXEL, "m", "farther of two surfaces in one beam"
     ),
     "joint_wrong_interval_probability": _optional(
         _PIXEL, "1", "probability of another ambiguity interval"
@@ -373,14 +375,14 @@ _JOINT = {
 #: One standard uncertainty of the phase for each part of a target signal's errors.
 _PHASE_TERMS = {
     f"{PHASE_PREFIX}{name}": _optional(
-        _SAMPLE, "rad", f"standard uncertainty by {TERMS[name].meaning}"
+        _SAMPLE, "rad", f"standard uncertainty due to {TERMS[name].meaning}"
     )
     for name in SIGNAL_TERMS
 }
 #: One standard uncertainty of the slant range for each term; their squares add up.
 _RANGE_TERMS = {
     f"{RANGE_PREFIX}{term.name}": _optional(
-        _PIXEL, "m", f"standard uncertainty by {term.meaning}"
+        _PIXEL, "m", f"standard uncertainty due to {term.meaning}"
     )
     for term in TERMS.values()
 }
@@ -405,25 +407,25 @@ LEVELS = {
             {
                 **_MEASURED,
                 "water_in_phase": _needed(
-                    _SAMPLE, "V", "water signal taken out, in phase"
+                    _SAMPLE, "V", "subtracted water signal, in phase"
                 ),
                 "water_quadrature": _needed(
-                    _SAMPLE, "V", "water signal taken out, quadrature"
+                    _SAMPLE, "V", "subtracted water signal, quadrature"
                 ),
                 "residual_in_phase": _optional(
-                    _SAMPLE, "V", "estimated water signal left in, in phase"
+                    _SAMPLE, "V", "estimated residual water signal, in phase"
                 ),
                 "residual_quadrature": _optional(
-                    _SAMPLE, "V", "estimated water signal left in, quadrature"
+                    _SAMPLE, "V", "estimated residual water signal, quadrature"
                 ),
                 "common_in_phase_uncertainty": _optional(
-                    _SAMPLE, "V", "part of the uncertainty all pixels share"
+                    _SAMPLE, "V", "part of the uncertainty that all pixels share"
                 ),
                 "common_quadrature_uncertainty": _optional(
-                    _SAMPLE, "V", "part of the uncertainty all pixels share"
+                    _SAMPLE, "V", "part of the uncertainty that all pixels share"
                 ),
                 "common_covariance": _optional(
-                    _SAMPLE, "V2", "covariance of that part"
+                    _SAMPLE, "V2", "covariance of the errors that all pixels share"
                 ),
                 "quality_flag": _needed(_SAMPLE, "1", "reason why a pixel is doubtful"),
                 "water_residual_cause": _optional(_SAMPLE, "1", _CAUSE),
@@ -444,7 +446,7 @@ LEVELS = {
                     _PIXEL, "m", "standard uncertainty of the slant range"
                 ),
                 "slant_range_bias": _optional(
-                    _PIXEL, "m", "estimated error by water signal left in"
+                    _PIXEL, "m", "estimated error by residual water signal"
                 ),
                 "slant_range_common_uncertainty": _optional(
                     _PIXEL, "m", "part of the uncertainty that all pixels share"
@@ -459,7 +461,7 @@ LEVELS = {
                     _PIXEL, "m", "Cramer-Rao bound of the slant range"
                 ),
                 "slant_range_late_echo": _optional(
-                    _PIXEL, "m", "delay by scattered light, subtracted"
+                    _PIXEL, "m", "subtracted delay of the echo by scattering"
                 ),
                 **_RANGE_TERMS,
                 "intensity": _needed(_PIXEL, "V", "amplitude of the target signal"),

@@ -18,7 +18,7 @@ from amulor.survey.quantity import (
 
 
 class Calibration(Description):
-    """Standard uncertainties from a calibration; an omitted field is unknown.
+    """Standard uncertainties from a calibration; omitted values are unknown.
 
     Examples
     --------
@@ -32,38 +32,39 @@ class Calibration(Description):
     """Day on which the delay was measured, such as 2026-05-01."""
     delay_uncertainty: Annotated[Time, Field(ge=0, le=1e-6)] | None = None
     """Standard uncertainty of the instrument's delay, common to all channels and
-    frequencies; 0.1 ns is 11 mm [s]. It holds at the time of the scan, unless
-    delay_growth or delay_per_degree state its growth since the calibration."""
+    frequencies; 0.1 ns is 11 mm [s]. The value applies to the time of the scan. If
+    delay_growth or delay_per_degree is stated, the value applies to the time of the
+    calibration."""
     delay_growth: Annotated[Time, Field(ge=0, le=1e-8)] | None = None
-    """Standard uncertainty of the change of the delay in a day, in one direction: ten
-    days count ten times. Needs date, and a cube with the time of the measurement
-    [s]."""
+    """Standard uncertainty of the change of the delay per day [s]. The uncertainty
+    grows in proportion to the number of days. This field needs `date` and a cube with
+    the time of the measurement."""
     delay_per_degree: Annotated[Time, Field(ge=0, le=1e-8)] | None = None
-    """Largest change of the delay by one degree of the instrument's temperature; needs
+    """Largest change of the delay per degree of the instrument's temperature; needs
     instrument_temperature_uncertainty [s]."""
     instrument_temperature_uncertainty: (
         Annotated[Temperature, Field(ge=0, le=60)] | None
     ) = None
-    """Standard uncertainty of the instrument's temperature in the scan less that in the
-    calibration [degC]."""
+    """Standard uncertainty of the difference between the instrument's temperatures in
+    scan and calibration [degC]."""
     receiver_position_uncertainty: Annotated[Length, Field(ge=0, le=0.5)] | None = None
-    """Standard uncertainty of each coordinate of the receiver against the emitter
+    """Standard uncertainty of each coordinate of the receiver relative to the emitter
     [m]."""
     direction_uncertainty: Annotated[Angle, Field(ge=0, le=0.5)] | None = None
-    """Standard uncertainty of the direction of the beams, common to all beams, across
-    and upwards, against the line from emitter to receiver [rad]."""
+    """Standard uncertainty of azimuth and elevation of the beams, relative to the line
+    from emitter to receiver; the error is common to all beams [rad]."""
     group_index_uncertainty: Annotated[float, Field(ge=0, le=0.1)] | None = None
-    """Standard uncertainty of the group index [1]; or those of temperature and
-    salinity."""
+    """Standard uncertainty of the group index [1]. Alternatively, state the
+    uncertainties of temperature and salinity."""
     temperature_uncertainty: Annotated[Temperature, Field(ge=0, le=30)] | None = None
-    """Standard uncertainty of the temperature of the water, for the group index;
-    without a stated temperature, 0 to 30 degC count [degC]."""
+    """Standard uncertainty of the temperature of the water, for the group index [degC].
+    Without a stated temperature, amulor uses the range of 0 to 30 degC."""
     salinity_uncertainty: Annotated[float, Field(ge=0, le=43)] | None = None
-    """Standard uncertainty of the practical salinity of the water; without a stated
-    salinity, fresh water to 40 counts [1]."""
+    """Standard uncertainty of the practical salinity of the water [1]. Without a stated
+    salinity, amulor uses the range of 0 to 40."""
     scattering_uncertainty: Annotated[Fraction, Field(ge=0, le=2)] | None = None
-    """Relative standard uncertainty of the scattering coefficient, for the light that
-    arrives late [1]."""
+    """Relative standard uncertainty of the scattering coefficient, used for the delay
+    of the echo by scattering [1]."""
 
     @model_validator(mode="after")
     def _states_the_index_once(self) -> Self:

@@ -28,7 +28,7 @@ from amulor.survey.quantity import (
 
 
 class Daylight(Description):
-    """Daylight in the view of the receiver, a source of shot noise.
+    """Daylight in the field of view of the receiver, a source of shot noise.
 
     Examples
     --------
@@ -75,7 +75,7 @@ class Emitter(Description):
     position: Position = (0.0, 0.0, 0.0)
     """Start of the beam (right, down, forward) [m]."""
     beam_radius: Annotated[Length, Field(ge=0, le=0.5)] | None = None
-    """1/e half-width of the Gaussian beam at its start; a thin beam by default [m]."""
+    """1/e half-width of the Gaussian beam at its start; by default a thin beam [m]."""
     beam_divergence: Annotated[Angle, Field(ge=0, le=0.2)] | None = None
     """1/e semi-angle of the beam, in the medium at the emitter; 0 by default [rad]."""
 
@@ -104,16 +104,15 @@ class Receiver(Description):
     elevation: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
     """Direction of the axis upwards, at the middle of the scan [rad]."""
     radius: Annotated[Length, Field(gt=0)]
-    """1/e half-width R of the aperture, of area pi R^2 [m]."""
+    """1/e half-width R of the aperture, whose area is pi R^2 [m]."""
     acceptance: Annotated[Angle, Field(gt=0, le=0.5)]
     """1/e half-width gamma of the field of view, in the medium at the receiver
     [rad]."""
     edge: Literal["gaussian", "sharp"] | None = None
-    """Aperture and field of view: Gaussian, or with sharp edges; Gaussian if left
-    out."""
+    """Shape of aperture and field of view: Gaussian (default), or with sharp edges."""
     speckle_cells: Annotated[float, Field(ge=1, le=1e15)] | None = None
-    """Number M of speckles of the target's light within the aperture: the power varies
-    by 1 / sqrt(M) from pixel to pixel; no speckle by default [1]."""
+    """Number M of speckles of the target's light within the aperture; no speckle by
+    default [1]. The power varies by 1 / sqrt(M) from pixel to pixel."""
 
 
 class Detector(Description):
@@ -137,9 +136,10 @@ class Detector(Description):
     dark_rate: Annotated[Frequency, Field(ge=0)] = 0.0
     """Counts per second without light [Hz]."""
     volt_per_photoelectron_rate: Annotated[float, Field(gt=0)] = 8.0e-12
-    """Output per rate of photoelectrons; 8e-12 is a gain of 1e6 into 50 ohm [V s]."""
+    """Output voltage per rate of photoelectrons; 8e-12 is a gain of 1e6 into 50 ohm [V
+    s]."""
     saturation: Annotated[Voltage, Field(gt=0)] = 1.0
-    """Largest mean output that is still linear [V]."""
+    """Largest mean output in the linear range [V]."""
 
 
 class LockIn(Description):
@@ -179,7 +179,8 @@ class Window(Description):
     group_index: Annotated[float, Field(ge=1, le=2.5)] = 1.50
     """Group index of the pane [1]."""
     reflection_loss: bool | None = None
-    """Loss by Fresnel reflection at both faces, out and back; none if left out."""
+    """Loss by Fresnel reflection at both faces, on the way out and back; no loss by
+    default."""
 
 
 class Instrument(Description):
@@ -205,10 +206,10 @@ class Instrument(Description):
     modulation_frequencies: Annotated[
         tuple[Annotated[Frequency, Field(gt=0, le=10e9)], ...], Field(min_length=1)
     ]
-    """Modulation frequencies of every pixel, increasing [Hz]."""
+    """Modulation frequencies of every pixel, in increasing order [Hz]."""
     polarizations: Annotated[tuple[PolarizationPair, ...], Field(min_length=1)]
-    """Pairs of launched and analyzed polarization, such as "VH"; "none" without
-    polarizers."""
+    """Pairs of launched and analyzed polarization, such as "VH"; "none" for an
+    instrument without polarizers."""
     emitter: Emitter = Emitter()
     """Emitter."""
     receiver: Receiver

@@ -27,14 +27,14 @@ class Pointing(Description):
     """Standard deviation of azimuth and of elevation from pixel to pixel [rad]."""
     backlash: Annotated[Angle, Field(ge=0, le=0.5)] = 0.0
     """Difference in azimuth between rows scanned to the right and rows scanned to the
-    left, half of it in each [rad]."""
+    left [rad]. Half of the difference is applied to each kind of row."""
 
 
 class Clock(Description):
     """Modulation frequencies that differ from those recorded."""
 
     frequency_error: Annotated[Fraction, Field(ge=-0.1, le=0.1)]
-    """True over recorded frequency, minus 1 [1]."""
+    """True frequency divided by recorded frequency, minus 1 [1]."""
 
 
 class Harmonic(Description):
@@ -45,17 +45,17 @@ class Harmonic(Description):
     """
 
     order: Literal[3, 5, 7] = 3
-    """Number of the harmonic [1]."""
+    """Order of the harmonic [1]."""
     fraction: _Share
-    """Response of the output to light at the harmonic frequency, over that to light at
-    the fundamental [1]."""
+    """Response of the output to light at the harmonic frequency, divided by the
+    response to light at the fundamental [1]."""
 
 
 class OpticalLeakage(Description):
     """Light that reaches the detector without leaving the instrument."""
 
     fraction: _Share
-    """Leaking over launched power, before the analyzer [1]."""
+    """Leaking power before the analyzer, divided by the launched power [1]."""
     delay: _Delay = 0.0
     """Delay against the modulation of the launched light [s]."""
     depolarization: _Share = 0.0
@@ -68,21 +68,22 @@ class Counting(Description):
     """Losses and late pulses of a photon-counting detector."""
 
     dead_time: Annotated[Time, Field(ge=0, le=1e-3)] = 0.0
-    """Time after each count without further counts; photons within it do not extend it
-    [s]."""
+    """Time after each count in which the detector does not count [s]. Photons in this
+    time do not extend it."""
     after_pulse_probability: _Share = 0.0
-    """After-pulses per count [1]."""
+    """Number of after-pulses per count [1]."""
     after_pulse_delay: Annotated[Time, Field(ge=0, le=1e-3)] = 0.0
-    """Mean of the exponentially distributed delay of an after-pulse [s]."""
+    """Mean delay of an after-pulse; the delays have an exponential distribution [s]."""
 
 
 class Compression(Description):
     """Gain that falls in proportion to the amplitude."""
 
     fraction: _Share
-    """Loss of gain at the amplitude `amplitude`; gain never falls below zero [1]."""
+    """Relative loss of gain at the amplitude `amplitude` [1]. The gain never falls
+    below zero."""
     amplitude: Annotated[Voltage, Field(gt=0, le=1e4)]
-    """Amplitude of the stated loss [V]."""
+    """Amplitude at which the loss of gain is `fraction` [V]."""
 
 
 class Walk(Description):
@@ -91,7 +92,7 @@ class Walk(Description):
     phase_per_decade: _Phase
     """Phase per factor of ten of the amplitude [rad]."""
     amplitude: Annotated[Voltage, Field(gt=0, le=1e4)]
-    """Amplitude without a phase error [V]."""
+    """Amplitude at which the phase error is zero [V]."""
 
 
 class Reflection(Description):
@@ -100,18 +101,20 @@ class Reflection(Description):
     coefficient: Annotated[Fraction, Field(ge=-1, le=1)]
     """Product of the reflection coefficients of both ends [1]."""
     delay: Annotated[Time, Field(ge=0, le=1e-3)]
-    """Time to the far end and back: 10 ns for a meter of coaxial cable [s]."""
+    """Time from one end of the cable to the other and back; 10 ns for one meter of
+    coaxial cable [s]."""
 
 
 class Crosstalk(Description):
     """Electrical crosstalk of the modulation to the receiver's electronics."""
 
     amplitude: _Volts | tuple[_Volts, ...]
-    """Amplitude in the output, of all modulation frequencies or of each [V]."""
+    """Amplitude in the output, the same for all modulation frequencies or one value for
+    each [V]."""
     phase: _Phase = 0.0
     """Phase at frequency zero [rad]."""
     delay: _Delay = 0.0
-    """Delay, which adds a phase in proportion to frequency [s]."""
+    """Delay; it adds a phase proportional to the frequency [s]."""
     change: _Change = 0.0
     """Relative change of the amplitude from the first to the last sample [1]."""
     part: Part = "all"
@@ -122,15 +125,16 @@ class Drift(Description):
     """Changes from the first sample to the last, linear in time or exponential."""
 
     phase: _Phase = 0.0
-    """Phase of all frequencies [rad]."""
+    """Change of the phase, equal for all frequencies [rad]."""
     delay: _Delay = 0.0
-    """Delay [s]."""
+    """Change of the delay [s]."""
     power: _Change = 0.0
     """Relative change of the launched power [1]."""
     modulation_depth: _Change = 0.0
     """Relative change of the modulation depth [1]."""
     settling_time: Annotated[Time, Field(gt=0, le=1e6)] | None = None
-    """Time constant of an exponential approach; linear in time by default [s]."""
+    """Time constant of an exponential change; the change is linear in time by default
+    [s]."""
 
 
 class ScaleChange(Description):
@@ -141,20 +145,21 @@ class ScaleChange(Description):
     phase: _Phase = 0.0
     """Phase of the other range [rad]."""
     gain: _Change = 0.0
-    """Relative gain of the other range, minus 1 [1]."""
+    """Gain of the other range over that of the normal range, minus 1 [1]."""
 
 
 class Demodulator(Description):
-    """Offsets and inequality of the two outputs, and their resolution."""
+    """Offsets, gain and phase errors, and resolution of the two outputs."""
 
     in_phase_offset: Annotated[Voltage, Field(ge=-1e4, le=1e4)] = 0.0
     """Offset of the in-phase output [V]."""
     quadrature_offset: Annotated[Voltage, Field(ge=-1e4, le=1e4)] = 0.0
     """Offset of the quadrature output [V]."""
     quadrature_gain: _Change = 0.0
-    """Gain of the quadrature over that of the in-phase output, minus 1 [1]."""
+    """Gain of the quadrature output divided by the gain of the in-phase output, minus 1
+    [1]."""
     quadrature_phase: Annotated[Angle, Field(ge=-1.5, le=1.5)] = 0.0
-    """Angle between both reference waves, minus 90 degrees [rad]."""
+    """Angle between the two reference waves, minus 90 degrees [rad]."""
     resolution: _Volts = 0.0
     """Step of the digitized outputs [V]."""
 
@@ -163,10 +168,12 @@ class OutputNoise(Description):
     """Noise of both outputs beyond their stated uncertainty."""
 
     white: _Volts = 0.0
-    """Standard deviation of a sample, independent from sample to sample [V]."""
+    """Standard deviation of white noise, which is independent from sample to sample
+    [V]."""
     pink: _Volts = 0.0
-    """Standard deviation over the measurement, of equal power in each octave from the
-    duration of a pixel to that of the measurement [V]."""
+    """Standard deviation of pink noise over the whole measurement [V]. The noise has
+    equal power in each octave, from the duration of a pixel to the duration of the
+    measurement."""
 
 
 class InstrumentErrors(Description):
@@ -191,8 +198,8 @@ class InstrumentErrors(Description):
     clock: Clock | None = None
     """Frequency of the modulation."""
     drift: Drift | None = None
-    """Drift: of power and modulation depth in the light, of phase and delay after the
-    crosstalk."""
+    """Drift of power and modulation depth (of the light), and of phase and delay (after
+    the crosstalk is added)."""
     optical_leakage: OpticalLeakage | None = None
     """Light within the instrument."""
     counting: Counting | None = None

@@ -90,7 +90,7 @@ ReferenceSystem = Annotated[str, Field(max_length=200), AfterValidator(_checked)
 
 
 class OpenWater(Description):
-    """Open-water shots: the same water without the target, spread over the scan.
+    """Open-water reference measurements: the same water without the target.
 
     Examples
     --------
@@ -103,11 +103,11 @@ class OpenWater(Description):
     """
 
     columns: Annotated[Count, Field(ge=1, le=10_000)] = 9
-    """Directions along a row, from edge to edge of the scan [1]."""
+    """Number of directions along a row, from edge to edge of the scan [1]."""
     rows: Annotated[Count, Field(ge=1, le=10_000)] = 3
-    """Rows of directions [1]."""
+    """Number of rows of directions [1]."""
     repeats: Annotated[Count, Field(ge=1, le=100_000)] = 10
-    """Samples in each direction [1]."""
+    """Number of samples in each direction [1]."""
 
 
 class Scan(Description):
@@ -130,28 +130,28 @@ class Scan(Description):
     columns: Annotated[Count, Field(ge=1, le=20_000)]
     """Pixels along a row [1]."""
     rows: Annotated[Count, Field(ge=1, le=20_000)]
-    """Rows of pixels, the first one on top [1]."""
+    """Rows of pixels; the first row is at the top [1]."""
     azimuth_span: Annotated[Angle, Field(ge=0, lt=math.pi)]
     """Angle between the first and the last column [rad]."""
     elevation_span: Annotated[Angle, Field(ge=0, lt=math.pi)]
     """Angle between the first and the last row [rad]."""
     azimuth: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
-    """Direction of the middle of the scan, to the right [rad]."""
+    """Azimuth of the middle of the scan, to the right [rad]."""
     elevation: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
-    """Direction of the middle of the scan, upwards [rad]."""
+    """Elevation of the middle of the scan, upwards [rad]."""
     dwell: Annotated[Time, Field(gt=0)]
-    """Time spent on each pixel, for each frequency and channel [s]."""
+    """Measuring time of each pixel, for each frequency and channel [s]."""
     order: Literal["raster", "serpentine"] = "raster"
-    """Order of the rows: all from left to right, or every second one from right to
-    left."""
+    """Direction of the rows: all rows from left to right, or every second row from
+    right to left."""
     moves: Literal["beam", "both"] = "beam"
-    """Moving part: the beam alone, or emitter and receiver together."""
+    """Moving part: the beam only, or emitter and receiver together."""
     open_water: OpenWater | None = None
-    """Open-water shots; none by default."""
+    """Open-water reference measurements; none by default."""
 
 
 class Pose(Description):
-    """Place and attitude of the instrument, in meters east, north and up.
+    """Position and attitude of the instrument, in meters east, north and up.
 
     Examples
     --------
@@ -171,17 +171,17 @@ class Pose(Description):
     heading: Annotated[Angle, Field(ge=-2 * math.pi, le=2 * math.pi)] = 0.0
     """Direction of the forward axis, clockwise from grid north [rad]."""
     pitch: Annotated[Angle, Field(ge=-math.pi / 2, le=math.pi / 2)] = 0.0
-    """Elevation of the forward axis; -90 deg looks straight down, with the upper edge
-    of the scan towards the heading [rad]."""
+    """Elevation of the forward axis [rad]. At -90 deg the instrument looks straight
+    down, and the upper edge of the scan points towards the heading."""
     roll: Annotated[Angle, Field(ge=-math.pi, le=math.pi)] = 0.0
     """Angle of the right axis below the horizontal, about the forward axis [rad]."""
     crs: ReferenceSystem = ""
-    """Reference system of the local frame: a projected one in meters, such as
-    "EPSG:32632", or a name; none if left out."""
+    """Reference system of the local frame: a projected system in meters, such as
+    "EPSG:32632", or a name; none by default."""
     crs_offset: Position = (0.0, 0.0, 0.0)
-    """Offset of the local frame in the reference system (east, north, up). It is
-    separate, since many programs lose the millimeters of coordinates in the millions
-    [m]."""
+    """Offset of the local frame in the reference system (east, north, up) [m]. The
+    offset is separate from the position, because many programs round coordinates of
+    millions of meters to more than a millimeter."""
     position_uncertainty: Annotated[Length, Field(ge=0, le=1000)] | None = None
     """Standard uncertainty of each coordinate of the position; unknown by default
     [m]."""

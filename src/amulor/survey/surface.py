@@ -54,7 +54,7 @@ class OrenNayar(Description):
 
 
 class TabulatedSurface(Description):
-    """Surface with a tabulated BRDF, linear between the entries.
+    """Surface with a tabulated BRDF, with linear interpolation between the entries.
 
     Examples
     --------
@@ -73,18 +73,20 @@ class TabulatedSurface(Description):
     kind: Literal["tabulated"]
     """Kind of surface."""
     file: Path | None = None
-    """Table of four columns: angle of incidence and of reflection and azimuth in
-    degrees, 0 azimuth straight back, and BRDF in 1/sr, which is multiplied by
-    `reflectance`; every combination once. Relative to the survey file, read with the
-    survey, which then holds it."""
+    """Text file with four columns: angle of incidence, angle of reflection and azimuth
+    in degrees, and BRDF in 1/sr. An azimuth of 0 is the direction straight back. The
+    table contains every combination of angles once. amulor multiplies the BRDF by
+    `reflectance`. The path is relative to the survey file. amulor reads the table with
+    the survey and stores it in the survey."""
     incidence: tuple[_Slant, ...] | None = None
-    """Angles of incidence, rising from 0, in place of a file [rad]."""
+    """Angles of incidence, increasing from 0, instead of a file [rad]."""
     reflection: tuple[_Slant, ...] | None = None
-    """Angles of reflection, rising from 0 [rad]."""
+    """Angles of reflection, increasing from 0 [rad]."""
     azimuth: tuple[Annotated[Angle, Field(ge=0, le=math.pi)], ...] | None = None
-    """Azimuths between 0 and 180 degrees, rising; a single one holds for all [rad]."""
+    """Azimuths from 0 to 180 degrees, increasing; a single azimuth applies to all
+    directions [rad]."""
     values: tuple[Annotated[float, Field(ge=0)], ...] | None = None
-    """BRDF for every incidence, reflection and azimuth, azimuth running fastest
+    """BRDF for every incidence, reflection and azimuth; the azimuth varies fastest
     [1/sr]."""
 
     @model_validator(mode="after")

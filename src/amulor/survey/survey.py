@@ -39,17 +39,17 @@ class Survey(Description):
     water: WaterStated
     """The water."""
     targets: tuple[Target, ...] = ()
-    """Objects in the water; a beam that meets none measures water only."""
+    """Objects in the water. A beam that hits no object measures water only."""
     instrument: Instrument
     """The instrument."""
     scan: Scan
     """The scan."""
     calibration: Calibration | None = None
-    """Uncertainties of delay, geometry and index; unknown if left out."""
+    """Uncertainties of delay, geometry and refractive index; unknown by default."""
     daylight: Daylight | None = None
-    """Daylight in the water; dark by default."""
+    """Daylight in the water; no daylight by default."""
     pose: Pose | None = None
-    """Position and attitude of the instrument; unknown if left out."""
+    """Position and attitude of the instrument; unknown by default."""
 
     @model_validator(mode="after")
     def _dwell_lets_the_lock_in_settle(self) -> Self:

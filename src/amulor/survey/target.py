@@ -38,8 +38,7 @@ class _Target(Description):
     """Reduced Mueller matrix of the surface straight backwards, or "painted-metal",
     "smooth-metal" or "ideal-depolarizer" [1]."""
     surface: SurfaceStated | None = None
-    """Distribution of the reflected light over directions; Lambert's law if left
-    out."""
+    """Distribution of the reflected light over directions; Lambert's law by default."""
 
 
 class Plate(_Target):
@@ -69,7 +68,7 @@ class Plate(_Target):
 
 
 class Staircase(_Target):
-    """Staircase: treads side by side, each nearer to the instrument than its left one.
+    """Staircase: treads side by side, which come nearer from left to right.
 
     The first tread lies in the plane of `position`.
 
@@ -124,7 +123,7 @@ class Disc(_Target):
     diameter: Annotated[Length, Field(gt=0)]
     """Outer diameter [m]."""
     central_hole: Annotated[Length, Field(ge=0)] = 0.0
-    """Diameter of the hole in the middle, 0 for none [m]."""
+    """Diameter of the central hole; 0 for no hole [m]."""
     hole_count: Annotated[Count, Field(ge=0, le=100)] = 0
     """Number of small holes, evenly spaced around the middle [1]."""
     hole_diameter: Annotated[Length, Field(ge=0)] = 0.0
@@ -132,8 +131,8 @@ class Disc(_Target):
     hole_circle: Annotated[Length, Field(ge=0)] = 0.0
     """Diameter of the circle through the centers of the small holes [m]."""
     curvature_radius: Annotated[Length, Field(gt=0)] | None = None
-    """Radius of the cylinder of a bent disc, with a vertical axis; flat by default. The
-    middle is nearest to the instrument [m]."""
+    """Radius of curvature of a disc bent about a vertical axis; flat by default [m].
+    The middle of a bent disc is nearest to the instrument."""
 
     @model_validator(mode="after")
     def _holes_fit(self) -> Self:
@@ -185,13 +184,15 @@ class Mesh(_Target):
     file: Path
     """Mesh file, relative to the survey file."""
     unit: Literal["m", "cm", "mm", "inch"] = "m"
-    """Unit of the coordinates in the file; GLB files are in meters by definition. A
-    mesh that would be more than 50 m across must state it."""
+    """Unit of the coordinates in the file. GLB files are in meters by definition. A
+    mesh more than 50 m across needs a stated unit."""
     texture: Literal["vertex-colours", "image"] | None = None
-    """Source of the brightness in the file: colors of its vertices, or an image with
-    coordinates. A value of 255 is `reflectance`, 0 is black; uniform if left out."""
+    """Source of the brightness in the file: colors of the vertices, or an image with
+    texture coordinates. A value of 255 means `reflectance`, and 0 means black. The
+    brightness is uniform by default."""
     texture_channel: Literal["mean", "red", "green", "blue"] | None = None
-    """Color of the texture that counts for the laser; the mean of all if left out."""
+    """Color channel of the texture that gives the reflectance at the laser wavelength;
+    the mean of all channels by default."""
 
     @model_validator(mode="after")
     def _glb_is_in_metres(self) -> Self:

@@ -30,27 +30,30 @@ class WaterState(Description):
     """Fields of all descriptions of water."""
 
     split_angle: Annotated[Angle, Field(gt=0, le=math.pi)] = math.pi / 2
-    """Scattering below this angle counts as forward, beyond it as diffuse [rad]. 90
-    degrees is right for the small-angle model, with which scans are simulated, and for
-    its closure; the diffusion model, the paper's, then has a cut-off 57 to 83 % too
-    high and too little of a far target: state 10 to 20 degrees for it."""
+    """Scattering below this angle counts as forward, scattering beyond it as diffuse
+    [rad]. 90 degrees is right for the small-angle model, which simulates scans, and for
+    its closure. With 90 degrees, the diffusion model of Ricci et al. 2010 gives a
+    cut-off 57 to 83 % too high and too weak an echo of a far target. State 10 to 20
+    degrees for the diffusion model."""
     temperature: Annotated[Temperature, Field(ge=0, le=30)] | None = None
-    """Temperature, sets the indices. If left out, that of water between 0 and 30 degC:
-    15 degC, and ranges state the error [degC]."""
+    """Temperature of the water, which determines the refractive indices [degC]. Without
+    a temperature, amulor assumes 15 degC and adds the error for 0 to 30 degC to the
+    ranges."""
     salinity: Annotated[float, Field(ge=0, le=43)] | None = None
-    """Practical salinity, sets the indices; 0 is fresh water. If left out, that of
-    water between fresh and 40: 20, and ranges state the error [1]."""
+    """Practical salinity, which determines the refractive indices; 0 is fresh water
+    [1]. Without a salinity, amulor assumes 20 and adds the error for 0 to 40 to the
+    ranges."""
     refractive_index: Annotated[float, Field(ge=1.2, le=1.5)] | None = None
-    """Phase index; from temperature and salinity by default [1]."""
+    """Phase index; computed from temperature and salinity by default [1]."""
     group_index: Annotated[float, Field(ge=1.2, le=1.6)] | None = None
-    """Group index; from temperature and salinity by default [1]."""
+    """Group index; computed from temperature and salinity by default [1]."""
     backscatter_mueller: ReducedMueller | None = None
-    """Reduced Mueller matrix of the water straight backwards. If left out, as measured
-    in the sea for jerlov, petzold and case-1, of molecules and spheres for pure, milk
-    and spheres; coefficients and layers do not tell it and keep polarization, 1, -1, -1
-    [1]."""
+    """Reduced Mueller matrix of the water straight backwards [1]. For jerlov, petzold
+    and case-1, the default is a measurement in the sea. For pure, milk and spheres, the
+    default is that of molecules and spheres. For coefficients and layers, the default
+    conserves the polarization: 1, -1, -1."""
     column_end: Annotated[Length, Field(gt=0)] | None = None
-    """Distance at which the open water ends (far wall of a tank); unlimited if left out
+    """Distance at which the open water ends (far wall of a tank); unlimited by default
     [m]."""
     signal_fluctuation: Annotated[Fraction, Field(ge=0, lt=1)] = 0.0
     """Relative random change of the water signal from sample to sample (drifting
@@ -90,7 +93,7 @@ class Water(WaterState):
     """
 
     kind: Literal["coefficients"] | None = None
-    """Kind of water; water without a kind is stated by its coefficients."""
+    """Kind of water. Without a kind, the coefficients describe the water."""
     absorption: Annotated[PerMetre, Field(ge=0)]
     """Absorption coefficient a [1/m]."""
     scattering: Annotated[PerMetre, Field(ge=0)]
@@ -104,7 +107,7 @@ class Water(WaterState):
     phase_function_at_180: Annotated[PerSteradian, Field(ge=0)] | None = None
     """Phase function straight backwards, if known [1/sr]."""
     phase_function: PhaseFunctionStated | None = None
-    """Phase function, in place of an asymmetry or moments."""
+    """Phase function, instead of asymmetry or moments."""
 
     @model_validator(mode="after")
     def _phase_function_is_stated(self) -> Self:

@@ -37,11 +37,12 @@ class JerlovWater(WaterState):
     type: Literal["I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C"]
     """Type: I to III in the open ocean, 1C to 9C at coasts."""
     source: Literal["solonenko-mobley-2015", "williamson-hollins-2022"]
-    """Source of absorption and scattering: a model fitted to diffuse attenuation, or
-    averages of measurements (IB to 5C). The two differ by a factor of several."""
+    """Source of absorption and scattering: a model fitted to diffuse attenuation
+    (Solonenko and Mobley), or averages of measurements (Williamson and Hollins, types
+    IB to 5C). Their values differ by a factor of several."""
     particles: PhaseFunctionStated | None = None
-    """Phase function of the particles; Petzold's average particle by default. The
-    molecules are added."""
+    """Phase function of the particles; Petzold's average particle by default. amulor
+    adds the scattering by molecules."""
 
 
 class PetzoldWater(WaterState):
@@ -75,10 +76,11 @@ class PetzoldWater(WaterState):
     ]
     """Clear ocean (AUTEC), coast (HAOCE) or San Diego Harbor (NUC)."""
     absorption: Annotated[PerMetre, Field(ge=0)] | None = None
-    """Absorption coefficient; by default the measured one, within 20 nm of 530 nm
-    [1/m]."""
+    """Absorption coefficient; by default the measured value, for wavelengths from 510
+    to 550 nm [1/m]."""
     scattering: Annotated[PerMetre, Field(gt=0)] | None = None
-    """Scattering coefficient; by default the measured one, as above [1/m]."""
+    """Scattering coefficient; by default the measured value, for wavelengths from 510
+    to 550 nm [1/m]."""
 
 
 class PureWater(WaterState):
@@ -97,8 +99,8 @@ class PureWater(WaterState):
     kind: Literal["pure"]
     """Kind of water."""
     absorption_source: Literal["mason-2016", "pope-fry-1997"] = "mason-2016"
-    """Source of the absorption; the second is fresh water at 22 degC, and twice the
-    first at 405 nm."""
+    """Source of the absorption. Pope and Fry measured fresh water at 22 degC; their
+    value at 405 nm is twice that of Mason."""
 
 
 class Case1Water(WaterState):
@@ -145,13 +147,13 @@ class MilkWater(WaterState):
     kind: Literal["milk"]
     """Kind of water."""
     volume_fraction: Annotated[Fraction, Field(gt=0, le=0.05)]
-    """Milk per volume of the mixture; 0.001 is 1 ml in a liter [1]."""
+    """Volume of the milk over volume of the mixture; 0.001 is 1 ml in a liter [1]."""
     fat: Annotated[Fraction, Field(ge=0.001, le=0.05)]
-    """Fat of the milk by mass [1]."""
+    """Mass fraction of fat in the milk [1]."""
     scattering_source: Literal["mie", "jensen-2001"] = "mie"
     """Source of the scattering coefficient: spheres of fat and casein, or measurements
-    of skim milk (fat up to 0.5 %) and whole milk (3 to 4 %). The shape is that of the
-    spheres."""
+    of skim milk (fat up to 0.5 %) and whole milk (3 to 4 %). The phase function is
+    always that of the spheres."""
 
     @model_validator(mode="after")
     def _was_measured(self) -> Self:
@@ -187,13 +189,13 @@ class SphereWater(WaterState):
     diameter: Annotated[Length, Field(gt=0, le=1e-3)]
     """Diameter of the spheres [m]."""
     particle_index: Annotated[float, Field(ge=1.0, le=3.0)]
-    """Index of the spheres, to vacuum [1]."""
+    """Refractive index of the spheres, relative to vacuum [1]."""
     particle_absorption_index: Annotated[float, Field(ge=0, le=3)] = 0.0
-    """Imaginary part of that index [1]."""
+    """Imaginary part of the refractive index of the spheres [1]."""
     volume_fraction: Annotated[Fraction, Field(gt=0, le=0.05)] | None = None
-    """Spheres per volume of the water [1]."""
+    """Volume of the spheres over volume of the water [1]."""
     scattering: Annotated[PerMetre, Field(gt=0)] | None = None
-    """Scattering coefficient of the spheres, in place of their volume [1/m]."""
+    """Scattering coefficient of the spheres, instead of their volume fraction [1/m]."""
     absorption: Annotated[PerMetre, Field(ge=0)] | None = None
     """Absorption coefficient of the mixture; by default that of pure water and spheres
     [1/m]."""
@@ -206,7 +208,7 @@ class SphereWater(WaterState):
 
 
 class WaterLayer(Description):
-    """Layer of water across the forward axis.
+    """Layer of water, perpendicular to the forward axis.
 
     Examples
     --------
@@ -223,7 +225,8 @@ class WaterLayer(Description):
     """
 
     thickness: Annotated[Length, Field(gt=0)] | None = None
-    """Thickness along the forward axis; none for the last layer [m]."""
+    """Thickness along the forward axis; omitted for the last layer, which has no end
+    [m]."""
     absorption: Annotated[PerMetre, Field(ge=0)]
     """Absorption coefficient a [1/m]."""
     scattering: Annotated[PerMetre, Field(ge=0)]
@@ -262,7 +265,7 @@ class LayeredWater(WaterState):
     kind: Literal["layers"]
     """Kind of water."""
     layers: Annotated[tuple[WaterLayer, ...], Field(min_length=2, max_length=50)]
-    """Layers, the nearest first."""
+    """Layers of water, beginning with the nearest."""
 
     @model_validator(mode="after")
     def _only_the_last_goes_on(self) -> Self:

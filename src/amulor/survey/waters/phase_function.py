@@ -43,7 +43,7 @@ class HenyeyGreenstein(Description):
 
 
 class TwoTerm(Description):
-    """Two Henyey-Greenstein terms, a forward one and mostly a backward one.
+    """Sum of two Henyey-Greenstein terms, usually a forward and a backward term.
 
     Examples
     --------
@@ -67,9 +67,9 @@ class TwoTerm(Description):
     forward_asymmetry: _Asymmetry
     """Mean cosine of the first term [1]."""
     backward_asymmetry: _Asymmetry
-    """Mean cosine of the second term, mostly negative [1]."""
+    """Mean cosine of the second term, usually negative [1]."""
     forward_weight: Annotated[Fraction, Field(ge=0, le=1)]
-    """Share of the first term [1]."""
+    """Weight of the first term, from 0 to 1 [1]."""
 
     def function(self) -> PhaseFunction:
         """Return the phase function."""
@@ -100,12 +100,12 @@ class FournierForand(Description):
     kind: Literal["fournier-forand"]
     """Kind of phase function."""
     relative_index: Annotated[float, Field(gt=1, le=1.5)] | None = None
-    """Index of the particles over that of the water [1]."""
+    """Refractive index of the particles over that of the water [1]."""
     slope: Annotated[float, Field(gt=3, lt=5)] | None = None
     """Slope of the size distribution [1]."""
     backscatter_fraction: Annotated[Fraction, Field(ge=3e-4, le=0.2)] | None = None
-    """Backscattering over scattering, in place of index and slope; they then follow
-    from the line of Mobley et al. 2002 [1]."""
+    """Backscattering over scattering, instead of index and slope [1]. Index and slope
+    then follow from the relation of Mobley et al. 2002."""
 
     @model_validator(mode="after")
     def _is_stated_once(self) -> Self:
@@ -181,7 +181,7 @@ class Rayleigh(Description):
     kind: Literal["rayleigh"]
     """Kind of phase function."""
     depolarization: Annotated[Fraction, Field(ge=0, le=1)] = 0.039
-    """Depolarization ratio at 90 degrees, 0.039 for water [1]."""
+    """Depolarization ratio at 90 degrees; water has 0.039 [1]."""
 
     def function(self) -> PhaseFunction:
         """Return the phase function."""
@@ -189,7 +189,7 @@ class Rayleigh(Description):
 
 
 class Tabulated(Description):
-    """Phase function or volume scattering function of your own, as a table.
+    """Your own phase function or volume scattering function, as a table.
 
     Examples
     --------
@@ -210,13 +210,14 @@ class Tabulated(Description):
     kind: Literal["tabulated"]
     """Kind of phase function."""
     file: Path | None = None
-    """Table of two columns, angle in degrees up to 180 and value in 1/sr, with commas
-    or spaces between and # before notes, relative to the survey file. It is read with
-    the survey, which then holds it."""
+    """Text file with two columns: angle in degrees, up to 180, and value in 1/sr.
+    Columns are separated by commas or spaces, and # begins a comment. The path is
+    relative to the survey file. amulor reads the table with the survey and stores it in
+    the survey."""
     angles: tuple[Angle, ...] | None = None
-    """Scattering angles, rising to 180 degrees, in place of a file."""
+    """Scattering angles, increasing to 180 degrees, instead of a file."""
     values: tuple[float, ...] | None = None
-    """Values at the angles; the scale does not matter [1/sr]."""
+    """Values at the angles; amulor normalizes them [1/sr]."""
 
     @model_validator(mode="after")
     def _is_one_table(self) -> Self:
