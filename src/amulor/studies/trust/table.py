@@ -196,13 +196,13 @@ def counts(rows: Iterable[Written]) -> str:
             )
         )
     titles = (
-        "asked",
-        "rows with a target that some pixel can be right about",
-        f"{_TRUSTED:g} % trusted",
-        f"95 % interval holds the surface in {_INSIDE:g} % or more",
-        f"at most {_FAR:g} % beyond 3.5 standard uncertainties",
+        "requirement",
+        "rows with a target that the method can measure",
+        f"at least {_TRUSTED:g} % of the pixels trusted",
+        f"95 % interval contains the surface in at least {_INSIDE:g} % of the pixels",
+        f"at most {_FAR:g} % of the pixels beyond 3.5 standard uncertainties",
         "rows of empty water",
-        "of these, with a phantom",
+        "rows of empty water with a false target",
     )
     lines = [
         f"| {' | '.join(str(cell) for cell in cells)} |"
