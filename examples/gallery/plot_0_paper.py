@@ -2,9 +2,10 @@
 Figures of the paper, redrawn
 =============================
 
-Figures 1 and 3 of Ricci et al. 2010 (:doi:`10.1155/2010/958360`): the depths that the
-water signal comes from, and the water as a low-pass. The :doc:`whole study
-</gallery/ricci2010>` redraws all figures and tests the statements of the paper.
+This example redraws two figures of Ricci et al. 2010 (:doi:`10.1155/2010/958360`).
+Figure 1 shows the depths from which the water signal comes. Figure 3 shows the water as
+a low-pass filter. The :doc:`whole study </gallery/ricci2010>` redraws fourteen figures
+and tests the statements of the paper.
 """
 
 from io import BytesIO
@@ -15,8 +16,8 @@ from amulor.studies.ricci2010 import reproduce
 from amulor.view.report import png
 
 # %%
-# ``quick`` computes fewer points and photons. The measured data are synthetic, because
-# those of the paper survive only in its pictures.
+# The option ``quick`` reduces the number of points and photons. The measured data are
+# synthetic, because the data of the paper survive only in its pictures.
 results = reproduce.run((1, 3), quick=True, depend=False)
 for figure in results.figures:
     held = sum(check.passed for check in figure.checks)

@@ -2,10 +2,10 @@
 Four forms of the water signal
 ==============================
 
-The water signal falls with the modulation frequency. The frequency of half its power is
-the cut-off. Four models compute it here for the same water: the small-angle form with
-the whole phase function, its closure, the diffusion form of Ricci et al. 2010, and
-photons of all orders of scattering.
+The higher the modulation frequency, the weaker the water signal. At the cut-off the
+water signal has half its power. Four models compute the water signal for the same
+water. They are the small-angle form with the whole phase function, its closure, the
+diffusion form of Ricci et al. 2010, and photon transport with all orders of scattering.
 """
 
 import matplotlib.pyplot as plt
@@ -22,8 +22,8 @@ receiver = {"receiver_radius": 0.02, "acceptance_angle": 0.08, "baseline": 0.07}
 frequency = np.linspace(0, 150e6, 31)
 
 # %%
-# The first two models use the whole phase function. The third uses only the share that
-# is scattered forward, and its mean square angle.
+# The small-angle form and its closure use the whole phase function. The diffusion form
+# uses only the fraction of forward scattering and the mean square angle of this part.
 water = {"absorption": ABSORPTION, "scattering": SCATTERING}
 whole = {**water, "phase_function": phase_function, "split_angle": SPLIT, **receiver}
 forward, second_moment = phase_function.forward_split(SPLIT)
@@ -48,8 +48,8 @@ forms = {
 }
 
 # %%
-# Photon transport draws paths at random and estimates its error from batches of them.
-# Its receiver is a disc with sharp edges.
+# Photon transport simulates random photon paths. The scatter between batches of paths
+# gives its error. The receiver is a disc with sharp edges.
 tally = simulate(
     Medium(
         layers=[Layer(**water, phase_function=phase_function)], group_index=GROUP_INDEX

@@ -2,9 +2,10 @@
 Target and water interfere
 ==========================
 
-The target and the water in front of it are two phasors, and the lock-in measures their
-sum. The error of the range oscillates with the modulation frequency. It is zero where
-the two phasors are parallel, and largest where they are perpendicular.
+The signals of the target and of the water in front of the target are two phasors. The
+lock-in measures their sum. The error of the range oscillates with the modulation
+frequency. The error is zero if the two phasors are parallel. It is largest if they are
+nearly perpendicular.
 """
 
 import matplotlib.pyplot as plt
@@ -30,7 +31,7 @@ water = small_angle.water_response(frequency, group_index=GROUP_INDEX, **column)
 
 # %%
 # The phase depends on the optical path: twice the distance times the group index.
-# Curves are cut where the phase of the sum jumps, which happens for the darkest target.
+# For the darkest target the phase of the sum has jumps. The curve has gaps there.
 figure, axes = plt.subplots(2, 1, figsize=(7, 6), sharex=True, layout="constrained")
 for reflectance in (0.05, 0.2, 0.8):
     target = target_echo.small_angle_target_response(

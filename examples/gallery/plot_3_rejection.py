@@ -2,9 +2,9 @@
 Five rejection methods on one scan
 ==================================
 
-A dark plate in turbid water, scanned by the simulated instrument with three modulation
-frequencies and two polarization channels. Five methods correct the same scan. The true
-distance is in the cube; no method reads it.
+A simulated instrument scans a dark plate in turbid water with three modulation
+frequencies and two polarization channels. Five methods are applied to the same scan.
+The cube contains the true distance, but no method uses it.
 """
 
 import matplotlib.pyplot as plt
@@ -61,8 +61,9 @@ repeats = 6
 samples = amulor.simulate(survey, rng=1)
 
 # %%
-# The crossed channel needs no open-water reference. Subtraction and combination use it.
-# Joint estimation fits target, distance and water together.
+# The method ``nothing`` leaves the water signal in the samples. The crossed channel
+# needs no open-water reference. Subtraction and combination use the open-water
+# reference. Joint estimation fits target, distance and water together.
 methods = {
     "nothing": rejection.keep_water,
     "crossed": rejection.cross_polarized,
@@ -79,8 +80,9 @@ for name, method in methods.items():
     images[name] = imaging.range_image(target, polarization=str(channel))
 
 # %%
-# The table compares the true error with the stated uncertainty, for the pixels without
-# a flag. About 95 % of the pixels should be inside the 95 % interval.
+# For the pixels without a flag, the table compares the true error with the stated
+# uncertainty. The 95 % interval should contain the true distance of about 95 % of these
+# pixels.
 truth = samples["truth_slant_range"].values
 print("method        trusted  error [mm]  stated [mm]  inside 95 %")
 for name, image in images.items():

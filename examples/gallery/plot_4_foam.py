@@ -2,9 +2,10 @@
 Real light through foam
 =======================
 
-These histograms of single photons were measured through slabs of polyurethane foam.
-Their Fourier transform is the signal of a modulated laser, at every frequency at once.
-Light through a thicker slab is later, and its cut-off is lower.
+The data are histograms of photon arrival times, measured through slabs of polyurethane
+foam. The Fourier transform of a histogram is the signal of a modulated laser at all
+frequencies. The thicker the slab, the later the light arrives, and the lower the
+cut-off.
 
 Data: D. B. Lindell, G. Wetzstein, Nat. Commun. 11, 4517 (2020), MIT license.
 """
@@ -23,7 +24,8 @@ frequency = np.geomspace(5e6, 1e9, 120)
 response = slab_response(slabs, frequency)
 
 # %%
-# Amplitudes are relative to zero frequency. A delay becomes a phase.
+# Amplitudes are divided by the amplitude at zero frequency. At low frequencies, the
+# phase is the mean delay times the angular frequency of the modulation.
 figure, axes = plt.subplots(2, 1, figsize=(7, 6), sharex=True, layout="constrained")
 delays = mean_delay(slabs)
 for number, thickness in enumerate(slabs.thickness):

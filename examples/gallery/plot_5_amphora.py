@@ -2,8 +2,9 @@
 An amphora compared with its model
 ==================================
 
-How far is the measured surface from the true one, and does the stated uncertainty
-agree? The example is an amphora of 30 cm in harbor water, scanned from 1.5 m.
+This example compares a measured surface with the true surface, and the errors with
+their stated uncertainty. The object is an amphora of 30 cm in harbor water, scanned in
+a simulation from 1.5 m.
 """
 
 from pathlib import Path
@@ -21,9 +22,10 @@ truth = samples["truth_slant_range"].values
 good = (image["quality_flag"].values == 0) & np.isfinite(truth)
 
 # %%
-# The errors, divided by their stated uncertainties, are narrower than the normal
-# distribution of width 1 (line). The stated uncertainty includes delay, geometry and
-# group index from ``[calibration]``. The simulated instrument has no error in these.
+# The histogram shows the errors divided by their stated uncertainties. It is narrower
+# than the normal distribution with a standard deviation of 1 (line). The reason is that
+# the stated uncertainty includes delay, geometry and group index from
+# ``[calibration]``, but the simulated instrument has no error in these quantities.
 error = (image["slant_range"].values - truth)[good]
 stated = image["slant_range_uncertainty"].values[good]
 print(f"{good.sum()} pixels trusted, of {np.isfinite(truth).sum()} on the amphora")

@@ -2,10 +2,11 @@
 Which modulation frequency?
 ===========================
 
-The noise of a range falls with the modulation frequency. The error by residual water
-oscillates with it. The map shows the sum of both over distance and frequency, from
-which a designer chooses the frequency. The open-water reference is wrong by 3 % here,
-and the water has two turbidities.
+The higher the modulation frequency, the smaller the noise of a range. The error by
+residual water oscillates with the modulation frequency. Each map shows the combined
+error against distance and frequency, and helps to choose the frequency. The example
+assumes an open-water reference that is wrong by 3 %. The two maps are for two
+turbidities.
 """
 
 import matplotlib.pyplot as plt

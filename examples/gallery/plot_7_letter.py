@@ -3,12 +3,13 @@ Read a letter behind foam
 =========================
 
 A cardboard letter S is hidden behind an inch of polyurethane foam. A pulsed laser and a
-photon counter scanned it. The Fourier transform of the recorded histograms is the
-signal of a modulated laser, at all frequencies at once. At 100 MHz the letter is a
-blur. Many frequencies up to 3.5 GHz, focused behind the foam, make it legible.
+photon counter scanned the letter. The Fourier transform of a recorded histogram is the
+signal of a modulated laser at all frequencies. At 100 MHz the letter is not legible.
+The letter becomes legible if many frequencies up to 3.5 GHz are focused behind the
+foam.
 
-Data: D. B. Lindell, G. Wetzstein, Nat. Commun. 11, 4517 (2020), MIT license. In foam
-light diffuses; in water most of it scatters once.
+Data: D. B. Lindell, G. Wetzstein, Nat. Commun. 11, 4517 (2020), MIT license. Foam
+scatters light many times. In water, most of the returned light is scattered once.
 """
 
 import sys
@@ -27,8 +28,9 @@ from amulor import imaging, rejection, samples
 from amulor.io import medium_from_minimum, read_slabs, read_transients
 
 # %%
-# ``examples/foam_transients.py`` divides the signal by the response of an inch of foam,
-# measured through slabs, and focuses it on points behind the foam.
+# The script ``examples/foam_transients.py`` divides the signal by the response of an
+# inch of foam. This response was measured through slabs. The script then focuses the
+# signal on points behind the foam.
 folder = Path(tempfile.mkdtemp())
 letter, _ = samples.copy("foam-letters", folder)
 slab, _ = samples.copy("foam-slabs", folder)
@@ -53,8 +55,9 @@ figure.colorbar(shown, ax=axes, label="amplitude, relative")
 plt.show()
 
 # %%
-# Distances need no focusing. A letter U was recorded 54 cm and 78 cm behind the foam.
-# The part that both recordings share is the foam. It is subtracted like open water.
+# A measurement of distances needs no focusing. A letter U was recorded at 54 cm and at
+# 78 cm behind the foam. Both recordings contain the signal of the foam. This common
+# signal is subtracted like open water.
 [path] = samples.copy("foam-letter-u", folder)
 foam = medium_from_minimum(path, [100e6])
 distances = []

@@ -2,9 +2,9 @@
 Raking light, section and drawing
 =================================
 
-Three drawings of a find: a relief under raking light, contour lines, and a section with
-its uncertainty. The amphora is that of the sample data, recorded with two modulation
-frequencies in harbor water.
+This example makes three drawings of a find: a relief under raking light, contour lines,
+and a section with its uncertainty. The find is the amphora of the sample data, recorded
+in a simulation with two modulation frequencies in harbor water.
 """
 
 import matplotlib.pyplot as plt
@@ -31,7 +31,8 @@ cut = products.section(surface, front, start=(place[0], level), end=(place[1], l
 lines = products.contours(drawn, interval=5e-3)
 
 # %%
-# Light at 20 degrees above the surface shows relief that the amplitude hides.
+# Raking light at 20 degrees above the surface shows relief that the amplitude does not
+# show.
 figure, panels = plt.subplot_mosaic(
     [["light", "lines", "cut"], ["light", "lines", "error"]],
     figsize=(10, 5), layout="constrained", width_ratios=(1, 1, 1.3),

@@ -2,10 +2,10 @@
 Two visits to a site
 ====================
 
-Did the amphora move, or is the difference an error? A sea bed with an amphora was
-scanned from two positions in each of two years. Between the visits the amphora was
-moved by 4 cm. The scans are registered, merged and compared, with the uncertainty of
-each step.
+This example tests whether an amphora has moved or whether the difference is an error of
+measurement. In the simulation, a sea bed with an amphora is scanned in two years, from
+two positions each. Between the two visits the amphora is moved by 4 cm. The scans are
+registered, merged and compared, with the uncertainty of each step.
 """
 
 import sys
@@ -25,7 +25,7 @@ from amulor.site.merging.cloud import merge
 from amulor.site.registration.register import register, surfaces_of
 
 # %%
-# Two scans of each visit of ``examples/wreck``, with coarse pixels.
+# The example uses two scans of each visit in ``examples/wreck``, with coarse pixels.
 make_site.STATIONS = {
     year: stations[:2] for year, stations in make_site.STATIONS.items()
 }
@@ -38,9 +38,10 @@ changed = change(site, poses, surfaces, cloud)
 print(f"{int(changed.significant.sum())} points changed, of {changed.value.size}")
 
 # %%
-# Blue points are higher than before, red points are lower: the amphora is gone from one
-# place and lies in another. The right panel divides the change by its uncertainty.
-# Rings mark significant changes, with a limit that allows for the number of points.
+# Blue points are higher in the second year, and red points are lower. The amphora has
+# left the red place and lies in the blue place. The upper panel shows the change, and
+# the lower panel shows the change divided by its uncertainty. Rings mark significant
+# changes. The limit of significance accounts for the number of points.
 finite = np.isfinite(changed.value)
 x, y = changed.position[finite, :2].T
 value, stated = 1e3 * changed.value[finite], 1e3 * changed.uncertainty[finite]
