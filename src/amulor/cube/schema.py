@@ -33,7 +33,7 @@ TERMS = {
         ),
         Term(
             name="reference",
-            meaning="open-water reference: noise, fit and interpolation",
+            meaning="noise, fit and interpolation of the open-water reference",
             kind="A",
         ),
         Term(
@@ -44,29 +44,33 @@ TERMS = {
         Term(name="column", meaning="water column behind the target", kind="B"),
         Term(
             name="water_model",
-            meaning="strength and shape of the modeled water signal",
+            meaning="errors of strength and shape of the modeled water signal",
             kind="A, B",
         ),
         Term(
             name="polarization_optics",
-            meaning="depolarization ratios, polarizers",
+            meaning="errors of depolarization ratios and polarizers",
             kind="B",
         ),
         Term(
             name="signal",
-            meaning="errors of the target signal that are not divided into terms",
+            meaning="errors that the rejection method does not divide into terms",
             kind="A, B",
         ),
         Term(
             name="late_echo",
-            meaning="light delayed by scattering, after subtraction of its estimate",
+            meaning="delay of the echo by scattering, beyond the subtracted estimate",
             kind="B",
         ),
-        Term(name="delay", meaning="delay of the instrument itself", kind="B"),
-        Term(name="group_index", meaning="group index of the water", kind="B"),
+        Term(name="delay", meaning="error of the delay of the instrument", kind="B"),
+        Term(
+            name="group_index",
+            meaning="error of the group index of the water",
+            kind="B",
+        ),
         Term(
             name="geometry",
-            meaning="position of the receiver, direction of the beams",
+            meaning="errors of the receiver position and the beam directions",
             kind="B",
         ),
         Term(
