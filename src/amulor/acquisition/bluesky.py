@@ -174,7 +174,7 @@ class ScanDevice:
         return status
 
     def read(self) -> dict[str, Any]:
-        """Return the current sample."""
+        """Return the quantities of the current sample, each with its time stamp."""
         key, record, moment = self._samples[self._current]
         return {
             name: {"value": value, "timestamp": moment}
@@ -196,7 +196,7 @@ class ScanDevice:
         return self._samples[self._current][0].kind
 
     def finished_before(self, number: int) -> bool:
-        """Return whether the scan has ended with fewer samples than this number [1]."""
+        """Return whether the scan ended with fewer samples than this number [1]."""
         return self._ended and self._acquired < number
 
     async def stop(self, success: bool = True) -> None:
@@ -233,7 +233,7 @@ class ScanDevice:
     # -- called by the scan, in its thread ---------------------------------------------
 
     def pause_wanted(self) -> bool:
-        """Wait until a sample is requested; True after a time without a request."""
+        """Wait for a request of a sample; True (pause) if none comes in time."""
         self._ready.resolve(None)
         with self._changed:
             requested = self._changed.wait_for(
@@ -247,7 +247,7 @@ class ScanDevice:
             return not requested or self._end_requested or self._pause_requested
 
     def go_on(self) -> bool:
-        """Wait, with all devices safe, until a sample or the end is requested."""
+        """Wait, devices safe, for the next request; False if it ends the scan."""
         with self._changed:
             self._paused = True
             self._changed.notify_all()
@@ -261,7 +261,7 @@ class ScanDevice:
             return not self._end_requested
 
     def _note_samples(self, _: Progress) -> None:
-        """Record the samples of the dwell that was committed last."""
+        """Record the samples of the dwell that was committed last, for bluesky."""
         if self._journal is None:
             self._journal = Journal.read(self._folder)
         moment = time.time()

@@ -7,13 +7,13 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Clock of a scan and its devices; that of a rehearsal may run faster."""
+    """Clock of a scan and its devices; in a rehearsal it may be faster than real."""
 
     def now(self) -> float:
         """Return the time since a fixed origin [s]."""
 
     def sleep(self, duration: float) -> None:
-        """Wait for a time [s]."""
+        """Wait for a duration [s]."""
 
 
 #: Shortest wait for an instrument in real time, at any speed of a rehearsal [s].
@@ -41,7 +41,7 @@ class Deadline:
         self._wall = time.monotonic() + min(timeout, _LEAST)
 
     def passed(self) -> bool:
-        """Return whether the wait is over."""
+        """Return whether the timeout has passed."""
         if self._clock.now() <= self._end:
             return False
         return not self._real or time.monotonic() > self._wall
@@ -52,7 +52,7 @@ SLOWEST, FASTEST = 1e-3, 1e6
 
 
 class RealClock:
-    """Real time, or a multiple of it.
+    """Clock with real time, or with a multiple of its speed.
 
     Parameters
     ----------
@@ -74,21 +74,21 @@ class RealClock:
         return time.monotonic() * self._speed
 
     def sleep(self, duration: float) -> None:
-        """Wait for a time [s]."""
+        """Wait for a duration [s]."""
         if duration > 0:
             time.sleep(duration / self._speed)
 
 
 class VirtualClock:
-    """Virtual time, which jumps instead of waiting, for devices in this program."""
+    """Virtual time for devices in this program: a wait advances it at once."""
 
     def __init__(self) -> None:
         self._now = 0.0
 
     def now(self) -> float:
-        """Return the sum of all waits [s]."""
+        """Return the virtual time, the sum of all waits [s]."""
         return self._now
 
     def sleep(self, duration: float) -> None:
-        """Advance the clock by a time [s] at once."""
+        """Advance the clock by a duration [s], without waiting."""
         self._now += max(duration, 0.0)

@@ -55,7 +55,7 @@ class LockInGate:
         self._settings = settings
 
     def identity(self) -> str:
-        """Return the output and the lock-in."""
+        """Return the number of the output and the identity of the lock-in."""
         return f"output {self._settings.output} of {self._lock_in.identity()}"
 
     def on(self) -> None:
@@ -73,7 +73,7 @@ class LockInGate:
             )
 
     def check(self) -> None:
-        """Raise if the interlock is open."""
+        """Raise if the laser interlock is open."""
         settings = self._settings
         if settings.interlock_input is None:
             return
@@ -118,10 +118,10 @@ class OperatorTargetStage:
         )
 
     def make_safe(self) -> None:
-        """Do nothing."""
+        """Do nothing: there is no motor."""
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing: there is no link."""
 
 
 def connect(
@@ -132,7 +132,7 @@ def connect(
     part: int = 0,
     ask: Callable[[str], None] | None = None,
 ) -> Devices:
-    """Connect the devices that a file names."""
+    """Connect all devices that the settings of a scan name."""
     _refuse_target(survey, settings, ask)
     if settings.simulated:
         devices = _simulated(survey, settings, scene, part)
@@ -149,7 +149,7 @@ def connect(
 def _refuse_target(
     survey: Survey, settings: Settings, ask: Callable[[str], None] | None
 ) -> None:
-    """Raise if the target cannot be moved as the survey needs it."""
+    """Raise if the target cannot be moved for the open-water shots of the survey."""
     driver = settings.target.driver
     if driver == "operator" and ask is None:
         raise InstrumentError(

@@ -26,9 +26,11 @@ class Tones:
     """Amplitude, phase and noise of each frequency of a record."""
 
     signals: NDArray[np.complex128]
-    """Peak amplitude, delay as a positive phase, of shape (frequency,) [V]."""
+    """Complex signal of each frequency: peak amplitude, delay as a positive phase, of
+    shape (frequency,) [V]."""
     spreads: Floats
-    """Standard deviation of either output by the noise beside each tone [V]."""
+    """Noise standard deviation of each tone per quadrature, from nearby spectral bins
+    [V]."""
     offset: float
     """Mean of the record [V]."""
 
@@ -91,7 +93,7 @@ def demodulate(
 def clock_offset(
     reference: ArrayLike, *, sample_rate: float, frequencies: Sequence[float]
 ) -> float:
-    r"""Return the relative clock offset of a record from its reference tones [1].
+    r"""Estimate the relative offset of the digitizer clock from reference tones [1].
 
     From one half of a stretch to the other the phase falls by
     :math:`\omega \epsilon T / 2`. The first stretch is so short that this is below half
@@ -123,7 +125,7 @@ def clock_offset(
 
 
 def _columns(cycles: Floats, start: int, count: int) -> Floats:
-    """Return the design matrix of a block, of shape (unknown, sample)."""
+    """Return the least-squares design matrix of a block, shape (unknown, sample)."""
     # Whole turns are subtracted early: they cost digits of the phase.
     turns = np.outer(cycles, np.arange(count)) + (cycles * start % 1.0)[:, None]
     phase = 2 * np.pi * (turns % 1.0)
@@ -131,7 +133,7 @@ def _columns(cycles: Floats, start: int, count: int) -> Floats:
 
 
 def _noise_beside(residual: Floats, cycles: Floats) -> Floats:
-    """Return the standard deviation of either output of each tone [V]."""
+    """Return the noise of each tone per quadrature, from nearby spectral bins [V]."""
     power = np.abs(np.fft.rfft(residual)) ** 2 * (2 / residual.size) ** 2 / 2
     folded = np.abs(cycles - np.round(cycles)) * residual.size
     bins = np.arange(power.size)

@@ -49,10 +49,10 @@ class Devices:
     source: Source | None = None
     """Generator that modulates the laser; None if the lock-in does."""
     release: Callable[[], None] = lambda: None
-    """Unlock the devices for other scans, once they are closed."""
+    """Function that unlocks the devices for other scans, once they are closed."""
 
     def all(self) -> Iterator[tuple[str, Device]]:
-        """Yield name and device; the laser first, since it is made safe first."""
+        """Yield name and device; the laser first, so that it is made safe first."""
         for name in (
             "laser",
             "source",
@@ -91,7 +91,7 @@ class Devices:
 
 
 def digest(settings: Settings, identities: dict[str, str]) -> str:
-    """Return a digest of instrument and procedure."""
+    """Return a digest of procedure, devices and identities, to compare two runs."""
     # Settings that are left out do not count: a later amulor has more of them.
     content = settings.model_dump(
         mode="json", exclude={"simulation": True}, exclude_none=True

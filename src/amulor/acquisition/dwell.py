@@ -77,7 +77,7 @@ class Settling:
         self._excess = 1.0
 
     def wait(self, *, changed: bool) -> bool:
-        """Wait after a move; return whether readings agree."""
+        """Wait after a move until readings agree; return whether they do."""
         start = self._clock.now()
         end = start + _MOST * self._settling * self._constant
         if changed:
@@ -115,7 +115,7 @@ class Settling:
     def unsettled_parts(
         self, entered: NDArray[np.complex128], mean: float, spacing: float
     ) -> int | None:
-        """Return the number of unsettled inputs at the start, None above half."""
+        """Return the number of unsettled inputs at the start; None if above half."""
         size = max(round(self._constant / spacing), 1)
         blocks = [entered[at : at + size] for at in range(0, entered.size, size)]
         if len(blocks) > 1 and blocks[-1].size < size:
@@ -149,7 +149,7 @@ class Settling:
         return bool(abs(block.mean() - later.mean()) ** 2 <= 1.5 * _AGREE * expected)
 
     def learn(self, signals: Sequence[complex], mean: float) -> None:
-        """Update the noise by settled readings, a time constant apart [V]."""
+        """Update the noise estimate by settled readings a time constant apart [V]."""
         if len(signals) < 3:
             return
         steps = np.abs(np.diff(np.asarray(signals))) ** 2
@@ -160,7 +160,7 @@ class Settling:
         self._excess = max(self._excess + _WEIGHT * (ratio - self._excess), 1.0)
 
     def _variance(self, reading: Reading) -> float:
-        """Return the variance of either output of a reading [V^2]."""
+        """Return the noise variance of a reading per quadrature [V^2]."""
         return self._counting_variance(reading.signal, reading.mean) * self._excess
 
     def _counting_variance(self, signal: complex, mean: float) -> float:
@@ -172,7 +172,7 @@ class Settling:
 
 
 def refuse_for_records(records: bool, lock_in: str) -> None:
-    """Raise if the lock-in records the detector, without an output filter."""
+    """Raise if the lock-in is a digitizer, which has no output filter to settle."""
     if records:
         raise InstrumentError(
             f"{lock_in} records the detector itself, which has nothing to settle; take "
@@ -193,9 +193,10 @@ class Dwell:
     readings: int
     """Number of readings or intervals in the mean [1]."""
     interval: float | None
-    """Time between them by the clock of the instrument, None without one [s]."""
+    """Time between readings by the instrument's clock; None without a clock [s]."""
     spreads: list[float | None]
-    """Standard deviation of either output from the record; None without one [V]."""
+    """Noise standard deviation per quadrature at each frequency, from the record; None
+    without a record [V]."""
     overload: Overload
     """Overloads during the dwell."""
     unlocked: bool
@@ -203,12 +204,12 @@ class Dwell:
     settled: bool = True
     """Whether the readings agreed within the longest wait."""
     edges: list[float] | None = None
-    """Standard deviation of either output by edges inside an interval, for each
-    frequency, if the beam has moved [V]."""
+    """Standard deviation per quadrature from signal steps inside an interval, for each
+    frequency; None if the beam did not move [V]."""
 
 
 def lacking(device: Device, *words: str) -> list[str]:
-    """Return those of these methods that a device lacks."""
+    """Return the names of the given methods that a device lacks."""
     return [word for word in words if not hasattr(device, word)]
 
 
@@ -270,7 +271,7 @@ class DwellReader:
         return [self._lock_in.read()]
 
     def _read(self, *, waited: bool) -> Dwell:
-        """Read a dwell query by query; update the noise if it had settled."""
+        """Read a dwell query by query; update the noise estimate if settled."""
         readings: list[list[Reading]] = []
         moments: list[float] = []
         for place in range(self._number):
@@ -339,7 +340,7 @@ class DwellReader:
         times: ArrayLike,
         means: Sequence[float],
     ) -> tuple[list[complex], int, bool]:
-        """Return signals, the number of skipped readings, and whether others agree."""
+        """Return signals, number of skipped readings, and whether the others agree."""
         mean = sum(means) / len(means) if means else math.nan
         skipped, settled = 0, True
         if self._judge is not None and self._filter_is_known and len(columns[0]) > 2:
@@ -357,7 +358,7 @@ class DwellReader:
         return signals, skipped, settled
 
     def _signal(self, outputs: Sequence[complex] | Any, times: ArrayLike) -> complex:
-        """Return the mean input of a known filter, or the mean of its outputs."""
+        """Return the mean filter input if the filter is known, else the mean output."""
         if self._filter_is_known and len(outputs) > 1:
             return filtered_input(outputs, times, time_constant=self._constant)
         return complex(np.mean(outputs))

@@ -31,12 +31,13 @@ _EXACT, _FARTHEST = 1e-4, 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class Hazard:
-    """Hazard of a beam to an eye in it."""
+    """Hazard of a laser beam to an eye in it."""
 
     permissible_irradiance: float
-    """Maximum permissible exposure at the cornea, as a mean over the time [W/m2]."""
+    """Maximum permissible exposure at the cornea, averaged over the exposure time
+    [W/m2]."""
     irradiance: float
-    """Irradiance at the instrument, as a mean over the pupil [W/m2]."""
+    """Irradiance at the instrument, averaged over the pupil [W/m2]."""
     distance_in_air: float
     """Hazard distance in air, beyond which the exposure is permissible [m]."""
     distance_in_water: float
@@ -44,7 +45,7 @@ class Hazard:
     class_power: float
     """Largest power of the laser class [W]."""
     exceeds_class: bool
-    """Whether the power of the survey is larger."""
+    """Whether the laser power of the survey exceeds the class power."""
 
 
 def permissible_irradiance(wavelength: float, *, exposure: float) -> float:
@@ -83,7 +84,7 @@ def permissible_irradiance(wavelength: float, *, exposure: float) -> float:
 
 
 def pupil_irradiance(power: float, *, diameter: float) -> float:
-    """Return the irradiance of a Gaussian beam, as a mean over a centered pupil."""
+    """Return the irradiance of a Gaussian beam, averaged over a pupil [W/m2]."""
     if not (power >= 0 and diameter > 0):
         raise ValueError(
             f"power must not be negative and diameter above 0, got {power:g} W and "
@@ -101,7 +102,7 @@ def hazard(
     laser_class: LaserClass,
     exposure: float = 0.25,
 ) -> Hazard:
-    """Return the hazard of the beam of a survey to an eye in it.
+    """Return the eye hazard of the laser beam of a survey.
 
     The beam grows by its divergence, in water by that over the refractive index; water
     absorbs. What it scatters forward may still reach the eye, so scattering counts as

@@ -28,7 +28,7 @@ class Key(NamedTuple):
     """Unique key of a sample of a scan."""
 
     kind: str
-    """SCAN, OPEN_WATER or DARK."""
+    """Kind of the sample: scan, open_water or dark."""
     row: int
     """Row of the scan, or of the open-water grid [1]."""
     column: int
@@ -38,8 +38,8 @@ class Key(NamedTuple):
     polarization: str
     """Launched and analysed state, or "none"."""
     repeat: int
-    """Number of the sample among those of the same place and channel; 0 in the scan,
-    more for a retake [1]."""
+    """Number of the sample among those of the same place and channel. In the scan it is
+    0, and higher for a retake [1]."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
 
 
 def strips(steps: Iterable[Step], *, longest: int) -> Iterator[list[Step]]:
-    """Group steps into strips that one motion along a row can acquire."""
+    """Group dwells into strips of a row that one continuous motion can acquire."""
     strip: list[Step] = []
     for step in steps:
         if strip and not (len(strip) < longest and _goes_on(strip, step)):
@@ -147,7 +147,7 @@ def _goes_on(strip: list[Step], step: Step) -> bool:
 
 
 def together(steps: Sequence[Step]) -> Step:
-    """Join several steps into one with all of their keys."""
+    """Join several dwells into one with all of their keys."""
     first, *others = (key for step in steps for key in step.keys)
     return replace(steps[0], key=first, others=tuple(others))
 
@@ -155,7 +155,7 @@ def together(steps: Sequence[Step]) -> Step:
 def extra_reference(
     survey: Survey, procedure: Procedure, *, number: int
 ) -> Iterator[Step]:
-    """Yield the reference measurement after a break."""
+    """Yield the dwells of an extra reference measurement after an interruption."""
     plan = survey.scan.open_water
     dark = procedure.references * procedure.dark_readings
     first = 0 if plan is None else plan.repeats
@@ -175,7 +175,7 @@ def extra_reference(
 def retakes(
     survey: Survey, procedure: Procedure, *, spoiled: Collection[Key]
 ) -> Iterator[Step]:
-    """Yield retakes of spoiled samples of the scan."""
+    """Yield new dwells for spoiled samples of the scan."""
     repeats = {key._replace(repeat=0): key.repeat for key in spoiled}
     for step in steps(survey, procedure):
         again = [
@@ -188,7 +188,7 @@ def retakes(
 def reference_block(
     survey: Survey, procedure: Procedure, *, block: int
 ) -> Iterator[Step]:
-    """Yield the dark readings and open-water shots of one block."""
+    """Yield the dwells of one reference block: dark readings and open-water shots."""
     for comb in combs(survey, procedure):
         first = block * procedure.dark_readings
         repeats = range(first, first + procedure.dark_readings)

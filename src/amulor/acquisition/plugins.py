@@ -29,7 +29,7 @@ GROUPS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Wiring:
-    """Arguments of the factory of a device."""
+    """Arguments that the factory of a device receives."""
 
     address: str | None
     """Address in the devices file."""
@@ -62,7 +62,7 @@ def names(part: str) -> list[str]:
 
 
 def make(part: str, name: str, wiring: Wiring) -> Any:
-    """Make a device of another package.
+    """Make a device with the driver of another installed package.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def make(part: str, name: str, wiring: Wiring) -> Any:
 
 
 class GuardedDevice:
-    """Device of another package: its exceptions and answers become clear errors."""
+    """Proxy of a device of another package; it checks results and explains errors."""
 
     def __init__(self, device: Any, name: str) -> None:
         self._device, self._name = device, name
@@ -146,7 +146,7 @@ class GuardedDevice:
 
 
 def _number(value: Any, *, what: str, least: float = -math.inf) -> str | None:
-    """Return the problem of a finite number, None without one."""
+    """Describe why a value is not a valid number; None if it is one."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return f"{_shown(value)}, needed is a number ({what})"
     if not math.isfinite(value):
@@ -172,7 +172,7 @@ def _text(value: Any) -> str | None:
 
 
 def _state(value: Reading | Recorded) -> str | None:
-    """Return the problem of overload bits or of the mean output."""
+    """Describe a problem of the overload bits or the mean output; None if valid."""
     known = sum(map(int, Overload))
     if not isinstance(value.overload, int) or int(value.overload) & ~known:
         return (
@@ -219,7 +219,7 @@ def _waveform(value: Any) -> str | None:
 def _all_of(
     check: Callable[[Any], str | None], *, count: int | None = None
 ) -> Callable[[Any], str | None]:
-    """Return a check of a sequence whose items have a check."""
+    """Return a check of a sequence that applies a check to each of its items."""
 
     def checked(value: Any) -> str | None:
         if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):

@@ -33,7 +33,7 @@ class Reading:
     """One reading of a lock-in amplifier, all values of one instant."""
 
     signal: complex
-    """Peak amplitude of the modulation, delayed echo with positive phase [V]."""
+    """Complex signal: peak amplitude, delayed echo with positive phase [V]."""
     mean: float
     """Mean output of the detector, NaN where it is not wired [V]."""
     modulation_frequency: float
@@ -70,16 +70,16 @@ class LockIn(Device, Protocol):
         """Set the modulation frequency, wait for lock, return the actual one [Hz]."""
 
     def read(self) -> Reading:
-        """Return the present outputs and state."""
+        """Return the present outputs, overload bits and lock state."""
 
     def relieve(self, overload: Overload) -> bool:
         """Increase range or reserve by one step; False if at the maximum."""
 
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next finer scale if this peak amplitude [V] fits well."""
+        """Select the next finer scale if the amplitude [V] allows it; else False."""
 
     def full_scale(self) -> float:
-        """Return the largest peak amplitude of the present setting [V]."""
+        """Return the full scale of the present setting, as a peak amplitude [V]."""
 
 
 class CombLockIn(LockIn, Protocol):
@@ -104,8 +104,8 @@ class Recorded:
     times: NDArray[np.float64]
     """Times, rising, of shape (n,) [s]."""
     signals: NDArray[np.complex128]
-    """Peak amplitude at each time, of shape (n, frequency), delay as a positive phase
-    [V]."""
+    """Complex signal at each time: peak amplitude, delay as a positive phase, of shape
+    (n, frequency) [V]."""
     mean: float
     """Mean output of the detector, NaN where it is not wired [V]."""
     modulation_frequencies: tuple[float, ...]
@@ -115,8 +115,8 @@ class Recorded:
     unlocked: bool = False
     """Whether the reference was lost during the record."""
     spreads: tuple[float, ...] | None = None
-    """Standard deviation of either output of the mean signal, for each frequency, if
-    estimated from the record [V]."""
+    """Noise standard deviation of the mean signal per quadrature, for each frequency,
+    if estimated from the record [V]."""
 
 
 class BufferedLockIn(LockIn, Protocol):
@@ -165,7 +165,7 @@ class Digitiser(Device, Protocol):
     """Digitizer that records the detector; its safe state is no modulation."""
 
     ranges: tuple[float, ...]
-    """Input ranges, peak, rising [V]."""
+    """Input ranges as peak voltages, in ascending order [V]."""
     shows_mean: bool
     """Whether its input is coupled to the mean output of the detector."""
 
@@ -173,7 +173,7 @@ class Digitiser(Device, Protocol):
         """Configure the digitizer for a scan."""
 
     def set_range(self, number: int) -> None:
-        """Select a range by its number."""
+        """Select an input range by its index in `ranges`."""
 
     def set_frequencies(
         self, frequencies: Sequence[float], *, timeout: float
@@ -181,7 +181,7 @@ class Digitiser(Device, Protocol):
         """Modulate at several frequencies at once [Hz]; return the actual ones [Hz]."""
 
     def acquire(self, duration: float) -> Waveform:
-        """Return a record of a time [s], at most that of the memory."""
+        """Return a record of this duration [s], shorter if the memory is full."""
 
 
 class Source(Device, Protocol):
@@ -204,7 +204,7 @@ class Scanner(Device, Protocol):
 
 
 class SweepingScanner(Scanner, Protocol):
-    """Scanner that moves at a steady rate and can be read meanwhile."""
+    """Scanner that moves at a steady rate and can be read while it moves."""
 
     def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
         """Start to move to a direction [rad], reached after a time [s]; do not wait."""
@@ -243,7 +243,7 @@ class TargetStage(Device, Protocol):
         """Put the target into the beam within a time [s]; return its position [m]."""
 
     def take_out(self, *, timeout: float) -> float | None:
-        """Take the target out within a time [s]; return its position [m].
+        """Take the target out of the beam in a time [s]; return its position [m].
 
         None means that the position is not measured.
         """

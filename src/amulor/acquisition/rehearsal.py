@@ -32,9 +32,9 @@ class Rehearsal:
     """Simulated devices on network ports."""
 
     settings: Settings
-    """Devices file with their addresses."""
+    """Devices file with the addresses of the simulated devices."""
     bench: Bench
-    """Bench of the devices."""
+    """Simulated bench of the devices."""
     lock_in: SimulatedStanford
     """Lock-in at the first port."""
     stages: SimulatedPiController

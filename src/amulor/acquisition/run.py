@@ -38,7 +38,7 @@ _WEIGHT = 0.1
 
 
 class Keeper:
-    """Writer of samples to a journal, in a thread where the disk is slow."""
+    """Writer of samples to a journal; it uses a thread if the disk is slow."""
 
     def __init__(
         self, journal: Journal, notify: Callable[[Step, int], None], *, at_once: bool
@@ -49,7 +49,7 @@ class Keeper:
         self._took = 0.0
 
     def __enter__(self) -> Keeper:
-        """Return it."""
+        """Return the writer."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -58,7 +58,7 @@ class Keeper:
             self._thread.shutdown()
 
     def keep(self, step: Step, records: Sequence[Record]) -> None:
-        """Write the samples of a dwell, after all earlier ones."""
+        """Write the samples of a dwell, after those of all earlier dwells."""
         samples = [*zip(step.keys, records, strict=True)]
         self.settle()
         if self._at_once or self._took < SLOW:
@@ -91,7 +91,7 @@ class Keeper:
 
 
 def refuse_beyond_reach(survey: Survey, settings: Settings, devices: Devices) -> None:
-    """Raise if the scan is beyond the travel range of a stage."""
+    """Raise if a direction of the scan is beyond the travel range of a stage."""
     azimuth, elevation = (angle.ravel() for angle in scan_directions(survey)[:2])
     if survey.scan.open_water is not None:
         shots = open_water_directions(survey)
@@ -150,7 +150,7 @@ class Progress:
 
 
 class Control(Protocol):
-    """Interruption of a scan between two samples.
+    """Interface for pausing or ending a scan between two samples.
 
     Examples
     --------
@@ -198,7 +198,7 @@ class Outcome:
     done: int
     """Samples in the journal [1]."""
     total: int
-    """Samples that a finished scan has [1]."""
+    """Samples of the finished scan, references included [1]."""
     flagged: int
     """Samples of this run with a flag [1]."""
     unsafe: list[str]
@@ -335,7 +335,7 @@ def resume_command(folder: Path) -> str:
 
 @contextlib.contextmanager
 def _left_safe(devices: Devices) -> Iterator[None]:
-    """Make devices safe after an exception, and name in it those that are not."""
+    """Make devices safe after an exception; its message names the unsafe ones."""
     try:
         yield
     except BaseException as error:
@@ -461,14 +461,14 @@ class _Run:
         self._taken = 0
 
     def _again(self, segment: int) -> Iterator[Step]:
-        """Yield the reference measurement that an interrupted scan needs."""
+        """Yield the dwells of the reference measurement after an interruption."""
         if any(key.kind == plan.SCAN for key in self._done):
             yield from plan.extra_reference(
                 self._survey, self._settings.procedure, number=segment - 2
             )
 
     def _strips(self, steps: list[Step]) -> Iterator[list[Step]]:
-        """Yield single dwells, or strips of a row in continuous mode."""
+        """Yield single dwells; in continuous mode, strips of a row."""
         longest = 1
         if self._settings.procedure.mode == "continuous":
             longest = max(int(_LONGEST_ROW / self._survey.scan.dwell), _SHORTEST_ROW)

@@ -36,7 +36,7 @@ class DarkLevel:
         self._readings: dict[str, deque[float]] = {}
 
     def add(self, polarization: str, means: Sequence[float]) -> None:
-        """Add dark readings of a polarization."""
+        """Add the means of dark readings for a polarization [V]."""
         readings = self._readings.setdefault(polarization, deque(maxlen=_DARK_READINGS))
         readings.extend(means)
 
@@ -77,8 +77,7 @@ class SampleFlag(enum.IntFlag):
     """The read-back frequency differs from the commanded one."""
     # 32 is `UNCALIBRATED` of the cube.
     NO_LIGHT = 64
-    """The laser was on, and the mean output of the detector was that of dark
-    readings."""
+    """The laser was on, but the mean detector output was that of dark readings."""
     UNSETTLED = 128
     """Readings differed by more than their noise."""
 
@@ -189,7 +188,7 @@ class Sampler:
     def _swept(
         self, sweeper: SweepReader, steps: Sequence[Step]
     ) -> tuple[list[Swept], SampleFlag]:
-        """Return the pixels of a row; repeat after loss of lock or an overload."""
+        """Return the pixels of a row; repeat it after loss of lock or an overload."""
         flags, losses = SampleFlag.NONE, 0
         timeout = self._settings.scanner.move_timeout
         while True:
@@ -296,7 +295,7 @@ class Sampler:
         self._new = True
 
     def _refuse_open_interlock(self) -> None:
-        """Raise if the interlock of the laser is open."""
+        """Raise if the laser interlock is open."""
         check = getattr(self._devices.laser, "check", None)
         if check is not None:
             check()
@@ -433,7 +432,7 @@ class Sampler:
         self._take_finer_scale(amplitude)
 
     def _sharpen_by(self, flags: SampleFlag) -> None:
-        """Count the samples since the last change of scale."""
+        """Count the samples since the last change of the scale of the lock-in."""
         self._calm = 0 if flags & SampleFlag.RESCALED else self._calm + 1
 
     def _take_finer_scale(self, amplitude: float) -> None:

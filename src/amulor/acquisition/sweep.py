@@ -57,7 +57,7 @@ class Swept:
 
 @dataclass
 class _Row:
-    """Record of a row."""
+    """Readings of lock-in and scanner along one row."""
 
     times: list[Floats] = field(default_factory=list)
     signals: list[NDArray[np.complex128]] = field(default_factory=list)
@@ -76,12 +76,12 @@ class _Row:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Steady motion, fitted to readings of the scanner."""
+    """Steady motion of the beam, fitted to readings of the scanner."""
 
     begin: float
     rate: float
     off: Floats
-    """Deviation of each reading from it, in order of time [rad]."""
+    """Deviation of each scanner reading from the fit, in order of time [rad]."""
 
     def at(self, time: float) -> float:
         return self.begin + self.rate * time
@@ -185,7 +185,7 @@ class SweepReader:
         return first - margin, last + margin
 
     def _look(self, row: _Row) -> None:
-        """Read lock-in and scanner into the record of a row."""
+        """Append present readings of lock-in and scanner to the record of a row."""
         before = self._clock.now()
         recorded = self._lock_in.fetch()
         between = self._clock.now()
@@ -254,7 +254,7 @@ class SweepReader:
         return result
 
     def _even(self, times: Floats) -> tuple[Floats, float]:
-        """Return evenly spaced times, and their spacing, fitted to all readings [s].
+        """Fit evenly spaced times to all readings; return them and their spacing [s].
 
         The spacing is that of the instrument; the start is as accurate as one reading.
         """

@@ -1,4 +1,4 @@
-"""Uncertainty of a sample: counting noise behind a filter, averaged readings."""
+"""Uncertainty of a sample, from counting noise, lock-in filter and averaging."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from amulor.survey.counting import counting_variance
 def reading_variance(
     survey: Survey, *, rate: ArrayLike, time_constant: float
 ) -> NDArray[np.float64]:
-    """Return the counting variance of one settled reading of either output [V^2]."""
+    """Return the counting variance of one settled reading per quadrature [V^2]."""
     time = detection.effective_integration_time(0.0, time_constant=time_constant)
     return counting_variance(survey, rate=rate, integration_time=float(time))
 
 
 def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the variance of a mean of readings over that of one reading [1].
+    r"""Return the variance of a mean of readings relative to a single reading [1].
 
     Notes
     -----
@@ -93,7 +93,7 @@ def filtered_input(
 
 
 def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) -> float:
-    r"""Return the error of `filtered_input` by edges of the input inside an interval.
+    r"""Return the error of `filtered_input` due to input steps inside an interval.
 
     Notes
     -----
@@ -129,7 +129,7 @@ def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) ->
 def input_variance_ratio(
     intervals: ArrayLike, *, spacing: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the variance of `filtered_input` over that of one settled output [1].
+    r"""Return the variance of `filtered_input` relative to one settled output [1].
 
     Notes
     -----
@@ -152,7 +152,7 @@ def input_variance_ratio(
 
 
 def readings_of(survey: Survey, *, settling: float) -> int:
-    """Return the number of readings, one a time constant, in a dwell after settling."""
+    """Return the number of readings in a dwell after settling, one a time constant."""
     constant = survey.instrument.lock_in.time_constant
     # A dwell of exactly so many time constants must not lose one to rounding.
     remaining = survey.scan.dwell / constant - settling

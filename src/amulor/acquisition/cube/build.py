@@ -230,7 +230,7 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
 
 
 def shows_no_target(cube: xr.Dataset) -> bool:
-    """Return whether no sample differs from the open-water shots significantly."""
+    """Return whether no sample differs significantly from the open-water shots."""
     shots = cube.amulor.open_water
     if shots is None:
         return False
@@ -262,7 +262,7 @@ def _outputs(
 
 
 def _directions(samples: Samples, survey: Survey) -> dict[str, Floats]:
-    """Return directions read back, or planned ones where none were measured [rad]."""
+    """Return the measured directions, or the planned ones without a read-back [rad]."""
     azimuth, elevation, _ = scan_directions(survey)
     return {
         "azimuth": _mean(samples["azimuth"], otherwise=azimuth),
@@ -326,7 +326,7 @@ def _open_water(
 
 
 def _commanded(samples: Samples) -> dict[str, xr.DataArray]:
-    """Return the quantities of each pixel by their names in the cube."""
+    """Return per-pixel means of recorded quantities, by their names in the cube."""
     return {
         quantity.cube: xr.DataArray(
             _mean(samples[name], otherwise=np.full((1, 1), np.nan)),
@@ -420,7 +420,7 @@ def _identities(journal: Journal) -> dict[str, str]:
 
 
 def _last_end(parts: list[dict[str, Any]]) -> str | None:
-    """Return the end of the last segment; its start, where power was lost."""
+    """Return the end time of the last segment, or its start time after power loss."""
     if not parts:
         return None
     return str(parts[-1]["ended"] or parts[-1]["started"])

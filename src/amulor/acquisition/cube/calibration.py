@@ -1,4 +1,4 @@
-"""Phase zero and phase against amplitude, from a plate at a known distance."""
+"""Calibration of the instrument's phase delay, from a plate at a known distance."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MIDDLE = 0.5
 
 
 class FrequencyCalibration(Description):
-    """Instrument delay at one modulation frequency."""
+    """Phase delay of the instrument at one modulation frequency."""
 
     modulation_frequency: Annotated[Frequency, Field(gt=0)]
     """Modulation frequency [Hz]."""
@@ -37,7 +37,7 @@ class FrequencyCalibration(Description):
     ]
     """Peak amplitudes of the calibration, increasing [V]."""
     phases: tuple[Angle, ...]
-    """Delay at each amplitude [rad]."""
+    """Phase delay at each amplitude [rad]."""
 
     @model_validator(mode="after")
     def _lists_fit(self) -> Self:
@@ -52,7 +52,7 @@ class FrequencyCalibration(Description):
 
 
 class Calibration(Description):
-    """Instrument delays by modulation frequency and amplitude.
+    """Phase delays of an instrument by modulation frequency and amplitude.
 
     Examples
     --------
@@ -70,7 +70,7 @@ class Calibration(Description):
     """
 
     frequencies: Annotated[tuple[FrequencyCalibration, ...], Field(min_length=1)]
-    """Delays at each modulation frequency of a scan, in any order."""
+    """Phase delays at each modulation frequency of a scan, in any order."""
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
@@ -138,7 +138,7 @@ def phase_correction(
     *,
     modulation_frequency: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the phase correction of samples [rad], and where it is calibrated."""
+    """Return the phase correction of samples [rad], and a mask of calibrated ones."""
     nearest = min(
         calibration.frequencies,
         key=lambda entry: abs(entry.modulation_frequency - modulation_frequency),
@@ -161,7 +161,7 @@ def phase_correction(
 
 
 def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration:
-    """Calibrate the delays of an instrument with a plate at a known distance.
+    """Calibrate the phase delay of an instrument with a plate at a known distance.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration
 
 
 def _plate_signal(cube: xr.Dataset) -> NDArray[np.complex128]:
-    """Return the target signal less the estimate of residual water."""
+    """Return the plate's signal minus the estimated residual water signal [V]."""
     signal = np.asarray(cube.amulor.signal.values)
     if "residual_in_phase" not in cube:
         return signal

@@ -54,7 +54,7 @@ _EMPTY = (
 
 
 class Samples:
-    """Samples of one kind, over frequency, polarization and two more axes."""
+    """Samples of one kind as arrays over frequency, polarization and two more axes."""
 
     def __init__(self, survey: Survey, first: int, second: int) -> None:
         instrument = survey.instrument
@@ -78,7 +78,7 @@ class Samples:
             self.put(key, record, key.row, key.column)
 
     def put(self, key: Key, record: Record, first: int, second: int) -> None:
-        """Insert one sample; the last take of an element wins."""
+        """Insert one sample; a later take replaces an earlier one."""
         at = (
             self._frequency[key.frequency],
             self._pair[key.polarization],
@@ -133,7 +133,7 @@ def entry(journal: Journal, name: str) -> str:
 def dark_output(
     survey: Survey, journal: Journal
 ) -> tuple[NDArray[np.complex128], Floats]:
-    """Return the output without light, and its variance, of each channel."""
+    """Return the mean dark output of each channel [V], and its variance [V^2]."""
     recorded = [*journal.samples(plan.DARK)]
     # Place by count, not by number: numbers of a short scan can be high.
     numbers: dict[tuple[float, str], int] = {}
@@ -168,7 +168,7 @@ def correct(
     modulation_frequency: Floats,
     calibration: Calibration | None,
 ) -> NDArray[np.bool_]:
-    """Subtract dark output and instrument delay; return where it is uncalibrated."""
+    """Subtract dark output and delay; return a mask of uncalibrated samples."""
     samples["signal"][...] -= dark[0][:, :, None, None]
     outside = np.zeros(samples["signal"].shape, dtype=bool)
     if calibration is None:
@@ -185,7 +185,7 @@ def correct(
 
 
 def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) -> Floats:
-    """Return the variance of each sample by photoelectron counting [V^2]."""
+    """Return the variance of each sample by photoelectron counting noise [V^2]."""
     detector = survey.instrument.detector
     volt = detector.volt_per_photoelectron_rate
     lower = samples["raw_amplitude"] / (survey.instrument.modulation_depth * volt)

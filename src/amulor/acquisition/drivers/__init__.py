@@ -1,1 +1,1 @@
-"""Instruments that scans drive: one maker or model a file."""
+"""Drivers of instruments, one file for each maker or model."""

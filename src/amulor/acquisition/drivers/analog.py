@@ -1,4 +1,4 @@
-"""Mirrors on analog outputs of the lock-in, an NI card or a LabJack."""
+"""Scanner mirrors on analog outputs of the lock-in, an NI card or a LabJack."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _CURVED = 5
 
 
 class Outputs(Protocol):
-    """Analog outputs by name."""
+    """Analog voltage outputs, addressed by name."""
 
     def identity(self) -> str:
-        """Return the device of the outputs."""
+        """Return the identity of the device that has the outputs."""
 
     def set(self, volts: dict[str, float]) -> dict[str, float]:
         """Set the outputs [V]; return the voltages read back, if possible [V]."""
@@ -42,7 +42,7 @@ class LockInOutputs:
         self._lock_in = lock_in
 
     def identity(self) -> str:
-        """Return the device of the outputs."""
+        """Return the identity of the device that has the outputs."""
         return f"outputs of {self._lock_in.identity()}"
 
     def set(self, volts: dict[str, float]) -> dict[str, float]:
@@ -74,7 +74,7 @@ class NidaqOutputs:
             raise _failed("nidaqmx", error) from error
 
     def identity(self) -> str:
-        """Return the device of the outputs."""
+        """Return the identity of the device that has the outputs."""
         return f"nidaqmx {', '.join(self._names)}"
 
     def set(self, volts: dict[str, float]) -> dict[str, float]:
@@ -107,7 +107,7 @@ class LabjackOutputs:
             raise _failed("LabJack", error) from error
 
     def identity(self) -> str:
-        """Return the device of the outputs."""
+        """Return the identity of the device that has the outputs."""
         return f"LabJack {self._serial:.0f}"
 
     def set(self, volts: dict[str, float]) -> dict[str, float]:
@@ -129,7 +129,7 @@ class LabjackOutputs:
 
 
 class Mirror:
-    """Angle of a beam as a function of voltage, fitted to measured pairs.
+    """Calibration of a mirror: beam angle against voltage, fitted to measured pairs.
 
     A line for three or four pairs, a parabola from five on, by least squares; `spread`
     is the standard deviation of the residuals, the uncertainty of an angle.
@@ -155,7 +155,7 @@ class Mirror:
         return float(self._fit(volts))
 
     def volts(self, angle: float) -> float:
-        """Return the voltage of an angle [rad], within the measured ones [V]."""
+        """Return the voltage for a beam angle [rad]; raise if not calibrated [V]."""
         low, high = self._settings.volts[0], self._settings.volts[-1]
         solutions = [
             float(root.real)
@@ -173,7 +173,7 @@ class Mirror:
 
 
 class AnalogScanner:
-    """Two mirrors on analog outputs."""
+    """Scanner with two mirrors, each driven by an analog output."""
 
     def __init__(
         self,
@@ -195,7 +195,7 @@ class AnalogScanner:
             )
 
     def identity(self) -> str:
-        """Return the device of the outputs and the uncertainty of angles."""
+        """Return the identity of the output device, and the angle uncertainty."""
         return (
             f"mirrors on {self._outputs.identity()}, angles known to "
             f"{self.spread * 1e6:.3g} urad"
@@ -204,7 +204,7 @@ class AnalogScanner:
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
-        """Turn to a direction [rad]; return the direction of the voltages [rad]."""
+        """Turn to a direction; return the one computed from the set voltages [rad]."""
         names = (self._settings.azimuth.output, self._settings.elevation.output)
         volts = [
             mirror.volts(angle)
@@ -221,7 +221,7 @@ class AnalogScanner:
     def refuse_beyond_reach(
         self, azimuth: Sequence[float], elevation: Sequence[float]
     ) -> None:
-        """Raise if a mirror cannot go to all of these directions [rad]."""
+        """Raise if a direction [rad] is beyond the calibrated range of a mirror."""
         for mirror, angles in zip(self._mirrors, (azimuth, elevation), strict=True):
             for angle in angles:
                 mirror.volts(angle)
@@ -235,7 +235,7 @@ class AnalogScanner:
 
 
 def outputs_of(settings: AnalogSettings, *, lock_in: Any, address: str | None) -> Any:
-    """Return the outputs that a devices file states."""
+    """Return the analog outputs of the device that the devices file configures."""
     if settings.outputs == "lock_in":
         return LockInOutputs(lock_in)
     if settings.outputs == "labjack":

@@ -1,4 +1,4 @@
-"""Choice of the driver for each part of the devices file."""
+"""Choice of the driver for each part of the devices file, and its connection."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from amulor.acquisition.settings import (
 
 
 def other(part: str, settings: Settings, clock: Clock) -> Any:
-    """Return the device of another package."""
+    """Connect a device whose driver is in another installed package."""
     driver = getattr(settings, part).driver
     return plugins.make(part, driver, wiring(part, settings, clock))
 
@@ -54,7 +54,7 @@ def wiring(part: str, settings: Settings, clock: Clock) -> plugins.Wiring:
 
 
 class Stages:
-    """Stage controllers by address: several axes share one link."""
+    """Links to stage controllers by address: several axes share one link."""
 
     def __init__(self, clock: Clock, opened: contextlib.ExitStack) -> None:
         self._clock = clock
@@ -74,7 +74,7 @@ class Stages:
 
 
 def source_of(settings: Settings, clock: Clock) -> Source | None:
-    """Return the modulation source; None if the lock-in modulates the laser."""
+    """Connect the modulation source; None if the lock-in modulates the laser."""
     part = settings.source
     if part.driver == "none":
         return None
@@ -91,7 +91,7 @@ def source_of(settings: Settings, clock: Clock) -> Source | None:
 def scanner_of(
     settings: Settings, stages: Stages, lock_in: LockIn, clock: Clock
 ) -> Scanner:
-    """Return the scanner."""
+    """Connect the scanner of the devices file."""
     part = settings.scanner
     if part.driver == "analog":
         assert part.analog is not None
@@ -119,7 +119,7 @@ def scanner_of(
 
 
 def lock_in_of(settings: Settings, clock: Clock) -> LockIn:
-    """Return the lock-in amplifier."""
+    """Connect the lock-in amplifier of the devices file."""
     part = settings.lock_in
     if part.driver == "digitiser":
         return DigitiserLockIn(other("digitiser", settings, clock), clock=clock)
@@ -172,5 +172,5 @@ def lock_in_of(settings: Settings, clock: Clock) -> LockIn:
 
 
 def mount_of(part: MountSettings, stages: Stages) -> RotationMount | None:
-    """Return the rotation mount of a polarizer; None without a motor."""
+    """Connect the rotation mount of a polarizer; None without a motor."""
     return None if part.driver == "none" else PiMount(stages.at(part), part.axis)

@@ -19,7 +19,7 @@ _PRESENT = 10.0
 
 
 class DigitiserLockIn:
-    """Lock-in amplifier from records of the detector and of the modulation.
+    """Software lock-in amplifier, from records of the detector and the modulation.
 
     Phases are those of the detector against the reference, tone by tone, so that
     neither the start of a record nor a common trigger matters; a difference of the
@@ -41,7 +41,7 @@ class DigitiserLockIn:
         return self._digitiser.identity()
 
     def prepare(self, *, time_constant: float) -> None:
-        """Set the coarsest range; there is no time constant."""
+        """Set the coarsest input range; a digitizer has no time constant to set."""
         self._digitiser.prepare()
         self._set_range(len(self._digitiser.ranges) - 1)
 
@@ -63,11 +63,11 @@ class DigitiserLockIn:
         return [*actual]
 
     def read(self) -> Reading:
-        """Return the outputs of one record."""
+        """Return the demodulated outputs of one record."""
         return self.read_all()[0]
 
     def read_all(self) -> list[Reading]:
-        """Return the outputs of one record at every frequency."""
+        """Return the demodulated outputs of one record at every frequency."""
         recorded = self.record(0.0)
         return [
             Reading(
@@ -85,7 +85,7 @@ class DigitiserLockIn:
         ]
 
     def record(self, duration: float) -> Recorded:
-        """Return the mean of the records that fit into a time [s], at least one."""
+        """Return the mean of all records that fit into a duration [s], at least one."""
         began = self._clock.now()
         signals, variances, means, offsets = [], [], [], []
         overload, unlocked = Overload.NONE, False
@@ -138,7 +138,7 @@ class DigitiserLockIn:
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next smaller range if this peak amplitude [V] fits well."""
+        """Select the next smaller range if the amplitude [V] allows it; else False."""
         if self._range == 0 or amplitude > _FINER_BELOW * self.full_scale():
             return False
         # The mean of the detector needs room, too, where the input shows it.

@@ -56,7 +56,7 @@ class OphydScanner:
 
     @classmethod
     def made(cls, wiring: Wiring, settings: ScannerSettings) -> OphydScanner:
-        """Connect the scanner that a devices file states."""
+        """Connect the scanner that the devices file configures."""
         device = OphydDevice.made(
             "scanner", wiring, needed=("azimuth", "elevation"), more=()
         )
@@ -145,7 +145,7 @@ class OphydScanner:
 
 
 class OphydLockIn:
-    """Lock-in of ophyd-async, read after `trigger`, if it has that."""
+    """Lock-in as an ophyd-async device, triggered before a reading if possible."""
 
     def __init__(
         self, device: OphydDevice, options: Mapping[str, Any], *, clock: Clock
@@ -164,7 +164,7 @@ class OphydLockIn:
 
     @classmethod
     def made(cls, wiring: Wiring) -> OphydLockIn:
-        """Connect the lock-in that a devices file states."""
+        """Connect the lock-in that the devices file configures."""
         device = OphydDevice.made(
             "lock_in", wiring, needed=_LOCK_IN, more=_LOCK_IN_MORE
         )
@@ -202,7 +202,7 @@ class OphydLockIn:
         return self._frequency
 
     def read(self) -> Reading:
-        """Return the present outputs and state."""
+        """Return the present outputs, overload bits and lock state."""
         trigger = getattr(self._device.device, "trigger", None)
 
         async def look() -> list[Any]:
@@ -235,7 +235,7 @@ class OphydLockIn:
         return False
 
     def full_scale(self) -> float:
-        """Return the largest peak amplitude [V]."""
+        """Return the full scale, as a peak amplitude [V]."""
         return self._factor * float(self._options["full_scale"])
 
     def set_output(self, number: int, voltage: float) -> float:
@@ -252,7 +252,7 @@ class OphydLockIn:
         """Do nothing: ophyd-async reconnects by itself."""
 
     def make_safe(self) -> None:
-        """Do nothing: a lock-in without light is safe, and the laser is gated apart."""
+        """Do nothing: a lock-in is harmless; the laser has its own safe state."""
 
     def close(self) -> None:
         """Release the device."""
@@ -268,7 +268,7 @@ class OphydLockIn:
 
 
 class OphydLaser:
-    """Laser or shutter of ophyd-async: a part to enable it, and one to read back."""
+    """Laser or shutter of ophyd-async: one signal to enable it, one to read back."""
 
     def __init__(self, device: OphydDevice, options: Mapping[str, Any]) -> None:
         self._device, self._options = device, options
@@ -280,7 +280,7 @@ class OphydLaser:
 
     @classmethod
     def made(cls, wiring: Wiring) -> OphydLaser:
-        """Connect the laser that a devices file states."""
+        """Connect the laser that the devices file configures."""
         device = OphydDevice.made("laser", wiring, needed=("enable",), more=_LASER_MORE)
         with closed_if_it_fails(device):
             return cls(device, wiring.options)
@@ -306,7 +306,7 @@ class OphydLaser:
             )
 
     def check(self) -> None:
-        """Raise if the interlock is open."""
+        """Raise if the laser interlock is open."""
         if "interlock" not in self._options:
             return
         state = self._device.value(str(self._options["interlock"]))

@@ -30,7 +30,7 @@ _MOST_OTHERS = 64
 
 
 class Octets(Protocol):
-    """Byte link of the driver."""
+    """Link for bytes, as the driver needs it."""
 
     address: str
 
@@ -41,7 +41,7 @@ class Octets(Protocol):
         """Return received bytes, at least one."""
 
     def forget(self) -> None:
-        """Discard received bytes."""
+        """Discard bytes that were received but not read."""
 
     def reopen(self) -> None:
         """Close the link and open it again."""
@@ -87,7 +87,7 @@ class PelcoHead:
         self._position("pan")  # raises if no head answers
 
     def identity(self) -> str:
-        """Return protocol and number; a head has no identity of its own."""
+        """Return the protocol and the number of the head, which reports no identity."""
         return f"pan-tilt head {self._head.number} by Pelco-D"
 
     def move(
@@ -164,7 +164,7 @@ class PelcoHead:
         return math.radians(((steps + _TURN / 2) % _TURN - _TURN / 2) / 100)
 
     def _arrived(self, axis: str, goal: int, end: Deadline) -> int:
-        """Wait for an axis; return its position at its goal or at rest [0.01 deg]."""
+        """Wait for an axis to reach its goal or stop; return position [0.01 deg]."""
         near, last, since = 0, None, self._clock.now()
         while True:
             position = self._position(axis)

@@ -30,7 +30,7 @@ _MOUNT_OFF, _TARGET_OFF = 0.5, 1.0
 
 
 class PiController:
-    """A controller with one or more axes.
+    """Stage controller of Physik Instrumente with one or more axes.
 
     Lines end with a line feed; in an answer of several lines all but the last end with
     a space before it (chapter "GCS commands" of the manuals, such as MS249E, page 116).
@@ -81,7 +81,7 @@ class PiController:
                 )
 
     def move(self, goals: Mapping[str, float], *, timeout: float) -> list[float]:
-        """Move axes and wait until they are on target."""
+        """Move axes, wait until they are on target, and return their positions."""
         axes = [*goals]
         listed = " ".join(axes)
         words = [f"{axis} {goal:.7f}" for axis, goal in goals.items()]
@@ -109,11 +109,11 @@ class PiController:
         return [result[axis] for axis in axes]
 
     def velocities(self, axes: Sequence[str]) -> dict[str, float]:
-        """Return the velocity setting of each axis, in its unit [1/s]."""
+        """Return the velocity setting of each axis, in axis units per second."""
         return self._values("VEL?", axes)
 
     def set_velocities(self, velocities: Mapping[str, float]) -> None:
-        """Set the velocity of axes, in their units [1/s]."""
+        """Set the velocity of axes, in axis units per second."""
         words = [f"{axis} {value:.7g}" for axis, value in velocities.items()]
         self._link.send("VEL " + " ".join(words))
 
@@ -201,7 +201,7 @@ class _OnController:
         return f"axis {', '.join(self._axes)} of {self._controller.identity()}"
 
     def make_safe(self) -> None:
-        """Stop."""
+        """Stop all axes of the controller."""
         self._controller.stop()
 
     def close(self) -> None:
@@ -210,7 +210,7 @@ class _OnController:
 
 
 class PiScanner(_OnController):
-    """Two axes that turn the beam."""
+    """Scanner of two stage axes that turn the beam."""
 
     def __init__(self, controller: PiController, settings: ScannerSettings) -> None:
         self._settings = settings
@@ -291,7 +291,7 @@ class PiScanner(_OnController):
     def refuse_beyond_reach(
         self, azimuth: Sequence[float], elevation: Sequence[float]
     ) -> None:
-        """Raise if an axis cannot go to all of these directions [rad]."""
+        """Raise if a direction [rad] is beyond the travel range of an axis."""
         settings = self._settings
         if settings.park_azimuth is not None and settings.park_elevation is not None:
             azimuth = [*azimuth, settings.park_azimuth]
@@ -333,7 +333,7 @@ def _refuse_off_target(part: str, position: float, goal: float, *, near: float) 
 
 
 class PiMount(_OnController):
-    """One axis in degrees that turns a polarizer or a retarder."""
+    """Rotation stage (one axis, in degrees) that turns a polarizer or a retarder."""
 
     def __init__(self, controller: PiController, axis: str) -> None:
         super().__init__(controller, [axis])
@@ -346,13 +346,13 @@ class PiMount(_OnController):
         return math.radians(reached)
 
     def refuse_beyond_reach(self, angles: Sequence[float]) -> None:
-        """Raise if the axis cannot go to all of these angles [rad]."""
+        """Raise if an angle [rad] is beyond the travel range of the axis."""
         goals = [math.degrees(angle) for angle in angles]
         self._controller.refuse_beyond_reach({self._axes[0]: goals})
 
 
 class PiTargetStage(_OnController):
-    """One axis in millimeters that carries the target."""
+    """Linear stage (one axis, in millimeters) that carries the target."""
 
     def __init__(self, controller: PiController, settings: TargetSettings) -> None:
         self._settings = settings
@@ -363,7 +363,7 @@ class PiTargetStage(_OnController):
         return self._go(self._settings.position_in, timeout)
 
     def take_out(self, *, timeout: float) -> float:
-        """Take the target out within a time [s]; return its position [m]."""
+        """Take the target out of the beam in a time [s]; return its position [m]."""
         return self._go(self._settings.position_out, timeout)
 
     def _go(self, position: float, timeout: float) -> float:
@@ -373,7 +373,7 @@ class PiTargetStage(_OnController):
         return reached / 1e3
 
     def refuse_beyond_reach(self) -> None:
-        """Raise if one of its two positions is beyond the travel range."""
+        """Raise if a position of the target is beyond the travel range."""
         settings = self._settings
         goals = [settings.position_in * 1e3, settings.position_out * 1e3]
         self._controller.refuse_beyond_reach({self._axes[0]: goals})

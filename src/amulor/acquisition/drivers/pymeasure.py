@@ -1,4 +1,4 @@
-"""Lock-in amplifiers of pymeasure, by the names of their attributes."""
+"""Lock-in amplifiers driven by pymeasure, configured by attribute names."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class PymeasureLockIn:
         return self._frequency
 
     def read(self) -> Reading:
-        """Return the present outputs and state."""
+        """Return the present outputs, overload bits and lock state."""
         options = self._options
         if options["x"] == options["y"]:  # a snapshot of both at one moment
             x, y = (float(value) for value in self._get(options["x"])[:2])
@@ -112,7 +112,7 @@ class PymeasureLockIn:
         return False
 
     def full_scale(self) -> float:
-        """Return the largest peak amplitude; the options give its rms value [V]."""
+        """Return the full scale of the options, as a peak amplitude [V]."""
         return math.sqrt(2) * float(self._options["full_scale"])
 
     def set_output(self, number: int, voltage: float) -> float:
@@ -131,7 +131,7 @@ class PymeasureLockIn:
         self._instrument = self._checked("answer", self._make)
 
     def make_safe(self) -> None:
-        """Do nothing: a lock-in without light is safe, and the laser is gated apart."""
+        """Do nothing: a lock-in is harmless; the laser has its own safe state."""
 
     def close(self) -> None:
         """Close the link; it may be called twice."""

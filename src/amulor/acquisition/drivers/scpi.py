@@ -19,7 +19,7 @@ from amulor.errors import InstrumentError
 
 
 class _Scpi:
-    """Instrument with ``*IDN?`` and, where stated, a lock of its own."""
+    """SCPI instrument that answers ``*IDN?``, with a lock if one is configured."""
 
     def __init__(
         self, link: Conversation, words: ScpiLaserSettings | ScpiSourceSettings
@@ -42,7 +42,7 @@ class _Scpi:
         return self._identity
 
     def close(self) -> None:
-        """Release the lock of the instrument, and close the link."""
+        """Release the lock on the instrument, and close the link."""
         if self._unlock is not None:
             with contextlib.suppress(InstrumentError):
                 self._link.send(self._unlock)
@@ -59,7 +59,7 @@ class _Scpi:
 
 
 class ScpiSource(_Scpi):
-    """A signal generator that modulates the laser."""
+    """Signal generator that modulates the laser, with commands of the devices file."""
 
     def __init__(
         self, link: Conversation, settings: SourceSettings, *, clock: Clock
@@ -116,7 +116,7 @@ class ScpiSource(_Scpi):
 
 
 class ScpiLaser(_Scpi):
-    """Laser diode driver, or a shutter with commands."""
+    """Laser diode driver or shutter, with the commands of the devices file."""
 
     def __init__(self, link: Conversation, settings: LaserSettings) -> None:
         assert settings.scpi is not None
@@ -137,7 +137,7 @@ class ScpiLaser(_Scpi):
                 )
 
     def readings(self) -> dict[str, float]:
-        """Return current [A] and temperature [degC], where a query is stated."""
+        """Return diode current [A] and temperature [degC], where configured."""
         values = {}
         for name, question in (
             ("laser_current", self._words.current),
@@ -169,7 +169,7 @@ class ScpiLaser(_Scpi):
             )
 
     def check(self) -> None:
-        """Raise if the interlock is open."""
+        """Raise if the laser interlock is open."""
         if self._words.interlock is None:
             return
         answer = self._answer(self._words.interlock)
@@ -219,7 +219,7 @@ class ScpiLockIn:
         return self._identity
 
     def prepare(self, *, time_constant: float) -> None:
-        """Send the preparing commands, the time constant [s] and the coarsest scale."""
+        """Send preparation commands, time constant [s] and the coarsest scale."""
         words = self._words
         code = None
         for number, value in enumerate(words.time_constants):
@@ -260,7 +260,7 @@ class ScpiLockIn:
         return self._frequency
 
     def read(self) -> Reading:
-        """Return the present outputs and state."""
+        """Return the present outputs, overload bits and lock state."""
         words = self._words
         x, y = self._numbers(words.read, 2)
         mean = math.nan if words.mean is None else self._numbers(words.mean, 1)[0]
@@ -287,7 +287,7 @@ class ScpiLockIn:
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next finer scale if this peak amplitude [V] fits well."""
+        """Select the next finer scale if the amplitude [V] allows it; else False."""
         if self._words.scale is None or self._place == len(self._order) - 1:
             return False
         if amplitude > _FINER_BELOW * self._peak(self._place + 1):
@@ -296,7 +296,7 @@ class ScpiLockIn:
         return True
 
     def full_scale(self) -> float:
-        """Return the largest peak amplitude of the present setting [V]."""
+        """Return the full scale of the present setting, as a peak amplitude [V]."""
         return self._peak(self._place)
 
     def set_output(self, number: int, voltage: float) -> float:
@@ -316,7 +316,7 @@ class ScpiLockIn:
         self._link.reopen()
 
     def make_safe(self) -> None:
-        """Do nothing: a lock-in without light is safe, and the laser is gated apart."""
+        """Do nothing: a lock-in is harmless; the laser has its own safe state."""
 
     def close(self) -> None:
         """Close the link."""

@@ -54,7 +54,7 @@ class Stanford:
         return self._identity
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 as on the panel [V]; read it back."""
+        """Set an auxiliary output, counted from 1 as on the panel; return it [V]."""
         if not 1 <= number <= self._outputs:
             raise InstrumentError(
                 f"{self.model} has auxiliary outputs 1 to {self._outputs}, asked for "
@@ -78,7 +78,7 @@ class Stanford:
         self._choose_interface()
 
     def make_safe(self) -> None:
-        """Do nothing: a lock-in without light is safe, and the laser is gated apart."""
+        """Do nothing: a lock-in is harmless; the laser has its own safe state."""
 
     def close(self) -> None:
         """Close the link."""
@@ -120,7 +120,7 @@ class Stanford:
     def index_of(
         self, requested: float, offered: Sequence[float], quantity: str, unit: str = "s"
     ) -> int:
-        """Return the code of a value among those that the instrument offers."""
+        """Return the instrument's code of a setting value, such as a time constant."""
         for code, value in enumerate(offered):
             if math.isclose(value, requested, rel_tol=1e-6):
                 return code
@@ -134,7 +134,7 @@ class Stanford:
         )
 
     def _choose_interface(self) -> None:
-        """Direct answers to this link, where the instrument needs a command for it."""
+        """Direct answers to this link, if the instrument needs a command for it."""
 
     def _identify(self) -> str:
         (result,) = self._link.ask("*IDN?")
@@ -168,7 +168,7 @@ _FINER_BELOW = 0.2
 
 
 class Sr844(Stanford):
-    """An SR844, its oscillator as the reference.
+    """Lock-in amplifier SR844, with its internal oscillator as the reference.
 
     The commands are those of chapter 4 of its manual: syntax (4-8, 4-10), SNAP? (4-25,
     4-26), LIAS? (4-32). It counts in volts rms and its phase falls with delay; readings
@@ -228,7 +228,7 @@ class Sr844(Stanford):
         return self.number("FREQ?")
 
     def read(self) -> Reading:
-        """Return the present outputs and state."""
+        """Return the present outputs, overload bits and lock state."""
         values = (
             "1,2,8" if self._mean_input is None else f"1,2,8,{5 + self._mean_input}"
         )
@@ -255,7 +255,7 @@ class Sr844(Stanford):
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Increase the overloaded reserve, else SENS, by one step; False at the end."""
+        """Increase the overloaded reserve, or SENS, by one step; False if maximal."""
         if overload & Overload.INPUT and self._wide > _HIGH:
             self._wide -= 1
             self._link.send(f"WRSV {self._wide}")
@@ -270,7 +270,7 @@ class Sr844(Stanford):
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next finer SENS if this peak amplitude [V] fits well."""
+        """Select the next finer SENS if the amplitude [V] allows it; else False."""
         if self._sensitivity == 0 or amplitude > _FINER_BELOW * self.full_scale():
             return False
         self._sensitivity -= 1
@@ -278,5 +278,5 @@ class Sr844(Stanford):
         return True
 
     def full_scale(self) -> float:
-        """Return the largest peak amplitude of the present setting [V]."""
+        """Return the full scale of the present setting, as a peak amplitude [V]."""
         return math.sqrt(2) * SENSITIVITIES[self._sensitivity]

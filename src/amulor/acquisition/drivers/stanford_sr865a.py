@@ -53,7 +53,7 @@ class _BufferIsFull(Exception):  # noqa: N818  caught inside this module
 
 
 class Sr865a(Stanford):
-    """An SR865A, its oscillator as the reference.
+    """Lock-in amplifier SR865A, with its internal oscillator as the reference.
 
     The commands are those of the remote programming chapter of its manual: RSRC, FREQ,
     OFLT, OFSL, SCAL, IRNG, SNAP?, LIAS?, AUXV. Outputs that the panel counts from 1 to
@@ -132,7 +132,7 @@ class Sr865a(Stanford):
         return self._frequency
 
     def read(self) -> Reading:
-        """Return the present outputs and state."""
+        """Return the present outputs, overload bits and lock state."""
         snapshot, status = self._link.ask(f"{self._snap()}\nLIAS?", answers=2)
         return self._reading(snapshot, status)
 
@@ -221,7 +221,7 @@ class Sr865a(Stanford):
         )
 
     def begin_stream(self, duration: float) -> None:
-        """Start the capture buffer, with room for at least a time [s].
+        """Start the capture buffer, with room for at least a duration [s].
 
         Notes
         -----
@@ -287,14 +287,14 @@ class Sr865a(Stanford):
         )
 
     def _wait(self, number: int) -> None:
-        """Wait until a point has most likely been captured when a query arrives."""
+        """Wait until the buffer holds the point of this number, most likely."""
         moment = self._began_after + (number + 0.6) / self._rate
         self._clock.sleep(moment - self._clock.now())
 
     def _points_and_state(
         self, requested: Sequence[int], points: dict[int, complex]
     ) -> Reading:
-        """Query points of the buffer into `points`; return its state."""
+        """Read points of the buffer into `points`; return the present reading."""
         questions = [f"CAPTUREVAL? {number}" for number in requested]
         lines = ["CAPTUREBYTES?", *questions, "CAPTURESTAT?", self._snap(), "LIAS?"]
         sent = self._clock.now()
@@ -317,7 +317,7 @@ class Sr865a(Stanford):
         return self._reading(snapshot, status)
 
     def _note(self, sent: float, length: str) -> int:
-        """Return the number of points, and bound the start time of the buffer."""
+        """Return the number of points in the buffer, and refine its start time."""
         count = int(self.parsed(length, "CAPTUREBYTES?", count=1)[0]) // _POINT
         apart = _DRIFT * (sent - self._noted)
         self._noted, past = sent, count / self._rate
@@ -333,7 +333,7 @@ class Sr865a(Stanford):
         return count
 
     def _start_capture(self, duration: float = 0.0) -> float:
-        """Restart the capture buffer; return its rate [1/s].
+        """Restart the capture buffer; return its sample rate [1/s].
 
         The rate is the fastest one that leaves room for a time [s].
         """
@@ -365,7 +365,7 @@ class Sr865a(Stanford):
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next finer SCAL if this peak amplitude [V] fits well.
+        """Select the next finer SCAL if the amplitude [V] allows it; else False.
 
         The input range stays as the devices file or an overload has set it, since
         signals beside the modulation need it.
@@ -379,5 +379,5 @@ class Sr865a(Stanford):
         return True
 
     def full_scale(self) -> float:
-        """Return the largest peak amplitude of the present setting [V]."""
+        """Return the full scale of the present setting, as a peak amplitude [V]."""
         return math.sqrt(2) * SCALES[self._scale]

@@ -27,7 +27,7 @@ def streamed(
     interval: float,
     clock: Clock,
 ) -> list[dict[str, NDArray[Any]]]:
-    """Return the stream of nodes over a time from this call on.
+    """Return the samples that nodes stream over a duration, from this call on.
 
     Data arrive late. The clock of the instrument, queried first, and the timestamps of
     the samples select the time.
@@ -77,7 +77,7 @@ def _polled(
     interval: float,
     clock: Clock,
 ) -> list[dict[str, NDArray[Any]]]:
-    """Return the stream of each node up to a tick of the instrument."""
+    """Return the samples that each node streams until an instrument time in ticks."""
     parts: list[list[dict[str, Any]]] = [[] for _ in nodes]
     limit = Deadline(clock, duration + _LATE + 20 * interval)
     wait = duration + 2 * interval
@@ -129,7 +129,7 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 def _explained(method: _Method) -> _Method:
-    """Turn exceptions of the toolkit into an InstrumentError."""
+    """Convert exceptions of the Zurich Instruments toolkit to InstrumentError."""
 
     @functools.wraps(method)
     def called(self: ZurichLockIn, *args: Any, **options: Any) -> Any:
@@ -147,7 +147,7 @@ def _explained(method: _Method) -> _Method:
 
 
 class ZurichLockIn:
-    """First input and output of a UHFLI or HF2LI, with one or more oscillators.
+    """UHFLI or HF2LI: its first input and output, and one or more oscillators.
 
     Its demodulators count in volts rms, and their phase falls with delay. Several
     frequencies at once need the option MF: oscillator, demodulator and mixer channel n
@@ -216,7 +216,7 @@ class ZurichLockIn:
         return str(self._device.device_type)[:3]
 
     def identity(self) -> str:
-        """Return maker, kind and serial number."""
+        """Return maker, model and serial number."""
         return f"Zurich Instruments,{self._device.device_type},{self._device.serial}"
 
     @_explained
@@ -236,7 +236,7 @@ class ZurichLockIn:
         self._frequencies = (math.nan,)
 
     def _demodulate(self, place: int) -> None:
-        """Configure a demodulator for the oscillator of the same number."""
+        """Configure a demodulator to use the oscillator of the same number."""
         demodulator = self._device.demods[place]
         demodulator.adcselect(0)
         demodulator.oscselect(place)
@@ -252,7 +252,7 @@ class ZurichLockIn:
         return "MF" in str(self._device.features.options()).split()
 
     def _drive(self, count: int) -> None:
-        """Output a number of oscillators at the set level, and no other."""
+        """Output the first `count` oscillators at the set level, and no others."""
         output, family = self._device.sigouts[0], self._family
         peak = math.sqrt(2) * self._amplitude
         ranges = _OUTPUT_RANGES.get(family, _OUTPUT_RANGES["UHF"])
@@ -314,12 +314,12 @@ class ZurichLockIn:
         return set_to
 
     def read(self) -> Reading:
-        """Return the present outputs and state."""
+        """Return the present outputs, overload bits and lock state."""
         return self.read_all()[0]
 
     @_explained
     def read_all(self) -> list[Reading]:
-        """Return the present outputs of every frequency and the state."""
+        """Return the outputs of every frequency, overload bits and lock state."""
         overload = self._overload()
         readings = []
         for place in range(max(len(self._frequencies), 1)):
@@ -395,14 +395,14 @@ class ZurichLockIn:
 
     @_explained
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next smaller input range if this peak amplitude [V] fits well."""
+        """Select the next smaller range if the amplitude [V] allows it; else False."""
         if self._range == 0 or amplitude > _FINER_BELOW * self.full_scale():
             return False
         self._set_range(self._range - 1)
         return True
 
     def full_scale(self) -> float:
-        """Return the largest peak amplitude of the present setting [V]."""
+        """Return the full scale of the present setting, as a peak amplitude [V]."""
         return self._full_scale
 
     @_explained

@@ -27,7 +27,7 @@ _UNITS = {
 
 
 def documents(journal: Journal) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield a scan as documents: start, descriptors, an event a sample, and stop.
+    """Yield a scan as documents: start, descriptors, an event per sample, and stop.
 
     The time of an event is the start of its segment plus the time since then by the
     clock of the scan.
@@ -104,7 +104,7 @@ def _descriptor(uid: str, start: str, kind: str, moment: float) -> dict[str, Any
 
 
 def data_keys() -> dict[str, dict[str, Any]]:
-    """Return the quantities of a sample for descriptors of the event model."""
+    """Return the event-model description of each quantity of a sample."""
     names = [*Key._fields[1:], *QUANTITIES]
     return {
         name: {
@@ -118,7 +118,7 @@ def data_keys() -> dict[str, dict[str, Any]]:
 
 
 def data_of(key: Key, record: Record) -> dict[str, Any]:
-    """Return the quantities of a sample, without its kind, which is the stream."""
+    """Return the quantities of a sample by name; its kind names the stream."""
     content = {**key._asdict(), **vars(record)}
     del content["kind"]
     return {
@@ -128,5 +128,5 @@ def data_of(key: Key, record: Record) -> dict[str, Any]:
 
 
 def _moment(text: str) -> float:
-    """Return a time of the journal, counted from 1970 [s]."""
+    """Convert a time text of the journal to Unix time [s]."""
     return datetime.datetime.fromisoformat(text).timestamp()

@@ -21,7 +21,7 @@ _COPIES = {"survey": "survey.toml", "devices": "devices.toml"}
 
 
 def with_checksums(meta: Mapping[str, str]) -> dict[str, str]:
-    """Return the entries with their checksums."""
+    """Return the entries of a description with their checksums added."""
     entries = {name: text for name, text in meta.items() if name != CHECKSUMS}
     sums = {name: _sum(text) for name, text in entries.items()}
     return {**entries, CHECKSUMS: json.dumps(sums, sort_keys=True)}
@@ -34,7 +34,7 @@ def _sum(text: str) -> int:
 def checked(
     meta: Mapping[str, str], folder: Path, damaged: Callable[[str], None]
 ) -> dict[str, str]:
-    """Return the entries; replace damaged ones by copies in the folder."""
+    """Verify the checksums of entries; replace damaged ones by copies in the folder."""
     sums = _sums(meta, damaged)
     result = dict(meta)
     for name in sorted({*sums, *_digests(meta)}):
@@ -132,7 +132,7 @@ def in_use(folder: Path) -> bool:
 
 
 def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
-    """Create the file under a draft name, and rename it when it is complete."""
+    """Create the file under a temporary name, and rename it when it is complete."""
     draft = path.with_name(f".{path.name}.new")
     with explained(path):
         try:
@@ -195,7 +195,7 @@ def reader(path: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Turn errors of SQLite and the operating system into a FormatError with advice."""
+    """Convert errors of SQLite and the operating system to FormatError with advice."""
     try:
         yield
     except sqlite3.IntegrityError as error:

@@ -218,11 +218,11 @@ class Journal:
         return journal
 
     def __enter__(self) -> Journal:
-        """Return the journal."""
+        """Return the journal, which the end of the block closes."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close it."""
+        """Close the journal."""
         self.close()
 
     def close(self) -> None:
@@ -266,7 +266,7 @@ class Journal:
                 raise
 
     def damage(self) -> list[str]:
-        """Return a line for each damaged part; empty for a sound journal.
+        """Return a line of text for each damaged part; empty for a sound journal.
 
         All rows are checked: checksum, range of each number, and whether the survey
         plans such a sample. The description of the scan is checked, too.
@@ -343,7 +343,7 @@ class Journal:
                 yield key, record
 
     def newer(self, than: int) -> list[tuple[int, Key, Record]]:
-        """Return samples of all kinds after a number, with their numbers.
+        """Return all samples after a given sample number, with their numbers.
 
         Parameters
         ----------
@@ -383,7 +383,7 @@ class Journal:
         return float(result[0] or 0.0)
 
     def begin_segment(self) -> int:
-        """Begin a segment; close one without an end as interrupted."""
+        """Begin a segment and return its number; mark an open one as interrupted."""
         now = _now()
         with explained(self._path):
             self._connection.execute("BEGIN IMMEDIATE")
@@ -430,7 +430,7 @@ class Journal:
         return self.folder / FILE_NAME
 
     def refuse_another(self, meta: Mapping[str, str]) -> None:
-        """Raise unless schema, survey and instrument of the journal agree.
+        """Raise unless the journal has the same schema, survey and instrument.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The table of recorded quantities of a sample.
+"""Quantities recorded for each sample: the table of their units and ranges.
 
 The columns of the journal, the checks of its rows, the documents of the event model and
 the variables of the cube follow from the annotations of `Record`. A new quantity is one
@@ -22,7 +22,7 @@ class Quantity:
     """Unit, range and cube variable of a recorded quantity."""
 
     text: str
-    """Long name."""
+    """Long name of the quantity."""
     unit: str
     """Unit, 1 without one."""
     within: tuple[float, float]
@@ -31,9 +31,9 @@ class Quantity:
     """Name of its variable in the cube, without `user_`; None without a variable. An
     optional quantity is left out of the cube where no sample has it."""
     per_pixel: bool = False
-    """Whether the cube has its mean over the channels of a pixel."""
+    """Whether the cube stores the mean over the channels of a pixel."""
     kind: type[np.generic] = np.float64
-    """Type in the cube."""
+    """Data type in the cube."""
     absent: float = math.nan
     """Value in the cube where there is no sample."""
 

@@ -37,7 +37,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 def _pattern(
     names: tuple[str, ...], kinds: tuple[type, ...]
 ) -> tuple[int, struct.Struct, list[int], list[int]]:
-    """Return checksum of the names, packing of numbers, places of numbers and texts."""
+    """Return name checksum, number packing, and the indices of numbers and texts."""
     texts = [place for place, kind in enumerate(kinds) if kind is str]
     numbers = [
         place for place, kind in enumerate(kinds) if kind not in (str, type(None))
@@ -47,7 +47,7 @@ def _pattern(
 
 
 def checksum(names: Sequence[str], values: Sequence[Any]) -> int:
-    """Return the CRC-32 of a row."""
+    """Return the CRC-32 of the names and values of a row."""
     kinds = tuple(map(type, values))
     start, packed, numbers, texts = _pattern(tuple(names), kinds)
     floats = [values[place] + 0.0 for place in numbers]
@@ -159,7 +159,7 @@ _RECORD_NAMES = ", ".join(RECORD_FIELDS)
 
 
 def _column(name: str) -> str:
-    """Declare the column of a recorded quantity in SQL."""
+    """Return the SQL declaration of the column of a recorded quantity."""
     kind = "INTEGER" if name in WHOLE else "REAL"
     return f"{name} {kind}" + ("" if name in OPTIONAL else " NOT NULL")
 
@@ -182,7 +182,7 @@ TABLES = (
 
 
 def row_of(key: Key, record: Record) -> tuple[Any, ...]:
-    """Return the values of `INSERT` for a sample."""
+    """Return the values of the SQL `INSERT` of a sample."""
     values = (*key, *_VALUES(record))
     if math.inf in values or -math.inf in values or any(v != v for v in values):
         refuse_impossible(key, record)
@@ -192,7 +192,7 @@ def row_of(key: Key, record: Record) -> tuple[Any, ...]:
 def refuse_another(
     folder: Path, path: Path, result: Mapping[str, str], meta: Mapping[str, str]
 ) -> None:
-    """Raise unless schema, survey and instrument of a journal agree."""
+    """Raise unless the journal has the same schema, survey and instrument."""
     version = result.get("journal_schema")
     if version != SCHEMA_VERSION:
         raise FormatError(
@@ -217,7 +217,7 @@ def refuse_another(
 
 
 def _differences(before: str, now: str) -> str:
-    """List the devices of a scan that have changed."""
+    """List the devices whose identity or settings changed since the scan began."""
     old, new = json.loads(before), json.loads(now)
     changed = [
         f"{name} was {old.get(name, 'not there')}, is {new.get(name, 'not there')}"
@@ -260,7 +260,7 @@ class Rows:
     def sound(
         self, entries: Mapping[str, str], condition: str, value: object
     ) -> Iterator[tuple[int, Key, Record]]:
-        """Yield number, key and record of sound rows."""
+        """Yield number, key and record of the undamaged rows."""
         columns, check = self._row_check(entries)
         places = {name: place for place, name in enumerate(columns)}
         keys = [places[name] for name in Key._fields]
@@ -310,7 +310,7 @@ class Rows:
         *,
         unread: set[int] | None = None,
     ) -> Iterator[tuple[int, list[Any], str | None]]:
-        """Yield number, values and damage of each row, None if sound."""
+        """Yield number, values and damage of each row; the damage is None if sound."""
         names = ", ".join(["number", CHECKSUM, *columns])
         for number, stored, *values in self._read(names, condition, value, unread):
             wrong = check.wrong_with(values, stored)
@@ -321,7 +321,7 @@ class Rows:
     def _read(
         self, names: str, condition: str, value: object, unread: set[int] | None
     ) -> Iterator[Any]:
-        """Yield rows in order; row by row behind an unreadable page."""
+        """Yield rows in order; row by row after an unreadable page of the file."""
         read = f"SELECT {names} FROM samples WHERE ({condition}) AND number"
         last = 0
         try:

@@ -54,7 +54,7 @@ class DeviceLocks:
         self._stack.callback(lock.release)
 
     def release(self) -> None:
-        """Release all of them; it may be called twice."""
+        """Release all locks; it may be called twice."""
         self._stack.close()
 
 
@@ -107,7 +107,7 @@ def lock_folder() -> Path:
 
 
 def device_names(address: str) -> list[str]:
-    """Return the names of a device: two addresses of one device share a name."""
+    """Return the lock names of an address; addresses of one device share a name."""
     address = address.strip()
     if match := _TCP.fullmatch(address) or _VISA_TCP.fullmatch(address):
         parts = match.groupdict()
@@ -136,7 +136,7 @@ def device_names(address: str) -> list[str]:
 
 
 def _hosts(host: str) -> list[str]:
-    """Return the addresses of a host; the text in lower case if none is found."""
+    """Return the IP addresses of a host; its name in lower case if none is found."""
     try:
         entries = socket.getaddrinfo(host, None)
         resolved: Iterable[str] = {str(entry[4][0]) for entry in entries}
@@ -164,7 +164,7 @@ def _is_here(address: str) -> bool:
 
 
 def _serial_port(port: str) -> str:
-    """Return a name of a serial port that all links to its file share."""
+    """Return the name of a serial port, the same for all links to its device file."""
     with contextlib.suppress(OSError):
         status = os.stat(port)
         if status.st_rdev:
@@ -181,7 +181,7 @@ def _number(text: str) -> str:
 
 
 def _without_alias(address: str) -> str:
-    """Return the resource behind an alias of the VISA library, else the text."""
+    """Return the lock name of the resource behind a VISA alias, else the text."""
     if "://" not in address and "{" not in address and "[" not in address:
         with contextlib.suppress(Exception):  # of the library, or none is installed
             visa = importlib.import_module("pyvisa")

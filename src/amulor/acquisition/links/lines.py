@@ -37,7 +37,7 @@ def connected(address: str, timeout: float, *, port: str) -> socket.socket:
 
 
 class DirectLink:
-    """Lines over TCP, each ended by a line feed.
+    """TCP link for lines of text, each ended by a line feed.
 
     A query takes a third of the time through PyVISA-py, and a closed connection is
     detected at once.
@@ -102,7 +102,7 @@ class Conversation(Protocol):
     """Link of a driver that exchanges lines of text."""
 
     address: str
-    """Address in messages."""
+    """Address of the device, for messages."""
 
     def send(self, line: str) -> None:
         """Send a line without an answer."""
@@ -176,7 +176,7 @@ class Link:
 
     @property
     def resource(self) -> Any:
-        """Resource of PyVISA, for devices without lines."""
+        """PyVISA resource, for devices that exchange bytes instead of lines."""
         return self._resource
 
     def send(self, line: str) -> None:
@@ -225,7 +225,7 @@ class Link:
             ) from error
 
     def _take_lock(self) -> None:
-        """Take the lock of the instrument, which ends with the link."""
+        """Lock the instrument for this link; the lock ends with the link."""
         try:
             self._resource.lock_excl(0)
         except Exception as error:  # as above
@@ -310,7 +310,7 @@ class OctetLink:
             return content
 
     def forget(self) -> None:
-        """Discard received bytes."""
+        """Discard bytes that were received but not read."""
         with self._explained():
             if self._socket is None:
                 port = self._port()

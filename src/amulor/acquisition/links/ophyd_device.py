@@ -59,7 +59,7 @@ class AsyncLoop:
 
 
 async def _end_others() -> None:
-    """Cancel all other tasks of this loop."""
+    """Cancel all other tasks of the running event loop."""
     tasks = asyncio.all_tasks() - {asyncio.current_task()}
     for task in tasks:
         task.cancel()
@@ -127,7 +127,7 @@ class OphydDevice:
             ) from error
 
     def identity(self) -> str:
-        """Return class and name of the device, and its model, if a part tells it."""
+        """Return class and name of the device, and its model if it has one."""
         return f"ophyd-async {self._name}{self._model}"
 
     def part(self, path: str) -> Any:
@@ -146,7 +146,7 @@ class OphydDevice:
     def call(
         self, action: str, call: Callable[[], Any], *, timeout: float | None = None
     ) -> Any:
-        """Run an action in the event loop; name it in the error if it fails."""
+        """Run an action in the event loop; its name is in the error if it fails."""
         limit = self._timeout if timeout is None else timeout
         try:
             return self._loop.run(call, timeout=limit)
@@ -161,12 +161,12 @@ class OphydDevice:
             ) from error
 
     def value(self, path: str) -> Any:
-        """Return the value of a part."""
+        """Return the value of a part, given its path."""
         part = self.part(path)
         return self.call(f"tell its {path}", lambda: value_of(part))
 
     def set(self, path: str, value: Any, *, timeout: float | None = None) -> None:
-        """Set a part and wait until it is set."""
+        """Set a part of the device and wait for completion."""
         part = self.part(path)
         self.call(f"set {path} to {value}", lambda: part.set(value), timeout=timeout)
 
@@ -177,7 +177,7 @@ class OphydDevice:
 
 @contextlib.contextmanager
 def closed_if_it_fails(device: OphydDevice) -> Iterator[None]:
-    """Close a device after an exception."""
+    """Close a device if the block raises an exception."""
     try:
         yield
     except BaseException:
@@ -215,7 +215,7 @@ async def _connected(
 
 
 async def done(awaitable: Any) -> Any:
-    """Await a coroutine or a status."""
+    """Await a coroutine or a status until it is done."""
     return await awaitable
 
 

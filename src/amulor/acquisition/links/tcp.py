@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 
 class LinkLostError(Exception):
-    """Broken link of a simulated device."""
+    """Request of a simulated device to break its link."""
 
 
 class Speaker(Protocol):
@@ -66,7 +66,7 @@ class _Server(socketserver.ThreadingTCPServer):
         super().__init__((host, port), _Conversation)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a link in a thread of its own."""
+        """Serve a link in a separate thread."""
         self.links.add(request)
         super().process_request(request, client_address)
 
@@ -77,7 +77,7 @@ class _Server(socketserver.ThreadingTCPServer):
 
 
 class _Conversation(socketserver.StreamRequestHandler):
-    """Conversation over one link."""
+    """Handler of one TCP link to a simulated device."""
 
     # Answers are short; waiting to send them together would cost 40 ms each.
     disable_nagle_algorithm = True
@@ -132,7 +132,7 @@ class DeviceServer:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close it."""
+        """Close the server."""
         self.close()
 
     def close(self) -> None:

@@ -177,7 +177,7 @@ class Procedure(Description):
     """Number of times at which dark readings and open-water shots are acquired, spread
     evenly from before the scan to after it; the repeats are divided among them [1]."""
     dark_readings: Annotated[int, Field(ge=0, le=100_000)] = 5
-    """Samples with the laser off, per channel, at each of these times [1]."""
+    """Samples with the laser off, per channel, at each reference measurement [1]."""
     attempts: Annotated[int, Field(ge=1, le=100)] = 3
     """Number of attempts for a sample after loss of the reference [1]."""
     patience: Annotated[int, Field(ge=1, le=1_000_000)] = 50

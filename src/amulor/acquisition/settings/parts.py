@@ -19,7 +19,7 @@ Options = dict[str, Any] | None
 
 
 def need(condition: bool, setting: str) -> None:
-    """Raise unless the condition for a required setting holds."""
+    """Raise if a setting that the other settings require is missing."""
     if not condition:
         raise ValueError(f"{setting} is needed; state it")
 
@@ -40,7 +40,7 @@ def driver_check(part: str, *builtin: str) -> AfterValidator:
 
 
 class Linked(Description):
-    """Part with an address."""
+    """Base of the parts of the devices file that have an address."""
 
     address: Address | None = None
     """VISA resource name, such as "GPIB0::8::INSTR" or
@@ -178,7 +178,7 @@ class ScpiSourceSettings(Description):
     off: tuple[str, ...] = ("OUTP OFF",)
     """Commands that switch the output off."""
     error: str | None = "SYST:ERR?"
-    """Query of errors after settings; left out without one."""
+    """Query of errors after settings; not sent if left out."""
     no_error: str = "+0"
     """Start of the answer without an error."""
     lock: str | None = None
@@ -232,7 +232,7 @@ class LaserSettings(Linked):
     """Auxiliary input of an SR844 or SR865A that the monitor of the interlock is wired
     to, read in every sample with light; none if left out [1]."""
     interlock_voltage: Annotated[Voltage, Field(gt=0, le=10)] = 2.0
-    """Least voltage there while the interlock is closed [V]."""
+    """Least voltage at that input while the interlock is closed [V]."""
     warm_up: Annotated[Time, Field(ge=0, le=3600)] = 0.0
     """Wait after the laser was switched on [s]."""
 
@@ -277,7 +277,7 @@ class ScpiLockInSettings(Description):
     time_constant: str
     """Command of the time constant, such as "OFLT {code}" or "TC {value:.6g}"."""
     time_constants: tuple[Annotated[Time, Field(gt=0)], ...] = ()
-    """Time constants by their code, if {code} is used [s]."""
+    """Time constants in the order of their codes, if {code} is used [s]."""
     frequency: str = "FREQ {value:.10g}"
     """Command of the modulation frequency, not sent with an external reference [Hz]."""
     frequency_read: str = "FREQ?"
@@ -301,7 +301,7 @@ class ScpiLockInSettings(Description):
     scale: str | None = None
     """Command of the scale, such as "SCAL {code}"; a fixed scale if left out."""
     scales: Annotated[tuple[Annotated[Voltage, Field(gt=0)], ...], Field(min_length=1)]
-    """Full scales by their code, as the instrument counts them [V]."""
+    """Full scales in the order of their codes, rms or peak as set by `counts` [V]."""
     output: str | None = None
     """Command of an auxiliary output, such as "AUXV {code},{value:.3f}"."""
     output_read: str | None = None

@@ -75,7 +75,7 @@ def in_steps(
     settings: SimulationSettings,
     rng: np.random.Generator,
 ) -> list[list[complex]]:
-    """Advance the filters of tones over evenly spaced times; return the outputs [V]."""
+    """Advance output filters of all tones in even time steps; return outputs [V]."""
     from scipy.signal import lfilter
 
     keep = math.exp(-interval / time_constant)
@@ -251,7 +251,7 @@ class Bench:
     # -- outputs -------------------------------------------------------------------
 
     def arrived(self, name: str) -> bool:
-        """Return whether an axis has arrived."""
+        """Return whether an axis has arrived at its goal."""
         with self._lock:
             return self._arrival[name] <= self._arrive()
 
@@ -261,7 +261,7 @@ class Bench:
             return self._arrival[name]
 
     def place(self, name: str) -> float:
-        """Return the present position of an axis, also while it moves."""
+        """Return the present position of an axis, also during a motion."""
         with self._lock:
             return self._position_at(name, self._arrive())
 
@@ -287,7 +287,7 @@ class Bench:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of either output, as a peak amplitude [V]."""
+        """Noise standard deviation per quadrature, as a peak amplitude [V]."""
         return self._spread
 
     def locked(self) -> bool:
@@ -362,7 +362,7 @@ class Bench:
         return begin + part * (self._goal[name] - begin)
 
     def _look_ahead(self, now: float) -> None:
-        """Compute the times at which the moving beam reaches another place."""
+        """Compute when the moving beam enters another place of the scene."""
         self._ahead.clear()
         arrival = max(self._arrival["azimuth"], self._arrival["elevation"])
         start = complex(*(self._position_at(name, now) for name in _BEAM))
@@ -481,7 +481,7 @@ class Bench:
         return self._others[frequency]
 
     def _renew(self) -> None:
-        """Compute the inputs of the filters, the mean output and the noise."""
+        """Compute filter inputs, mean output and noise for the present direction."""
         rate = 0.0
         lit = self.laser_on and not self._blocked
         if lit:
@@ -524,7 +524,7 @@ class Bench:
         self._variance_per_rate = float(light - dark)
 
     def _polarization(self) -> int:
-        """Return the number of the polarization pair nearest to the mounts."""
+        """Return the index of the polarization pair closest to the mount angles."""
         now = complex(self._place["launch"], self._place["analyser"])
         return min(
             range(len(self._pairs)), key=lambda pair: abs(self._pairs[pair] - now)

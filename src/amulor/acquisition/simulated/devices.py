@@ -1,4 +1,4 @@
-"""Simulated devices with the protocols of a scan, on one bench."""
+"""Simulated devices of a scan that share one simulated bench."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class _Simulated:
 
 
 class SimulatedLockIn(_Simulated):
-    """The lock-in amplifier of a bench."""
+    """Simulated lock-in amplifier on a simulated bench."""
 
     _kind = "lock-in"
 
@@ -82,11 +82,11 @@ class SimulatedLockIn(_Simulated):
         return [*frequencies]
 
     def read(self) -> Reading:
-        """Return the present outputs and state."""
+        """Return the present outputs, overload bits and lock state."""
         return self.read_all()[0]
 
     def read_all(self) -> list[Reading]:
-        """Return the present outputs of every frequency and the state."""
+        """Return the outputs of every frequency, overload bits and lock state."""
         signals, mean = self.bench.outputs()
         number = self.bench.readings
         faults = self.bench.faults
@@ -176,7 +176,7 @@ class SimulatedLockIn(_Simulated):
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next finer scale if this peak amplitude [V] fits well."""
+        """Select the next finer scale if the amplitude [V] allows it; else False."""
         finer = max(self._scale - 1, 0)
         if finer == self._scale or amplitude > _FINER_BELOW * self.full_scale():
             return False
@@ -184,12 +184,12 @@ class SimulatedLockIn(_Simulated):
         return True
 
     def full_scale(self) -> float:
-        """Return the largest peak amplitude of the present setting [V]."""
+        """Return the full scale of the present setting, as a peak amplitude [V]."""
         return FULL_SCALES[self._scale]
 
 
 class SimulatedScanner(_Simulated):
-    """The scanner of a bench."""
+    """Simulated scanner on a simulated bench."""
 
     _kind = "scanner"
 
@@ -216,13 +216,13 @@ class SimulatedScanner(_Simulated):
         return self.bench.place("azimuth"), self.bench.place("elevation")
 
     def make_safe(self) -> None:
-        """Stop."""
+        """Stop the scanner."""
         self.bench.stop()
         super().make_safe()
 
 
 class SimulatedMount(_Simulated):
-    """A rotation mount of a bench."""
+    """Simulated rotation mount on a simulated bench."""
 
     _kind = "rotation mount"
 
@@ -238,7 +238,7 @@ class SimulatedMount(_Simulated):
 
 
 class SimulatedLaser(_Simulated):
-    """The laser of a bench."""
+    """Simulated laser on a simulated bench."""
 
     _kind = "laser"
 
@@ -248,7 +248,7 @@ class SimulatedLaser(_Simulated):
         self.bench.set_laser(True)
 
     def check(self) -> None:
-        """Raise if the interlock is open."""
+        """Raise if the laser interlock is open."""
         if not self.bench.interlock_is_closed:
             raise InstrumentError(
                 "the interlock of the simulated laser is open; see who opened it, and "
@@ -266,7 +266,7 @@ class SimulatedLaser(_Simulated):
 
 
 class SimulatedTargetStage(_Simulated):
-    """The target stage of a bench."""
+    """Simulated target stage on a simulated bench."""
 
     _kind = "target stage"
 
@@ -285,7 +285,7 @@ class SimulatedTargetStage(_Simulated):
 
 
 def wait_for(bench: Bench, name: str, *, device: str, timeout: float) -> None:
-    """Wait for the arrival of an axis of a bench."""
+    """Wait until an axis of a bench arrives; raise after the timeout [s]."""
     start = bench.clock.now()
     bench.clock.sleep(min(bench.arrival(name) - start, timeout))
     while not bench.arrived(name):
@@ -302,7 +302,7 @@ _REFERENCE, _REFERENCE_NOISE = 0.1, 1e-4
 
 
 class SimulatedDigitiser:
-    """Digitizer of the photodiode and of the modulation of a bench."""
+    """Simulated digitizer of the photodiode and the modulation of a bench."""
 
     ranges: tuple[float, ...] = (0.01, 0.1, 1.0, 10.0)
     shows_mean = True
@@ -333,7 +333,7 @@ class SimulatedDigitiser:
         self.puts_out = False
 
     def set_range(self, number: int) -> None:
-        """Select a range by its number."""
+        """Select an input range by its index in `ranges`."""
         self._range = number
 
     def set_frequencies(
@@ -345,7 +345,7 @@ class SimulatedDigitiser:
         return [*frequencies]
 
     def acquire(self, duration: float) -> Waveform:
-        """Return a record of a time [s], at most that of the memory."""
+        """Return a record of this duration [s], shorter if the memory is full."""
         faults, number = self.bench.faults, self.bench.readings + 1
         if faults.active("timeout", number) or faults.active("lost-link", number):
             self.bench.readings += 1
@@ -393,7 +393,7 @@ _WARMER, _WARMING = 0.5, 10.0
 
 
 class SimulatedLaserDriver:
-    """Laser diode driver, with temperature control and an interlock."""
+    """Simulated laser diode driver, with temperature control and an interlock."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench

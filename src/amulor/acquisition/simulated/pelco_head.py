@@ -1,4 +1,4 @@
-"""Simulated pan-tilt head by Pelco-D, on a bench."""
+"""Simulated pan-tilt head with the Pelco-D protocol, on a simulated bench."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class _Frames:
 
 
 class SimulatedPelcoHead:
-    """Pan-tilt head that turns azimuth and elevation of a bench.
+    """Simulated Pelco-D pan-tilt head that points the beam of a simulated bench.
 
     As real heads, it ignores frames with another number, a wrong checksum or an unknown
     command, and acknowledges others by four bytes. It stops at its limits. Positions
@@ -50,7 +50,7 @@ class SimulatedPelcoHead:
         self._lock = threading.Lock()
 
     def cutter(self) -> _Frames:
-        """Return the splitter of one link."""
+        """Return a new frame splitter, for one link."""
         return _Frames()
 
     def answer(self, line: bytes) -> list[bytes]:

@@ -37,11 +37,11 @@ class _Axis:
     unit: float
     """SI units per unit of the axis."""
     zero: float
-    """Position of the axis at zero of the bench."""
+    """Axis position at which the bench coordinate is zero, in the unit of the axis."""
     speed: float
     """Speed in SI units [1/s]."""
     limit: float
-    """Largest position either way, in the unit of the axis."""
+    """Largest position in either direction, in the unit of the axis."""
 
 
 class _RefusedError(Exception):
@@ -53,7 +53,7 @@ class _RefusedError(Exception):
 
 
 class SimulatedPiController:
-    """Stage controller of azimuth, elevation, launch, analyser and target."""
+    """Simulated controller of the stages of scanner, polarizers and target."""
 
     def __init__(self, bench: Bench, settings: Settings) -> None:
         self.bench = bench
@@ -177,7 +177,7 @@ class SimulatedPiController:
             raise _RefusedError(_NO_AXIS)
 
     def _pairs(self, words: list[str]) -> dict[str, float]:
-        """Return the number for each axis of a command."""
+        """Parse a command into a number for each axis."""
         axes = words[::2]
         try:
             values = [float(word.replace("_", "?")) for word in words[1::2]]

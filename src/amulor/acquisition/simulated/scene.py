@@ -1,4 +1,4 @@
-"""Light in front of a simulated instrument, by direction."""
+"""Signals of the scene in front of a simulated instrument, by direction."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from amulor.survey import Survey
 
 
 class LightByDirection(Protocol):
-    """Noiseless light by direction, without dark counts of the detector."""
+    """Noiseless detector signals by beam direction, without dark counts."""
 
     @property
     def azimuth(self) -> NDArray[np.float64]:
@@ -64,7 +64,7 @@ _SAME = 1e-5
 
 @dataclass
 class Tone:
-    """Light and filter state of one modulation frequency."""
+    """Signal and filter state of one modulation frequency."""
 
     frequency: float
     scan: Places
@@ -77,7 +77,7 @@ class Tone:
 
 
 class Places:
-    """Light with or without the target, with a search of the nearest place."""
+    """Signals at all places of a scene, with a search for the nearest place."""
 
     def __init__(self, light: LightByDirection) -> None:
         self.light = light
@@ -95,7 +95,7 @@ class Places:
         return number
 
     def passed(self, start: complex, end: complex) -> list[tuple[float, int]]:
-        """Return the places along a straight path, and the fraction of it at each."""
+        """Return path fraction and number of each place that a straight path enters."""
         towards, path = self._direction - start, end - start
         level = np.abs(towards) ** 2
         slope = -2 * (towards.real * path.real + towards.imag * path.imag)
@@ -120,7 +120,7 @@ class Places:
 def mount_angles(
     survey: Survey, launch: Mapping[str, float], analyser: Mapping[str, float]
 ) -> list[complex]:
-    """Return launch + 1j * analyser angle of each pair, far off if not set [rad]."""
+    """Return launch + 1j * analyser angle of each pair; 1000 rad if not set [rad]."""
     pairs = []
     for pair in survey.instrument.polarizations:
         launched, analysed = stokes.pair_states(pair)

@@ -198,7 +198,7 @@ _DATA = 4
 
 
 class SimulatedSr865a(SimulatedStanford):
-    """SR865A: its numeric outputs have no limit at the scale, its input range has."""
+    """Simulated SR865A: the input range can overload, the numeric outputs cannot."""
 
     model = "SR865A"
     unlocked_bit = _UNLOCKED
@@ -351,7 +351,7 @@ class SimulatedSr865a(SimulatedStanford):
         return _BANDWIDTHS[self._set["OFSL"]] / _TIME_CONSTANTS[self._set["OFLT"]]
 
     def _overloads_now(self) -> int:
-        """Return the present overloads; latched bits stay."""
+        """Return the present overload bits; latched bits are unchanged."""
         latched = self._bits["LIAS"]
         self._bits["LIAS"] = 0
         self._measured()

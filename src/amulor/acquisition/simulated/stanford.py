@@ -39,7 +39,7 @@ class Setting(NamedTuple):
     last: int = 0
     """Highest code of a choice."""
     words: tuple[str, ...] = ()
-    """Name of each code, capitals required, such as "DIFference"."""
+    """Name of each code; required letters in capitals, such as "DIFference"."""
     first: int = 0
     """Lowest code, which *RST sets."""
 
@@ -55,7 +55,7 @@ class Number(NamedTuple):
 
 
 class SimulatedStanford:
-    """Common commands of both models: settings by code, latching status, laser gate."""
+    """Simulated commands of both models: coded settings, latched status, laser gate."""
 
     model = ""
     unlocked_bit = 0
@@ -253,7 +253,7 @@ class SimulatedStanford:
         return [f"{self._outputs[int(argument)]:.3f}"]
 
     def _monitor(self) -> float:
-        """Return the voltage of the interlock monitor [V]."""
+        """Return the simulated voltage of the interlock monitor [V]."""
         return INTERLOCK * self.bench.interlock_is_closed
 
     def _measured(self) -> tuple[float, float, float]:
@@ -306,7 +306,7 @@ def _register_text(register: int, bit: str, *, count: int = 8) -> str:
 
 
 def index_of(text: str, count: int, *, first: int = 0) -> int:
-    """Return the place of a number among `count` ones from `first` on."""
+    """Return the index of a code in text, from 0 up to `count`; raise if beyond."""
     place = _whole(text) - first
     if not 0 <= place < count:
         raise ValueError(text)
@@ -314,7 +314,7 @@ def index_of(text: str, count: int, *, first: int = 0) -> int:
 
 
 def _whole(text: str) -> int:
-    """Return a whole number, which may be written as 5, 5.0 or 0.5E1."""
+    """Parse a whole number, which may be written as 5, 5.0 or 0.5E1."""
     number = float(text)
     if not number.is_integer():
         raise ValueError(text)
@@ -341,7 +341,7 @@ _CHANGE = 0.01
 
 
 class SimulatedSr844(SimulatedStanford):
-    """SR844: its oscillator has three digits, its outputs end at the full scale."""
+    """Simulated SR844: frequencies with three digits, outputs clipped at full scale."""
 
     model = "SR844"
     unlocked_bit = _UNLOCKED

@@ -69,7 +69,7 @@ class SimulatedNode:
 
 
 class _Polled(Mapping[Any, dict[str, Any]]):
-    """Data of a poll, by path or by node."""
+    """Result of a poll: streamed data, by path or by node."""
 
     def __init__(self, content: dict[str, dict[str, Any]]) -> None:
         self._content = content
@@ -85,7 +85,7 @@ class _Polled(Mapping[Any, dict[str, Any]]):
 
 
 class SimulatedUhfli:
-    """UHFLI on a bench; its first auxiliary output is the gate of the laser.
+    """Simulated UHFLI on a bench; its first auxiliary output gates the laser.
 
     An unknown node raises, as in the data server. Each enabled oscillator of the first
     output modulates the laser with the depth of the survey, at any amplitude; input 1
@@ -234,7 +234,7 @@ class SimulatedUhfli:
         }
 
     def _reached(self) -> float:
-        """Return the largest recent input relative to the range [1]."""
+        """Return the largest recent input signal relative to the input range [1]."""
         if self.bench.faults.active("overload", self.bench.readings):
             return 1.0
         return float(sum(map(abs, self._row)) / self._get("sigins/0/range"))
