@@ -85,7 +85,7 @@ COMMANDS = {
     ),
     "view": (
         "view:view",
-        "Show a file or scan in the browser: maps, 3D, measurements with errors.",
+        "Show a file or scan in a browser: maps, 3D, measurements with uncertainties.",
     ),
     "watch": (
         "watch:watch",
@@ -258,7 +258,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _with_negative(words: Sequence[str]) -> list[str]:
-    """Join negative numbers to their options: "--frequency -5MHz" is no option -5."""
+    """Join negative numbers to their option, so that -5 is not read as an option."""
     tied: list[str] = []
     for word in words:
         below = word[:1] == "-" and word[1:].lstrip(".")[:1].isdigit()
@@ -299,7 +299,7 @@ def _help() -> str:
 
 
 def _help_of(name: str) -> str:
-    """Summary of a command, an example, and the usual next command."""
+    """Return the help of a command: summary, example, and the usual next command."""
     example, following = EXAMPLES[name]
     lines = [COMMANDS[name][1], f"Example: {example}"]
     return "\n\n".join([*lines, f"Next: {following}"] if following else lines)
@@ -368,7 +368,7 @@ def _run(words: list[str]) -> int:
 
 
 class _Ended(KeyboardInterrupt):
-    """Request by a signal to end the program."""
+    """Request by an operating-system signal to end the program."""
 
     def __init__(self, number: int) -> None:
         self.signal = signal.Signals(number)

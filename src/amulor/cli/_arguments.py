@@ -1,4 +1,4 @@
-"""Options shared by several commands, and errors of their use."""
+"""Options shared by several commands, and errors of their usage."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ CUBE_ENDINGS = (".nc", ".nc4")
 
 
 def check_cube_output(path: Path, *, overwrite: bool, inputs: Sequence[Path]) -> None:
-    """Raise if an output file cannot be a cube, before the work.
+    """Check that an output file can be written as a cube, before a long computation.
 
     Parameters
     ----------
@@ -184,13 +184,13 @@ def check_cube_output(path: Path, *, overwrite: bool, inputs: Sequence[Path]) ->
 
 
 def check_tile_rows(rows: int | None) -> None:
-    """Raise for a number of rows below 1."""
+    """Raise if the number of rows of a tile is below 1."""
     if rows is not None and rows < 1:
         raise UsageError(f"--tile-rows must be 1 or more, got {rows}")
 
 
 def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
-    """Raise if the ending of a file name is none of these formats.
+    """Raise if a file name does not end in a supported format.
 
     Parameters
     ----------
@@ -214,5 +214,5 @@ def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
 
 
 def channel_of(text: str | None) -> str | None:
-    """Channel in capitals, as cubes have it; "none" is the unpolarized channel."""
+    """Return a channel name in capitals, as in cubes; "none" (unpolarized) stays."""
     return text.upper() if text and text != "none" else text

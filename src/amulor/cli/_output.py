@@ -106,7 +106,7 @@ def print_flags(counts: Mapping[str, int], total: int) -> None:
 
 
 def announcing(name: str = "", *, browser: bool) -> Callable[[str], None]:
-    """Return a function that prints the address of a page, and opens it on request."""
+    """Return a function that prints the address of a page, and can open a browser."""
 
     def announce(address: str) -> None:
         print(f"{name}{address}\nCtrl-C stops it.", flush=True)
@@ -148,7 +148,7 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None
 
 @contextmanager
 def _lines() -> Iterator[_progress.Listener]:
-    """Print progress as lines, and none for short work."""
+    """Print progress as lines; short work prints none."""
     log = _Log(time.monotonic)
     ended = threading.Event()
 
@@ -168,7 +168,7 @@ def _lines() -> Iterator[_progress.Listener]:
 
 
 class _Log:
-    """Selection of the lines of a log."""
+    """Progress log that writes fewer lines the longer the work takes."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -178,7 +178,7 @@ class _Log:
         self._compiling_written = False
 
     def advance(self, step: str, share: float) -> None:
-        """Receive progress."""
+        """Record the present step and the completed share of the work."""
         self._now = (step, share)
 
     def line(self) -> str:

@@ -280,7 +280,7 @@ class _Interrupts:
 
 
 class _Screen:
-    """Display of a scan without a terminal: nothing."""
+    """Display of a running scan; without a terminal it shows nothing."""
 
     def __init__(self, bar: Any = None) -> None:
         self._bar = bar
@@ -289,7 +289,7 @@ class _Screen:
         self.asking = False
 
     def show(self, now: Progress) -> None:
-        """Show done, rate, time left and flagged, ten times a second."""
+        """Show counts, rate, remaining time and flags, at most ten times a second."""
         moment = time.monotonic()
         if self._bar is None or (moment - self._shown < 0.1 and now.done < now.total):
             return

@@ -180,7 +180,7 @@ def _formula(survey: Survey, frequencies: Any, *, model: str) -> dict[str, Any]:
 def _spread(
     scheduler: str | None, batches: Path | None
 ) -> AbstractContextManager[Spread | None]:
-    """Return the function that spreads photons over a cluster; None without one."""
+    """Connect photon transport to a cluster; yield None without a scheduler."""
     if scheduler is None or batches is None:
         return nullcontext()
     from amulor.scale.batches import spread_batches
@@ -197,7 +197,7 @@ def _followed(
     quiet: bool,
     spread: Spread | None,
 ) -> dict[str, Any]:
-    """Compute the water signal by photon transport, with errors."""
+    """Compute the water signal by photon transport, with standard errors."""
     import numpy as np
 
     from amulor.optics import low_pass
@@ -252,7 +252,7 @@ def _followed(
 
 
 def _time_left(state: Any, error: float) -> str:
-    """Return the remaining time to reach an error, as text."""
+    """Return the time until the relative error is as small as requested, as text."""
     if math.isinf(state.relative_error):
         return ""
     remaining = state.seconds * max((state.relative_error / error) ** 2 - 1, 0.0)
@@ -260,7 +260,7 @@ def _time_left(state: Any, error: float) -> str:
 
 
 def _print(name: str, response: dict[str, Any]) -> None:
-    """Print a dozen of the frequencies and the summary."""
+    """Print the response at about a dozen frequencies, and its summary."""
     import numpy as np
 
     frequencies, amplitude = (

@@ -139,7 +139,7 @@ def _print(recommendation: Recommendation, files: list[Path]) -> None:
 
 
 def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
-    """Print an instrument, its requirements and what binds."""
+    """Print an instrument, its requirements and its largest error terms."""
     from amulor.design.requirements import parameters_text, quantity_text
 
     print(f"  {word}: {parameters_text(choice.parameters)}")
@@ -171,7 +171,7 @@ def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
 
 
 def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]]:
-    """Return missed requirements, and the tightest one of each kind that is met."""
+    """Return all missed requirements, and the tightest of each kind that is met."""
     kinds: dict[str, list[Requirement]] = {}
     for requirement in requirements:
         kinds.setdefault(requirement.name.partition(" at ")[0], []).append(requirement)
@@ -187,7 +187,7 @@ def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]
 
 
 def reasons_of(recommendation: Recommendation, *, confirm: bool) -> Reasons:
-    """Compute the reasons for a recommendation: trade, sensitivity, what-if."""
+    """Compute the reasons for a recommendation: trade-offs, sensitivity, what-if."""
     from amulor import _progress
     from amulor.design.confirm import confirm as confirmed
     from amulor.design.sensitivity import sensitivity, uncertain
@@ -223,7 +223,7 @@ def reasons_of(recommendation: Recommendation, *, confirm: bool) -> Reasons:
 
 
 def as_json(recommendation: Recommendation, reasons: Reasons) -> dict[str, Any]:
-    """Return recommendation and reasons as numbers, texts and lists."""
+    """Return recommendation and reasons as a dictionary for JSON."""
     from amulor.design.recommend import finite
 
     return {
@@ -263,7 +263,7 @@ def print_reasons(
     report: Path | None,
     figures: Path | None,
 ) -> None:
-    """Print the reasons in a few lines, and the files."""
+    """Print the reasons in a few lines, and the paths of written files."""
     if reasons is None:
         return
     if reasons.sensitivity is not None:
@@ -323,7 +323,7 @@ def write_figures(
 
 
 def explorer_of(goal: Goal, recommendation: Recommendation) -> Explorer:
-    """Return the page with sliders, at the recommended instrument."""
+    """Return the model of the design page, starting from the recommended instrument."""
     from amulor.survey import Survey
     from amulor.view.design.explorer import Asked, Explorer
     from amulor.view.design.report import waters_of

@@ -1,4 +1,4 @@
-"""`amulor export`: products of a range image."""
+"""`amulor export`: clouds, meshes, drawings and comparisons of a range image."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ def _by_rows(
 
 
 def scale_of(option: str, text: str) -> float:
-    """Parse the option with the scale of a drawing.
+    """Parse the scale of a drawing from its option.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def scale_of(option: str, text: str) -> float:
 
 
 def _endings(product: str | None) -> list[str]:
-    """Return the possible endings of the output, before the input is read."""
+    """Return the file endings of a product, before the input is read."""
     from amulor.handover import ENDINGS
 
     products = [name for name in ENDINGS if product in (None, name)]
@@ -245,7 +245,7 @@ def _order(
     line: str | None,
     options: dict[str, object],
 ) -> Order:
-    """Return the order of the options, with lengths in meters."""
+    """Return the product order of the command's options, with lengths in meters."""
     from amulor.handover import Order
 
     parsed = {}

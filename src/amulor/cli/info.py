@@ -59,7 +59,7 @@ def info(
 
 
 def _print(cube: Any, content: dict[str, Any]) -> None:
-    """Print the content of a file, the most important first."""
+    """Print the content of a file, with the most important items first."""
     from amulor.view.explanations import explanations, hint
 
     title = f' "{content["title"]}"' if content["title"] else ""
@@ -94,7 +94,7 @@ def _print(cube: Any, content: dict[str, Any]) -> None:
 
 
 def _counted(sizes: dict[str, int]) -> list[tuple[str, int]]:
-    """Return the dimensions with a separate line."""
+    """Return the dimensions that are printed on a separate line, with sizes."""
     listed = ("modulation_frequency", "polarization")
     words = {"shot": "open-water shot"}
     return [
@@ -105,7 +105,7 @@ def _counted(sizes: dict[str, int]) -> list[tuple[str, int]]:
 
 
 def _print_ranges(values: Any) -> None:
-    """Print the span of the ranges, and the number of pixels with a range."""
+    """Print median and 1 to 99 % span of the slant ranges, and their number."""
     finite = values[np.isfinite(values)]
     share = f"{finite.size} of {values.size} hold a range"
     if not finite.size:
@@ -119,7 +119,7 @@ def _print_ranges(values: Any) -> None:
 
 
 def _uncertainty(image: Any) -> dict[str, Any]:
-    """Return the error budget of a range image for other programs [m]."""
+    """Return the error budget of a range image as a dictionary for JSON [m]."""
     from amulor.imaging.budget import COVERAGE_FACTOR, error_budget
 
     budget = error_budget(image)

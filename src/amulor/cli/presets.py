@@ -106,7 +106,7 @@ def _print_reach(accuracy: float, reflectance: float | None, *, json: bool) -> N
 
 
 def _span(reach: Reach) -> list[str]:
-    """Return the distances of a row of the table, and their limits."""
+    """Return the nearest and farthest distance of a table row, and their limit."""
     if reach.nearest is None or reach.farthest is None:
         return ["", "none", reach.binding]
     far = "> 60" if math.isinf(reach.farthest) else f"{reach.farthest:.3g}"

@@ -1,4 +1,4 @@
-"""`amulor import recordings`: import of recordings of other software."""
+"""`amulor import recordings`: import of recordings from other software."""
 
 from __future__ import annotations
 

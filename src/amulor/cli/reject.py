@@ -172,7 +172,7 @@ def _as_options(names: Iterable[str]) -> str:
 
 
 def _stated(texts: list[str]) -> dict[str, Any]:
-    """Parse options "name=value", with numbers as numbers."""
+    """Parse options "name=value"; values that are numbers become numbers."""
     from amulor.cli._arguments import UsageError
 
     values: dict[str, Any] = {}
@@ -188,7 +188,7 @@ def _stated(texts: list[str]) -> dict[str, Any]:
 
 
 def _print_choice(target: xr.Dataset) -> None:
-    """Print the chosen frequency, and the reason."""
+    """Print the chosen modulation frequency, the reason, and warnings."""
     if "frequency_choice" in target.attrs:
         print(target.attrs["frequency_choice"])
         for warning in filter(None, target.attrs["frequency_warnings"].split("; ")):
@@ -198,7 +198,7 @@ def _print_choice(target: xr.Dataset) -> None:
 def _figures(
     output: Path, method: str, target: xr.Dataset, comparison: Comparison | None
 ) -> dict[str, Any]:
-    """Return the results that do not depend on samples, for JSON."""
+    """Return the method, channels and reasons of a rejection, for JSON."""
     from dataclasses import asdict
 
     figures: dict[str, Any] = {

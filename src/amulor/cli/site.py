@@ -142,7 +142,7 @@ def register(
 
 
 def _not_good(result: Registration) -> str:
-    """Return a line for each contradiction of a registration."""
+    """Return an error text with a line for each contradiction of a registration."""
     lines = [entry.sentence for entry in result.contradictions]
     return "the poses are not good\n" + "\n".join(lines)
 
@@ -352,7 +352,7 @@ def compare(
 
 
 def _first_of(number: int, motions: dict[int, Motion]) -> int:
-    """Return the number of the first region of the body of a region."""
+    """Return the number of the first region that moves as one body with a region."""
     return next(k for k in sorted(motions) if motions[k] is motions[number])
 
 
@@ -406,7 +406,7 @@ def _sentence(number: int, region: Region, motions: dict[int, Motion]) -> str:
 
 
 def _motion_in_words(motion: Motion) -> str:
-    """Describe shift and turn of a body, with errors and their reference point."""
+    """Describe translation and rotation of a body, with uncertainties."""
     import numpy as np
 
     shift = ", ".join(f"{value * 1e3:+.2f}" for value in motion.shift)
@@ -552,7 +552,7 @@ def epochs_of(site: Site, first: str | None, second: str | None) -> tuple[str, s
 def changes_between(
     merged: Opened, epochs: tuple[str, str]
 ) -> tuple[Change, tuple[Region, ...], dict[int, Motion]]:
-    """Compute the change between two visits, its regions, and rigid motions in them."""
+    """Compute the change between two visits, its regions, and their rigid motions."""
     import numpy as np
 
     from amulor import _progress

@@ -109,7 +109,7 @@ def check(
 
 
 def _open_meshes(survey: Survey) -> None:
-    """Read the mesh files of a survey, where possible."""
+    """Read the mesh files of a survey, to report unreadable ones."""
     from amulor.errors import MissingExtraError
     from amulor.simulation import scene
     from amulor.survey import Mesh
@@ -179,7 +179,7 @@ def _print_expected(
 
 
 def _whereabouts(survey: Survey, position: tuple[float, float, float]) -> str:
-    """Describe the position of a target that no beam meets."""
+    """Describe the position of a target that is outside of all beams."""
     right, down, forward = (
         value - origin
         for value, origin in zip(

@@ -27,7 +27,7 @@ def view(
     browser: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Show a file or scan in the browser: maps, 3D, measurements with errors.
+    """Show a file or scan in a browser: maps, 3D, measurements with uncertainties.
 
     Parameters
     ----------

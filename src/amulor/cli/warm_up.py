@@ -36,7 +36,7 @@ def warm_up() -> None:
 
 
 def _work() -> dict[str, Callable[[], object]]:
-    """Return small jobs that need all compiled loops, by name."""
+    """Return small jobs that together compile all loops, by name."""
     from amulor.studies import ladder
     from amulor.survey import Survey
 
@@ -62,7 +62,7 @@ def _work() -> dict[str, Callable[[], object]]:
 
 
 def _scans(moments: Survey, tabulated: Survey) -> list[xr.Dataset]:
-    """Simulate scans of water by its moments and by a phase function."""
+    """Simulate a scan of water described by moments, and one by a phase function."""
     from amulor import simulation
 
     for model in (simulation.ClosureModel(), simulation.DiffusionModel()):
@@ -74,7 +74,7 @@ def _scans(moments: Survey, tabulated: Survey) -> list[xr.Dataset]:
 
 
 def _images(cubes: list[xr.Dataset]) -> None:
-    """Reject water, jointly and by open water, and compute a surface."""
+    """Run joint and open-water rejection; compute image, surface and deviation."""
     from amulor import imaging, pipeline
 
     for cube in cubes:
@@ -88,7 +88,7 @@ def _images(cubes: list[xr.Dataset]) -> None:
 
 
 def _sweep(moments: Survey, tabulated: Survey) -> None:
-    """Compute the water signal, of receivers with sharp edges as well."""
+    """Compute the water signal against frequency, with sharp-edged receivers too."""
     from amulor.simulation import backscatter
 
     sharp = tabulated.with_({"instrument.receiver.edge": "sharp"})

@@ -84,7 +84,7 @@ def _ended(live: Live) -> bool:
 
 
 def _on_screen(live: Live, channel: str, show: str, *, once: bool) -> None:
-    """Draw until the scan is finished or somebody presses Ctrl-C."""
+    """Draw the scan until it is finished or somebody presses Ctrl-C."""
     from rich.console import Console
     from rich.live import Live as Screen
 
@@ -114,7 +114,7 @@ def _on_screen(live: Live, channel: str, show: str, *, once: bool) -> None:
 
 
 def _in_lines(live: Live, channel: str, pause: float, *, once: bool) -> None:
-    """Print a line at intervals, and new advice."""
+    """Print a status line at intervals, and new advice when it appears."""
     from amulor.view import terminal
 
     printed: list[str] = []
@@ -137,6 +137,6 @@ def _in_lines(live: Live, channel: str, pause: float, *, once: bool) -> None:
 
 
 def _advice(live: Live) -> list[str]:
-    """Return advice, and errors of reading."""
+    """Return the advice on a scan, and the message of a failed read, as lines."""
     lines = [str(line) for line in live.status.get("advice", [])]
     return [*lines, str(live.status["error"])] if "error" in live.status else lines
