@@ -53,5 +53,5 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """List the public names only."""
+    """Return the public names of the package only."""
     return sorted(__all__)

@@ -54,7 +54,7 @@ def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
 
 
 def without_groups(cube: xr.Dataset, *groups: str) -> xr.Dataset:
-    """Return a cube without its open-water shots and without truth.
+    """Return a cube without its open-water shots and its true values.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ class CubeAccessor:
 
     @property
     def restored(self) -> xr.Dataset:
-        """The cube with dimensions that a selection of single values removed."""
+        """Cube with the dimensions that a selection of single values removed."""
         return restore_dimensions(self._cube)
 
     @property
@@ -216,7 +216,7 @@ class CubeAccessor:
 
     @property
     def covariance(self) -> xr.DataArray:
-        """Covariance of the two lock-in outputs, zero where none is stated [V2]."""
+        """Covariance of the two lock-in outputs, zero where the cube has none [V2]."""
         if "in_phase_quadrature_covariance" in self._cube:
             return self._cube["in_phase_quadrature_covariance"]
         return xr.zeros_like(self._cube["in_phase"]).assign_attrs(units="V2")
@@ -233,18 +233,18 @@ class CubeAccessor:
 
     @property
     def survey(self) -> Survey | None:
-        """The survey, parsed once for each text; None without one."""
+        """Survey of the cube, parsed once for each text; None without a survey."""
         text = str(self._cube.attrs.get("survey") or "")
         return _survey_of(text) if text else None
 
     @property
     def geometry(self) -> dict[str, Any]:
-        """Positions and refractive indices for the conversion of a phase to a point."""
+        """Positions and refractive indices that convert a phase to a point."""
         return dict(self._cube["geometry"].attrs)
 
 
 class _Accessor:
-    """Descriptor of `cube.amulor`, made anew at each use.
+    """Descriptor that creates a `CubeAccessor` at each access of `cube.amulor`.
 
     As xarray registers accessors, it keeps one with each cube, and the two refer to
     each other: cubes then stay in memory until the garbage collector comes by, which

@@ -21,7 +21,9 @@ _FREE_PREFIX = "user_"
 def checked(
     cube: xr.Dataset, level: str | None = None, *, name: str = "the cube"
 ) -> xr.Dataset:
-    """Return a cube that keeps the schema of its level, or raise; steps start with it.
+    """Return a cube that conforms to the schema of its level, or raise.
+
+    Every processing step begins with it.
 
     Parameters
     ----------
@@ -58,7 +60,7 @@ def checked(
 def check(
     cube: xr.Dataset, level: str | None = None, *, name: str = "the cube"
 ) -> None:
-    """Raise unless a dataset keeps the schema of its level.
+    """Raise unless a dataset conforms to the schema of its level.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Flags of pixels from flags of samples, and ranges without a known error."""
+"""Pixel flags from sample flags, and the treatment of ranges of unknown error."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _COMBINED = (
 
 
 def without_unknown_errors(cube: xr.Dataset) -> xr.Dataset:
-    """Return a cube without combined uncertainties where the error is not known.
+    """Return a cube with combined uncertainties set to NaN where the error is unknown.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def without_unknown_errors(cube: xr.Dataset) -> xr.Dataset:
 
 
 def error_unknown(cube: xr.Dataset) -> str:
-    """Return the reason why ranges of an image or a cloud have no known error.
+    """Return the reason why the ranges of an image or a cloud have an unknown error.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def error_unknown(cube: xr.Dataset) -> str:
 
 
 def _words(cube: xr.Dataset) -> str:
-    """Return the reason for an unknown error, from flags and attribute."""
+    """Return the reason for an unknown error, from flags and attributes of a cube."""
     flag = cube["quality_flag"].values if "quality_flag" in cube else np.zeros(1, int)
     attribute = str(cube.attrs.get(_WORDS, ""))
     reasons = {

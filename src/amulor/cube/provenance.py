@@ -1,4 +1,4 @@
-"""Construction of cubes from arrays, with their units, names and attributes."""
+"""Construction of cubes from arrays, with units, names and global attributes."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def software_versions() -> dict[str, str]:
 
 
 def digest(content: bytes | str | Path) -> str:
-    """Return the SHA-256 of a text, of bytes, or of the content of a file.
+    """Return the SHA-256 digest of a text, of bytes, or of the content of a file.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The terms of the error budget of a slant range: names, meaning, type."""
+"""Error-budget terms, quality flags, and variables of the levels of a cube."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class Term:
     name: str
     """Name in variables and reports."""
     meaning: str
-    """What it is, in a few words."""
+    """Meaning of the term, in a few words."""
     kind: Literal["A", "B", "A, B"]
-    """How its standard uncertainty is found: A from the scatter of measurements, B
+    """Evaluation of its standard uncertainty: A from the scatter of measurements, B
     from other knowledge."""
 
 
@@ -107,7 +107,9 @@ CONVENTIONS = "CF-1.11"
 
 
 class QualityFlag(enum.IntFlag):
-    """Why a pixel is not used, or is used with care; bits that add up.
+    """Quality flags of a pixel: reasons to exclude it or to use it with care.
+
+    The bits add up.
 
     Examples
     --------
@@ -122,13 +124,13 @@ class QualityFlag(enum.IntFlag):
     MISSING = 1
     """The pixel was not measured."""
     SATURATED = 2
-    """The detector left its linear range."""
+    """The detector signal left its linear range."""
     NO_TARGET = 4
     """Signal not significant above noise and residual water."""
     AMBIGUOUS = 8
-    """The distance is not settled among the ambiguity intervals."""
+    """The ambiguity interval of the distance is uncertain."""
     WATER_RESIDUAL = 16
-    """What is left of the water signal moves the range by more than its uncertainty."""
+    """Residual water signal moves the range by more than its uncertainty."""
     NO_OPEN_WATER = 32
     """The water signal was not removed: the range has an unknown error."""
     MIXED = 64
@@ -136,7 +138,7 @@ class QualityFlag(enum.IntFlag):
     OUTLIER = 128
     """A sample disagrees with the rest of its pixel or of the scan."""
     RELATIVE = 256
-    """The range may be off by whole intervals after which the phases repeat."""
+    """The range may be off by whole intervals of the phase."""
 
 
 class WaterResidualCause(enum.IntFlag):
@@ -152,22 +154,22 @@ class WaterResidualCause(enum.IntFlag):
     PHASE_SHIFT = 1
     """Residual water turns the phase by more than its standard uncertainty."""
     STRONG_COLUMN = 2
-    """One frequency alone: the water behind the target is too strong to be told."""
+    """At a single frequency, the water behind the target is too strong to separate."""
     WATER_SHAPE = 4
-    """The target signal has the shape of the water signal over all samples."""
+    """The target signal has the same shape as the water signal over all samples."""
     MODEL_MISFIT = 8
-    """Joint estimation: the samples contradict the model."""
+    """Joint estimation: the samples contradict the model of target and water."""
     MODEL_DEPARTURE = 16
-    """Joint estimation: departures from the model decide the range."""
+    """Joint estimation: departures from the model move the range considerably."""
     WATER_CHANGED = 32
-    """The water of the scan is another one than that of the open-water shots."""
+    """The water of the scan differs from that of the open-water shots."""
     INSTRUMENT = 64
-    """No water explains shots and scan together: the instrument has an error."""
+    """No water explains both shots and scan: the instrument has an error."""
 
 
 @functools.cache
 def flag_words() -> dict[str, dict[str, dict[str, str]]]:
-    """Return the words of flags.toml by kind, name and purpose."""
+    """Return the texts of flags.toml by kind, flag name and purpose."""
     import tomllib
     from importlib import resources
 
@@ -229,7 +231,7 @@ def _bits_explained(
 
 @dataclass(frozen=True, kw_only=True)
 class Variable:
-    """One variable of a level: over which dimensions, in which unit, what it is."""
+    """Schema of one variable of a level: dimensions, unit, meaning."""
 
     dimensions: tuple[str, ...]
     units: str
@@ -251,7 +253,7 @@ def _optional(dimensions: tuple[str, ...], units: str, long_name: str) -> Variab
 
 @dataclass(frozen=True)
 class Level:
-    """One stage of processing: its variables and the coordinates they need."""
+    """Schema of one processing level: its variables and their coordinates."""
 
     name: str
     variables: dict[str, Variable]

@@ -61,7 +61,7 @@ class Source(Protocol):
 
     @property
     def head(self) -> xr.Dataset:
-        """Everything without the dimension row: shots, frequencies, attributes."""
+        """All variables and attributes without the dimension row, such as shots."""
         ...
 
     @property
@@ -92,7 +92,7 @@ class InMemory:
 
     @property
     def head(self) -> xr.Dataset:
-        """Everything without the dimension row."""
+        """Variables, coordinates and attributes without the dimension row."""
         names = [name for name, v in self.cube.variables.items() if "row" in v.dims]
         return self.cube.drop_vars(names)
 
@@ -107,13 +107,13 @@ class InMemory:
         return int(self.cube.sizes["column"])
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows; for all of them the cube itself."""
+        """Return the rows of a tile; the cube itself if the tile has all rows."""
         if begin == 0 and end >= self.rows:
             return self.cube
         return self.cube.isel(row=slice(begin, end))
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of some rows."""
+        """Return azimuth and elevation of the rows of a tile."""
         return directions_of(self.cube.isel(row=slice(begin, end)))
 
 
@@ -132,7 +132,7 @@ class Derived:
 
     @property
     def head(self) -> xr.Dataset:
-        """Everything without the dimension row."""
+        """Variables, coordinates and attributes without the dimension row."""
         if self._head is None:
             self._head = InMemory(self.tile(0, 1)).head
         return self._head
@@ -148,16 +148,16 @@ class Derived:
         return self._source.columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Compute some rows from those of the source."""
+        """Compute the rows of a tile from those of the source."""
         raise NotImplementedError
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of some rows, the same as in the source."""
+        """Return azimuth and elevation of the rows of a tile, as in the source."""
         return self._source.directions(begin, end)
 
 
 class Changed(Derived):
-    """Source of rows with the same change to each.
+    """Source of rows that applies a function to each tile of another source.
 
     Parameters
     ----------
@@ -174,12 +174,12 @@ class Changed(Derived):
         self._change = change
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows, changed."""
+        """Return the rows of a tile, changed by the function."""
         return self._change(self._source.tile(begin, end))
 
 
 def directions_of(cube: xr.Dataset) -> xr.Dataset:
-    """Return azimuth and elevation of the rows of a cube.
+    """Return azimuth and elevation of a cube, without its other variables.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def directions_of(cube: xr.Dataset) -> xr.Dataset:
 
 
 def bands(source: Source, rows: int | None = None) -> Iterator[tuple[int, int]]:
-    """Return the first row and the end of each tile.
+    """Yield the first row and the end of each tile of a source.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ class Whole:
             array[place] = variable.values
 
     def made(self) -> xr.Dataset:
-        """Return the assembled cube, with the attributes of the first tile."""
+        """Return the assembled cube, with the attributes of its first tile."""
         assert self._first is not None
         first = self._first
 
@@ -332,7 +332,7 @@ def sample_of(source: Source) -> xr.Dataset:
 def _spread_bands(
     size: int, count: int
 ) -> tuple[Indices, list[tuple[int, int]], Indices]:
-    """Return indices of bands with gaps between them, the bands, and the gaps."""
+    """Return row or column indices of spread bands, the bands, and the gaps."""
     if count >= size:
         return np.arange(size), [(0, size)], np.zeros(0, dtype=int)
     number = max(count // _BAND, 1)
@@ -385,12 +385,12 @@ def _without(cube: xr.Dataset, **places: Indices) -> xr.Dataset:
 
 @dataclass(frozen=True)
 class Span:
-    """Least and largest angles of the directions of a scan."""
+    """Smallest and largest angles of the directions of a scan."""
 
     azimuth: tuple[float, float]
-    """Least and largest azimuth [rad]."""
+    """Smallest and largest azimuth [rad]."""
     elevation: tuple[float, float]
-    """Least and largest elevation [rad]."""
+    """Smallest and largest elevation [rad]."""
 
 
 def span_of(source: Source | xr.Dataset) -> Span:

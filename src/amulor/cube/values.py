@@ -1,4 +1,4 @@
-"""Dimensions and values of a cube: restoring lost ones, refusing impossible ones."""
+"""Dimensions and values of a cube: restoring lost dimensions, checking values."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
 def _restored(
     variable: xr.Variable, spec: schema.Variable | None, missing: set[str]
 ) -> xr.Variable:
-    """Return a variable with restored dimensions, if it lacks nothing else."""
+    """Return a variable with missing dimensions restored, if no others are missing."""
     if spec is None:
         return variable
     remaining = tuple(name for name in spec.dimensions if name not in missing)
@@ -153,7 +153,7 @@ def _check_signal(array: xr.DataArray, variable: str, *, name: str) -> None:
 
 
 def _place(values: xr.DataArray, value: float) -> str:
-    """Return the coordinates of a value, as text."""
+    """Return the coordinates of the first sample with a value, as text."""
     at = np.unravel_index(int(np.argmax(values.values == value)), values.shape)
     words = [f"{axis} {index}" for axis, index in zip(values.dims, at, strict=True)]
     return f"at {', '.join(words)}"
