@@ -1,4 +1,4 @@
-"""List, content and copies of sample data."""
+"""Listing, content and copies of the sample data."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ class Sample:
     """
 
     name: str
-    """Name."""
+    """Name of the sample."""
     title: str
-    """Title."""
+    """Title of the sample."""
     files: tuple[str, ...]
     """Names of the files."""
     origin: str
     """Origin: measured, simulated or acquired with simulated devices, with source."""
     licence: str
-    """SPDX identifier."""
+    """SPDX identifier of the license."""
     shows: str
-    """Purpose of the data."""
+    """Purpose of the sample."""
     commands: tuple[str, ...]
     """Example commands, in the folder of the copies."""
     folder: str = ""
