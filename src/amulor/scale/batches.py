@@ -23,14 +23,14 @@ __all__ = ["spread_batches"]
 
 
 class Run(Protocol):
-    """Photon transport run that computes a batch by its number."""
+    """Photon transport run that computes a numbered batch of photons."""
 
     @property
     def stated(self) -> dict[str, Any]:
         """Inputs of the batches, as numbers and text."""
 
     def __call__(self, number: int) -> Batch:
-        """Compute a batch."""
+        """Compute the batch of a number."""
 
 
 @contextmanager
@@ -66,7 +66,7 @@ def spread_batches(
 def _batches(
     client: Any, folder: Path, run: Run, first: int, end: int
 ) -> Iterator[Batch]:
-    """Yield batches in the order of their numbers."""
+    """Yield computed batches in the order of their numbers."""
     paths = in_order(client, folder, _Batches(run=run), first, end)
     for number, path in enumerate(paths, start=first):
         with np.load(path, allow_pickle=False) as arrays:
@@ -83,7 +83,7 @@ def _batches(
 
 @dataclass(frozen=True, kw_only=True)
 class _Batches:
-    """Batches as pieces of work with files."""
+    """Batches as numbered work items, each with a file."""
 
     run: Run
     file: str = "batch.npz"
@@ -93,12 +93,12 @@ class _Batches:
         return {**self.run.stated, "batch": number}
 
     def write(self, number: int, path: Path) -> None:
-        """Write a batch."""
+        """Compute a batch and write it to a file."""
         _write(self.run(number), path)
 
 
 def _write(batch: Batch, path: Path) -> None:
-    """Write a batch, with reproducible bytes."""
+    """Write a batch to a file with reproducible bytes."""
     arrays: dict[str, Any] = {
         "histories": np.int64(batch.histories),
         "signal": batch.signal,

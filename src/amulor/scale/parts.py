@@ -50,9 +50,9 @@ class Step:
     """Processing step that makes one file of a scan."""
 
     task: Task
-    """Task of the scan."""
+    """Task of the scan that the step belongs to."""
     name: str
-    """Name of the file."""
+    """Name of the output file."""
     of: Path
     """Input file."""
     how: dict[str, Any]
@@ -109,7 +109,7 @@ class _Rows:
         self.size = _size(step, source)
 
     def tiles(self, begin: int, end: int) -> Iterator[tuple[int, xr.Dataset]]:
-        """Yield the tiles between two rows, the first of which begins a tile."""
+        """Yield the tiles between two rows; the first of these begins a tile."""
         for first in range(begin, end, self.size):
             yield first, self.of(first, min(first + self.size, end))
 
@@ -136,7 +136,7 @@ def _simulated(text: str, path: Path, seed: int) -> SimulatedRows:
 
 @dataclass(frozen=True)
 class _Known:
-    """Cache key of a file, with its step and cube."""
+    """Cache key of a step and its cube, by the identity of the input file."""
 
     key: str
     step: Step
@@ -151,7 +151,7 @@ class _Known:
 
 @lru_cache(maxsize=1)
 def _prepared(scan: _Known) -> Prepared:
-    """Return the fitted step; cached for further parts of the scan."""
+    """Return the step fitted to a scan; cached for further parts of the scan."""
     step, source = scan.step, scan.source
     assert step.tiled is not None
     return Prepared(step.tiled, source, step.task.tile_rows or tile_rows(source))
@@ -171,7 +171,7 @@ def splits(task: Task) -> tuple[str, ...]:
 
 
 def _sizes(step: Step) -> tiles.Source:
-    """Return rows, columns and planes of the input of a file."""
+    """Return the number of rows, columns and planes of a step's input file."""
     if step.how["step"] == "simulate":
         survey = Survey.from_toml(step.of)
         instrument = survey.instrument
@@ -189,7 +189,7 @@ def _sizes(step: Step) -> tiles.Source:
 
 
 def parts_of(task: Task, name: str) -> list[tuple[int, int]]:
-    """Return the rows of each part of a file."""
+    """Return the first row and the end of each part of a file."""
     step = _step(task, name)
     source = _sizes(step)
     size = _size(step, source)
@@ -261,7 +261,7 @@ def _put(writer: Any, first: int, file: Path, step: Step) -> None:
 
 
 def _in_order(file: Path) -> list[str]:
-    """Return a cube with its variables in the order of the step."""
+    """Return the variable names of a cube file in their stored order, groups too."""
     import h5py
 
     with h5py.File(file, "r") as storage:

@@ -57,12 +57,12 @@ _PLACED = np.dtype([("sample", _SAMPLE), ("at", "i8", (4,))])
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedSummary:
-    """Summary of an import by rows."""
+    """Summary of an imported recording: lengths and flagged samples."""
 
     sizes: dict[str, int]
     """Lengths of the dimensions of the cube [1]."""
     marked: dict[str, int]
-    """Number of samples with each mark [1]."""
+    """Number of samples with each flag [1]."""
 
 
 def import_file(
@@ -151,7 +151,7 @@ def _spilled(
 
 @dataclass(kw_only=True)
 class _Known:
-    """Axes and statistics of all samples."""
+    """Axes and statistics of all samples of a recording."""
 
     temperature: float | None
     pairs: list[str] = field(default_factory=list)
@@ -286,7 +286,7 @@ def _bands(survey: Survey, size: int) -> Iterator[tuple[int, int]]:
 def _band(
     recording: recordings.Recording, folder: Path, size: int, rows: tuple[int, int]
 ) -> recordings.Band:
-    """Return some rows, from their file and the neighboring ones."""
+    """Return the samples of some rows, from their file and the neighboring ones."""
     begin, end = recordings.band_with_neighbours(recording.survey, rows)
     parts = [np.zeros(0, dtype=_PLACED)]
     for tile in range(begin // size, (end - 1) // size + 1):
@@ -301,7 +301,7 @@ def _band(
 
 
 def _typical(recording: recordings.Recording, folder: Path, size: int) -> Floats:
-    """Return the median difference of neighbors in each channel, over all rows."""
+    """Return the median difference between neighboring pixels, by channel."""
     shape = len(recording.frequencies), len(recording.pairs)
     for rows in _bands(recording.survey, size):
         band = _band(recording, folder, size, rows)
@@ -325,7 +325,7 @@ def _median_of(path: Path) -> float:
 
 
 def _ranked(path: Path, rank: int) -> float:
-    """Return the number of a given rank, by radix selection of 16 bits at a time."""
+    """Return the value of a rank in a file of numbers, by 16-bit radix selection."""
     value = 0
     for shift in (48, 32, 16, 0):
         counts = np.zeros(2**16, dtype=np.int64)

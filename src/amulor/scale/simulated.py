@@ -19,7 +19,7 @@ __all__ = ["SimulatedSummary", "simulate_file"]
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSummary:
-    """Summary of a simulation by rows."""
+    """Summary of a simulation that was written by rows."""
 
     sizes: dict[str, int]
     """Lengths of the dimensions of the cube [1]."""

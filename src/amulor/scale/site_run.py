@@ -67,7 +67,7 @@ def is_made(task: Task, name: str) -> bool:
 
 
 def work_on_rows(task: Task, name: str, begin: int, end: int) -> str:
-    """Compute some rows of a file of a scan, which `work` joins."""
+    """Compute some rows of a file of a scan; `work` joins the rows later."""
     set_up_worker()
     try:
         with dated(datetime.datetime.fromisoformat(task.started)):
@@ -171,7 +171,7 @@ class _Underway:
 
 
 class _Spread:
-    """Distribution of tasks on a cluster: large scans file by file, in rows."""
+    """Distribution of tasks on a cluster: large scans by file and rows."""
 
     def __init__(self, client: Any, futures: Any) -> None:
         self._client, self.futures = client, futures

@@ -65,7 +65,7 @@ class Done:
     made: tuple[str, ...]
     """Files made in this run; others existed."""
     error: str = ""
-    """Error that stopped it; empty for a finished scan."""
+    """Error message if the scan failed; empty for a finished scan."""
 
 
 def tasks_of(
@@ -92,7 +92,7 @@ def tasks_of(
 
 
 class Record:
-    """Record of finished files of a scan, in a file beside them."""
+    """Record of the finished files of a scan, kept in a file beside them."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -107,7 +107,7 @@ class Record:
         self._now: dict[str, str] = {}
 
     def tidy(self) -> None:
-        """Remove unfinished files of a worker that died."""
+        """Remove unfinished files of a worker that stopped."""
         for path in self._folder.glob(".amulor-*"):
             path.unlink(missing_ok=True)
 
@@ -119,7 +119,7 @@ class Record:
         how: dict[str, Any],
         make: Callable[[Path], Any],
     ) -> Path:
-        """Return a file; make it unless it is complete and from the same inputs."""
+        """Return the path of a file; make it unless complete with the same inputs."""
         path = self._folder / name
         made_of = _made_of(_identified(of), how)
         if self._is_whole(name, made_of):
@@ -135,7 +135,7 @@ class Record:
         return path
 
     def identity(self, path: Path) -> str:
-        """Return the digest of a recorded file, or size and time of another one."""
+        """Return the digest of a recorded file; size and time of any other file."""
         if path.parent == self._folder and path.name in self._steps:
             return self._steps[path.name]["digest"]
         try:
@@ -246,23 +246,23 @@ def cluster_client(scheduler: str, workers: int | None) -> Iterator[Any]:
 
 
 class Work(Protocol):
-    """Pieces of work by number, sent to workers."""
+    """Numbered work items that are sent to workers."""
 
     @property
     def file(self) -> str:
-        """Name of the file of a piece, in a separate folder."""
+        """Name of the output file of an item, in a separate folder."""
 
     def made_of(self, number: int) -> dict[str, Any]:
-        """Return the inputs of a piece, as numbers and text."""
+        """Return the inputs of an item, as numbers and text."""
 
     def write(self, number: int, path: Path) -> None:
-        """Compute a piece, and write its file."""
+        """Compute an item, and write its file."""
 
 
 def in_order(
     client: Any, folder: Path, work: Work, first: int, end: int
 ) -> Iterator[Path]:
-    """Yield the files of pieces in the order of their numbers."""
+    """Yield the files of work items in the order of their numbers."""
     from concurrent.futures import CancelledError
 
     import distributed.protocol
@@ -301,7 +301,7 @@ def in_order(
 
 
 def _do(packed: bytes, number: int, folder: str) -> None:
-    """Write the file of a piece, unless it exists."""
+    """Compute a work item and write its file, unless the file exists."""
     set_up_worker()
     work = _unpacked(packed)
     piece_folder = _own(Path(folder), work, number)
@@ -318,7 +318,7 @@ def _do(packed: bytes, number: int, folder: str) -> None:
 
 @lru_cache(maxsize=2)
 def _unpacked(packed: bytes) -> Work:
-    """Return the unpacked work; cached for all pieces of a worker."""
+    """Return the unpacked work; cached for all items of a worker."""
     import distributed.protocol
 
     dask: Any = distributed
@@ -327,5 +327,5 @@ def _unpacked(packed: bytes) -> Work:
 
 
 def _own(folder: Path, work: Work, number: int) -> Path:
-    """Return the folder of a piece."""
+    """Return the folder of one work item."""
     return folder / f"{Path(work.file).stem}-{number:06d}"
