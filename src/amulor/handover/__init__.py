@@ -8,5 +8,5 @@ __all__ = ["ENDINGS", "Order", "PageProducts", "hand_over", "product_of"]
 
 
 def __dir__() -> list[str]:
-    """List the public names only."""
+    """Return the public names of the package only."""
     return sorted(__all__)

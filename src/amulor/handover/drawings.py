@@ -142,7 +142,7 @@ def write_contours(
 
 
 def cell_of(order: Order, surface: products.Surface) -> float:
-    """Return the cell size: of the order, of a dot, or of the pixels [m]."""
+    """Return the cell size: as ordered, else of a printed dot or of the pixels [m]."""
     if order.cell is not None:
         return order.cell
     if order.product == "orthoimage":
@@ -154,7 +154,7 @@ def cell_of(order: Order, surface: products.Surface) -> float:
 
 
 def raster_statement(raster: products.Raster) -> str:
-    """Return the statement of a raster about its cells and heights."""
+    """Return a sentence on the cells and heights of a raster."""
     names = raster.plane.names
     return (
         f"Seen from the {raster.plane.side}; heights ({names[2]}) count towards the "
@@ -166,7 +166,7 @@ def raster_statement(raster: products.Raster) -> str:
 
 
 def relief_statement(raster: products.Raster) -> str:
-    """Return the statement about shaded relief and its limits."""
+    """Return a sentence on shaded relief and its limits."""
     apart = max(raster.surface.spacing, raster.cell)
     slope = float(np.nanmedian(raster.own)) * 2**0.5 / apart
     return (
@@ -177,7 +177,7 @@ def relief_statement(raster: products.Raster) -> str:
 
 
 def bands_of(raster: products.Raster, *, first: str) -> list[formats.Band]:
-    """Return the bands of a raster's GeoTIFF."""
+    """Return the bands of the GeoTIFF of a raster."""
     heights = [
         formats.Band(name="height towards the viewer", unit="m", values=raster.height),
         formats.Band(
@@ -203,7 +203,7 @@ def write_bands(
     *,
     overwrite: bool,
 ) -> None:
-    """Write bands of a raster as a GeoTIFF in its frame."""
+    """Write bands of a raster as a GeoTIFF in the raster's frame."""
     frame = raster.surface.frame
     plan = raster.plane.side == "top"
     formats.write_geotiff(
@@ -220,7 +220,7 @@ def write_bands(
 
 
 def save_sheet(figure: Figure, path: Path, *, overwrite: bool) -> None:
-    """Write a sheet as PDF, SVG or PNG in its size on paper."""
+    """Write a drawing sheet as PDF, SVG or PNG in its size on paper."""
     kind = path.suffix.lower().removeprefix(".")
     plain = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
     with atomic_output(path, overwrite=overwrite) as temporary, style():

@@ -1,4 +1,4 @@
-"""Order of a product of a range image, checked before the work."""
+"""Settings of a product of a range image, checked before a long computation."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ENDINGS: dict[Product, tuple[str, ...]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Order:
-    """Order of a product of a range image."""
+    """Settings of one product of a range image, such as a mesh or a drawing."""
 
     product: Product
     """Kind of product."""
@@ -50,18 +50,18 @@ class Order:
     dots_per_inch: float = 300.0
     """Resolution of an orthoimage on paper [dots per inch]."""
     cell: float | None = None
-    """Size of a cell of a raster; by default that of a dot of an orthoimage, and the
-    spacing of the pixels otherwise [m]."""
+    """Size of a raster cell. By default it is the size of a printed dot for an
+    orthoimage, and about the spacing of the pixels otherwise [m]."""
     contours: float | None = None
     """Interval of contour lines [m]."""
     line: tuple[float, float, float, float] | None = None
     """Start and end of a section, right and up [m]."""
     against: Path | None = None
-    """Mesh or range image for a comparison."""
+    """Mesh or range image that the scan is compared with."""
     unit: Unit = "m"
-    """Unit of the mesh."""
+    """Unit of that mesh."""
     farthest: float | None = None
-    """Largest distance of a deviation; farther pixels are not compared [m]."""
+    """Largest distance of a pixel from the reference; farther ones are ignored [m]."""
     title: str = ""
     """Title of the drawing; by default that of the range image."""
 
@@ -73,7 +73,7 @@ def product_of(
     against: object = None,
     contours: object = None,
 ) -> Product:
-    """Return the product of a file name and its options."""
+    """Return the product that fits a file name and the given options."""
     ending = path.suffix.lower()
     if line is not None:
         return "section"
@@ -94,7 +94,7 @@ def product_of(
 
 
 def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
-    """Return the statements of a product about axes, errors and origin."""
+    """Return statements on axes, errors and origin of a product, for its file."""
     budget = error_budget(image)
     statements = [f"Axes: {frame.axes}"]
     if frame.name == "pose":
@@ -130,7 +130,7 @@ def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
 
 
 def _sentence(words: str) -> str:
-    """Return a sentence with a capital letter."""
+    """Return words as a sentence with a capital letter."""
     return words[0].upper() + words[1:]
 
 

@@ -1,4 +1,4 @@
-"""Products on request of the page, by the same orders as `amulor export`."""
+"""Products that the page in the browser offers, as made by `amulor export`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _OFFERS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 class PageProducts:
-    """Products of the range image that a page shows.
+    """Products that can be made of the range image on a page.
 
     A product is written into a folder of its own among the temporary ones, which
     nobody else can read and which is gone before the page gets its answer: the formats'
@@ -66,7 +66,7 @@ class PageProducts:
         ]
 
     def make(self, image: xr.Dataset, request: dict[str, Any], *, stem: str) -> Made:
-        """Make a product of a range image."""
+        """Make a product of a range image, as requested by the page."""
         offers = {str(offer["product"]): offer for offer in self.offered()}
         product = str(request.get("product", ""))
         if product not in offers:
@@ -156,7 +156,7 @@ def _endings(product: str) -> tuple[str, ...]:
 
 
 def _plain(stem: str) -> str:
-    """Return a file name that is valid in every file system, without a path."""
+    """Return a file name without a path that is valid in every file system."""
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in stem)
     return name.strip("_")[:80] or "scan"
 
@@ -208,7 +208,7 @@ def _line(
 
 
 def _one_of(request: Mapping[str, Any], name: str, choices: Sequence[str]) -> str:
-    """Return a choice of the request; the first one by default."""
+    """Return a choice from the request; the first choice by default."""
     value = request.get(name, choices[0])
     if value not in choices:
         raise CubeError(f"{name} must be one of {', '.join(choices)}")
@@ -218,7 +218,7 @@ def _one_of(request: Mapping[str, Any], name: str, choices: Sequence[str]) -> st
 def _number(
     request: Mapping[str, Any], name: str, low: float, high: float
 ) -> float | None:
-    """Return a number of the request within limits, or None."""
+    """Return a number from the request, within limits; None without one."""
     value = request.get(name)
     if value is None:
         return None

@@ -1,4 +1,4 @@
-"""Products of a range image, written to files."""
+"""Products of a range image: choice of the writer for each kind."""
 
 from __future__ import annotations
 

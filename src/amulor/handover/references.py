@@ -36,7 +36,7 @@ def write_deviation(
     *,
     overwrite: bool,
 ) -> str:
-    """Compare a scan with a reference and write table, map or mesh."""
+    """Compare a scan with a reference; write a table, a map or a mesh of deviations."""
     deviation = compare(surface, order)
     summary = summary_of(deviation)
     statements = [
@@ -75,7 +75,7 @@ def write_deviation(
 
 
 def compare(surface: products.Surface, order: Order) -> products.Deviation:
-    """Compute the deviations of a scan from the reference of an order."""
+    """Compute the deviations of a scan from the reference that an order names."""
     assert order.against is not None
     if order.against.suffix.lower() == ".nc":
         earlier = io.read_cube(order.against)
@@ -95,7 +95,7 @@ def compare(surface: products.Surface, order: Order) -> products.Deviation:
 
 
 def _frame_of(earlier: xr.Dataset, frame: Frame) -> Frame:
-    """Return the frame of an earlier scan; by default that of the present one."""
+    """Return the frame of an earlier scan; by default the frame of the present scan."""
     try:
         return imaging.frame_of(earlier, axes=frame.name)
     except CubeError:
@@ -138,7 +138,7 @@ def read_mesh(path: Path, *, unit: float) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def summary_of(deviation: products.Deviation) -> str:
-    """Summarize a comparison in a sentence."""
+    """Summarize the deviations of a comparison in a sentence."""
     share = deviation.significant.sum() / deviation.compared
     finite = math.isfinite(deviation.mean_uncertainty)
     error = f"{deviation.mean_uncertainty * 1e3:.2g} mm" if finite else "not known"
@@ -180,7 +180,7 @@ def _write_map(
     *,
     overwrite: bool,
 ) -> None:
-    """Write deviations as a raster of the nearest pixel of each cell."""
+    """Write deviations as a raster map, in a GeoTIFF or on a drawing sheet."""
     surface = deviation.surface
     plane = products.plane_of(surface.frame, order.side)
     raster = products.raster(

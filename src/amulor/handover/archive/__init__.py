@@ -8,5 +8,5 @@ __all__ = ["Project", "missing_of", "read_project", "write_archive"]
 
 
 def __dir__() -> list[str]:
-    """List the public names only."""
+    """Return the public names of the package only."""
     return sorted(__all__)

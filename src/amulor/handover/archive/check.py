@@ -19,7 +19,7 @@ _SIGNATURES = {".laz": b"LASF", ".las": b"LASF", ".e57": b"ASTM-E57"}
 
 
 def missing_of(folder: Path) -> list[str]:
-    """Return the problems of an archive, in a line each.
+    """Return the problems of an archive, each as one line of text.
 
     Looked for are: the tables with all their fields; for each scan its raw files, its
     registered clouds with as many points as are stated, its matrix, which must be a

@@ -74,12 +74,12 @@ FILE_FIELDS = ("file", "format", "bytes", "what it is")
 
 
 def matrix_name(project: str, scan: str) -> str:
-    """Return the path of the matrix of a scan."""
+    """Return the path of the registration matrix of a scan."""
     return f"registration/{project}_GRmatrices_{scan}.txt"
 
 
 def cloud_name(project: str, scan: str) -> str:
-    """Return the path of the registered cloud of a scan, without its ending."""
+    """Return the path of the registered cloud of a scan, without its file ending."""
     return f"registered/{project}_{scan}"
 
 
@@ -141,7 +141,7 @@ class About(Description):
 
 
 class ScanFiles(Description):
-    """One scan of the project."""
+    """Files of one scan of the project."""
 
     name: _Name
     """Name of the scan: letters, digits, - and _."""
@@ -150,7 +150,7 @@ class ScanFiles(Description):
     raw: Annotated[tuple[Path, ...], Field(min_length=1)]
     """Raw data: samples (netCDF), or the folder of a scan with its journal."""
     pose: Pose | None = None
-    """Pose of the instrument; by default that of the scan's survey."""
+    """Pose of the instrument; by default that in the survey of the scan."""
     material: str = ""
     """Material of the scanned surface."""
     notes: str = ""
@@ -178,7 +178,7 @@ class Project(Description):
     project: About
     """Description of the survey."""
     registration: Registration
-    """Registration of the scans."""
+    """Registration of the scans in a common frame."""
     scans: Annotated[tuple[ScanFiles, ...], Field(min_length=1, max_length=999)]
     """Scans, in order."""
 

@@ -1,4 +1,4 @@
-"""Writing of the archive of a project, in one piece or not at all."""
+"""Writing of the archive of a project, complete or not at all."""
 
 from __future__ import annotations
 
@@ -283,7 +283,7 @@ not 0 are doubtful; the first lines of each .xyz say why.
 
 
 def _file_list(hidden: Path) -> None:
-    """Write the table of all files."""
+    """Write the table of all files in the archive."""
     about = {
         "raw": "recorded data",
         "processed": "range image made of recorded data",
