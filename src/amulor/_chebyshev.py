@@ -45,7 +45,7 @@ class BoxSeries:
         self._terms = np.zeros((0, 0))
 
     def places(self) -> Floats:
-        """Return the nodes, shape (d, size)."""
+        """Return the interpolation nodes, shape (dimension, node)."""
         mesh = np.stack(np.meshgrid(*self._axes, indexing="ij"))
         mesh = mesh.reshape(len(self._axes), -1)
         nodes = self._centre[:, None] + self._half[:, None] * mesh
@@ -54,7 +54,7 @@ class BoxSeries:
         return inside
 
     def fill(self, values: Complex) -> None:
-        """Find the coefficients."""
+        """Compute the Chebyshev coefficients from function values at the nodes."""
         table = values.reshape(-1, *self._count)
         for axis, node in enumerate(self._axes, start=1):
             inverse = np.linalg.inv(chebyshev.chebvander(node, len(node) - 1))
@@ -73,7 +73,7 @@ class BoxSeries:
         self._terms = np.ascontiguousarray(np.hstack([chosen.real, chosen.imag]))
 
     def at(self, places: Floats) -> Complex:
-        """Return the functions at places."""
+        """Return the interpolated functions at places, shape (function, place)."""
         scaled = np.zeros((3, places.shape[1]))
         scaled[: len(places)] = (places - self._centre[:, None]) / self._half[:, None]
         sums = np.empty((self._terms.shape[1] // 2, places.shape[1]), dtype=complex)

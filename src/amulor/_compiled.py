@@ -1,4 +1,4 @@
-"""Cache of compiled loops on disk, never stale.
+"""On-disk cache of compiled loops, invalidated when any of their sources changes.
 
 Files with compiled loops take numba from here. On disk numba keeps a compiled function
 until its own file changes, and does not see a change in another file whose functions,
@@ -74,7 +74,7 @@ def keep_fresh(package: Path) -> None:
 
 
 def _fresh(place: Any, package: Path) -> Any:
-    """Return a locator of numba with all source files of a function."""
+    """Return numba's cache locator, extended to all source files of a function."""
 
     class Fresh(place):  # type: ignore[misc]
         _digest = ""
@@ -108,7 +108,7 @@ def _fresh(place: Any, package: Path) -> Any:
 
 
 def _last_resort(place: Any) -> Any:
-    """Return a locator of numba in a temporary folder of the user."""
+    """Return numba's cache locator for a temporary folder of the user."""
 
     class LastResort(place):  # type: ignore[misc]
         def __init__(self, py_func: Any, py_file: str) -> None:
@@ -121,7 +121,7 @@ def _last_resort(place: Any) -> Any:
 
 @cache
 def _temporary_folder() -> Path:
-    """Return the user's temporary folder for compiled code; report a new one.
+    """Return the user's temporary folder for compiled code; report if it is new.
 
     What lies in it is run, so no other user may be able to write there. If somebody
     can, or it cannot be told, a folder of this process alone takes its place.
@@ -161,7 +161,7 @@ def _only_written_by(user: int, folder: Path) -> bool:
 
 
 class _Compiling(event.Listener):
-    """Report of the compilation of a loop, with the number of loops.
+    """Progress report of the compilation of a loop and of the loops that it calls.
 
     numba compiles one at a time, whichever threads ask for it.
     """
@@ -171,7 +171,7 @@ class _Compiling(event.Listener):
         self._loops: list[Any] = []
 
     def on_start(self, event: Any) -> None:
-        """Count the uncompiled loops behind the outermost one."""
+        """Count the uncompiled loops that the outermost loop calls."""
         if self._inside == 0:
             self._loops = loops_behind(event.data["dispatcher"])
         self._inside += 1
@@ -236,7 +236,7 @@ def _source(path: Path, package: Path) -> tuple[bytes, bytes]:
 
 
 def _import_of(path: Path, package: Path) -> object:
-    """Return an object that differs after each import or `importlib.reload`."""
+    """Return an object that differs after each import or reload of a module."""
     parts = path.relative_to(package.parent).with_suffix("").parts
     name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
     return getattr(sys.modules.get(name), "__spec__", None)

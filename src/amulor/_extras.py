@@ -1,4 +1,4 @@
-"""Optional dependencies, checked before the work."""
+"""Optional dependencies, checked before a long computation."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MODULES = {
 
 
 def require(*extras: str, purpose: str) -> None:
-    """Raise if an optional package is missing, before the work."""
+    """Raise if an optional package is missing, before a long computation."""
     missing = {
         extra: [
             package
@@ -50,7 +50,7 @@ def require(*extras: str, purpose: str) -> None:
 
 
 def left_out(modules: Mapping[str, str]) -> dict[str, str]:
-    """Return the features that are not installed, and the extra of each."""
+    """Return the features whose package is not installed, and the extra of each."""
     return {
         feature: next(
             extra for extra, brought in MODULES.items() if name in brought.values()

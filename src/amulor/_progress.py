@@ -1,4 +1,4 @@
-"""Progress of the work, for a bar, a log, or no listener.
+"""Progress of a computation, for a bar, a log, or no listener.
 
 Work that may take seconds says so with `tell`, whoever called it; a command listens.
 Nothing has to be handed down through the functions between.
@@ -21,7 +21,7 @@ Listener = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class _Ear:
-    """Listener, with the part of its work that is in progress."""
+    """Progress listener, with the interval of its work that is in progress."""
 
     listener: Listener
     begin: float = 0.0
@@ -36,7 +36,7 @@ _ears: list[_Ear] = []
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Send the progress within the block to a listener."""
+    """Send the progress within the block to a listener function."""
     reached = 0.0
 
     def rising(step: str, share: float) -> None:
@@ -57,7 +57,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def part(begin: float, end: float) -> Iterator[None]:
-    """Count the progress within the block as a part of the work around it."""
+    """Scale progress within the block to a part of the enclosing work."""
     ear = _ear.get()
     if ear is None:
         yield
@@ -72,7 +72,7 @@ def part(begin: float, end: float) -> Iterator[None]:
 
 
 def tell(step: str, share: float) -> None:
-    """Report progress."""
+    """Report the present step and the completed share of the work."""
     ear = _ear.get()
     if ear is not None:
         ear.steps[:] = [step]

@@ -1,4 +1,4 @@
-"""Errors of amulor, apart from `ValueError` for arguments of formulas."""
+"""Exceptions and warnings of amulor; formulas raise `ValueError` instead."""
 
 
 class AmulorError(Exception):
@@ -47,7 +47,7 @@ class SurveyError(AmulorError):
 
 
 class CubeError(AmulorError):
-    """A measurement cube lacks a part, or has one that it must not have.
+    """A measurement cube lacks a part, or has a part that is not allowed.
 
     Examples
     --------
@@ -62,7 +62,7 @@ class CubeError(AmulorError):
 
 
 class FormatError(AmulorError):
-    """A file cannot be read or written in the format asked for.
+    """A file is missing, or cannot be read or written in its format.
 
     Examples
     --------
@@ -77,7 +77,7 @@ class FormatError(AmulorError):
 
 
 class InstrumentError(AmulorError):
-    """An instrument did not answer, or not as it must.
+    """An instrument did not answer, or gave an unexpected answer.
 
     Examples
     --------

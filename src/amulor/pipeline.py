@@ -49,17 +49,17 @@ class TiledStep:
     """Step from one level of a scan to the next, in one piece or by rows."""
 
     level: str
-    """Level of the cube that it needs."""
+    """Level of the cube that the step needs as input."""
     whole: Callable[[xr.Dataset], xr.Dataset]
-    """Function of the step on a cube in one piece."""
+    """Function that runs the step on a cube in one piece."""
     fit: Callable[[tiles.Source], tiles.OfRows]
-    """Function that fits the step to a scan, for work by rows."""
+    """Function that fits the step to a scan, for processing by rows."""
     halo: int = 0
     """Rows above and below a tile that its pixels depend on."""
     of: TiledStep | None = None
     """Step whose result is the input; None for the scan itself."""
     how: dict[str, Any] = field(default_factory=dict)
-    """Name and arguments, for the record of a run."""
+    """Name and arguments of the step, for the record of a run."""
 
     def __call__(self, cube: xr.Dataset) -> xr.Dataset:
         """Run the step on a cube in one piece."""
@@ -72,7 +72,7 @@ class TiledStep:
 
 
 def reject_step(method: str, **options: Any) -> TiledStep:
-    """Rejection of the water signal by a method, as a step."""
+    """Return the rejection of the water signal by a method, as a step."""
     from amulor import rejection  # images and clouds start without it
 
     chosen = rejection.load(method)
@@ -85,7 +85,7 @@ def reject_step(method: str, **options: Any) -> TiledStep:
 
 
 def image_step(**options: Any) -> TiledStep:
-    """Range image with flagged edges and outliers, as a step."""
+    """Return the range image with flagged edges and outliers, as a step."""
     ranges = TiledStep(
         level="target_signal",
         whole=lambda cube: fitted_range_image(cube, **options)[0],
@@ -104,7 +104,7 @@ def image_step(**options: Any) -> TiledStep:
 def _flagged(
     image: xr.Dataset, *, fit: tuple[float, ...] | None = None
 ) -> tuple[xr.Dataset, tuple[float, ...]]:
-    """Range image with flagged edges and outliers, and the thresholds used."""
+    """Return the range image with flagged edges and outliers, and the thresholds."""
     tell("edges and outliers", 0.0)
     return fitted_outliers(imaging.flag_mixed(image), fit=fit)
 
@@ -189,7 +189,7 @@ def run(
 
 
 class Prepared:
-    """A step that is fitted to a scan."""
+    """Processing step that is fitted to a scan."""
 
     def __init__(self, step: TiledStep, source: tiles.Source, rows: int) -> None:
         self.rows, self.halo = rows, step.halo
@@ -211,7 +211,7 @@ class Made(tiles.Derived):
         self._prepared = prepared
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows, the same for any tiles."""
+        """Return some rows, whose values do not depend on the division into tiles."""
         halo = self._prepared.halo
         first = max(begin - halo, 0)
         wide = self._source.tile(first, min(end + halo, self.rows))
@@ -220,7 +220,7 @@ class Made(tiles.Derived):
 
 
 class _Kept(tiles.Derived):
-    """Rows with a cache of the last tile, whose end is the halo of the next one."""
+    """Rows with a cache of the last tile, whose end is the halo of the next tile."""
 
     def __init__(self, source: tiles.Source, rows: int) -> None:
         super().__init__(source)
@@ -230,11 +230,11 @@ class _Kept(tiles.Derived):
 
     @property
     def head(self) -> xr.Dataset:
-        """All that does not run over the rows."""
+        """Variables, coordinates and attributes without the dimension row."""
         return self._source.head
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows, fastest in order."""
+        """Return some rows; tiles in ascending order are fastest."""
         joined = tiles.Whole(end - begin, self.columns)
         new = begin
         if self._last is not None and self._begin <= begin < self._end:
@@ -278,19 +278,19 @@ class Summary:
     """Summary of a step on a file."""
 
     head: xr.Dataset
-    """Everything without the dimension row, attributes included."""
+    """Variables and attributes without the dimension row."""
     count: int
     """Number of samples of a target signal, or pixels of a range image [1]."""
     usable: int
-    """Number of finite values [1]."""
+    """Number of finite samples or pixels [1]."""
     flagged: int
-    """Number of flagged values [1]."""
+    """Number of flagged samples or pixels [1]."""
     doubtful: int
-    """Number of finite values with a flag [1]."""
+    """Number of samples or pixels that are finite and flagged [1]."""
     flags: dict[str, int]
-    """Number of values with each flag [1]."""
+    """Number of samples or pixels with each flag [1]."""
     whole: xr.Dataset | None
-    """Result, if processed in one piece."""
+    """Result of the step, if processed in one piece."""
     comparison: Comparison | None = None
     """Comparison of all methods, for the method "auto"."""
 
@@ -299,7 +299,7 @@ class Summary:
 def opened(
     path: AnyPath, rows: int | None = None, *, level: str
 ) -> Iterator[tiles.Source]:
-    """Open a cube in memory, or by rows if it is large or rows are stated."""
+    """Open a cube in memory, or by rows if it is large or a tile size is given."""
     if rows is None and not is_large(path):
         tell(f"reading {path}", 0.0)
         yield tiles.InMemory(cubes.checked(io.read_cube(path), level, name=str(path)))
@@ -317,7 +317,7 @@ def run_file(
     rows: int | None = None,
     overwrite: bool = False,
 ) -> Summary:
-    """Run a step from file to file, by rows if it is large or rows are stated."""
+    """Run a step from file to file, by rows if large or if a tile size is given."""
     with opened(source, rows, level=step.level) as cube:
         return _written(step, cube, output, rows, overwrite=overwrite)
 
@@ -367,7 +367,7 @@ def reject_file(
     overwrite: bool = False,
     **options: Any,
 ) -> Summary:
-    """Remove the water signal from a file of samples, by a method of any package."""
+    """Remove the water signal from a file of samples, by any installed method."""
     from amulor import rejection
 
     with opened(source, rows, level="samples") as cube:
@@ -393,7 +393,7 @@ def reject_file(
 
 
 def _judged(source: tiles.Source, rows: int | None) -> xr.Dataset:
-    """Cube for the comparison of methods: all of it, or a sample by rows."""
+    """Return the cube for the comparison of methods, or a sample of its rows."""
     if rows is None and isinstance(source, tiles.InMemory):
         return source.cube
     return cubes.without_groups(tiles.sample_of(source), "truth")
@@ -431,9 +431,9 @@ class CloudSummary:
     points: int
     """Number of points [1]."""
     doubtful: int
-    """Number of points with a doubtful range [1]."""
+    """Number of points whose range is flagged as doubtful [1]."""
     error_unknown: str = ""
-    """Reason for an unknown error; empty for a known one."""
+    """Reason why the error of the ranges is unknown; empty for a known error."""
 
 
 def cloud_file(

@@ -1,4 +1,4 @@
-"""Conversion of text with a unit to an SI float, and back."""
+"""Conversion of text with a unit to an SI number, and back."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def example(quantity: str) -> str:
 
 
 def parse(text: str, quantity: str) -> float:
-    """Turn a number with a unit into an SI float.
+    """Convert text with a number and a unit to an SI float.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def parse(text: str, quantity: str) -> float:
 
 
 def parse_frequencies(text: str) -> list[float]:
-    """Turn a list or a range of frequencies into SI floats.
+    """Convert a list or a range of frequencies in text to SI floats.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def _registry_for(unit: str) -> pint.UnitRegistry[float]:
 
 @functools.cache
 def _registry(definitions: Path | str = "") -> pint.UnitRegistry[float]:
-    """Return the registry of a file of units, or pint's own, which is slow to read."""
+    """Return the registry of a file of units, or the slow one of pint itself."""
     import pint
 
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(
@@ -244,7 +244,7 @@ def _registry(definitions: Path | str = "") -> pint.UnitRegistry[float]:
 
 
 def write(value: float, quantity: str) -> str:
-    """Write an SI float as text with its unit, such that `parse` reads it back.
+    """Write an SI number as text with its unit, such that `parse` reads it back.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def write(value: float, quantity: str) -> str:
 
 
 def write_like(value: float, text: str) -> str:
-    """Write an SI float in the unit that a text states, for messages.
+    """Write an SI number in the unit that a text uses, for messages.
 
     Parameters
     ----------
