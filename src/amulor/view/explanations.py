@@ -154,8 +154,8 @@ def _consequence(table: str, name: str) -> str:
         return "The pixel has no range."
     if flag & ERROR_UNKNOWN:
         return (
-            "All pixels keep their ranges, but their errors are unknown. No file has "
-            "an uncertainty, and all pixels count as doubtful."
+            "All pixels keep their ranges, but the errors of the ranges are unknown. "
+            "No file states an uncertainty. All pixels count as doubtful."
         )
     assert flag & DOUBTFUL, flag
     return "The pixel keeps its range, but the range is doubtful."
