@@ -1,4 +1,4 @@
-"""Formulas of underwater modulated-laser imaging: arrays in, arrays out."""
+"""Formulas of underwater imaging with modulated laser light, on arrays."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def require(
     unit: str = "",
     hint: str = "",
 ) -> None:
-    """Raise a ValueError unless every element is allowed.
+    """Raise a ValueError unless every element of a value is allowed.
 
     Examples
     --------
@@ -67,7 +67,7 @@ def require(
 
 
 def finite(value: ArrayLike, *, name: str, unit: str = "") -> Array:
-    """Return the value, refused if infinite or not a number.
+    """Return the value; ValueError if an element is infinite or not a number.
 
     Examples
     --------
@@ -80,7 +80,7 @@ def finite(value: ArrayLike, *, name: str, unit: str = "") -> Array:
 def not_negative(
     value: ArrayLike, *, name: str, unit: str = "", hint: str = ""
 ) -> Array:
-    """Return the value, refused if negative, infinite or not a number.
+    """Return the value; ValueError if negative, infinite or not a number.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def not_negative(
 
 
 def positive(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
-    """Return the value, refused unless above zero and finite.
+    """Return the value; ValueError unless above zero and finite.
 
     Examples
     --------
@@ -110,7 +110,7 @@ def positive(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> 
 def at_least(
     value: ArrayLike, low: float, *, name: str, unit: str = "", hint: str = ""
 ) -> Array:
-    """Return the value, refused if below an end, infinite or not a number.
+    """Return the value; ValueError if below a limit, infinite or not a number.
 
     Examples
     --------
@@ -139,7 +139,7 @@ def within(
     below: bool = False,
     hint: str = "",
 ) -> Array:
-    """Return the value, refused outside of low..high.
+    """Return the value; ValueError if outside of the interval low..high.
 
     What is beyond an allowed end by rounding alone, 1e-12 of that end, is taken
     for the end itself: 700 * 1e-9 is above 700e-9, and what follows may rely on the
@@ -171,7 +171,7 @@ def within(
 
 
 def reach(value: ArrayLike, *, name: str, unit: str = "m") -> Array:
-    """Return a length up to an end, which may be infinite; refused if negative.
+    """Return a length, which may be infinite; ValueError if negative.
 
     Examples
     --------
@@ -183,7 +183,7 @@ def reach(value: ArrayLike, *, name: str, unit: str = "m") -> Array:
 
 
 def measured(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
-    """Return a measured modulus, uncertainty or count, NaN where it is missing.
+    """Return a modulus, uncertainty or count, with NaN for missing measurements.
 
     Examples
     --------
@@ -195,7 +195,7 @@ def measured(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> 
 
 
 def above_zero(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
-    """Return a measured value that must not be zero, NaN where it is missing.
+    """Return a measured value above zero, with NaN for missing measurements.
 
     Examples
     --------
@@ -207,7 +207,7 @@ def above_zero(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -
 
 
 def checked_angle(value: ArrayLike, *, name: str) -> Array:
-    """Return scattering angles, refused outside of 0..pi.
+    """Return scattering angles; ValueError if outside of 0..pi.
 
     Examples
     --------
@@ -221,7 +221,7 @@ def checked_angle(value: ArrayLike, *, name: str) -> Array:
 
 
 def checked_split_angle(value: ArrayLike, *, above: float = 0.0) -> Array:
-    """Return split angles, refused unless above 0 (or more) and up to pi.
+    """Return split angles; ValueError unless above a limit and at most pi.
 
     Examples
     --------
@@ -239,7 +239,7 @@ def checked_split_angle(value: ArrayLike, *, above: float = 0.0) -> Array:
 
 
 def broadcast(**arguments: ArrayLike) -> tuple[int, ...]:
-    """Return the shape of broadcast arguments.
+    """Return the common shape of the arguments, or raise a ValueError.
 
     Examples
     --------
@@ -257,7 +257,7 @@ def broadcast(**arguments: ArrayLike) -> tuple[int, ...]:
 
 
 def one_axis(least: int, **columns: ArrayLike) -> None:
-    """Refuse columns that are not one-dimensional, of one length and long enough.
+    """Raise a ValueError unless columns are 1-D, of equal and sufficient length.
 
     Examples
     --------
@@ -276,7 +276,7 @@ def one_axis(least: int, **columns: ArrayLike) -> None:
 def last_axes(
     value: ArrayLike, shape: tuple[int, ...], *, name: str, meaning: str = ""
 ) -> Array:
-    """Return an array whose last axes have a given shape.
+    """Return an array, checked to have last axes of a given shape.
 
     Examples
     --------
@@ -309,5 +309,5 @@ def _checked(
 
 
 def _text(number: float) -> str:
-    """Format a number for a message."""
+    """Format a number for an error message."""
     return {np.pi: "pi", -np.pi: "-pi"}.get(number, f"{number:g}")

@@ -1,4 +1,4 @@
-"""Geometry of many beams: from two-way optical paths to slant ranges."""
+"""Conversion of two-way optical paths to slant ranges, for many beams at once."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _DIFFERENCE = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """Beams, receivers, and the media between them."""
+    """Laser beams, receiver positions, and the refractive media between them."""
 
     azimuth: Floats
-    """Directions of the beams before the water [rad]."""
+    """Azimuth of each beam at the emitter, before it enters the water [rad]."""
     elevation: Floats
-    """Elevations of the beams before the water [rad]."""
+    """Elevation of each beam at the emitter, before it enters the water [rad]."""
     emitter: Floats
-    """Starts of the beams, last axis (3,) [m]."""
+    """Start points of the beams, last axis (3,) [m]."""
     receiver: Floats
     """Positions of the receivers, last axis (3,) [m]."""
     medium: rays.Medium
-    """Refractive indices and window."""
+    """Refractive indices of water and window, and position of the window."""
 
     @cached_property
     def beam(self) -> rays.Beam:
-        """Beams in the water."""
+        """Refracted beams in the water."""
         return rays.enter_water(
             self.emitter,
             rays.direction(self.azimuth, self.elevation),
@@ -41,13 +41,13 @@ class Geometry:
         )
 
     def depth(self, slant_range: Floats) -> Floats:
-        """Length of the beams in the water [m]."""
+        """Part of each slant range that lies in water [m]."""
         return slant_range - self.beam.length_before
 
     def path_limits(
         self, interval: tuple[float, float] | None, frequency: Floats
     ) -> tuple[Floats, Floats]:
-        """Shortest and longest optical path within an interval of ranges [m]."""
+        """Shortest and longest two-way optical path for limits of the range [m]."""
         return rays.path_limits(
             interval,
             self.beam,
@@ -57,25 +57,25 @@ class Geometry:
         )
 
     def optical_path(self, slant_range: Floats) -> Floats:
-        """Two-way optical paths to slant ranges [m]."""
+        """Two-way optical paths for given slant ranges [m]."""
         return rays.optical_path(
             slant_range, self.beam, self.receiver, medium=self.medium
         )
 
     def slant_range(self, path: Floats) -> Floats:
-        """Slant ranges of optical paths, NaN where there is none [m]."""
+        """Slant ranges for optical paths, NaN for impossible paths [m]."""
         return rays.slant_range_of_path(
             path, self.beam, self.receiver, medium=self.medium
         )
 
     def slant_range_and_slope(self, path: Floats) -> tuple[Floats, Floats]:
-        """Slant ranges of optical paths, and their derivative by the path."""
+        """Slant ranges for optical paths, and their derivatives by the path."""
         slant_range = self.slant_range(path)
         farther = self.slant_range(path + _DIFFERENCE)
         return slant_range, (farther - slant_range) / _DIFFERENCE
 
     def error_by_index(self, path: Floats, uncertainty: float) -> Floats:
-        """Range error by the uncertainty of the water's group index [m]."""
+        """Range error caused by the uncertainty of the water's group index [m]."""
         step = max(uncertainty, 1e-6)
         ends = [
             rays.slant_range_of_path(
@@ -93,7 +93,7 @@ class Geometry:
     def error_by_place(
         self, path: Floats, place: float, turn: float, *, axes: int = 3
     ) -> Floats:
-        """Range error by receiver position [m] and beam direction [rad]."""
+        """Range error caused by errors of receiver position and beam direction."""
         total = np.zeros(path.shape)
         if place > 0:
             for axis in np.eye(3)[:axes]:

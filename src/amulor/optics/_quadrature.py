@@ -1,4 +1,4 @@
-"""Quadrature of oscillating integrands: rules, Filon weights, Bessel function J0."""
+"""Integrals of oscillating functions: Filon weights, and a Bessel function J0."""
 
 from __future__ import annotations
 
@@ -48,21 +48,21 @@ _COSINE = tuple((-1.0) ** i / math.factorial(2 * i) for i in range(12))
 
 
 class Panel(NamedTuple):
-    """Panel of the depth, with the integrand at its nodes."""
+    """Interval of the depth, with the values of the integrand at its nodes."""
 
     half: float
     """Half width [m]."""
     centre: float
     """Depth of the center [m]."""
     even: Array
-    """Sums of the values at equal distances right and left of the center."""
+    """Sums of the values at equal distances from the center."""
     odd: Array
-    """Differences of these values, right less left."""
+    """Differences of these values, value at the greater depth first."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def sine_cosine(x: float) -> tuple[float, float]:
-    """Return sine and cosine of abs(x) < 2e7, in a form that compiles to vectors."""
+    """Return sine and cosine for abs(x) < 2e7, in a form that vectorizes."""
     turns = np.floor(x * (1 / math.pi) + 0.5)
     r = ((x - turns * _PI_1) - turns * _PI_2) - turns * _PI_3
     sign = 1.0 - 2.0 * (turns - 2.0 * np.floor(0.5 * turns))
@@ -83,7 +83,7 @@ def sine_cosine(x: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def expand(values: Array, table: Array, out: Array) -> None:
-    """Fill out with the product of values and table."""
+    """Fill out with the product of a vector of values and a matrix."""
     for m in range(ORDER):
         out[m] = 0.0
     for i in range(ORDER):
@@ -101,7 +101,7 @@ def _add_slow(
     real: Array,
     imaginary: Array,
 ) -> None:
-    """Add a panel for phase_per_depths that turn less than SPLIT over half of it."""
+    """Add one panel's integrals for slow oscillations, by a Chebyshev series."""
     for f in range(phase_per_depth.size):
         u = phase_per_depth[f] * (half / SPLIT)
         t = 4.0 * u * u - 2.0
@@ -128,7 +128,7 @@ def _add_fast(
     real: Array,
     imaginary: Array,
 ) -> None:
-    """Add a panel for phase_per_depths that turn more than SPLIT over half of it."""
+    """Add one panel's integrals for fast oscillations, by spherical Bessel terms."""
     for f in range(phase_per_depth.size):
         sine, cosine = sine_cosine(half_turn[f])
         v = 1.0 / (phase_per_depth[f] * half)
@@ -147,7 +147,7 @@ def _add_fast(
 
 @numba.njit(cache=True, error_model="numpy")
 def _turns(phase_per_depth: Array, distance: float, out: Array) -> None:
-    """Fill out with phases over a distance, less whole turns for large ones."""
+    """Fill out with the phase over a distance, modulo 2 pi for large phases."""
     for f in range(phase_per_depth.size):
         out[f] = phase_per_depth[f] * distance
     if phase_per_depth.size > 0 and out[phase_per_depth.size - 1] > _FAR:
@@ -164,7 +164,7 @@ def add_panel(
     turn: Array,
     sums: Array,
 ) -> None:
-    """Add the integrals of exp(i w z) times a panel to sums, for rising w.
+    """Add one panel's integrals of exp(i w z) times the integrand, w rising.
 
     Two rows of work and of turn are overwritten. Below SPLIT of phase over half a panel
     exp(i w z) is a Chebyshev series (Jacobi-Anger), above it the moments of the
@@ -209,7 +209,7 @@ NO_WAVE = 26  # argument up to which J0 comes from its table, in unit cells
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def polynomial(table: Array, cell: int, s: float) -> float:
-    """Return the polynomial of degree 9 of a cell at s from -1 to 1."""
+    """Evaluate the polynomial of degree 9 of one table cell, s from -1 to 1."""
     j = np.uint64(cell)
     t = s * s
     even = table[j, 6] + t * table[j, 8]
@@ -221,7 +221,7 @@ def polynomial(table: Array, cell: int, s: float) -> float:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def j0(x: float, table: Array) -> float:
-    """Return the Bessel function of order 0 at x >= 0."""
+    """Return the Bessel function J0 for x >= 0, below 26 from a table."""
     if x < NO_WAVE:
         cell = int(x)
         return polynomial(table, cell, 2.0 * (x - cell) - 1.0)
@@ -234,7 +234,7 @@ def j0(x: float, table: Array) -> float:
 
 
 def monomials(values: Array) -> Array:
-    """Return polynomials on -1..1 through values at Chebyshev nodes, in cells."""
+    """Return power-series coefficients for values at Chebyshev nodes, per cell."""
     size = values.shape[1]
     node = np.cos(np.pi * (np.arange(size) + 0.5) / size)
     order = np.arange(size)
@@ -248,18 +248,18 @@ def monomials(values: Array) -> Array:
 
 @cache
 def bessel() -> Array:
-    """Return the table of J0 in cells of width 1."""
+    """Return polynomial coefficients of J0 in cells of width 1."""
     return monomials(special.j0(bessel_nodes()))
 
 
 def bessel_nodes() -> Array:
-    """Return the Chebyshev nodes of the cells of the tables of Bessel functions."""
+    """Return the Chebyshev nodes of all cells of the Bessel-function tables."""
     node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
     return np.arange(NO_WAVE)[:, None] + (node + 1) / 2
 
 
 def _rule() -> NDArray[np.float64]:
-    """Return the tables from values at the nodes of a panel to its terms.
+    """Return the matrices from node values to series terms, and the nodes.
 
     [0] and [1] give the factors of the spherical Bessel functions of even and odd
     order in the moment of exp(i k s), [2] and [3] those of the Chebyshev

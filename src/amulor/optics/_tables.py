@@ -1,4 +1,4 @@
-"""Published tables of the package, each read once."""
+"""Published data tables of the package, read from their files once."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 @cache
 def numbers(name: str) -> NDArray[np.float64]:
-    """Return a table of numbers, read-only.
+    """Return a numeric table from a data file, read-only.
 
     Examples
     --------
@@ -28,7 +28,7 @@ def numbers(name: str) -> NDArray[np.float64]:
 
 @cache
 def rows(name: str) -> tuple[dict[str, str], ...]:
-    """Return a table with a line of column names, as texts.
+    """Return the rows of a table with column names, as dictionaries of texts.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Water and receiver arguments of the small-angle models, with range checks."""
+"""Range checks of the water and receiver arguments of the small-angle models."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ _RULES: dict[str, tuple[_Check, str, float, float]] = {
 
 
 def checked(name: str, value: ArrayLike) -> Any:
-    """Return a scalar as a float, else an array of floats, within its range."""
+    """Return an argument as float or array, checked against its allowed range."""
     check, unit, above, most = _RULES[name]
     if type(value) is float and above < value <= most:
         return value
@@ -81,7 +81,7 @@ def checked(name: str, value: ArrayLike) -> Any:
 
 
 def refuse_behind_receiver(standoff: Any, depth: Any = None) -> None:
-    """Refuse a column or a surface behind the receiver."""
+    """Raise a ValueError for a water column or surface behind the receiver."""
     if depth is None:
         path, name = standoff, "standoff"
     else:
@@ -93,7 +93,7 @@ def refuse_behind_receiver(standoff: Any, depth: Any = None) -> None:
 def phase_per_depth(
     modulation_frequency: ArrayLike, *, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return the phase of an echo per depth [rad/m]."""
+    """Return the phase of an echo per meter of depth [rad/m]."""
     frequency = checked("modulation_frequency", modulation_frequency)
     index = checked("group_index", group_index)
     if not isinstance(index, float):
@@ -103,7 +103,7 @@ def phase_per_depth(
 
 @dataclass(frozen=True, kw_only=True)
 class _Checked:
-    """Arguments that are checked on construction."""
+    """Base class of arguments that are checked on construction."""
 
     def __post_init__(self) -> None:
         values = self.__dict__  # as the class is frozen
@@ -111,13 +111,13 @@ class _Checked:
             values[name] = checked(name, value)
 
     def named(self) -> dict[str, Any]:
-        """Return the arguments by name."""
+        """Return the arguments as a dictionary by name."""
         return dict(self.__dict__)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Receiver(_Checked):
-    """Receiver, and the beam relative to it; floats or arrays."""
+    """Receiver size, and its geometry relative to the beam; floats or arrays."""
 
     baseline: Any
     receiver_radius: Any

@@ -1,4 +1,4 @@
-"""Resolution of the ambiguity interval of modulation phases."""
+"""Resolution of the 2 pi ambiguity of modulation phases by several frequencies."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SMALLEST_PHASE_ERROR = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Path:
-    """Two-way optical path of each pixel, arrays of one shape.
+    """Two-way optical path of each pixel, with quality measures.
 
     Examples
     --------
@@ -51,28 +51,26 @@ class Path:
     """
 
     length: Floats
-    """Group index times length, out and back [m]."""
+    """Two-way optical path: group index times geometric length [m]."""
     uncertainty: Floats
-    """Standard uncertainty [m]."""
+    """Standard uncertainty of the optical path [m]."""
     weight: Floats
     """Weight of each frequency in the result, first axis the frequencies [1]."""
     settled: NDArray[np.bool_]
-    """False where another interval fits about as well, or none fits."""
+    """False if another ambiguity interval fits almost as well, or none fits."""
     wrong: Floats
-    """Probability of another interval within the limits, for normal errors [1]."""
+    """Probability of a wrong ambiguity interval, for normal phase errors [1]."""
     residual: Floats
-    """Residual of the phases as optical paths, first axis the frequencies; zero where
-    one was left out [m].
-    """
+    """Residuals of the phases as paths, frequencies first; 0 for outliers [m]."""
     strain: Floats
-    """Sum of squared residuals in units of their errors, doubts included [1]."""
+    """Sum of squared residuals over their variances, `doubt` included [1]."""
     left_out: NDArray[np.bool_]
-    """Outliers among the frequencies, first axis the frequencies."""
+    """Phases excluded as outliers, first axis the frequencies."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """Decisions about the frequencies that all pixels of a scan share.
+    """Decisions about outliers and frequency order, shared by all pixels of a scan.
 
     Examples
     --------
@@ -82,11 +80,11 @@ class Choices:
     """
 
     order: tuple[int, ...]
-    """Indices of the frequencies by their median error as a length, rising."""
+    """Frequency indices, sorted by rising median error of the path."""
     outliers_searched: bool = True
-    """Whether few enough pixels are unsettled to search for outliers."""
+    """Whether unsettled pixels are so few that outliers are searched."""
     outliers_left_out: bool = True
-    """Whether each frequency is an outlier in few enough pixels to be left out."""
+    """Whether outliers are so rare that they are excluded."""
 
 
 def optical_path(
@@ -99,7 +97,7 @@ def optical_path(
     doubt: Floats | float = 0.0,
     choices: Choices | None = None,
 ) -> Path:
-    """Return the optical path that fits the phases at all frequencies best.
+    """Return the optical path that best fits the phases at all frequencies.
 
     Parameters
     ----------
@@ -178,7 +176,7 @@ def fit(
     longest: Floats,
     doubt: Floats | float = 0.0,
 ) -> tuple[Path, Choices]:
-    """Return the optical path of the pixels, and the decisions shared by the scan.
+    """Return the optical path of each pixel, and the scan-wide decisions.
 
     Parameters
     ----------
@@ -226,7 +224,7 @@ def _solved(
     doubt: Floats | float,
     choices: Choices | None,
 ) -> tuple[Path, Choices]:
-    """Return path and decisions, the latter from these pixels if not given."""
+    """Return optical paths, and the decisions, made from these pixels unless given."""
     if choices is None:
         order = _by_error(uncertainty, modulation_frequency)
     else:
@@ -270,7 +268,7 @@ def _solved(
 
 
 def _by_error(uncertainty: Floats, modulation_frequency: Floats) -> tuple[int, ...]:
-    """Return the frequencies in the order of their error as a length."""
+    """Return frequency indices, sorted by the rising path error of their phases."""
     per_phase = speed_of_light / modulation_frequency / (2 * np.pi)
     sigma = np.maximum(uncertainty, _SMALLEST_PHASE_ERROR).reshape(len(per_phase), -1)
     return tuple(int(k) for k in np.argsort(np.nanmedian(sigma, axis=1) * per_phase))
@@ -278,7 +276,7 @@ def _by_error(uncertainty: Floats, modulation_frequency: Floats) -> tuple[int, .
 
 @dataclass(frozen=True, kw_only=True)
 class _Phases:
-    """Arguments of `optical_path`, over (frequencies, ...) or (...)."""
+    """Measured phases with their errors and path limits, over (frequency, ...)."""
 
     phase: Floats
     uncertainty: Floats
@@ -287,12 +285,12 @@ class _Phases:
     longest: Floats
     doubt: Floats
     order: tuple[int, ...]
-    """Frequency indices, the smallest error first."""
+    """Frequency indices, smallest path error first."""
 
     def part(
         self, pixels: tuple[NDArray[np.intp], ...], left_out: NDArray[np.bool_]
     ) -> _Phases:
-        """Return some pixels, without their outlying phases."""
+        """Return the phases of selected pixels, those of outliers disabled."""
         index: tuple[Any, ...] = (slice(None), *pixels)
         return replace(
             self,
@@ -307,7 +305,7 @@ class _Phases:
 def _wrong(
     path: Path, unsettled: NDArray[np.bool_], phases: _Phases
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return outlying phases of unsettled pixels, and the pixels settled by that."""
+    """Return outlying phases of unsettled pixels, and pixels settled without them."""
     left_out = path.left_out[:, unsettled]
     strain = path.strain[unsettled]
     cured = np.zeros(strain.size, dtype=bool)
@@ -339,7 +337,7 @@ def _leave_out(
     left_out: NDArray[np.bool_],
     cured: NDArray[np.bool_],
 ) -> None:
-    """Leave out outlying phases of unsettled pixels, in place."""
+    """Recompute in place the paths of pixels without their outlying phases."""
     if not cured.any():
         return
     places = np.zeros(unsettled.shape, dtype=bool)
@@ -354,7 +352,7 @@ def _leave_out(
 def _without_each(
     phases: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return strain and settledness with each further phase left out in turn."""
+    """Return misfit, and whether settled, with each frequency omitted in turn."""
     strains = np.full(left_out.shape, np.inf)
     settled = np.zeros(left_out.shape, dtype=bool)
     for index in range(len(left_out)):
@@ -370,7 +368,7 @@ def _without_each(
 def _grouped(
     phases: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> Path:
-    """Return the best paths of pixels, grouped by the phases they leave out."""
+    """Return the best path of each pixel, with its own outliers excluded."""
     masks, group = np.unique(left_out, axis=1, return_inverse=True)
     places = np.flatnonzero(pixels)
     parts: dict[str, NDArray[Any]] = {}
@@ -387,7 +385,7 @@ def _grouped(
 
 
 def _best_path(phases: _Phases) -> Path:
-    """Return the path of the smallest misfit; phases of infinite error are ignored."""
+    """Return the path of least misfit; phases of infinite error are ignored."""
     phase, modulation_frequency = phases.phase, phases.modulation_frequency
     shortest, longest = phases.shortest, phases.longest
     wavelength = speed_of_light / modulation_frequency
@@ -452,7 +450,7 @@ def _best_path(phases: _Phases) -> Path:
 
 
 def _chi_square_limits(count: int) -> Floats:
-    """Return the largest acceptable misfit by degrees of freedom, from 0 on."""
+    """Return the largest acceptable misfit by degrees of freedom, starting at 0."""
     from scipy.special import chdtri
 
     return np.asarray(chdtri(np.arange(count), DISAGREEMENT), dtype=float)

@@ -1,4 +1,4 @@
-r"""Daylight in the sea as a source of shot noise, by depth.
+r"""Daylight in the sea, by depth, as a source of shot noise.
 
 References
 ----------
@@ -68,7 +68,7 @@ def daylight_rate(
     transmission: ArrayLike,
     quantum_efficiency: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the rate of photoelectrons by daylight in a receiver.
+    r"""Return the photoelectron rate that daylight causes in a receiver.
 
     Parameters
     ----------

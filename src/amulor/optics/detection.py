@@ -36,7 +36,7 @@ __all__ = [
 def photoelectron_rate(
     power: ArrayLike, *, wavelength: ArrayLike, quantum_efficiency: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the rate of photoelectrons for an optical power.
+    r"""Return the photoelectron rate for an optical power.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def quadrature_variance(
     excess_noise_factor: ArrayLike = 1.0,
     dark_rate: ArrayLike = 0.0,
 ) -> NDArray[np.float64]:
-    r"""Return the shot-noise variance of the in-phase and of the quadrature signal.
+    r"""Return the shot-noise variance of each lock-in output, per quadrature.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ def quadrature_variance(
 def photon_noise(
     integration_time: ArrayLike, *, volt_per_photoelectron_rate: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the counting noise of a detector's output per volt of mean output.
+    r"""Return the photon noise of a detector output per volt of mean output.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def photon_noise(
 
 
 def speckle_contrast(speckle_cells: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the relative variation of light from a rough surface by speckle.
+    r"""Return the relative intensity fluctuation by speckle from a rough surface.
 
     Parameters
     ----------
@@ -333,7 +333,7 @@ def speckle_contrast(speckle_cells: ArrayLike) -> NDArray[np.float64]:
 def phase_floor_covariance(
     signal: ArrayLike, *, phase_floor: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    r"""Return the covariance of a signal by a random phase error.
+    r"""Return the covariance of a signal caused by a random phase error.
 
     Parameters
     ----------
@@ -389,7 +389,7 @@ def phase_uncertainty(
     quadrature_variance: ArrayLike,
     covariance: ArrayLike = 0.0,
 ) -> NDArray[np.float64]:
-    r"""Return the standard deviation of the phase of a signal.
+    r"""Return the standard deviation of the phase of a noisy signal.
 
     Parameters
     ----------
@@ -455,7 +455,7 @@ def amplitude_uncertainty(
     quadrature_variance: ArrayLike,
     covariance: ArrayLike = 0.0,
 ) -> NDArray[np.float64]:
-    r"""Return the standard deviation of the amplitude of a signal.
+    r"""Return the standard deviation of the amplitude of a noisy signal.
 
     Parameters
     ----------
@@ -524,7 +524,7 @@ def _checked_moments(
     NDArray[np.float64],
     NDArray[np.float64],
 ]:
-    """Return signal and second moments as arrays of one shape, checked."""
+    """Return a signal with its variances and covariance, as arrays of one shape."""
     phasor = np.asarray(signal, dtype=np.complex128)
     in_phase = measured(in_phase_variance, name="in_phase_variance")
     quadrature = measured(quadrature_variance, name="quadrature_variance")

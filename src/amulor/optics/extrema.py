@@ -1,4 +1,4 @@
-"""Maxima and minima of a sweep over modulation frequency, and their separation."""
+"""Maxima and minima of interference over modulation frequency, and their spacing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Extrema", "find", "group_depth", "ripple", "separation"]
 
 @dataclass(frozen=True)
 class Extrema:
-    """Extrema of a curve, in rising order of frequency.
+    """Maxima and minima of a curve over modulation frequency, in rising order.
 
     Examples
     --------
@@ -43,12 +43,12 @@ class Extrema:
 
     @property
     def separations(self) -> NDArray[np.float64]:
-        """Distances of successive maxima and of successive minima [Hz]."""
+        """Spacing of successive maxima, and of successive minima [Hz]."""
         return np.concatenate([np.diff(self.maxima), np.diff(self.minima)])
 
 
 def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
-    """Return the maxima and minima of amplitude, contrast or another quantity.
+    """Return the maxima and minima of a curve over modulation frequency.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def group_depth(
 def separation(
     distance: ArrayLike, *, group_depth: ArrayLike, group_index: float
 ) -> NDArray[np.float64]:
-    r"""Return the separation of the maxima of target and water in a sweep.
+    r"""Return the frequency spacing of maxima for target and water in interference.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def separation(
 
 
 def ripple(value: ArrayLike) -> float:
-    """Return the ripple (max - min) / mean of a sweep.
+    """Return the ripple (max - min) / mean of a curve over frequency.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def ripple(value: ArrayLike) -> float:
 def _sweep(
     modulation_frequency: ArrayLike, value: ArrayLike, *, name: str
 ) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Return frequencies and values of a sweep, checked."""
+    """Return checked frequencies and values of a curve."""
     f = not_negative(modulation_frequency, name="modulation_frequency", unit="Hz")
     y = np.asarray(value)
     one_axis(3, modulation_frequency=f, **{name: y})
@@ -270,7 +270,7 @@ def _sweep(
 def _vertex(
     f: NDArray[np.float64], y: NDArray[np.float64], at: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Return the vertices of parabolas through neighboring samples."""
+    """Return the vertices of parabolas through three neighboring samples."""
     before, after = f[at - 1] - f[at], f[at + 1] - f[at]
     low, high = y[at - 1] - y[at], y[at + 1] - y[at]
     curve = (high / after - low / before) / (after - before)

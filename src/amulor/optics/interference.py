@@ -1,4 +1,4 @@
-r"""Interference of target and water: sum of two phasors and its figures of merit.
+r"""Interference of target and water signal: their complex sum and its contrast.
 
 The signals are complex, in phase + i quadrature = amplitude * exp(+i phase), with
 the phase the delay behind the reference. Equation numbers are those of R. Ricci et
@@ -27,7 +27,7 @@ __all__ = [
 def total_signal(
     target_signal: ArrayLike, water_signal: ArrayLike
 ) -> NDArray[np.complex128]:
-    r"""Return the total signal of a target behind water.
+    r"""Return the total signal of a target behind water, a complex sum.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def target_signal(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.comp
 def phase_error(
     target_signal: ArrayLike, water_signal: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the phase error of a target by the water signal.
+    r"""Return the phase error of a target that the water signal causes.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def phase_error(
 def signal_to_optical_noise_ratio(
     signal: ArrayLike, water_signal: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the modulus of a signal over that of the water.
+    r"""Return the ratio of signal modulus to water-signal modulus.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def signal_to_optical_noise_ratio(
 
 
 def contrast(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the contrast of a signal against that of the water.
+    r"""Return the contrast between a signal and the water signal.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def total_amplitude_and_phase(
     water_amplitude: ArrayLike,
     water_phase: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    r"""Return amplitude and phase of a target behind water.
+    r"""Return amplitude and phase of the sum of target and water signal.
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ def target_amplitude_and_phase(
     water_amplitude: ArrayLike,
     water_phase: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    r"""Return amplitude and phase of a target after subtraction of the water.
+    r"""Return amplitude and phase after subtraction of the water signal.
 
     Parameters
     ----------
@@ -363,14 +363,14 @@ def target_amplitude_and_phase(
 
 
 def _amplitude(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
-    """Return an amplitude as an array, refused if negative."""
+    """Return an amplitude as an array; ValueError if negative."""
     return measured(value, name=name, hint="add pi to the phase instead")
 
 
 def _moduli(
     signal: ArrayLike, water_signal: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the moduli of two signals."""
+    """Return the moduli of a signal and of the water signal."""
     total = np.abs(np.asarray(signal, dtype=np.complex128))
     water = np.abs(np.asarray(water_signal, dtype=np.complex128))
     broadcast(signal=total, water_signal=water)

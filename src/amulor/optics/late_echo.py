@@ -1,4 +1,4 @@
-r"""Delay of an echo by light that is scattered on its way there and back.
+r"""Excess delay of an echo by forward scattering between instrument and target.
 
 Light that small scattering angles bend off its way and back takes a longer way than
 the straight one. The receiver sees it with the light that was not scattered, and the
@@ -60,7 +60,7 @@ def late_echo(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return the range excess of an echo by light scattered on its way.
+    r"""Return the range excess of an echo caused by forward scattering.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def late_echo(
 
 
 def _at_frequency(rate: Array, excess: Array, unscattered: Array) -> Array:
-    """Return the path excess shown by the phase of the echo [m].
+    """Return the excess path that the phase of the echo shows [m].
 
     The rate is that of the phase with the way [rad/m].
     """
@@ -209,22 +209,22 @@ def _at_frequency(rate: Array, excess: Array, unscattered: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class _Table:
-    """Transform of a phase function and its integrals, over frequency."""
+    """Hankel transform of a phase function, its derivative and integrals."""
 
     value: CubicSpline
     slope: PPoly
-    """Derivative of the value."""
+    """Derivative of the transform by frequency."""
     integral: PPoly
     square: PPoly
-    """Integral of the square."""
+    """Integral of the squared transform."""
     curl: PPoly
-    """Integral of the slope over the frequency."""
+    """Integral of the derivative divided by the frequency."""
     curl_integral: PPoly
 
 
 @lru_cache(maxsize=8)
 def _table(phase_function: PhaseFunction, split_angle: float, octave: int) -> _Table:
-    """Return the table up to a power of two of the frequency [1/rad]."""
+    """Return the transform table up to a frequency of 2 to the power octave [1/rad]."""
     from scipy.interpolate import CubicSpline
 
     top = 2.0**octave
@@ -262,7 +262,7 @@ def _excess(
     cross_tilt: Array,
     standoff: Array,
 ) -> Array:
-    """Return path excess by scattering, by the aperture [m], and unscattered share."""
+    """Return excess path by scattering and by aperture [m], unscattered share."""
     way = depth + standoff
     width = receiver_radius**2 + beam_radius**2
     width = width + (acceptance_angle * way) ** 2 + (beam_divergence * depth) ** 2
@@ -310,7 +310,7 @@ def _excess(
 def _scattering_terms(
     table: _Table, rate: Array, kappa: Array, depth: Array
 ) -> tuple[Array, Array, Array]:
-    """Return path integrals of the Laplacian, of A^2 and of A by scattering.
+    """Return path integrals of the scattering terms in the excess-path formula.
 
     A is the gradient along kappa of the exponent, b_f / kappa times the difference of
     the transform at the end of the way and at the depth.
@@ -326,7 +326,7 @@ def _scattering_terms(
 def _way(
     terms: tuple[Array, Array, Array], kappa: Array, spread: Array, *, way: Array
 ) -> tuple[Array, Array]:
-    """Return the integrals with the spread of the start: Laplacian and square, and A.
+    """Return the path integrals with the Gaussian angular spread at the start added.
 
     The start is Gaussian in direction, with the 1/e semi-angle `spread`.
     """

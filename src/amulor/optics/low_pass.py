@@ -47,7 +47,7 @@ def cut_off(
     *,
     maximum_frequency: float = 1e9,
 ) -> float:
-    r"""Return the frequency where a response first falls to half of its power.
+    r"""Return the frequency at which a response falls to half of its power.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def cut_off(
 
 
 def cut_off_of_sweep(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> float:
-    r"""Return the frequency where a sweep first falls to half of its power.
+    r"""Return the half-power frequency of a measured sweep.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def cut_off_of_sweep(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> f
 
 @dataclass(frozen=True)
 class LowPassFit:
-    """Fit of the first-order low-pass to a measured sweep.
+    """Fit of a first-order low-pass to a measured frequency sweep.
 
     Examples
     --------
@@ -199,14 +199,14 @@ class LowPassFit:
     cut_off: float
     """Fitted cut-off frequency f_c [Hz]."""
     cut_off_standard_error: float
-    """Standard error of the cut-off, from the scatter about the fit [Hz]."""
+    """Standard error of the cut-off, from the residuals of the fit [Hz]."""
     amplitude_at_zero: float
     """Amplitude at zero frequency, in the unit of the data: fitted by `fit`, the
     largest of the data for `fit_of_power`."""
 
 
 def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
-    r"""Fit the first-order low-pass to the amplitudes of a sweep.
+    r"""Fit a first-order low-pass to the amplitudes of a frequency sweep.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
 
 
 def fit_of_power(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
-    r"""Fit the first-order low-pass to the power of a sweep.
+    r"""Fit a first-order low-pass to the squared amplitudes of a frequency sweep.
 
     Parameters
     ----------
@@ -371,7 +371,7 @@ def fit_of_power(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPa
 def _checked(
     modulation_frequency: ArrayLike, amplitude: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies and amplitudes of a sweep, checked for a fit."""
+    """Return checked frequencies and amplitudes of a frequency sweep."""
     f = not_negative(modulation_frequency, name="modulation_frequency", unit="Hz")
     a = not_negative(amplitude, name="amplitude")
     one_axis(3, modulation_frequency=f, amplitude=a)
@@ -385,12 +385,12 @@ def _checked(
 
 
 def _grid(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return logarithms of cut-offs to start from, for frequencies up to 1."""
+    """Return logarithms of trial cut-off frequencies, frequencies scaled to 1."""
     return np.linspace(np.log(x[x > 0].min()) - 7, 7, 400)
 
 
 def _closest(residual_sum: NDArray[np.float64], f: NDArray[np.float64]) -> int:
-    """Return the position of the least sum of squares, inside of the grid."""
+    """Return the index of the least sum of squares; error if at the grid's end."""
     closest = int(np.argmin(residual_sum))
     if closest in (0, residual_sum.size - 1):
         raise _not_shown(f)
@@ -398,7 +398,7 @@ def _closest(residual_sum: NDArray[np.float64], f: NDArray[np.float64]) -> int:
 
 
 def _not_shown(f: NDArray[np.float64]) -> ValueError:
-    """Return the error of a sweep that does not fall."""
+    """Return the error for a sweep in which no low-pass behavior is visible."""
     return ValueError(
         f"the amplitudes between {f.min():g} and {f.max():g} Hz do not show where "
         "they fall to 1/sqrt(2); a cut-off cannot be fitted to them"
@@ -408,7 +408,7 @@ def _not_shown(f: NDArray[np.float64]) -> ValueError:
 def fit_if_shown(
     modulation_frequency: ArrayLike, amplitude: ArrayLike
 ) -> LowPassFit | None:
-    """Return the fit, or None if the sweep stays on one side of the cut-off.
+    """Return the fit, or None for a sweep all below or all above the cut-off.
 
     Parameters
     ----------
@@ -448,7 +448,7 @@ def fit_if_shown(
 def first_order_response(
     modulation_frequency: ArrayLike, *, cut_off: ArrayLike
 ) -> NDArray[np.complex128]:
-    r"""Return the normalised response of a first-order low-pass.
+    r"""Return the normalized amplitude response of a first-order low-pass.
 
     Parameters
     ----------
@@ -494,7 +494,7 @@ def first_order_response(
 def cut_off_of_narrow_receiver(
     *, reduced_attenuation: ArrayLike, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the cut-off of a narrow receiver on the laser axis.
+    r"""Return the cut-off of the water signal for a narrow coaxial receiver.
 
     Parameters
     ----------

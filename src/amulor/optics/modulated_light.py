@@ -1,4 +1,4 @@
-r"""Modulated light in time: launched power, received power, attenuation.
+r"""Modulated light over time: launched power, received power, attenuation.
 
 A complex response, received per launched power, says it all in frequency; here it is
 turned into the power that a detector sees from one moment to the next.
@@ -34,7 +34,7 @@ def launched_power(
     modulation_depth: ArrayLike,
     modulation_frequency: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the power of a laser whose intensity is modulated.
+    r"""Return the power of an intensity-modulated laser over time.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def received_power(
     modulation_depth: ArrayLike,
     modulation_frequency: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the power received from water or target.
+    r"""Return the received power over time, from water or target.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Modulation phase and slant range: conversion, ambiguity and precision."""
+"""Modulation phase and slant range: conversion, ambiguity interval, precision."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = [
 def phase(
     slant_range: ArrayLike, *, modulation_frequency: ArrayLike, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the modulation phase delay of a distance.
+    r"""Return the modulation phase delay of an echo from a slant range.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def phase(
 def slant_range(
     phase: ArrayLike, *, modulation_frequency: ArrayLike, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the distance of a modulation phase delay.
+    r"""Return the slant range for a modulation phase delay.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def slant_range(
 def ambiguity_interval(
     modulation_frequency: ArrayLike, *, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the distance over which the modulation phase turns once.
+    r"""Return the range interval after which the modulation phase repeats.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def slant_range_uncertainty(
     modulation_frequency: ArrayLike,
     group_index: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the standard deviation of a distance from that of its phase.
+    r"""Return the standard uncertainty of a range from that of its phase.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def slant_range_uncertainty(
 def phase_per_range(
     modulation_frequency: ArrayLike, *, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the phase per distance.
+    r"""Return the phase delay per unit of slant range.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def phase_per_range(
 def range_per_phase(
     modulation_frequency: ArrayLike, *, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the distance per phase.
+    r"""Return the slant range per unit of phase delay.
 
     Turns errors of a phase into errors of the slant range, with their sign if they
     have one, frequency by frequency. Twice the value at a group index of 1 is the
@@ -311,7 +311,7 @@ def range_per_phase(
 
 
 def phase_shift(signal: ArrayLike, *, residual: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the phase shift by a residual in a signal.
+    r"""Return the phase error that a residual water signal causes in a signal.
 
     Parameters
     ----------
@@ -352,7 +352,7 @@ def phase_shift(signal: ArrayLike, *, residual: ArrayLike) -> NDArray[np.float64
 def weights_and_uncertainty(
     standard_uncertainty: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    r"""Return the weights of independent ranges, and the uncertainty of their mean.
+    r"""Return inverse-variance weights, and the uncertainty of the weighted mean.
 
     Parameters
     ----------
@@ -393,7 +393,7 @@ def photon_limited_uncertainty(
     modulation_frequency: ArrayLike,
     group_index: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the standard deviation of a distance limited by photon counting.
+    r"""Return the photon-limited standard uncertainty of a slant range.
 
     Parameters
     ----------
@@ -455,16 +455,16 @@ def photon_limited_uncertainty(
 
 
 def _frequency(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
-    """Return the modulation frequency as an array, checked to be above zero."""
+    """Return the modulation frequency as an array; ValueError unless above zero."""
     return positive(modulation_frequency, name="modulation_frequency", unit="Hz")
 
 
 def _velocity(group_index: ArrayLike) -> NDArray[np.float64]:
-    """Return the group velocity [m/s], for a group index of at least 1."""
+    """Return the group velocity for a group index of at least 1 [m/s]."""
     velocity: NDArray[np.float64] = speed_of_light / _group_index(group_index)
     return velocity
 
 
 def _group_index(group_index: ArrayLike) -> NDArray[np.float64]:
-    """Return the group index as an array, checked to be at least 1."""
+    """Return the group index as an array; ValueError if below 1."""
     return at_least(group_index, 1, name="group_index", hint="water has about 1.38")

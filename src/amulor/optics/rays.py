@@ -1,4 +1,4 @@
-"""Beams through a flat window into the water, and the light's return.
+"""Ray optics: refraction at a flat window, and optical paths to the receiver.
 
 Coordinates are right, down, forward, a right-handed system seen from the instrument.
 The window is a plane across the forward axis: the half space before it is air, the one
@@ -18,7 +18,7 @@ from amulor.optics._bounds import broadcast, finite, last_axes, require
 
 @dataclass(frozen=True, kw_only=True)
 class Medium:
-    """Media of the light: water, and optionally a window with air before it.
+    """Media along the light path: water, optionally with air and a window.
 
     Examples
     --------
@@ -36,7 +36,7 @@ class Medium:
     group_index: float
     """Group index of the water [1]."""
     window_distance: float | None = None
-    """Forward coordinate of the near face of the window; None without one [m]."""
+    """Forward coordinate of the window's near face; None without a window [m]."""
     window_thickness: float = 0.0
     """Thickness of the pane [m]."""
     window_refractive_index: float = 1.0
@@ -47,7 +47,7 @@ class Medium:
 
 @dataclass(frozen=True, kw_only=True)
 class Beam:
-    """Beam in the water, with the path before it.
+    """Laser beam in the water, with its path before the water.
 
     Examples
     --------
@@ -59,17 +59,17 @@ class Beam:
     """
 
     entry: NDArray[np.float64]
-    """Start of the beam in the water, last axis (3,) [m]."""
+    """Point at which the beam enters the water, last axis (3,) [m]."""
     direction: NDArray[np.float64]
-    """Unit vector in the water, last axis (3,) [1]."""
+    """Unit vector along the beam in the water, last axis (3,) [1]."""
     length_before: NDArray[np.float64]
-    """Geometric length before the water [m]."""
+    """Geometric path length before the water [m]."""
     optical_length_before: NDArray[np.float64]
-    """Optical length before the water, by group index [m]."""
+    """Optical path length before the water, by group index [m]."""
 
 
 def direction(azimuth: ArrayLike, elevation: ArrayLike) -> NDArray[np.float64]:
-    """Return the unit vector of a pair of scan angles.
+    """Return the unit vector for an azimuth and an elevation.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def direction(azimuth: ArrayLike, elevation: ArrayLike) -> NDArray[np.float64]:
 
 
 def enter_water(position: ArrayLike, unit_vector: ArrayLike, *, medium: Medium) -> Beam:
-    """Follow a beam from its start into the water.
+    """Trace a beam from the emitter through the window into the water.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def enter_water(position: ArrayLike, unit_vector: ArrayLike, *, medium: Medium) 
 def return_length(
     point: ArrayLike, receiver: ArrayLike, *, medium: Medium
 ) -> NDArray[np.float64]:
-    """Return the optical length from a point back to the receiver.
+    """Return the optical path length from a point to the receiver.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def return_length(
 def return_distance(
     point: ArrayLike, receiver: ArrayLike, *, medium: Medium
 ) -> NDArray[np.float64]:
-    """Return the length in water from a point back to the receiver.
+    """Return the geometric path length in water from a point to the receiver.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def return_distance(
 def _ways_back(
     point: ArrayLike, receiver: ArrayLike, medium: Medium
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | float]:
-    """Return the length in water of the way back, and the optical length after it."""
+    """Return path length in water to the window, and optical length after it."""
     source = last_axes(point, (3,), name="point", meaning="(x, y, z)")
     sink = last_axes(receiver, (3,), name="receiver", meaning="(x, y, z)")
     broadcast(point=source, receiver=sink)
@@ -312,7 +312,7 @@ def optical_path(
     *,
     medium: Medium,
 ) -> NDArray[np.float64]:
-    """Return the two-way optical path to a point of a beam.
+    """Return the two-way optical path to a point at a slant range on a beam.
 
     Parameters
     ----------
@@ -361,7 +361,7 @@ def slant_range_of_path(
     *,
     medium: Medium,
 ) -> NDArray[np.float64]:
-    r"""Return the slant range of a surface from the two-way optical path.
+    r"""Return the slant range of a surface for a two-way optical path.
 
     Parameters
     ----------
@@ -442,7 +442,7 @@ def path_limits(
     medium: Medium,
     modulation_frequency: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the shortest and longest two-way optical paths within range limits.
+    """Return the shortest and longest two-way optical path for range limits.
 
     Parameters
     ----------

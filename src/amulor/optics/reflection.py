@@ -1,4 +1,4 @@
-r"""Reflection by rough surfaces, as light per solid angle, and by smooth interfaces.
+r"""Reflection of light by rough surfaces, and transmission of smooth interfaces.
 
 A BRDF f is reflected radiance over incident irradiance [1/sr]. Lambert's law is
 :math:`f = \varrho / \pi`.
@@ -29,7 +29,7 @@ def oren_nayar(
     roughness: ArrayLike,
     reflectance: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the BRDF of a surface of rough, matte facets.
+    r"""Return the Oren-Nayar BRDF of a rough, matte surface.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def fresnel_transmission(
     refractive_index: ArrayLike,
     refractive_index_behind: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the power that an interface lets pass, of unpolarized light.
+    r"""Return the Fresnel transmission of an interface for unpolarized light.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-r"""Echo of a diffuse surface, through the same water as the water signal.
+r"""Echo of a diffuse surface, attenuated by the water, in four models.
 
 One function for each model of the water: a Lambertian plane returns
 :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with the overlap F of that model,
@@ -55,7 +55,7 @@ def target_response(
     standoff: ArrayLike = 0.0,
     return_path: ArrayLike | None = None,
 ) -> NDArray[np.complex128]:
-    r"""Return the echo of a diffuse surface in the small-angle diffusion model.
+    r"""Return the echo of a diffuse surface by the small-angle diffusion model.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def small_angle_target_response(
     standoff: ArrayLike = 0.0,
     return_path: ArrayLike | None = None,
 ) -> NDArray[np.complex128]:
-    r"""Return the echo of a diffuse surface in the small-angle model.
+    r"""Return the echo of a diffuse surface by the small-angle model.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ def closure_target_response(
     standoff: ArrayLike = 0.0,
     return_path: ArrayLike | None = None,
 ) -> NDArray[np.complex128]:
-    r"""Return the echo of a diffuse surface by the closure of the small-angle model.
+    r"""Return the echo of a diffuse surface by the small-angle closure.
 
     Parameters
     ----------
@@ -432,7 +432,7 @@ def sharp_receiver_target_response(
     standoff: ArrayLike = 0.0,
     return_path: ArrayLike | None = None,
 ) -> NDArray[np.complex128]:
-    r"""Return the echo of a diffuse surface to a receiver with sharp edges.
+    r"""Return the echo of a diffuse surface for a receiver with sharp edges.
 
     Parameters
     ----------
@@ -534,7 +534,7 @@ def _place(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> tuple[dict[str, ArrayLike], NDArray[np.float64] | float]:
-    """Return the overlap arguments of a surface position, and a cosine."""
+    """Return overlap arguments for a surface, and the cosine of its return angle."""
     place: dict[str, ArrayLike] = {
         "depth": depth,
         "baseline": baseline,
@@ -581,7 +581,7 @@ def _echo(
     reflectance: ArrayLike,
     cosine: ArrayLike,
 ) -> NDArray[np.complex128]:
-    """Return the echo of a Lambertian plane for an overlap."""
+    """Return the echo of a Lambertian plane from the overlap at its depth."""
     frequency = not_negative(
         modulation_frequency, name="modulation_frequency", unit="Hz"
     )

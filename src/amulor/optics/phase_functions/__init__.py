@@ -1,4 +1,4 @@
-"""Phase functions of scattering: closed forms, objects, tables, spheres."""
+"""Scattering phase functions: closed forms, objects, measured tables, Mie spheres."""
 
 from __future__ import annotations
 

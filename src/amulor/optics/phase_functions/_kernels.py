@@ -1,4 +1,4 @@
-"""Compiled sums of a phase function times J0 over narrow panels of the angle.
+"""Compiled Hankel sums: phase function times J0 over narrow intervals of angle.
 
 Compiled, as tables of a phase function have thousands of panels, and each is met at
 each of thousands of direction frequencies.
@@ -31,7 +31,7 @@ def narrow_panels(
     legendre: Array,
     out: Array,
 ) -> None:
-    """Add sums of fraction * J0(k angle) over panels to those of each frequency k.
+    """Add the sums of fraction * J0(k angle) over intervals of angle, for each k.
 
     A row of angle holds the nodes of a panel no wider than a tenth of where it starts,
     bessel the table of J0, row l of legendre (2 l + 1) times the Legendre polynomial at
@@ -53,7 +53,7 @@ def narrow_panels(
 
 @numba.njit(cache=True, error_model="numpy")
 def _spherical_bessel(x: float, out: Array) -> None:
-    """Fill out with the spherical Bessel functions j_l at x from `SLOW`, l rising.
+    """Fill out with the spherical Bessel functions j_l at x, l rising.
 
     Upwards: rounding grows to 1e-11 for l = 6 at `SLOW`, a term that is small itself.
     """
@@ -67,7 +67,7 @@ def _spherical_bessel(x: float, out: Array) -> None:
 def _fast_panel(
     k: float, angle: Array, fraction: Array, terms: Array, legendre: Array
 ) -> float:
-    """Return the sum over a panel of half an oscillation or more.
+    """Return the sum over a panel that spans half a cycle of J0 or more.
 
     J0 is the real part of Hankel's function, by his expansion, as k angle is above 28;
     its slow factor becomes a Legendre series, and i^l P_l transforms into j_l.

@@ -1,4 +1,4 @@
-r"""The Fournier-Forand phase function of a hyperbolic size distribution, closed form.
+r"""Fournier-Forand phase function, for particle sizes by a power law.
 
 Numbers of particles fall with their size as :math:`r^{-\mu}`; the forward peak rises
 as :math:`\theta^{\mu - 5}`. With :math:`\nu = (3 - \mu) / 2` and
@@ -189,7 +189,7 @@ def fournier_forand_backscatter_fraction(
 
 
 def _growth(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (delta^power - 1) / log(delta), power at delta = 1."""
+    """Return (delta^power - 1) / log(delta), which is power at delta = 1."""
     safe = np.where(log_delta == 0, 1.0, log_delta)
     growth: NDArray[np.float64] = np.where(
         log_delta == 0, power, np.expm1(power * safe) / safe
@@ -213,19 +213,19 @@ def _remainder(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _smooth_weight(nu: float, relative_index: float) -> float:
-    """Return the factor of 3 cos^2 - 1."""
+    """Return the weight of the term in 3 cos^2 - 1."""
     logs = np.array([_log_delta_pi(relative_index)])
     ratio = -_growth(nu, logs) / _growth(1.0, logs) / np.exp(nu * logs)
     return float(ratio[0]) / (16 * np.pi)
 
 
 def _log_delta_pi(relative_index: float) -> float:
-    """Return log(delta) at 180 degrees."""
+    """Return the logarithm of delta at a scattering angle of 180 degrees."""
     return float(np.log(4 / 3) - 2 * np.log(relative_index - 1))
 
 
 def _checked(relative_index: float, slope: float) -> float:
-    """Return nu, after range checks of both parameters."""
+    """Return the exponent nu, after range checks of index and slope."""
     within(
         relative_index,
         1,

@@ -1,4 +1,4 @@
-r"""Phase functions of scattering: Henyey-Greenstein in closed form.
+r"""Henyey-Greenstein phase function in closed form, with its moments.
 
 A phase function is scattered power per solid angle, with an integral of 1 over the
 sphere. The forward part is what is scattered by less than a split angle; its second
@@ -134,7 +134,7 @@ def henyey_greenstein_cumulative(
 def henyey_greenstein_forward_fraction(
     *, asymmetry: ArrayLike, split_angle: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the forward fraction of Henyey-Greenstein scattering.
+    r"""Return the fraction of Henyey-Greenstein scattering below a split angle.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def henyey_greenstein_backscatter_fraction(
 def henyey_greenstein_second_moment(
     *, asymmetry: ArrayLike, split_angle: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the second moment of the forward part of Henyey-Greenstein.
+    r"""Return the mean squared angle of forward Henyey-Greenstein scattering.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def henyey_greenstein_second_moment(
 
 
 def similarity_second_moment(*, asymmetry: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the second moment implied by the mean cosine alone.
+    r"""Return the second moment that follows from the mean cosine alone.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def similarity_second_moment(*, asymmetry: ArrayLike) -> NDArray[np.float64]:
 def _distance(
     theta: NDArray[np.float64], g: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return sqrt(1 + g^2 - 2 g cos) without cancellation in either peak."""
+    """Return sqrt(1 + g^2 - 2 g cos theta), accurate near 0 and pi."""
     from_peak = np.where(g >= 0, theta, np.pi - theta)
     return _distance_from_peak(from_peak, g)
 
@@ -306,7 +306,7 @@ def _distance(
 def _distance_from_peak(
     from_peak: NDArray[np.float64], g: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return sqrt(1 + g^2 - 2 g cos) from the angle to the peak."""
+    """Return sqrt(1 + g^2 - 2 g cos theta) from the angle to the peak."""
     strength = np.abs(g)
     half_chord = np.sin(from_peak / 2)
     square: NDArray[np.float64] = (1 - strength) ** 2 + 4 * strength * half_chord**2

@@ -1,4 +1,4 @@
-r"""Integrals of a phase function: forward split, cumulative, Hankel transform.
+r"""Integrals of a phase function: forward fraction, cumulative, Hankel transform.
 
 Scattering of the sea rises towards 0 degrees over many decades of the angle, so every
 integral is a sum of Gauss-Legendre rules over panels graded in the angle.
@@ -21,15 +21,15 @@ __all__ = ["Panels", "forward_split", "gauss_legendre"]
 Density = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 INNERMOST_ANGLE = 1e-12
-"""End of the innermost panel, in which a phase function is a power law [rad]."""
+"""Angle below which a phase function counts as a power law [rad]."""
 
 LARGEST_DIRECTION_FREQUENCY = 1e9
-"""Largest conjugate of the angle in `Panels.hankel` [1/rad]."""
+"""Largest frequency accepted by `Panels.hankel` [1/rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Panels:
-    r"""Panels of the angle within which a phase function is smooth.
+    r"""Intervals of angle in which a phase function is smooth, for quadrature.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Panels:
     head_exponent: float = 0.0
 
     def cumulative(self, angle: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the integral of 2 pi p sin from 0 to each angle [1]."""
+        """Return the integral of 2 pi p sin(angle) from 0 to each angle [1]."""
         flat = angle.ravel()
         panel = np.searchsorted(self.edges, flat, side="right") - 1
         panel = np.minimum(panel, self.edges.size - 2)
@@ -80,7 +80,7 @@ class Panels:
         return total.reshape(angle.shape)
 
     def mean(self, weight: Density, *, low: float = 0.0, high: float = np.pi) -> float:
-        """Return the integral of weight times phase function over solid angle.
+        """Return the solid-angle integral of phase function times a weight.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class Panels:
     def hankel(
         self, direction_frequency: NDArray[np.float64], *, split_angle: float
     ) -> NDArray[np.float64]:
-        r"""Return the integral of 2 pi p sin J0(k angle) from 0 to a split angle.
+        r"""Return the Hankel transform of the phase function below a split angle.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class Panels:
         return total.reshape(direction_frequency.shape)
 
     def _innermost(self) -> float:
-        """Return the integral of 2 pi p sin below the first edge."""
+        """Return the integral of 2 pi p sin(angle) below the first edge."""
         end = self.edges[:1]
         fraction = 2 * np.pi * self.value(end) * end**2 / (2 - self.head_exponent)
         return float(fraction[0])
@@ -177,7 +177,7 @@ class Panels:
     def _rule(
         self, low: NDArray[np.float64], high: NDArray[np.float64], *, order: int = 16
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return angles, and weights times 2 pi p sin, shape (panel, order)."""
+        """Return angles and weights * 2 pi p sin(angle), shape (panel, order)."""
         nodes, weights = gauss_legendre(order)
         half = (high - low)[:, np.newaxis] / 2
         angle = np.minimum(low[:, np.newaxis] + half * (nodes + 1), np.pi)
@@ -189,7 +189,7 @@ def _oscillating(
     angle: NDArray[np.float64],
     fraction: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return sums of fraction * J0(k angle) over panels, exact in oscillations."""
+    """Return sums of fraction * J0(k angle), precise for fast oscillations."""
     from amulor.optics.phase_functions import _kernels
 
     order = angle.shape[1]
@@ -220,7 +220,7 @@ def _oscillating(
 
 @cache
 def _legendre(order: int) -> NDArray[np.float64]:
-    """Return 2 l + 1 times the Legendre polynomials at the nodes, degree by degree."""
+    """Return (2 l + 1) P_l at the nodes, one row for each degree l."""
     nodes, _ = gauss_legendre(order)
     degree = np.arange(order)[:, np.newaxis]
     return np.ascontiguousarray((2 * degree + 1) * special.eval_legendre(degree, nodes))
@@ -231,7 +231,7 @@ def forward_split(
     *,
     split_angle: float,
 ) -> tuple[float, float]:
-    r"""Return forward fraction and second moment of any phase function.
+    r"""Return the forward fraction and the second moment of a phase function.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ _SMALLEST_ANGLE = 1e-18
 def _weighted_integrals(
     phase_function: Callable[[NDArray[np.float64]], ArrayLike], low: float, high: float
 ) -> tuple[float, float]:
-    """Return the integrals of 2 pi p sin and 2 pi p sin angle^2 from low to high."""
+    """Return the integrals of 2 pi p sin(x) and 2 pi p sin(x) x^2, low to high."""
     nodes, weights = gauss_legendre(12)
     tolerance = np.array([1e-11, 1e-11])  # of the whole sphere, and of its fraction
     panels = max(4, int(np.ceil(np.log(high / low))))
@@ -345,7 +345,7 @@ def _weighted_integrals(
 
 @cache
 def gauss_legendre(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return nodes and weights on -1..1, cached and read-only.
+    """Return Gauss-Legendre nodes and weights on -1..1, cached.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-r"""Scattering by spheres: efficiencies, phase function and matrix of a suspension.
+r"""Mie scattering by spheres: efficiencies, phase function and Mueller matrix.
 
 Efficiencies and the coefficients of the series come from the package miepython (extra
 ``mie``). Indices are :math:`n + ik` with :math:`k > 0` for absorption, amplitudes go
@@ -37,11 +37,11 @@ from amulor.optics.polarization.mueller import particles
 __all__ = ["Sphere", "Suspension", "amplitudes", "size_distribution", "sphere"]
 
 LARGEST_SIZE_PARAMETER = 2e4
-"""Largest size parameter; the published tables that were met end at 1e4 [1]."""
+"""Largest size parameter; published tables for comparison end at 1e4 [1]."""
 
 
 class Sphere(NamedTuple):
-    """Efficiencies of a sphere: cross sections over its geometric one.
+    """Efficiencies of a sphere: its cross sections over its geometric one.
 
     Examples
     --------
@@ -65,7 +65,7 @@ class Sphere(NamedTuple):
 
 
 def sphere(size_parameter: float, *, relative_index: complex) -> Sphere:
-    r"""Return efficiencies and asymmetry of one sphere.
+    r"""Return the Mie efficiencies and the asymmetry of one sphere.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def sphere(size_parameter: float, *, relative_index: complex) -> Sphere:
 def amplitudes(
     angle: ArrayLike, *, size_parameter: float, relative_index: complex
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    r"""Return the amplitudes that one sphere scatters.
+    r"""Return the complex scattering amplitudes of one sphere.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def amplitudes(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Suspension:
-    """Scattering by spheres of many sizes, per volume of the medium.
+    """Scattering by a suspension of spheres of many sizes.
 
     Examples
     --------
@@ -170,27 +170,27 @@ class Suspension:
     scattering: float
     """Scattering coefficient b [1/m]."""
     extinction: float
-    """Attenuation coefficient of the spheres alone [1/m]."""
+    """Attenuation coefficient of the spheres, without the medium's absorption [1/m]."""
     asymmetry: float
-    """Mean cosine of the scattering angle, from the series [1]."""
+    """Mean cosine of the scattering angle, from the Mie series [1]."""
     angle: NDArray[np.float64]
-    """Angles of the arrays below, from 0 to pi [rad]."""
+    """Angles of the tabulated phase function and matrix, from 0 to pi [rad]."""
     value: NDArray[np.float64]
     """Phase function at these angles, for unpolarized light [1/sr]."""
     m12: NDArray[np.float64]
-    """Element m12 = m21 of the matrix over its first element [1]."""
+    """Mueller element m12 = m21 over m11 [1]."""
     m33: NDArray[np.float64]
-    """Element m33 = m44 [1]."""
+    """Mueller element m33 = m44 over m11 [1]."""
     m34: NDArray[np.float64]
-    """Element m34 = -m43 [1]."""
+    """Mueller element m34 = -m43 over m11 [1]."""
 
     @cached_property
     def phase_function(self) -> PhaseFunction:
-        """Phase function from the table; its `integral` should be close to 1."""
+        """Tabulated phase function; its `integral` should be close to 1."""
         return tabulated(self.angle, value=self.value, name="Mie suspension")
 
     def mueller(self, angle: ArrayLike) -> NDArray[np.float64]:
-        r"""Return the reduced matrix at angles, linear between those of the table.
+        r"""Return the reduced Mueller matrix at angles, by linear interpolation.
 
         Parameters
         ----------
@@ -231,7 +231,7 @@ def size_distribution(
     medium_index: float,
     angle: ArrayLike | None = None,
 ) -> Suspension:
-    r"""Return the scattering of a suspension of spheres.
+    r"""Return the scattering of a suspension of spheres with given sizes.
 
     Parameters
     ----------
@@ -335,7 +335,7 @@ def size_distribution(
 def _amplitudes(
     cosine: NDArray[np.float64], *, x: NDArray[np.float64], m: complex
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return S1 and S2, shape (size, angle), from the coefficients of the series."""
+    """Return the amplitudes S1 and S2, shape (size, angle), of spheres."""
     package = _miepython()
     pairs = [package.coefficients(m.conjugate(), float(size)) for size in x]
     terms = max(len(electric) for electric, _ in pairs)
@@ -358,7 +358,7 @@ def _amplitudes(
 
 
 def _angles(angle: ArrayLike | None, *, largest: float) -> NDArray[np.float64]:
-    """Return the angles of a table, checked to rise from 0 to pi."""
+    """Return the table angles, checked to rise from 0 to pi."""
     if angle is None:
         count = max(721, 1 + int(np.ceil(32 * largest)))
         return np.linspace(0, np.pi, count)
@@ -373,7 +373,7 @@ def _angles(angle: ArrayLike | None, *, largest: float) -> NDArray[np.float64]:
 
 
 def _checked_size(value: float) -> float:
-    """Return a size parameter, checked against its range."""
+    """Return a size parameter; ValueError if out of range."""
     hint = "it is the circumference over the wavelength in the medium"
     x = within(
         value, 0, LARGEST_SIZE_PARAMETER, name="size_parameter", above=True, hint=hint
@@ -382,7 +382,7 @@ def _checked_size(value: float) -> float:
 
 
 def _checked_index(value: complex) -> complex:
-    """Return a relative index, checked for the sign of its absorption."""
+    """Return a relative index; ValueError for the wrong sign of absorption."""
     m = complex(value)
     require(
         m,
@@ -395,7 +395,7 @@ def _checked_index(value: complex) -> complex:
 
 
 def _miepython() -> Any:
-    """Import the package that sums the series."""
+    """Import miepython, the package that sums the Mie series."""
     try:
         return import_module("miepython")
     except ImportError as error:

@@ -1,4 +1,4 @@
-r"""Phase functions of several kinds of particles in one water, and of the water itself.
+r"""Phase functions of mixtures: several kinds of particles, and the water.
 
 >>> from amulor.optics.phase_functions.models import isotropic, rayleigh_phase
 >>> both = mixture([isotropic(), rayleigh_phase()], scattering=[1.0, 3.0])
@@ -31,7 +31,7 @@ _SLOPES = (3.05, 4.9)
 def mixture(
     functions: Sequence[PhaseFunction], *, scattering: ArrayLike, name: str = ""
 ) -> PhaseFunction:
-    r"""Return the phase function of several scatterers in one water.
+    r"""Return the phase function of a mixture of scatterers.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def mixture(
 
 
 def fournier_forand_with_backscatter(backscatter_fraction: float) -> PhaseFunction:
-    r"""Return the Fournier-Forand phase function of a backscatter fraction.
+    r"""Return the Fournier-Forand phase function with a given backscatter fraction.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def fournier_forand_with_backscatter(backscatter_fraction: float) -> PhaseFuncti
 
 
 def _index(slope: float) -> float:
-    """Return the relative index for a slope of the size distribution [1]."""
+    """Return the particles' relative index for a slope of the size distribution [1]."""
     return 1.01 + 0.1542 * (slope - 3)
 
 

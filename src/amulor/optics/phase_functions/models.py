@@ -1,4 +1,4 @@
-r"""Phase functions from formulas: isotropic to Fournier-Forand.
+r"""Phase functions from formulas: isotropic, Rayleigh, Henyey-Greenstein and others.
 
 >>> water = fournier_forand(relative_index=1.1, slope=3.5835)
 >>> print(f"{water.backscatter_fraction:.4f}, {water.at_180:.2e} 1/sr")
@@ -57,7 +57,7 @@ def isotropic() -> PhaseFunction:
 
 
 def rayleigh_phase(*, depolarization: float = 0.0) -> PhaseFunction:
-    """Return the phase function of molecules for unpolarized light.
+    """Return the Rayleigh phase function for unpolarized light.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def _closed(
     *,
     head_exponent: float = 0.0,
 ) -> PhaseFunction:
-    """Return a phase function with closed forms, graded towards both poles."""
+    """Return a phase function with given closed forms, panels fine at 0 and pi."""
     forward = np.geomspace(INNERMOST_ANGLE, np.pi / 2, 42)
     backward = np.pi - np.geomspace(1e-7, np.pi / 2, 25)[-2::-1]
     panels = Panels(value, np.concatenate([forward, backward, [np.pi]]), head_exponent)
@@ -243,11 +243,11 @@ def _two_terms(
     second: float,
     weight: float,
 ) -> NDArray[np.float64]:
-    """Return the weighted sum of a Henyey-Greenstein formula of two asymmetries."""
+    """Return the weighted sum of a Henyey-Greenstein formula at two asymmetries."""
     second_term = (1 - weight) * formula(angle, asymmetry=second)
     return weight * formula(angle, asymmetry=first) + second_term
 
 
 def _asymmetry(value: float, *, name: str) -> float:
-    """Return a mean cosine, checked against the resolution of the panels."""
+    """Return a mean cosine; ValueError if too close to -1 or 1."""
     return float(within(value, -0.9999, 0.999999, name=name))

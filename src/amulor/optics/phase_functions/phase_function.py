@@ -1,4 +1,4 @@
-"""Phase functions as objects: one interface for formulas and tables.
+"""Phase functions as objects, from formulas or tables.
 
 They are made by `amulor.optics.phase_functions.models` from formulas and by
 `amulor.optics.phase_functions.tables` from tables.
@@ -30,7 +30,7 @@ __all__ = ["PhaseFunction", "SamplingTable"]
 
 @dataclass(frozen=True, eq=False)
 class SamplingTable:
-    """Inverse of a cumulative phase function, from which angles are drawn.
+    """Table of the inverse cumulative phase function, for random angles.
 
     Both arrays rise, so the inverse is monotone. Between two nodes the phase function
     is taken as constant, which keeps the fraction of each cell exact.
@@ -49,10 +49,10 @@ class SamplingTable:
     half_chord_squared: NDArray[np.float64]
     """sin^2(angle / 2) of each node, from 0 to 1 [1]."""
     error: float
-    """Largest error of the cumulative, found at 15 points inside of each cell [1]."""
+    """Largest interpolation error, from 15 points inside each cell [1]."""
 
     def angle(self, fraction: ArrayLike) -> NDArray[np.float64]:
-        r"""Return the angle below which a fraction of the scattering lies.
+        r"""Return the angle below which a given fraction of scattering lies.
 
         Parameters
         ----------
@@ -103,12 +103,11 @@ class PhaseFunction:
     """
 
     name: str
-    """Name with parameters."""
+    """Name of the phase function, with its parameters."""
     panels: Panels = field(repr=False)
-    """Value and the panels of the angle over which it is smooth."""
+    """Function, and the intervals of angle in which it is smooth."""
     head_angle: float = 0.0
-    """Angle below which the function is a power law for want of data; 0 if none
-    [rad]."""
+    """Angle below which a power law replaces missing data; 0 if none [rad]."""
     integral: float = 1.0
     """Integral over the sphere before normalization: 1, or for a volume scattering
     function the scattering coefficient [1/m].
@@ -121,7 +120,7 @@ class PhaseFunction:
     """Closed form of `asymmetry`, if there is one [1]."""
 
     def __call__(self, angle: ArrayLike) -> NDArray[np.float64]:
-        """Return the phase function at angles.
+        """Return the phase function at scattering angles.
 
         Parameters
         ----------
@@ -149,12 +148,12 @@ class PhaseFunction:
 
     @property
     def head_exponent(self) -> float:
-        r"""Exponent s of the power law :math:`\theta^{-s}` near 0, 0 if finite [1]."""
+        r"""Exponent s of the power law :math:`\theta^{-s}` near 0, else 0 [1]."""
         return self.panels.head_exponent
 
     @property
     def description(self) -> str:
-        """Name, with the share of the scattering in a head without data."""
+        """Name, with the fraction of scattering below the smallest measured angle."""
         if self.head_angle == 0:
             return self.name
         fraction = float(self.cumulative(self.head_angle))
@@ -165,7 +164,7 @@ class PhaseFunction:
         )
 
     def cumulative(self, angle: ArrayLike) -> NDArray[np.float64]:
-        """Return the fraction of the scattering below angles.
+        """Return the fraction of the scattering below given angles.
 
         Parameters
         ----------
@@ -202,11 +201,11 @@ class PhaseFunction:
 
     @cached_property
     def at_180(self) -> float:
-        """Value straight back [1/sr]."""
+        """Phase function at a scattering angle of 180 degrees [1/sr]."""
         return float(self(np.pi))
 
     def forward_split(self, split_angle: float) -> tuple[float, float]:
-        r"""Return fraction and second moment of the forward part.
+        r"""Return the fraction and second moment of scattering below a split angle.
 
         Parameters
         ----------
@@ -243,7 +242,7 @@ class PhaseFunction:
     def hankel(
         self, direction_frequency: ArrayLike, *, split_angle: float
     ) -> NDArray[np.float64]:
-        r"""Return the Hankel transform of the forward part, for the small-angle form.
+        r"""Return the normalized Hankel transform of the forward scattering.
 
         Parameters
         ----------
@@ -292,7 +291,7 @@ class PhaseFunction:
         return self.panels.hankel(q, split_angle=split) / fraction
 
     def sampling_table(self, size: int) -> SamplingTable:
-        """Return a table from which scattering angles are drawn.
+        """Return a table for drawing random scattering angles.
 
         Parameters
         ----------
@@ -339,5 +338,5 @@ class PhaseFunction:
 
 
 def _split(value: float) -> float:
-    """Return a split angle, checked to lie beyond the innermost panel."""
+    """Return a split angle; ValueError if too close to 0."""
     return float(checked_split_angle(value, above=INNERMOST_ANGLE))

@@ -1,4 +1,4 @@
-r"""Scattering by small particles: phase function and size parameter.
+r"""Scattering by small particles: Rayleigh phase function and size parameter.
 
 The matrix that goes with it is `amulor.optics.polarization.mueller.rayleigh`; spheres
 of any size are in `amulor.optics.phase_functions.mie`.
@@ -28,7 +28,7 @@ __all__ = [
 def rayleigh_phase_value(
     angle: ArrayLike, *, depolarization: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the phase function of molecules for unpolarized light.
+    r"""Return the Rayleigh phase function for unpolarized light, at angles.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def rayleigh_phase_value(
 def rayleigh_phase_cumulative(
     angle: ArrayLike, *, depolarization: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the fraction of molecular scattering below an angle.
+    r"""Return the fraction of Rayleigh scattering below an angle.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def rayleigh_phase_cumulative(
 def size_parameter(
     radius: ArrayLike, *, wavelength: ArrayLike, refractive_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the circumference of a particle over the wavelength in the medium.
+    r"""Return the size parameter of a particle: circumference over wavelength.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def size_parameter(
 def scattering_regime(
     size_parameter: ArrayLike, *, rayleigh_below: float = 0.1, mie_above: float = 10.0
 ) -> NDArray[np.str_]:
-    r"""Return the scattering regime of a particle, one of three.
+    r"""Return the scattering regime: `rayleigh`, `intermediate` or `mie`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-r"""Phase functions from tables: measured ones of sea water, and the user's own.
+r"""Phase functions from tables: measured ones of sea water, or the user's.
 
 Between its points a table is a power law, straight on double logarithmic paper. Below
 its first angle there are no data: the power law goes on, and the object says so.
@@ -50,7 +50,7 @@ def tabulated(
     head_exponent: float | None = None,
     name: str = "tabulated",
 ) -> PhaseFunction:
-    r"""Return the phase function of a table of values.
+    r"""Return a phase function from a table of values.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def tabulated(
 def from_cumulative(
     angle: ArrayLike, *, cumulative: ArrayLike, name: str = "from cumulative"
 ) -> PhaseFunction:
-    r"""Return the phase function of a table of cumulative fractions.
+    r"""Return a phase function from a table of cumulative fractions.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def from_cumulative(
 
 
 def petzold(station: str) -> PhaseFunction:
-    """Return a phase function of natural water that Petzold measured.
+    """Return one of the phase functions of natural water measured by Petzold.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def _table_value(
     logs: NDArray[np.float64],
     head: float,
 ) -> NDArray[np.float64]:
-    """Return power laws between the nodes, and the head below the first."""
+    """Interpolate a table by power laws, also below its smallest angle."""
     start = 1 if node[0] == 0 else 0
     with np.errstate(divide="ignore"):  # log(0) meets the lobe, or a head refused
         log_angle = np.log(angle)
@@ -271,7 +271,7 @@ def _slope_value(
     node: NDArray[np.float64],
     slope: float,
 ) -> NDArray[np.float64]:
-    """Return the derivative of the fraction by solid angle, and the head below."""
+    """Return the phase function as the derivative of a cumulative table."""
     tiny = np.maximum(np.sin(angle / 2) ** 2, 1e-300)
     first = np.sin(node[0] / 2) ** 2
     position = np.log(np.clip(tiny, first, 1.0))
@@ -286,7 +286,7 @@ def _slope_value(
 def _edges(
     node: NDArray[np.float64], change: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return panels no wider than 2 in angle, nor 3 in the logarithm of the value."""
+    """Return panels at most 2-fold wide in angle, with limited change of value."""
     start = 1 if node[0] == 0 else 0
     first = node[start]
     parts = [np.geomspace(INNERMOST_ANGLE, first, 2 + int(np.log2(first) + 40))[:-1]]
@@ -301,7 +301,7 @@ def _edges(
 def _checked(
     angle: ArrayLike, table: ArrayLike, *, name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the columns of a table, checked to reach up to pi."""
+    """Return the columns of a table, checked to reach an angle of pi."""
     theta = checked_angle(angle, name="angle")
     column = finite(table, name=name)
     one_axis(2, angle=theta, **{name: column})
@@ -320,7 +320,7 @@ def _checked(
 
 
 def _refuse_heavy(head_exponent: float) -> None:
-    """Refuse a head with infinite scattering."""
+    """Raise a ValueError for a power law with infinite scattering."""
     if not (np.isfinite(head_exponent) and head_exponent < 2):
         raise ValueError(
             "the head below the first angle must be a power law with an exponent "
@@ -330,5 +330,5 @@ def _refuse_heavy(head_exponent: float) -> None:
 
 
 def _radians(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return degrees as radians, at most pi."""
+    """Convert degrees to radians, at most pi."""
     return np.minimum(np.radians(degrees), np.pi)

@@ -1,4 +1,4 @@
-"""Stokes vectors and Mueller matrices: light, optical parts, targets, channels."""
+"""Stokes vectors and Mueller matrices of light, components, targets and analyzers."""
 
 from __future__ import annotations
 

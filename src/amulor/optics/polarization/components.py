@@ -28,7 +28,7 @@ def linear_polarizer(
     extinction_ratio: ArrayLike = 0.0,
     transmission: ArrayLike = 1.0,
 ) -> NDArray[np.float64]:
-    r"""Return the matrix of a linear polarizer.
+    r"""Return the Mueller matrix of a real linear polarizer.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def retarder(
     diattenuation: ArrayLike = 0.0,
     transmission: ArrayLike = 1.0,
 ) -> NDArray[np.float64]:
-    r"""Return the matrix of a linear retarder.
+    r"""Return the Mueller matrix of a real linear retarder.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def retarder(
 
 
 def largest_transmission(mueller: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the largest transmission of an element over all states.
+    r"""Return the largest transmission of an element over all input states.
 
     Parameters
     ----------

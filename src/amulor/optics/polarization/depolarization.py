@@ -1,4 +1,4 @@
-r"""Depolarization and physical realizability of Mueller matrices.
+r"""Depolarization measures of Mueller matrices, and physical realizability.
 
 Conventions are those of `amulor.optics.polarization.mueller`. Equation numbers are
 those of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
@@ -23,7 +23,7 @@ __all__ = [
 
 
 def depolarization_index(mueller: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the depolarization index of Gil and Bernabeu.
+    r"""Return the depolarization index of a Mueller matrix (Gil and Bernabeu).
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def depolarization_index(mueller: ArrayLike) -> NDArray[np.float64]:
 
 
 def depolarization_effect(mueller: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the mean modulus of the diagonal elements.
+    r"""Return the mean modulus of the last three diagonal elements.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def realizability_defect(mueller: ArrayLike) -> NDArray[np.float64]:
 
 
 def is_realizable(mueller: ArrayLike, *, tolerance: float = 1e-9) -> NDArray[np.bool_]:
-    """Return whether a matrix is physically realizable.
+    """Return whether a Mueller matrix is physically realizable.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def is_realizable(mueller: ArrayLike, *, tolerance: float = 1e-9) -> NDArray[np.
 
 
 def _pauli_products() -> NDArray[np.complex128]:
-    """Return sigma_i (x) conj(sigma_j), shape (4, 4, 4, 4), in the order IQUV."""
+    """Return sigma_i (x) conj(sigma_j) for Pauli matrices, in the order IQUV."""
     pauli = np.array(
         [
             [[1, 0], [0, 1]],
@@ -223,7 +223,7 @@ _PAULI_PRODUCTS = _pauli_products()
 
 
 def _reduced(mueller: ArrayLike) -> NDArray[np.float64]:
-    """Return Mueller matrices over their first elements, checked to be above 0."""
+    """Return Mueller matrices divided by m11; ValueError if m11 is not above 0."""
     matrix = as_matrices(mueller)
     first = matrix[..., :1, :1]
     above_zero(first[..., 0, 0], name="m11 of mueller", hint="there is no light else")

@@ -1,4 +1,4 @@
-r"""Mueller matrices: algebra, targets, particles, ideal analyzers.
+r"""Mueller matrices: algebra, targets, scattering particles, ideal analyzers.
 
 Real polarizers and retarders are in `amulor.optics.polarization.components`, pairs of
 states made with them in `amulor.optics.polarization.schemes`.
@@ -40,7 +40,7 @@ __all__ = [
 
 
 def diagonal(m22: ArrayLike, m33: ArrayLike, m44: ArrayLike) -> NDArray[np.float64]:
-    """Return the reduced matrix diag(1, m22, m33, m44).
+    """Return the reduced Mueller matrix diag(1, m22, m33, m44).
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def diagonal(m22: ArrayLike, m33: ArrayLike, m44: ArrayLike) -> NDArray[np.float
 
 
 def ideal_backscatter() -> NDArray[np.float64]:
-    """Return the matrix of light sent straight back without depolarization.
+    """Return the Mueller matrix of backscattering without depolarization.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def ideal_backscatter() -> NDArray[np.float64]:
 
 
 def ideal_depolarizer() -> NDArray[np.float64]:
-    """Return the matrix of a target that depolarizes all light.
+    """Return the Mueller matrix of a target that depolarizes light completely.
 
     Returns
     -------
@@ -122,7 +122,7 @@ def ideal_depolarizer() -> NDArray[np.float64]:
 
 
 def painted_metal(*, m44: float = -0.46) -> NDArray[np.float64]:
-    """Return the matrix of the painted metal target of Ricci et al.
+    """Return the Mueller matrix of Ricci et al.'s painted metal target.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def painted_metal(*, m44: float = -0.46) -> NDArray[np.float64]:
 
 
 def rayleigh(angle: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the reduced matrix of scatterers much smaller than the wavelength.
+    r"""Return the reduced Mueller matrix of Rayleigh scattering at an angle.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def rayleigh(angle: ArrayLike) -> NDArray[np.float64]:
 def particles(
     *, m12: ArrayLike, m22: ArrayLike, m33: ArrayLike, m34: ArrayLike, m44: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the reduced matrix of particles without a preferred direction.
+    r"""Return the reduced Mueller matrix of randomly oriented particles.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def particles(
 
 
 def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the matrix of an element that is turned about the beam.
+    r"""Return the Mueller matrix of an element that is rotated about the beam.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
 
 
 def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
-    """Return the light after an element or a target.
+    """Return the Stokes vector after an optical element or a target.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
-    r"""Return the fraction of the light that passes a polarizer pair.
+    r"""Return the fraction of the light that an ideal polarizer pair detects.
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
 
 
 def _axes_turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix of Stokes vectors between axes turned by an angle."""
+    """Return the rotation matrix for Stokes vectors between rotated axes."""
     cosine, sine = np.cos(2 * angle), np.sin(2 * angle)
     matrix = np.zeros((*angle.shape, 4, 4))
     matrix[..., 0, 0] = matrix[..., 3, 3] = 1

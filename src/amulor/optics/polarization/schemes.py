@@ -1,4 +1,4 @@
-r"""Pairs of launched and analyzed state with real polarizers and quarter-wave plates.
+r"""Pairs of launched and analyzed polarization states with imperfect components.
 
 With ideal components everything here becomes
 `amulor.optics.polarization.mueller.detected_fraction`. Letters of states and the
@@ -56,23 +56,23 @@ class PolarizationArm:
     """
 
     extinction_ratio: ArrayLike = 0.0
-    """Power that the polarizer passes crossed over what it passes aligned [1]."""
+    """Transmission of the polarizer crossed over that aligned [1]."""
     polarizer_transmission: ArrayLike = 1.0
     """Fraction of aligned light that the polarizer passes [1]."""
     polarizer_error: ArrayLike = 0.0
-    """Turn of the polarizer from where it should stand [rad]."""
+    """Angle error of the polarizer [rad]."""
     retardance_error: ArrayLike = 0.0
-    """Retardance of the plate less a quarter wave [rad]."""
+    """Deviation of the plate's retardance from a quarter wave [rad]."""
     plate_error: ArrayLike = 0.0
-    """Turn of the fast axis from where it should stand [rad]."""
+    """Angle error of the plate's fast axis [rad]."""
     plate_diattenuation: ArrayLike = 0.0
-    """Diattenuation of the plate, positive if the fast axis passes more [1]."""
+    """Diattenuation of the plate, positive if the fast axis transmits more [1]."""
     plate_transmission: ArrayLike = 1.0
-    """Fraction of unpolarized light that the plate passes [1]."""
+    """Transmission of the plate for unpolarized light [1]."""
 
 
 IDEAL = PolarizationArm()
-"""Components without errors and losses."""
+"""Components without errors or losses."""
 
 # Direction of the polarizer, and of the fast axis of the plate of a generator [rad].
 _LINEAR = {"H": 0.0, "P": np.pi / 4, "V": np.pi / 2, "M": -np.pi / 4}
@@ -80,7 +80,7 @@ _CIRCULAR = {"R": np.pi / 4, "L": -np.pi / 4}
 
 
 def generator(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64]:
-    """Return the matrix of the components that generate a state.
+    """Return the Mueller matrix of the emitter optics set to a state.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def generator(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64
 
 
 def analyser(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64]:
-    """Return the matrix of the components that analyze a state.
+    """Return the Mueller matrix of the receiver optics set to a state.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def launched_stokes(
     arm: PolarizationArm = IDEAL,
     laser: ArrayLike = (1.0, 0.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:
-    """Return the Stokes vector of a real emitter set to a state.
+    """Return the Stokes vector launched by a real emitter set to a state.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def received_fraction(
     receiver: PolarizationArm = IDEAL,
     laser: ArrayLike = (1.0, 0.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:
-    r"""Return the fraction of light that a pair of real arms receives from a scene.
+    r"""Return the fraction of the scene's light received by a real polarizer pair.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def cross_talk(
     receiver: PolarizationArm = IDEAL,
     laser: ArrayLike = (1.0, 0.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:
-    r"""Return the cross-talk of imperfect components in the reading of a pair.
+    r"""Return the error of a polarizer pair's reading by imperfect components.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def cross_talk(
 def linear_leak(
     *, axis_error: ArrayLike, extinction_ratio: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the light that a turned polarizer passes instead of blocking.
+    r"""Return the fraction of light that leaks through a misaligned polarizer.
 
     Parameters
     ----------
@@ -381,7 +381,7 @@ def linear_leak(
 def circular_leak(
     *, retardance_error: ArrayLike, plate_error: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the light of the other helicity that a circular analyzer passes.
+    r"""Return the leakage of the opposite helicity through a circular analyzer.
 
     Parameters
     ----------
@@ -421,7 +421,7 @@ def circular_leak(
 def _components(
     state: str, arm: PolarizationArm, *, side: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Return polarizer and plate; side is 1 for a generator and -1 for an analyzer."""
+    """Return Mueller matrices of polarizer and quarter-wave plate, in that order."""
     stokes.state(state)  # refuses names that are none
     if state == "none":
         return np.eye(4), None

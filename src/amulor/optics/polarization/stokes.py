@@ -1,4 +1,4 @@
-r"""Stokes vectors: named states, degrees of polarization, angles of the ellipse.
+r"""Stokes vectors: named states, degrees of polarization, polarization ellipse.
 
 Convention. The last axis of every vector is (I, Q, U, V). The field has components
 along a parallel and a perpendicular axis, and parallel x perpendicular is the
@@ -60,7 +60,7 @@ _STATES = {
 
 
 def state(name: str) -> NDArray[np.float64]:
-    """Return the Stokes vector of a named state, with an intensity of 1.
+    """Return the unit-intensity Stokes vector of a named polarization state.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def state(name: str) -> NDArray[np.float64]:
 
 
 def pair_states(pair: str) -> tuple[str, str]:
-    """Return the names of the launched and the analysed state of a pair.
+    """Return the launched and the analyzed state of a pair, such as VH.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def pair_states(pair: str) -> tuple[str, str]:
 
 
 def from_field(parallel: ArrayLike, perpendicular: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the Stokes vector of a field of given complex amplitudes.
+    r"""Return the Stokes vector of two complex field amplitudes.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def from_field(parallel: ArrayLike, perpendicular: ArrayLike) -> NDArray[np.floa
 
 
 def degree_of_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the polarized fraction of the intensity.
+    r"""Return the degree of polarization, from 0 to 1.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def degree_of_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def degree_of_linear_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the linearly polarized fraction of the intensity.
+    r"""Return the degree of linear polarization, from 0 to 1.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def degree_of_linear_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def degree_of_circular_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the circularly polarized fraction of the intensity, with its sense.
+    r"""Return the signed degree of circular polarization, from -1 to 1.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def degree_of_circular_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def polarization_angle(stokes: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the direction of the long axis of the polarization ellipse.
+    r"""Return the orientation angle of the polarization ellipse.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ def polarization_angle(stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def ellipticity_angle(stokes: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the ellipticity angle of the polarized part.
+    r"""Return the ellipticity angle of the polarization ellipse.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The small-angle form with the whole phase function: water signal of a receiver."""
+"""Small-angle model of the water signal, valid for any phase function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of a phase function, and water columns, for the small-angle model."""
+"""Phase-function tables and water columns of the small-angle model."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _SMALLEST = 1e-18  # angle below which a peak counts as forward [rad]
 
 
 class Table(NamedTuple):
-    """Phase function in the form that the small-angle model needs."""
+    """Forward fraction and transform table of a phase function."""
 
     split: float
     fraction: float
@@ -61,7 +61,7 @@ class Table(NamedTuple):
 
 
 def table(phase_function: PhaseFunction, split_angle: float) -> Table:
-    """Return the table of a phase function, cached if it is hashable."""
+    """Return the transform table of a phase function, cached if hashable."""
     split = float(split_angle)
     if isinstance(phase_function, Hashable):
         return _cached_table(phase_function, split)
@@ -69,7 +69,7 @@ def table(phase_function: PhaseFunction, split_angle: float) -> Table:
 
 
 def _computed_table(phase_function: PhaseFunction, split: float) -> Table:
-    """Return forward fraction, and (1 - mean transform up to x) / x^2 in cells."""
+    """Compute the forward fraction and transform table of a phase function."""
     fraction, _ = forward_split(phase_function, split_angle=split)
     degree = 10
     node = np.cos(np.pi * (np.arange(degree) + 0.5) / degree)
@@ -95,7 +95,7 @@ _cached_table = lru_cache(maxsize=32)(_computed_table)
 def _spread_by_transform(
     transform: Callable[..., ArrayLike], edge: Array, x: Array, split: float
 ) -> Array:
-    """Return (1 - mean of the transform up to x) / x^2 at the nodes of the cells."""
+    """Return (1 - mean transform up to x) / x^2 at all nodes, from a transform."""
     node, weight = _gauss()
     at_zero = float(np.asarray(transform(np.zeros(1), split_angle=split))[0])
     if not abs(at_zero - 1) < 1e-6:
@@ -123,7 +123,7 @@ def _spread_by_transform(
 def _spread_by_quadrature(
     phase_function: PhaseFunction, x: Array, split: float
 ) -> Array:
-    """Return (1 - mean of the transform up to x) / x^2 by quadrature over angle."""
+    """Return (1 - mean transform up to x) / x^2, from the phase function."""
     coarse = _angle_panels(phase_function, split)
     angle, weight = _angle_rule(coarse[:-1], coarse[1:])
     forward = np.sum(weight * _density(phase_function, angle))
@@ -148,7 +148,7 @@ def _spread_by_quadrature(
 
 
 def _angle_panels(phase_function: PhaseFunction, split: float) -> Array:
-    """Return edges of panels in which a phase function is smooth [rad]."""
+    """Return edges of intervals in which a phase function is smooth [rad]."""
     count = int(np.ceil(np.log(split / _SMALLEST)))
     edges = np.geomspace(_SMALLEST, split, count + 1)
     edges[-1] = split
@@ -175,7 +175,7 @@ def _angle_panels(phase_function: PhaseFunction, split: float) -> Array:
 
 
 def _angle_rule(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return angles and weights of panels that are even in the logarithm."""
+    """Return quadrature angles and weights, in the logarithm of the angle."""
     node, weight = _gauss()
     half = np.log(high / low)[:, None] / 2
     angle = low[:, None] * np.exp(half * (node + 1))
@@ -184,27 +184,27 @@ def _angle_rule(low: Array, high: Array) -> tuple[Array, Array]:
 
 
 def _density(phase_function: PhaseFunction, angle: Array) -> Array:
-    """Return the phase function per angle, over all azimuths [1/rad]."""
+    """Return 2 pi sin(angle) times the phase function [1/rad]."""
     value = np.asarray(phase_function(angle.ravel()), dtype=float)
     return 2 * np.pi * value.reshape(angle.shape) * np.sin(angle)
 
 
 @cache
 def _gauss() -> tuple[Array, Array]:
-    """Return nodes and weights on -1..1 of a rule of 16 points."""
+    """Return 16 Gauss-Legendre nodes and weights on -1..1."""
     node, weight = legendre.leggauss(16)
     return node, weight
 
 
 @cache
 def disc() -> Array:
-    """Return the table of 2 J1(x) / x in cells of width 1."""
+    """Return polynomial coefficients of 2 J1(x) / x in cells of width 1."""
     return monomials(2 * j1(bessel_nodes()) / bessel_nodes())
 
 
 @cache
 def _mean_table() -> Array:
-    """Return the table of (1 - mean of J0 up to x) / x^2 in cells of width 1."""
+    """Return coefficients of (1 - mean of J0 up to x) / x^2 in cells of width 1."""
     gauss, weight = _gauss()
     node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
     stop = np.append((node + 1) / 2, 1.0)
@@ -227,7 +227,7 @@ _MOST_PANELS = 2048  # waiting to be halved, before the integral counts as unset
 def integral(
     phase_per_depth: Array, edges: Array, values: Array
 ) -> NDArray[np.complex128]:
-    """Return the integrals of exp(i w z) times the values in panels."""
+    """Return the integrals of exp(i w z) F(z) from values of F(z) in panels."""
     order = np.argsort(phase_per_depth)
     sums = np.zeros((2, phase_per_depth.size))
     _kernels.add_panels(edges, values, phase_per_depth[order], RULE, sums)
@@ -247,7 +247,7 @@ def panels(
     partial_sum: float,
     breaks: Sequence[float] = (),
 ) -> tuple[Array, Array, float]:
-    """Return edges of panels, F(z) at their nodes, and its integral.
+    """Return edges of depth panels, overlap F(z) at their nodes, its integral.
 
     light is F(z); on_axis is at least as large but for the loss, and falls with the
     square of the depth beyond the length. The first panel is a step wide; at breaks
@@ -304,7 +304,7 @@ def panels(
 
 @cache
 def depth_rule() -> tuple[Array, Array, Array]:
-    """Return nodes, weights, and the matrix of the last Legendre terms of a panel."""
+    """Return Gauss-Legendre nodes, weights, and the matrix of the last four terms."""
     size = 2 * ORDER
     node, weight = legendre.leggauss(size)
     order = np.arange(size)
@@ -320,29 +320,29 @@ _DEGREE = 10
 
 
 class Shared(NamedTuple):
-    """Water, receiver and tables that all columns share."""
+    """Water, receiver and tables shared by all columns of a scan."""
 
     water: _kernels.Water
     """Water and receiver; its baseline and tilts are ignored."""
     cells: Array
     """Table of the phase function."""
     rule: Array
-    """Nodes and weights of a panel of spatial frequencies."""
+    """Nodes and weights of one panel of spatial frequency."""
 
 
 class Light(NamedTuple):
-    """Scattered light of one water at any depth and distance from the axis."""
+    """Table of forward-scattered light over depth and distance from the beam axis."""
 
     edge: Array
-    """Panels of the depth in which the light is smooth, shape (panel, 2) [m]."""
+    """Depth intervals in which the light is smooth, shape (panel, 2) [m]."""
     span: Array
-    """Start and width of the cells of ln(1 + q) at each node, shape (node, 2)."""
+    """Start and width of the cells in ln(1 + q) at each node, shape (node, 2)."""
     cells: Array
-    """Polynomials of the cells, shape (node, cell, 10)."""
+    """Polynomial coefficients of the cells, shape (node, cell, 10)."""
 
 
 def light_of(view: Array, shared: Shared, panels_of: Callable[[Array], Array]) -> Light:
-    """Return the table of scattered light for columns.
+    """Return the table of scattered light for the columns of a scan.
 
     A row of view is baseline, tilt, cross tilt and end of a column; `panels_of` gives
     the edges of panels in which the light of one such row is smooth.
@@ -356,7 +356,7 @@ def light_of(view: Array, shared: Shared, panels_of: Callable[[Array], Array]) -
 def integrals(
     phase_per_depth: Array, view: Array, shared: Shared, light: Light
 ) -> NDArray[np.complex128]:
-    """Return the integrals of exp(i w z) times the scattered light, column by column.
+    """Return each column's integrals of exp(i w z) times the scattered light.
 
     A column is the same whatever others come with it.
     """
@@ -383,14 +383,14 @@ def integrals(
 
 
 def _spread(view: Array) -> NDArray[np.intp]:
-    """Return representative columns: the extremes, and some between."""
+    """Return indices of representative columns: extremes, and three evenly spaced."""
     extremes = np.concatenate([view.argmin(axis=0), view.argmax(axis=0)])
     even = np.linspace(0, len(view) - 1, 3).astype(np.intp)
     return np.unique(np.concatenate([extremes, even]))
 
 
 def _common(edges: Array) -> Array:
-    """Return panels that cross no edge of any column, rising."""
+    """Return panels bounded by the panel edges of all columns, in rising order."""
     distinct = np.unique(edges)
     # Edges that are the same but for rounding, and slivers between two columns.
     keep = np.append(True, np.diff(distinct) > 1e-6 * distinct[1:])
@@ -399,7 +399,7 @@ def _common(edges: Array) -> Array:
 
 
 def _tables(depth: Array, view: Array, shared: Shared) -> tuple[Array, Array]:
-    """Return the span of ln(1 + q) at each depth, and polynomials in cells of it."""
+    """Return cell limits in ln(1 + q) at each depth, and polynomials in the cells."""
     water = shared.water
     path = depth[:, None] + water.standoff
     area = water.radius_squared + water.angle_squared * path**2
@@ -478,18 +478,18 @@ class Column(NamedTuple):
     end: float
 
     def look(self) -> dict[str, float]:
-        """Return the view of all depths, or zeros where each has its own."""
+        """Return the view shared by all depths; zeros if it differs between depths."""
         view = {name: getattr(self, name) for name in LOOK}
         varies = any(np.ndim(value) for value in view.values())
         return dict.fromkeys(view, 0.0) if varies else view
 
     def loss(self, spread: Table) -> float:
-        """Return 2 k', the loss of light on its way there and back [1/m]."""
+        """Return the two-way attenuation 2 k', forward scattering excluded [1/m]."""
         return 2 * (self.absorption + self.scattering * (1 - spread.fraction))
 
 
 def looks(depth: Array, column: Column) -> Array:
-    """Return depths and views as rows, for the compiled loops."""
+    """Return depth and view as rows of an array, for the compiled loops."""
     view = (getattr(column, name) for name in LOOK)
     return np.stack(np.broadcast_arrays(depth, *view), axis=1)
 
@@ -502,7 +502,7 @@ def overlap_of(
     phase_function: PhaseFunction,
     split_angle: float,
 ) -> Array:
-    """Return F(z), with light giving that of the depths of one water and receiver."""
+    """Return the overlap F(z) by a given function of one water and receiver."""
     z = np.asarray(checked("depth", depth))
     spread = table(phase_function, split_angle)
     columns = _columns(arguments, depth=z)
@@ -522,7 +522,7 @@ def overlap_of(
 
 
 def _alike(values: list[Array], count: int) -> list[NDArray[np.intp]]:
-    """Return groups of indices at which all values agree."""
+    """Return groups of indices with equal values."""
     if count == 0:
         return []
     if not values:
@@ -544,7 +544,7 @@ def response_of(
     batched: Many | None = None,
     fewest: int = 2,
 ) -> NDArray[np.complex128]:
-    """Return the response, with integral giving that of exp(i w z) F(z) for many w.
+    """Return the water signal by a given integral over the water column.
 
     batched gives it for at least the fewest columns that differ only in the view.
     """
@@ -575,7 +575,7 @@ def fit_of(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> _Fitted | None:
-    """Return a fit to columns that differ only in the view."""
+    """Return a fit to columns that differ only in the view; None if others differ."""
     phases, columns, spread, _ = _prepared(
         modulation_frequency,
         arguments,
@@ -599,7 +599,7 @@ def _prepared(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> tuple[Array, dict[str, NDArray[Any]], Table, Any]:
-    """Return phases per depth, columns, table and beta_pi of checked arguments."""
+    """Return phases per depth, columns, transform table and backscatter, checked."""
     refuse_behind_receiver(arguments.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     spread = table(phase_function, split_angle)
@@ -616,7 +616,7 @@ def _prepared(
 def _views(
     phases: Array, columns: dict[str, NDArray[Any]], fewest: int
 ) -> tuple[Array, Column, Callable[[Complex], Complex]] | None:
-    """Return distinct views of alike columns, and the function that scatters results.
+    """Return the distinct views of similar columns, and a function to expand results.
 
     None for too few columns, where they share less, and where frequencies have no axes
     of their own.
@@ -657,7 +657,7 @@ def _views(
 
 
 def _columns(arguments: Arguments, **arrays: Any) -> dict[str, NDArray[Any]]:
-    """Return the arguments as arrays, checked to broadcast with others."""
+    """Return the arguments as arrays, checked to broadcast with given arrays."""
     columns = {name: np.asarray(value) for name, value in arguments.named().items()}
     if any(np.ndim(value) for value in (*columns.values(), *arrays.values())):
         _bounds.broadcast(**arrays, **columns)
@@ -670,7 +670,7 @@ def _by_column(
     columns: dict[str, NDArray[Any]],
     spread: Table,
 ) -> NDArray[np.complex128]:
-    """Return the integrals at all phases, once for each column."""
+    """Return the integrals at all phases, computed column by column."""
     inner = np.broadcast_shapes(*(value.shape for value in columns.values()))
     shape = np.broadcast_shapes(phases.shape, inner)
     inner = (1,) * (len(shape) - len(inner)) + inner

@@ -1,4 +1,4 @@
-"""Compiled loops of the small-angle model with any phase function."""
+"""Compiled loops of the small-angle model for a Gaussian receiver."""
 
 from __future__ import annotations
 
@@ -38,35 +38,35 @@ _SPLIT_END = 100.0  # phase up to which the edge of the forward part is followed
 
 
 class Water(NamedTuple):
-    """One column of water, with beam and receiver as one Gaussian.
+    """Water column, with beam and receiver combined into one Gaussian.
 
     Where each depth is looked at in its own way, baseline, tilts and standoff here do
     not count.
     """
 
     loss: float
-    """Loss 2 k' [1/m]."""
+    """Two-way attenuation 2 k', forward scattering excluded [1/m]."""
     forward: float
-    """Forward scattering, twice: 2 b_f [1/m]."""
+    """Two-way forward scattering 2 b_f [1/m]."""
     split_angle: float
     """Split angle, the end of the forward part of the phase function [rad]."""
     baseline: float
-    """Baseline rho_0 [m]."""
+    """Distance rho_0 between beam and receiver [m]."""
     tilt: float
-    """Tilt n_0 along the baseline [rad]."""
+    """Beam inclination n_0 along the baseline [rad]."""
     cross_tilt: float
-    """Tilt n_0 across it [rad]."""
+    """Beam inclination n_0 across the baseline [rad]."""
     standoff: float
-    """Standoff zeta - z [m]."""
+    """Equivalent water depth zeta - z of air and glass before the water [m]."""
     radius_squared: float
-    """Squared radius of receiver and beam, R^2 + w^2 [m^2]."""
+    """Combined squared radius of receiver and beam, R^2 + w^2 [m^2]."""
     angle_squared: float
-    """Squared angle of receiver and beam, gamma^2 + delta^2 [1]."""
+    """Combined squared angle of receiver and beam, gamma^2 + delta^2 [1]."""
 
 
 @numba.njit(cache=True, error_model="numpy")
 def spread(x: Array, angle: Array, weight: Array, table: Array, out: Array) -> None:
-    """Fill out with sums of weight * angle^2 * (1 - mean of J0 to x angle) / x^2."""
+    """Fill out with sums of weight * angle^2 * (1 - mean J0 up to x angle) / x^2."""
     for i in range(x.size):
         total = 0.0
         for j in range(angle.size):
@@ -82,7 +82,7 @@ def spread(x: Array, angle: Array, weight: Array, table: Array, out: Array) -> N
 
 @numba.njit(cache=True, error_model="numpy")
 def lost(x: float, split: float, table: Array) -> float:
-    """Return 1 less the mean of the transform of the phase function up to x."""
+    """Return 1 minus the mean of the phase function's transform up to x."""
     t = x * split / WIDTH
     if t < LINEAR:
         cell = int(t)
@@ -99,7 +99,7 @@ def lost(x: float, split: float, table: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _scattering_end(depth: float, top: float, water: Water, table: Array) -> float:
-    """Return the frequency kappa at which scattering ends the integral, or top."""
+    """Return the frequency kappa beyond which scattering leaves no light, or top."""
     thickness = water.forward * depth
     if thickness > _SCATTERED_END:
         while (
@@ -112,7 +112,7 @@ def _scattering_end(depth: float, top: float, water: Water, table: Array) -> flo
 
 @numba.njit(cache=True, error_model="numpy")
 def _offset(depth: float, water: Water) -> float:
-    """Return the distance between beam and receiver axis."""
+    """Return the distance between beam axis and receiver axis at a depth."""
     path = depth + water.standoff
     return math.hypot(water.baseline - water.tilt * path, water.cross_tilt * path)
 
@@ -127,7 +127,7 @@ def _scattered_at(
     rule: Array,
     work: Array,
 ) -> float:
-    """Return F(z) / pi R^2 gamma^2 of light scattered forward, beam and axis apart."""
+    """Return F(z) / pi R^2 gamma^2 of forward-scattered light, axes offset apart."""
     nodes = rule.shape[1]
     path = z + water.standoff
     area = water.radius_squared + water.angle_squared * path * path
@@ -162,7 +162,7 @@ def _scattered_at(
 
 @numba.njit(cache=True, error_model="numpy")
 def aimed(look: Array, water: Water) -> Water:
-    """Return a column in the view of a row of depth and view."""
+    """Return the water column with the view from a row of depth and view."""
     return Water(
         water.loss,
         water.forward,
@@ -180,7 +180,7 @@ def aimed(look: Array, water: Water) -> Water:
 def scattered(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill out with F(z) / pi R^2 gamma^2 of light scattered forward.
+    """Fill out with F(z) / pi R^2 gamma^2 of forward-scattered light.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
     less its unscattered part, docs/theory/water-signal.md: an integral over the spatial
@@ -203,7 +203,7 @@ def scattered(
 def add_panels(
     edge: Array, value: Array, phase_per_depth: Array, rule: Array, sums: Array
 ) -> None:
-    """Add the integrals of exp(i w z) times the values of panels, for rising w.
+    """Add the integrals of exp(i w z) F(z) over panels, for rising w.
 
     A row of value holds a panel at its Gauss-Legendre nodes, rising.
     """
@@ -223,7 +223,7 @@ def add_panels(
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def separation(z: float, view: Array, water: Water) -> float:
-    """Return ln(1 + q), q the squared distance of beam and axis over their blur.
+    """Return ln(1 + q), with q the squared axis distance over the squared blur.
 
     A view is baseline, tilt and cross tilt.
     """
@@ -235,7 +235,7 @@ def separation(z: float, view: Array, water: Water) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _shortened(value: Array, part: float, rules: tuple[Array, Array, Array]) -> None:
-    """Replace the values of a panel by those of its first part."""
+    """Resample a panel's values onto its first part."""
     _, node, series = rules
     size = node.size
     term = np.zeros(size)
@@ -263,7 +263,7 @@ def add_columns(
     rules: tuple[Array, Array, Array],
     sums: Array,
 ) -> None:
-    """Add the integrals of exp(i w z) F(z) over columns to sums, for rising w.
+    """Add the integrals of exp(i w z) F(z) over many columns, for rising w.
 
     A row of view is baseline, tilt, cross tilt and end of a column; edge has the
     panels, rising; span the start and the width of the cells of each node of them in

@@ -33,12 +33,12 @@ _PANELS = 4000  # after which an integral counts as cut off
 
 
 class Water(NamedTuple):
-    """Water, beam and receiver."""
+    """Optical properties of the water, with beam and receiver size."""
 
     loss: float
-    """Loss 2 k' [1/m]."""
+    """Two-way attenuation 2 k', forward scattering excluded [1/m]."""
     forward: float
-    """Forward scattering, twice: 2 b_f [1/m]."""
+    """Two-way forward scattering 2 b_f [1/m]."""
     split_angle: float
     """Split angle, the end of the forward part of the phase function [rad]."""
     receiver_radius: float
@@ -52,42 +52,42 @@ class Water(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """Precomputed functions and quadrature rules."""
+    """Precomputed functions and quadrature rules for the compiled loops."""
 
     lost: Array
-    """1 less the mean transform of the phase function, of `_columns.table`."""
+    """1 minus the mean transform of the phase function, from `_columns.table`."""
     bessel: Array
-    """Bessel function J0, of `_quadrature.bessel`."""
+    """Bessel function J0, from `_quadrature.bessel`."""
     disc: Array
-    """Disc transform 2 J1(x) / x, of `_columns.disc`."""
+    """Disc transform 2 J1(x) / x, from `_columns.disc`."""
     rule: Array
-    """Nodes and weights of a panel on -1..1, in two rows."""
+    """Nodes and weights on -1..1, in two rows."""
     series: Array
-    """Matrix from values at the nodes to Legendre terms."""
+    """Matrix from node values to Legendre coefficients."""
 
 
 class _Place(NamedTuple):
-    """Terms of the transform of eq. (29) at one depth."""
+    """Factors of the spatial-frequency integral, eq. (29), at one depth."""
 
     depth: float
     """Depth z [m]."""
     thickness: float
-    """Forward scattering, 2 b_f z [1]."""
+    """Optical thickness of two-way forward scattering, 2 b_f z [1]."""
     unscattered: float
-    """Unscattered part exp(-2 b_f z) where it is subtracted, else 0 [1]."""
+    """Unscattered fraction exp(-2 b_f z) if it is subtracted, else 0 [1]."""
     beam: float
-    """Squared beam width, w^2 + delta^2 zeta^2 [m^2]."""
+    """Squared beam radius at the depth, w^2 + delta^2 zeta^2 [m^2]."""
     split_angle: float
     """Split angle, the end of the forward part of the phase function [rad]."""
     reach: float
-    """Oscillation of the edge of the forward part: z times the split angle [m]."""
+    """Oscillation by the phase function's cut: z times the split angle [m]."""
     radius: tuple[float, float, float]
-    """Arguments over kappa of J0 and of the two discs [m]."""
+    """Arguments of J0 and of the two disc transforms, over kappa [m]."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _wave_0(x: float) -> complex:
-    """Return h of J0(x) = Re h exp(i x), for x above 26."""
+    """Return the amplitude h in J0(x) = Re h exp(i x), for x above 26."""
     y = 1.0 / (x * x)
     p = 1.0 - y * (9 / 128 - y * (3675 / 32768 - y * (2401245 / 4194304)))
     q = 1 / 8 - y * (75 / 1024 - y * (59535 / 262144 - y * (57972915 / 33554432)))
@@ -96,7 +96,7 @@ def _wave_0(x: float) -> complex:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _wave_1(x: float) -> complex:
-    """Return h of 2 J1(x) / x = Re h exp(i x), for x above 26."""
+    """Return the amplitude h in 2 J1(x) / x = Re h exp(i x), for x above 26."""
     y = 1.0 / (x * x)
     p = 1.0 + y * (15 / 128 - y * (4725 / 32768 - y * (2837835 / 4194304)))
     q = 3 / 8 - y * (105 / 1024 - y * (72765 / 262144 - y * (66891825 / 33554432)))
@@ -105,7 +105,7 @@ def _wave_1(x: float) -> complex:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _disc(x: float, table: Array) -> float:
-    """Return the transform 2 J1(x) / x of a disc at x >= 0."""
+    """Return the disc transform 2 J1(x) / x for x >= 0."""
     if x < _NO_WAVE:
         cell = int(x)
         return float(polynomial(table, cell, 2.0 * (x - cell) - 1.0))
@@ -117,7 +117,7 @@ def _disc(x: float, table: Array) -> float:
 def _turned(
     half: float, centre: float, rate: float, value: Complex, rule: Array, series: Array
 ) -> float:
-    """Return the integral over a panel of Re value * exp(i rate kappa)."""
+    """Return the integral of Re value * exp(i rate kappa) over one panel."""
     turn = rate * half
     total = 0.0
     if abs(turn) < _DIRECT:
@@ -146,7 +146,7 @@ def _turned(
 
 @numba.njit(cache=True, error_model="numpy")
 def _scattering_end(place: _Place, table: Array) -> float:
-    """Return the spatial frequency at which scattering ends the integral."""
+    """Return the spatial frequency beyond which scattering leaves no light."""
     depth, thickness, split_angle = place.depth, place.thickness, place.split_angle
     if thickness <= _SCATTERED_END:
         return math.inf
@@ -160,7 +160,7 @@ def _scattering_end(place: _Place, table: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _envelope(kappa: float, radius: tuple[float, float, float]) -> float:
-    """Return an estimate of the largest product of the three Bessel functions."""
+    """Return the estimated envelope of the product of the three Bessel functions."""
     bound: float = 1.0
     x: float = kappa * radius[0]
     if x > 0.64:
@@ -174,7 +174,7 @@ def _envelope(kappa: float, radius: tuple[float, float, float]) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _place(look: Array, water: Water) -> _Place:
-    """Return the terms of a depth in the view of a row."""
+    """Return the factors of eq. (29) for a row of depth and view."""
     z = look[0]
     path = z + look[4]
     offset = math.hypot(look[1] - look[2] * path, look[3] * path)
@@ -188,7 +188,7 @@ def _place(look: Array, water: Water) -> _Place:
 
 @numba.njit(cache=True, error_model="numpy")
 def _slowest(radius: tuple[float, float, float]) -> float:
-    """Return the slowest oscillation of a product of three waves [m]."""
+    """Return the lowest oscillation rate in a product of three waves [m]."""
     slowest = math.inf
     for j in range(4):
         side = radius[1] if j % 2 == 0 else -radius[1]
@@ -199,7 +199,7 @@ def _slowest(radius: tuple[float, float, float]) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _widest_turn(low: float, place: _Place, wave: Flags) -> tuple[float, float]:
-    """Return the oscillation of the plain factors, and its limit in a panel."""
+    """Return oscillation rate of the smooth factors, and the phase limit per panel."""
     turn = place.reach if low * place.reach < _SPLIT_END else 0.0
     waves = 0
     for j in range(3):
@@ -221,7 +221,7 @@ def _plain_factors(
     disc: Array,
     value: Complex,
 ) -> float:
-    """Fill value[0] with the non-oscillating factors; return that at the end.
+    """Fill value[0] with the smooth factors; return that at the last node.
 
     The tables come one by one, as each access to an array of a bundle is counted.
     """
@@ -254,7 +254,7 @@ def _multiply_waves(
     rate: Array,
     value: Complex,
 ) -> int:
-    """Multiply value[0] by the waves; return the number of products in the sum.
+    """Multiply value[0] by the oscillating factors; return the number of terms.
 
     The real part of the product of two waves is half that of their product and half
     that of the product of one and the conjugate of the other. rate is how fast the
@@ -289,7 +289,7 @@ def _multiply_waves(
 
 @numba.njit(cache=True, error_model="numpy")
 def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> float:
-    """Return the integral over the spatial frequency of eq. (29), times 4 pi."""
+    """Return 4 pi times the integral of eq. (29) over spatial frequency."""
     radius, beam = place.radius, place.beam
     rule, series, lost = tables.rule, tables.series, tables.lost
     bessel, disc = tables.bessel, tables.disc
@@ -337,7 +337,7 @@ def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> 
 
 @numba.njit(cache=True, error_model="numpy")
 def collected(look: Array, water: Water, tables: Tables, out: Array) -> None:
-    """Fill out with F(z) / pi R^2 gamma^2, less the unscattered light of a thin beam.
+    """Fill out with F(z) / pi R^2 gamma^2, without unscattered light of a thin beam.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
     with the transform of two uniform discs, docs/theory/water-signal.md.

@@ -1,4 +1,4 @@
-r"""Deviation of received light from straight back, and the backscatter at that angle.
+r"""Direction distribution of backscattered light, and backscatter averaged over it.
 
 The water signal takes the volume scattering function at 180 degrees for all light. Here
 is how far that light really was from 180 degrees, and the mean to take instead, in the
@@ -38,7 +38,7 @@ def backscatter_direction(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> tuple[Array, Array]:
-    r"""Return mean and variance of the deviation of received light from straight back.
+    r"""Return mean and variance of the received light's angle from exact backscatter.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def effective_radiance(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return the received light of one depth by its deviation from straight back.
+    r"""Return the received light of a depth by its angle from exact backscatter.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def mean_backscatter_vsf(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return the mean volume scattering function over the received light of a depth.
+    r"""Return the volume scattering function averaged over a depth's received light.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def mean_backscatter_vsf(
 
 
 def _rician_rule(mean: Array, deviation: Array) -> tuple[Array, Array]:
-    """Return angles and weights for the length of a vector of Gaussian components."""
+    """Return quadrature angles and weights of a Rice distribution."""
     node, weight = gauss_legendre(16)
     low = np.maximum(mean - 9 * deviation, 0.0)
     width = np.minimum(mean + 9 * deviation, np.pi) - low

@@ -1,4 +1,4 @@
-r"""Water signal in the small-angle model, for any phase function.
+r"""Small-angle water signal of a Gaussian receiver, for any phase function.
 
 Unlike the diffusion form, this keeps the light that was not scattered, and the shape
 of the forward peak.
@@ -197,7 +197,7 @@ def water_response(
 
 @dataclass(frozen=True, kw_only=True)
 class SharedLight:
-    """Scattered light of one water that all columns of a scan share, from `fit`.
+    """Scattered light that all columns of a scan share, as returned by `fit`.
 
     Examples
     --------
@@ -207,9 +207,9 @@ class SharedLight:
     """
 
     light: Light | None = None
-    """Table of the light; None without scattering, or if unused."""
+    """Table of the scattered light; None without scattering, or if unused."""
     singly: bool = False
-    """Whether each column is integrated singly: too few or too unlike for a table."""
+    """Whether columns are integrated one by one, as a table would not pay or fit."""
 
 
 def fit(
@@ -227,7 +227,7 @@ def fit(
     standoff: ArrayLike = 0.0,
     **arguments: Any,
 ) -> SharedLight:
-    """Return the scattered light that the columns of a scan share.
+    """Return the table of scattered light that the columns of a scan share.
 
     Parameters
     ----------
@@ -379,14 +379,14 @@ def overlap(
 
 
 def _widths(column: Column) -> tuple[float, float]:
-    """Return the combined radius and semi-angle of receiver and beam."""
+    """Return the combined 1/e radius and half-angle of receiver and beam."""
     radius = np.hypot(column.receiver_radius, column.beam_radius)
     angle = np.hypot(column.acceptance_angle, column.beam_divergence)
     return float(radius), float(angle)
 
 
 def _without_forward_scattering(column: Column) -> dict[str, Any]:
-    """Return the arguments of the diffusion form for unscattered light."""
+    """Return the diffusion model's arguments for unscattered light only."""
     radius, angle = _widths(column)
     return {
         "absorption": column.absorption,
@@ -403,20 +403,20 @@ def _without_forward_scattering(column: Column) -> dict[str, Any]:
 
 
 def _beam_loss(column: Column) -> float:
-    """Return the part of the peak that remains for a beam of this width."""
+    """Return the peak overlap relative to that of an infinitely thin beam."""
     radius, angle = _widths(column)
     receiver = column.receiver_radius * column.acceptance_angle
     return (receiver / (radius * angle)) ** 2
 
 
 def _light(depth: Array, column: Column, spread: Table) -> Array:
-    """Return F(z) [sr]."""
+    """Return the overlap F(z) of beam and receiver at each depth [sr]."""
     closed = small_angle_diffusion.overlap(depth, **_without_forward_scattering(column))
     return closed * _beam_loss(column) + _scattered(depth, column, spread)
 
 
 def _scattered(depth: Array, column: Column, spread: Table) -> Array:
-    """Return F(z) of light that was scattered forward at least once [sr]."""
+    """Return the overlap F(z) of forward-scattered light at each depth [sr]."""
     out = np.empty(depth.size)
     water, rule = _water(column, spread), _frequency_rule()
     _kernels.scattered(looks(depth, column), water, spread.cells, bessel(), rule, out)
@@ -424,7 +424,7 @@ def _scattered(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _water(column: Column, spread: Table) -> _kernels.Water:
-    """Return a column for the compiled loops."""
+    """Convert a column to the arguments of the compiled loops."""
     radius, angle = _widths(column)
     return _kernels.Water(
         loss=column.loss(spread),
@@ -437,14 +437,14 @@ def _water(column: Column, spread: Table) -> _kernels.Water:
 
 
 def _peak(column: Column) -> float:
-    """Return pi R^2 gamma^2."""
+    """Return the scale pi R^2 gamma^2 of the overlap [m^2 sr]."""
     return float(np.pi * (column.receiver_radius * column.acceptance_angle) ** 2)
 
 
 def _response(
     phase_per_depth: Array, column: Column, spread: Table
 ) -> NDArray[np.complex128]:
-    """Return the integral of exp(i w z) F(z) over the column [m sr]."""
+    """Return the integral of exp(i w z) F(z) over the water column [m sr]."""
     plain = _plain(np.append(0.0, phase_per_depth), column)
     if column.end == 0 or column.scattering == 0:
         return plain[1:]
@@ -453,7 +453,7 @@ def _response(
 
 
 def _plain(phase_per_depth: Array, column: Column) -> NDArray[np.complex128]:
-    """Return the integral of exp(i w z) F(z) of unscattered light [m sr]."""
+    """Return the integral of exp(i w z) F(z) for unscattered light [m sr]."""
     # For a frequency f, w = 4 pi f n / c; here with a group index of 1.
     return np.asarray(
         _beam_loss(column)
@@ -470,7 +470,7 @@ def _plain(phase_per_depth: Array, column: Column) -> NDArray[np.complex128]:
 def _panels(
     column: Column, spread: Table, *, partial_sum: float
 ) -> tuple[Array, Array]:
-    """Return edges of panels of the depth, and the scattered light in them [sr]."""
+    """Return edges of depth panels, and the scattered light at their nodes [sr]."""
     radius, angle = _widths(column)
     loss, peak = column.loss(spread), _peak(column)
     step = min(0.3 * (radius / angle + column.baseline), 1 / (loss + column.scattering))
@@ -494,7 +494,7 @@ def _responses(
     *,
     shared_light: SharedLight | None,
 ) -> NDArray[np.complex128]:
-    """Return the integrals for many rows of baseline, tilt, cross tilt and end."""
+    """Return the water-column integrals for many views."""
     if shared_light is None:
         farthest = float(view[:, 3].max())
         shared_light = _shared_light(
@@ -515,7 +515,7 @@ def _shared_light(
     *,
     farthest: float,
 ) -> SharedLight:
-    """Return the light of many columns, singly if a table errs by a millionth."""
+    """Return the shared light of a scan; no table if its error is above 1e-6."""
     if len(view) < FEWEST:
         return SharedLight(singly=True)
     if column.scattering == 0:
@@ -538,7 +538,7 @@ def _look_up(
     *,
     light: Light | None,
 ) -> NDArray[np.complex128]:
-    """Return the integrals of many columns, with their scattered light from a table."""
+    """Return the integrals of many columns, scattered light from a table."""
     names = dict(zip(VIEW, view.T[:, :, None], strict=True))
     plain = _plain(phase_per_depth, column._replace(**names))
     if light is None:
@@ -549,7 +549,7 @@ def _look_up(
 
 
 def _light_of(view: Array, far: float, column: Column, spread: Table) -> Light:
-    """Return the scattered light of many columns, as a table up to a depth."""
+    """Return the table of the scattered light of many columns, up to a depth."""
 
     def panels_of(row: Array) -> Array:
         looking = _in_view(column, row)._replace(end=far)
@@ -561,12 +561,12 @@ def _light_of(view: Array, far: float, column: Column, spread: Table) -> Light:
 
 
 def _in_view(column: Column, row: Array) -> Column:
-    """Return a column with the view of a row."""
+    """Return the column with one view: baseline, tilts and end."""
     return column._replace(**dict(zip(VIEW, map(float, row), strict=True)))
 
 
 @cache
 def _frequency_rule() -> Array:
-    """Return nodes from 0 to 1 and weights of a panel of spatial frequencies."""
+    """Return nodes on 0..1 and weights for one panel of spatial frequency."""
     node, weight = legendre.leggauss(16)
     return np.stack([(node + 1) / 2, weight / 2])

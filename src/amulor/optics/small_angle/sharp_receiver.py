@@ -1,4 +1,4 @@
-r"""Water signal in the small-angle model for a receiver with sharp edges.
+r"""Small-angle water signal of a receiver with sharp edges.
 
 The aperture is a uniform disc and the acceptance a uniform cone, as those of a lens in
 front of a field stop are; `amulor.optics.small_angle` has the Gaussian receiver.
@@ -276,7 +276,7 @@ def overlap(
 def _response(
     phase_per_depth: Array, column: Column, spread: Table
 ) -> NDArray[np.complex128]:
-    """Return the integral of exp(i w z) F(z) over the column [m sr]."""
+    """Return the integral of exp(i w z) F(z) over the water column [m sr]."""
     thin = column.beam_radius == 0 and column.beam_divergence == 0
     total = np.zeros(phase_per_depth.size, dtype=complex)
     partial_sum = 0.0
@@ -302,7 +302,7 @@ def _response(
 def _panels(
     light: Callable[[Array], Array], column: Column, *, loss: float, partial_sum: float
 ) -> tuple[Array, Array, float]:
-    """Return edges of panels, the light at their nodes, and its integral."""
+    """Return edges of depth panels, light at their nodes, and its integral."""
     radius, angle = column.receiver_radius, column.acceptance_angle
     scale = loss + column.scattering
     step = 0.3 * (radius / angle + column.baseline)
@@ -319,7 +319,7 @@ def _panels(
 
 
 def _light(depth: Array, column: Column, spread: Table) -> Array:
-    """Return F(z) [sr]."""
+    """Return the overlap F(z) of beam and receiver at each depth [sr]."""
     path = depth + column.standoff
     thin = (column.beam_radius == 0) & (column.beam_divergence * path == 0)
     unscattered = np.where(thin, _unscattered(depth, column), 0.0)
@@ -327,7 +327,7 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _collected(depth: Array, column: Column, spread: Table) -> Array:
-    """Return F(z), less the unscattered light where the beam is thin [sr]."""
+    """Return F(z), without unscattered light if the beam is thin [sr]."""
     water = _kernels.Water(
         loss=column.loss(spread),
         forward=2 * column.scattering * spread.fraction,
@@ -343,7 +343,7 @@ def _collected(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _unscattered(depth: Array, column: Column) -> Array:
-    """Return F(z) of the unscattered light of a thin beam [sr]."""
+    """Return the overlap F(z) of the unscattered light of a thin beam [sr]."""
     path = depth + column.standoff
     offset = np.hypot(column.baseline - column.tilt * path, column.cross_tilt * path)
     loss = 2 * (column.absorption + column.scattering)
@@ -351,7 +351,7 @@ def _unscattered(depth: Array, column: Column) -> Array:
 
 
 def _common(offset: Array, column: Column, path: Array) -> Array:
-    """Return the acceptance of all aperture points that a thin beam lights [sr].
+    """Return the acceptance of the part of the aperture that sees a thin beam [sr].
 
     This is the area that the aperture has in common with the disc that the
     acceptance cone cuts out at the path, over the squared path [sr].
@@ -369,20 +369,20 @@ def _common(offset: Array, column: Column, path: Array) -> Array:
 
 
 def _segment(angle: Array) -> Array:
-    """Return the area of a circular segment by half angle, over the squared radius."""
+    """Return the area of a circular segment over its squared radius."""
     power = angle**2
     series = 2 / 3 * angle * power * (1 - power / 5 * (1 - 2 * power / 21))
     return np.where(angle < 0.05, series, angle - np.sin(angle) * np.cos(angle))
 
 
 def _on_axis(path: Array, column: Column) -> Array:
-    """Return an upper limit of F(z) in water without losses [sr]."""
+    """Return an upper limit of the overlap F(z) in lossless water [sr]."""
     radius, angle = column.receiver_radius, column.acceptance_angle
     return np.pi * (radius * angle / np.maximum(radius, angle * path)) ** 2
 
 
 def _edges_of_view(column: Column) -> list[float]:
-    """Return depths at which the beam enters or leaves the view, wholly or partly."""
+    """Return the depths at which the beam begins to enter or leave the view."""
     radius, angle = column.receiver_radius, column.acceptance_angle
     edges = [radius / angle]
     turn = column.tilt**2 + column.cross_tilt**2 - angle**2
@@ -394,7 +394,7 @@ def _edges_of_view(column: Column) -> list[float]:
 
 
 def _tables_of(spread: Table) -> _kernels.Tables:
-    """Return the tables of a phase function, with those common to all."""
+    """Return the tables of a phase function for the compiled loops."""
     rule, series = _frequency_rule()
     return _kernels.Tables(
         lost=spread.cells, bessel=bessel(), disc=disc(), rule=rule, series=series
@@ -403,7 +403,7 @@ def _tables_of(spread: Table) -> _kernels.Tables:
 
 @cache
 def _frequency_rule() -> tuple[Array, Array]:
-    """Return nodes and weights of a panel of kappa, and its Legendre series."""
+    """Return nodes and weights of a panel of kappa, and the Legendre matrix."""
     node, weight = legendre.leggauss(_kernels.NODES)
     order = np.arange(node.size)
     series = (order + 0.5) * legendre.legvander(node, node.size - 1) * weight[:, None]

@@ -1,4 +1,4 @@
-r"""Small-angle transport in Fourier space: transfer of water, beam and receiver.
+r"""Fourier transforms of the small-angle model: water layer, beam and receiver.
 
 Light at a depth z has a place :math:`\boldsymbol\rho` across the axis and a small
 direction :math:`\mathbf n`; their conjugates are the spatial
@@ -51,7 +51,7 @@ def layer_transfer(
     phase_function: PhaseFunction,
     split_angle: float,
 ) -> Array:
-    r"""Return the transfer of a layer of water for one Fourier component of a beam.
+    r"""Return a water layer's transfer function for one Fourier component of a beam.
 
     At zero `direction_frequency` this is the modulation transfer function of the water:
     the contrast in which a pattern of stripes arrives, times the loss of light.
@@ -144,7 +144,7 @@ def diffusion_layer_transfer(
     diffuse_scattering: ArrayLike,
     second_moment: ArrayLike,
 ) -> Array:
-    r"""Return the transfer in the diffusion form, with a Gaussian spread of all light.
+    r"""Return the transfer function of a water layer, for Gaussian angular spread.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def receiver_sensitivity(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return the sensitivity of the Gaussian receiver to a ray.
+    r"""Return the sensitivity of a Gaussian receiver to a ray.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def effective_source_transform(
     beam_radius: ArrayLike = 0.0,
     beam_divergence: ArrayLike = 0.0,
 ) -> NDArray[np.complex128]:
-    r"""Return the combined transform of beam and receiver, per launched power.
+    r"""Return the combined Fourier transform of beam and receiver.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ def effective_source_transform(
 def _frequencies(
     spatial_frequency: ArrayLike, direction_frequency: ArrayLike
 ) -> tuple[Array, Array]:
-    """Return kappa and p, finite."""
+    """Return both frequencies as arrays, checked to be finite."""
     return (
         finite(spatial_frequency, name="spatial_frequency", unit="1/m"),
         finite(direction_frequency, name="direction_frequency", unit="1/rad"),
@@ -358,7 +358,7 @@ def _frequencies(
 def _mean_along(
     transform: Callable[[Array], Array], first: Array, last: Array, *, split: float
 ) -> Array:
-    """Return means of the transform, which is even, between two frequencies."""
+    """Return the means of an even transform between two frequencies."""
     ends = np.concatenate([first, last])
     below = np.sign(ends) * _integral(transform, np.abs(ends), split=split)
     start, stop = np.split(below, 2)

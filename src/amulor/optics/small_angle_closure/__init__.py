@@ -1,4 +1,4 @@
-"""The small-angle form with a Gaussian spread: fast, no free parameter."""
+"""Small-angle closure: fast model of the water signal, with a Gaussian spread."""
 
 from __future__ import annotations
 

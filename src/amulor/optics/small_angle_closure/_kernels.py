@@ -1,4 +1,4 @@
-"""Compiled loops of the closure of the small-angle form."""
+"""Compiled loops of the small-angle closure."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ _ASIDE = 30.0  # offset squared over S beyond which a Gaussian has no light
 
 
 class Layout(NamedTuple):
-    """Panel layout of a column."""
+    """Depth panels of a water column."""
 
     step: float
     """Width of the first panel [m]."""
     nearest: float
-    """Depth at which beam and receiver axis are nearest [m]."""
+    """Depth of the smallest distance between beam and receiver axis [m]."""
     narrow: float
-    """Depth over which they stay near [m]."""
+    """Depth interval over which the axes stay close [m]."""
     end: float
-    """End of the water [m]."""
+    """Depth at which the water ends [m]."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _cell(table: Array, cell: int, s: float) -> tuple[float, float]:
-    """Return the polynomial of a cell at s from -1 to 1, and its derivative."""
+    """Return the polynomial of one cell at s from -1 to 1, and its derivative."""
     j = np.uint64(cell)
     value = table[j, 9]
     slope = 0.0
@@ -61,7 +61,7 @@ def _cell(table: Array, cell: int, s: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _lost(x: float, split: float, table: Array) -> tuple[float, float]:
-    """Return 1 less the mean transform up to x, and its derivative over x."""
+    """Return 1 minus the mean transform up to x, and its derivative over x."""
     t = x * split / WIDTH
     if t < LINEAR:
         cell = int(t)
@@ -82,7 +82,7 @@ def _lost(x: float, split: float, table: Array) -> tuple[float, float]:
 def _broadened(
     area: float, z: float, clear: float, water: Water, table: Array
 ) -> float:
-    """Return clear + B for the spatial frequency of an area S."""
+    """Return the squared beam width clear + B for a trial width S."""
     x = 2.0 * z / math.sqrt(area)
     _, slope = _lost(x, water.split_angle, table)
     return clear + 2.0 * water.forward * z * z * z * slope
@@ -92,7 +92,7 @@ def _broadened(
 def _solution(
     start: float, z: float, clear: float, water: Water, table: Array
 ) -> float:
-    """Return the solution S = clear + B(S) next to a start below or above it.
+    """Return the solution of S = clear + B(S) closest to a start on one side of it.
 
     The right side rises with S, so the steps go one way only; a longer one is taken
     along the two before it unless it passes the solution.
@@ -117,14 +117,14 @@ def _solution(
 
 @numba.njit(cache=True, error_model="numpy")
 def _exponent(area: float, z: float, clear: float, water: Water, table: Array) -> float:
-    """Return A of light that is scattered forward, with B = S - clear."""
+    """Return the exponent A of the forward-scattered light, with B = S - clear."""
     value, _ = _lost(2.0 * z / math.sqrt(area), water.split_angle, table)
     return water.forward * z * value - (area - clear) / area
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _line(z: float, water: Water, table: Array) -> tuple[float, float, float, float]:
-    """Return S, A, B and the squared offset over S."""
+    """Return squared width S, exponent A, broadening B, squared offset over S."""
     path = z + water.standoff
     clear = water.radius_squared + water.angle_squared * path * path
     offset = (water.baseline - water.tilt * path) ** 2 + (water.cross_tilt * path) ** 2
@@ -145,7 +145,7 @@ def _line(z: float, water: Water, table: Array) -> tuple[float, float, float, fl
 
 @numba.njit(cache=True, error_model="numpy")
 def _overlap(z: float, water: Water, table: Array) -> float:
-    """Return F(z) / pi R^2 gamma^2."""
+    """Return the overlap F(z) over pi R^2 gamma^2."""
     area, lost, _, aside = _line(z, water, table)
     return math.exp(-water.loss * z - lost - aside) / area
 
@@ -154,7 +154,7 @@ def _overlap(z: float, water: Water, table: Array) -> float:
 def departures(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill rows of out with the light of eq. (29) that the closure lacks.
+    """Fill out with the light of eq. (29) minus that of the closure.
 
     By Gauss-Laguerre nodes: rule has nodes and weights, a row of look is as in
     `collected`. Compiled, as S(z) is found step by step.
@@ -183,7 +183,7 @@ def departures(
 
 @numba.njit(cache=True, error_model="numpy")
 def collected(look: Array, water: Water, table: Array, out: Array) -> None:
-    """Fill out with F(z) / pi R^2 gamma^2.
+    """Fill out with the overlap F(z) over pi R^2 gamma^2.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff.
     Compiled, as S(z) is found step by step, docs/theory/water-signal.md.
@@ -194,7 +194,7 @@ def collected(look: Array, water: Water, table: Array, out: Array) -> None:
 
 @numba.njit(cache=True, error_model="numpy")
 def _bound(z: float, water: Water) -> float:
-    """Return an upper limit of F(z) / pi R^2 gamma^2 on the axis."""
+    """Return an upper limit of the overlap F(z) over pi R^2 gamma^2."""
     path = z + water.standoff
     area = water.radius_squared + water.angle_squared * path * path
     return math.exp(-water.loss * z) / area
@@ -202,7 +202,7 @@ def _bound(z: float, water: Water) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _unresolved(value: Array, tail: Array) -> float:
-    """Return the largest of the last Legendre terms of a panel."""
+    """Return the largest of the last Legendre coefficients of a panel."""
     largest = 0.0
     for m in range(tail.shape[1]):
         total = 0.0
@@ -214,7 +214,7 @@ def _unresolved(value: Array, tail: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _edges(start: float, stop: float, layout: Layout, waiting: Array) -> int:
-    """Push spans from start to stop on the stack, broken about the nearest depth."""
+    """Push depth intervals on the stack, split near the smallest axis distance."""
     count = 0
     high = stop
     for factor in (9.0, 3.0, 1.0, 0.0, -1.0, -3.0, -9.0):
@@ -238,7 +238,7 @@ def _add_panels(
     rules: tuple[Array, Array, Array, Array],
     sums: Array,
 ) -> float:
-    """Add the integral over a span to sums, and return that of F(z) up to its end.
+    """Add integrals over a depth interval; return the integral of F(z) to its end.
 
     Rules are those of the quadrature, the nodes, the weights, and the tail.
     """
@@ -288,7 +288,7 @@ def water_column(
     rules: tuple[Array, Array, Array, Array],
     sums: Array,
 ) -> None:
-    """Add the integral of exp(i w z) F(z) / pi R^2 gamma^2 to sums, for rising w.
+    """Add the integrals of exp(i w z) F(z) / pi R^2 gamma^2, for rising w.
 
     Compiled, as panels are halved one by one where F(z) asks for it.
     """

@@ -1,4 +1,4 @@
-r"""Water signal by a closure of the small-angle form: fast, no free parameter.
+r"""Water signal and overlap by the small-angle closure.
 
 The exponent by which scattering damps a spatial frequency is replaced by the straight
 line in its square that touches it at the frequency which the light itself has.
@@ -57,7 +57,7 @@ def water_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.complex128]:
-    r"""Return the water signal by the closure of eq. (29).
+    r"""Return the water signal by the small-angle closure of eq. (29).
 
     All arguments but the phase function and its split angle are broadcast against
     each other; axes along which only the frequency changes cost little.
@@ -203,7 +203,7 @@ def overlap(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return the overlap F(z) of beam and receiver at a depth, by closure.
+    r"""Return the overlap F(z) of beam and receiver by the small-angle closure.
 
     Parameters
     ----------
@@ -313,7 +313,7 @@ def departure(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Estimate the excess of eq. (29) over the closure, relative to the closure.
+    r"""Estimate the relative error of the closure against the integral of eq. (29).
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ def departure(
 
 
 def _water(column: Column, spread: Table) -> small_angle_kernels.Water:
-    """Return a column for the compiled loops."""
+    """Convert a column to the arguments of the compiled loops."""
     return small_angle_kernels.Water(
         loss=column.loss(spread),
         forward=2 * column.scattering * spread.fraction,
@@ -400,12 +400,12 @@ def _water(column: Column, spread: Table) -> small_angle_kernels.Water:
 
 
 def _peak(column: Column) -> float:
-    """Return pi R^2 gamma^2."""
+    """Return the scale pi R^2 gamma^2 of the overlap [m^2 sr]."""
     return math.pi * (column.receiver_radius * column.acceptance_angle) ** 2
 
 
 def _light(depth: Array, column: Column, spread: Table) -> Array:
-    """Return F(z) [sr]."""
+    """Return the overlap F(z) of beam and receiver at each depth [sr]."""
     out = np.empty(depth.size)
     water = _water(column, spread)
     _kernels.collected(looks(depth, column), water, spread.cells, out)
@@ -413,12 +413,12 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _departures(depth: Array, column: Column, spread: Table) -> Array:
-    """Return the share by which eq. (29) exceeds the closure [1]."""
+    """Return the excess of eq. (29) over the closure, relative to the closure [1]."""
     return _lacking(depth, column, spread)[:, 1]
 
 
 def _lacking(depth: Array, column: Column, spread: Table) -> Array:
-    """Return the light of eq. (29) less that of the closure, over pi R^2 gamma^2."""
+    """Return excess of eq. (29) over the closure, absolute and relative."""
     out = np.empty((depth.size, 2))
     _kernels.departures(
         looks(depth, column),
@@ -433,12 +433,12 @@ def _lacking(depth: Array, column: Column, spread: Table) -> Array:
 
 @cache
 def _laguerre() -> Array:
-    """Return nodes and weights for integrals of exp(-t) times a smooth function."""
+    """Return 16 Gauss-Laguerre nodes and weights."""
     return np.stack(np.polynomial.laguerre.laggauss(16))
 
 
 def _lacked(column: Column, spread: Table) -> float:
-    """Return the light of eq. (29) less the closure, relative to the closure [1]."""
+    """Return the relative excess of eq. (29) over the closure for a column [1]."""
     loss = column.loss(spread) / 2
     across = (column.receiver_radius + column.baseline) / column.acceptance_angle
     faded = _REACH / loss if loss > 0 else np.inf
@@ -454,7 +454,7 @@ def _lacked(column: Column, spread: Table) -> float:
 def _response(
     phase_per_depth: Array, column: Column, spread: Table, *, lacking: list[float]
 ) -> NDArray[np.complex128]:
-    """Return the integral of exp(i w z) F(z) over the column [m sr]."""
+    """Return the integral of exp(i w z) F(z) over the water column [m sr]."""
     result = np.zeros(phase_per_depth.size, dtype=complex)
     if column.end == 0:
         return result
@@ -480,7 +480,7 @@ def _response(
 
 
 def _meeting(water: small_angle_kernels.Water) -> dict[str, float]:
-    """Return the depth at which beam and axis are nearest, and its extent [m]."""
+    """Return depth and width of the smallest distance of beam and receiver axis [m]."""
     slant = water.tilt**2 + water.cross_tilt**2
     if slant == 0:
         return {"nearest": -1.0, "narrow": 0.0}

@@ -1,4 +1,4 @@
-"""The small-angle diffusion form: water signal and its distribution over depth."""
+"""Small-angle diffusion model: water signal and its distribution over depth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled loops of the water signal in diffusion form."""
+"""Compiled depth integrals of the water signal in the diffusion model."""
 
 from __future__ import annotations
 
@@ -31,42 +31,42 @@ _EXP = tuple(1.0 / math.factorial(i) for i in range(14))
 
 
 class Geometry(NamedTuple):
-    """Column of water and its instrument, as a row of a table.
+    """Water column and receiver geometry, one row of the table.
 
     The row has the values in the order of these fields, here and in `_columns`.
     """
 
     reduced_attenuation: float
-    """Reduced attenuation k' = a + b_d [1/m]."""
+    """Reduced one-way attenuation k' = a + b_d [1/m]."""
     spreading: float
     """Factor (2/3) b_f <theta^2> of z^3 in S(z) [1/m]."""
     baseline: float
-    """Baseline rho_0 [m]."""
+    """Distance rho_0 between beam and receiver [m]."""
     receiver_radius: float
     """Receiver radius R [m]."""
     acceptance_angle: float
     """Acceptance angle gamma [rad]."""
     tilt: float
-    """Tilt n_0 along the baseline [rad]."""
+    """Beam inclination n_0 along the baseline [rad]."""
     cross_tilt: float
-    """Tilt n_0 across it [rad]."""
+    """Beam inclination n_0 across the baseline [rad]."""
     standoff: float
-    """Standoff zeta - z [m]."""
+    """Equivalent water depth zeta - z of air and glass before the water [m]."""
     start: float
-    """Start of the integral [m]."""
+    """Depth at which the integral starts [m]."""
     end: float
-    """End of the integral [m]."""
+    """Depth at which the integral ends [m]."""
 
 
 class Column(NamedTuple):
-    """Column of water in the form of eq. (46), with zeta = z + standoff.
+    """Precomputed terms of the integrand, eq. (46), with zeta = z + standoff.
 
     S(z) = aperture + acceptance zeta^2 + spreading z^3, and the squared distance of
     beam and receiver axis is closest + slant (z - nearest)^2.
     """
 
     loss: float
-    """Loss 2 k' [1/m]."""
+    """Two-way attenuation 2 k' [1/m]."""
     spreading: float
     """Factor (2/3) b_f <theta^2> of z^3 in S(z) [1/m]."""
     aperture: float
@@ -74,22 +74,22 @@ class Column(NamedTuple):
     acceptance: float
     """Squared acceptance angle gamma^2 [1]."""
     slant: float
-    """Squared inclination |n_0|^2 of the beam [1]."""
+    """Squared beam inclination |n_0|^2 [1]."""
     nearest: float
-    """Depth z at which beam and receiver axis are nearest [m]."""
+    """Depth z of the smallest distance between beam and receiver axis [m]."""
     closest: float
-    """Squared distance of beam and axis there [m^2]."""
+    """Squared distance of the axes at that depth [m^2]."""
     standoff: float
-    """Standoff zeta - z [m]."""
+    """Equivalent water depth zeta - z of air and glass before the water [m]."""
     start: float
-    """Start of the integral [m]."""
+    """Depth at which the integral starts [m]."""
     end: float
-    """Depth beyond which nothing is added [m]."""
+    """Depth beyond which the integrand is negligible [m]."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _exponential(x: float) -> tuple[float, float]:
-    """Return m and the whole number n of exp(x) = m 2^n."""
+    """Return mantissa m and whole exponent n of exp(x) = m 2^n."""
     power = np.floor(x * (1 / math.log(2)) + 0.5)
     r = (x - power * _LN2_1) - power * _LN2_2
     r2 = r * r
@@ -104,7 +104,7 @@ def _exponential(x: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _area(z: float, column: Column) -> float:
-    """Return S(z) of eq. (43)."""
+    """Return the squared width S(z) of beam and receiver, eq. (43)."""
     u = z + column.standoff
     return float(
         column.aperture + column.acceptance * u * u + column.spreading * z * z * z
@@ -113,21 +113,21 @@ def _area(z: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _offset(z: float, column: Column) -> float:
-    """Return the squared distance between beam and receiver axis."""
+    """Return the squared distance between beam axis and receiver axis."""
     u = z - column.nearest
     return float(column.closest + column.slant * u * u)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _level(z: float, column: Column) -> float:
-    """Return the logarithm of F(z), without its constant factor."""
+    """Return the logarithm of the overlap F(z), constant factor omitted."""
     area = _area(z, column)
     return float(-column.loss * z - _offset(z, column) / area - np.log(area))
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _slope(z: float, column: Column) -> float:
-    """Return the derivative of the logarithm of F(z)."""
+    """Return the derivative by depth of the logarithm of the overlap F(z)."""
     area = _area(z, column)
     growth = (
         2.0 * column.acceptance * (z + column.standoff) + 3.0 * column.spreading * z * z
@@ -138,7 +138,7 @@ def _slope(z: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _scale(area: float, column: Column) -> float:
-    """Return the distance over which S(z) about doubles."""
+    """Return the depth interval over which S(z) about doubles."""
     scale = np.sqrt(area / column.acceptance)
     if column.spreading > 0.0:
         scale = min(scale, np.cbrt(area / column.spreading))
@@ -147,7 +147,7 @@ def _scale(area: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _bound(a: float, b: float, column: Column) -> float:
-    """Return an upper limit of the exponent of F(z) between a and b."""
+    """Return an upper limit of the exponent in the overlap F(z), between a and b."""
     offset = column.closest
     if not a < column.nearest < b:
         offset = min(_offset(a, column), _offset(b, column))
@@ -156,7 +156,7 @@ def _bound(a: float, b: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _geometry(row: Array) -> Geometry:
-    """Return a row as named values."""
+    """Convert a table row to named values."""
     return Geometry(
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9]
     )
@@ -164,7 +164,7 @@ def _geometry(row: Array) -> Geometry:
 
 @numba.njit(cache=True, error_model="numpy")
 def _prepare(geometry: Geometry) -> Column:
-    """Return the terms of the integrand, with depths that add nothing cut off."""
+    """Return the terms of the integrand, negligible depths excluded."""
     column = Column(
         2.0 * geometry.reduced_attenuation,
         geometry.spreading,
@@ -209,7 +209,7 @@ def _prepare(geometry: Geometry) -> Column:
 
 @numba.njit(cache=True, error_model="numpy")
 def _break_points(column: Column, z_break: Array) -> tuple[int, float, float]:
-    """Fill z_break; return its count, the maximum of F(z) and its approximate width.
+    """Fill z_break; return its count, the maximum of F(z) and its width.
 
     Return -1 for how many if there is no room for them.
     """
@@ -282,7 +282,7 @@ def _sample(
     work: Array,
     bits: NDArray[np.int64],
 ) -> None:
-    """Fill work[0], work[1] with the even and odd part of F(z) over its peak."""
+    """Fill work[0] and work[1] with even and odd part of F(z) over its peak."""
     loss, spreading, slant = column.loss, column.spreading, column.slant
     aperture, acceptance = column.aperture, column.acceptance
     closest, standoff = column.closest, column.standoff
@@ -316,7 +316,7 @@ def _sample(
 def _unresolved(
     a: float, b: float, peak: float, column: Column, rule: Array, work: Array
 ) -> float:
-    """Return the error of the polynomials in work[4:6] for F(z) between a and b."""
+    """Return the interpolation error of a panel's polynomials for F(z)."""
     n = ORDER - 1
     error = abs(work[4, n]) + abs(work[5, n])
     error += 0.25 * (abs(work[4, n - 1]) + abs(work[5, n - 1]))
@@ -340,7 +340,7 @@ def _add_column(
     turn: Array,
     sums: Array,
 ) -> float:
-    """Add the integral of exp(i w z) F(z) / max F to sums, for rising w.
+    """Add one column's integrals of exp(i w z) F(z) / max F, for rising w.
 
     Return max F over pi R^2 gamma^2, or NaN if the integral cannot be resolved.
     """
@@ -393,7 +393,7 @@ def _add_column(
 def water_column(
     geometry: Array, phase_per_depth: Array, rule: Array, out: NDArray[np.complex128]
 ) -> int:
-    """Fill out[g, f] with the integral of exp(i w z) F(z) / (pi R^2 gamma^2).
+    """Fill out[g, f] with the integrals of exp(i w z) F(z) / (pi R^2 gamma^2).
 
     A row of geometry holds the fields of `Geometry` in their order; phase_per_depth,
     w = 2 omega n_g / c [rad/m], has one row for all of them or one for each. Returns

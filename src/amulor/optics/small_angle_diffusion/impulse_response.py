@@ -1,4 +1,4 @@
-"""Distribution of the water signal over depth and time."""
+"""Distribution of the water signal over time and depth, diffusion model."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def impulse_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.float64]:
-    r"""Return the received power after a very short pulse.
+    r"""Return the received power over time after a very short laser pulse.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def impulse_response(
 
 
 def maximum_distance(fraction: float, **water: Any) -> float:
-    """Return the depth above which a fraction of the water signal arises.
+    """Return the depth up to which a fraction of the water signal arises.
 
     Parameters
     ----------

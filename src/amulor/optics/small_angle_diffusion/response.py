@@ -1,4 +1,4 @@
-"""Water signal of the diffusion form: depth integral for arguments of any shape."""
+"""Water signal and overlap by the small-angle diffusion model."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SMALLEST_LENGTH = 1e-250
 
 @dataclass(frozen=True, kw_only=True)
 class _Column(Receiver):
-    """Water in the diffusion form, and its receiver."""
+    """Water and receiver of the diffusion model, checked."""
 
     absorption: Any
     forward_scattering: Any
@@ -43,12 +43,12 @@ class _Column(Receiver):
 
     @property
     def reduced_attenuation(self) -> Any:
-        """Reduced attenuation k' of one way [1/m]."""
+        """Reduced one-way attenuation k' = a + b_d [1/m]."""
         return self.absorption + self.diffuse_scattering
 
     @property
     def spreading(self) -> Any:
-        """Factor of z^3 in S(z) of eq. (43) [1/m]."""
+        """Factor (2/3) b_f <theta^2> of z^3 in S(z), eq. (43) [1/m]."""
         return 2 / 3 * self.forward_scattering * self.second_moment
 
 
@@ -61,7 +61,7 @@ def _light_of(
     start: ArrayLike,
     end: ArrayLike,
 ) -> NDArray[np.complex128]:
-    """Return beta_pi times the integral of eq. (46) between start and end."""
+    """Return the backscatter times the depth integral of eq. (46), start to end."""
     refuse_behind_receiver(column.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     vsf = checked("backscatter_vsf", backscatter_vsf)
@@ -128,7 +128,7 @@ def _integral(
 def _integrals(
     rows: NDArray[np.float64], phase_per_depth: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Return the integrals of the kernel, for frequencies in any order."""
+    """Return the depth integrals, for phases per depth in any order."""
     out = np.empty((len(rows), phase_per_depth.shape[1]), dtype=complex)
     # Copied, since a view may be read-only, for which the kernel is compiled again.
     phases = np.array(phase_per_depth, order="C")
@@ -163,7 +163,7 @@ def water_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.complex128]:
-    r"""Return the water signal between the instrument and an end.
+    r"""Return the water signal between the instrument and a depth.
 
     All arguments are broadcast against each other.
 
@@ -364,7 +364,7 @@ def overlap(
 
 
 def _overlap(z: Any, column: _Column) -> NDArray[np.float64]:
-    """Return F(z) of eq. (43)."""
+    """Return the overlap F(z) of beam and receiver, eq. (43)."""
     path = z + column.standoff
     refuse_behind_receiver(column.standoff, z)
     area = column.receiver_radius**2 + (column.acceptance_angle * path) ** 2
@@ -393,7 +393,7 @@ def water_tail(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.complex128]:
-    r"""Return the signal of open water behind a depth.
+    r"""Return the water signal from beyond a depth.
 
     This is what is left over when the signal of open water is subtracted from
     that of a scene in which a target ends the water.
@@ -473,7 +473,7 @@ def narrow_receiver_response(
     group_index: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> NDArray[np.complex128]:
-    r"""Return the open-water signal of a coaxial receiver of very small acceptance.
+    r"""Return the open-water signal of a coaxial receiver with very small acceptance.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Optical properties of water: index, absorption, scattering, named waters."""
+"""Optical properties of water: refractive index, absorption, scattering."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fit of Quan and Fry for the index of sea water relative to air, unchecked.
+"""Refractive index of sea water relative to air, by the fit of Quan and Fry.
 
 References
 ----------
@@ -16,7 +16,7 @@ _Array = NDArray[np.float64]
 
 
 def state(temperature: ArrayLike, salinity: ArrayLike) -> tuple[_Array, _Array]:
-    """Return temperature and salinity as arrays, within the range of the fit."""
+    """Return temperature and salinity as arrays, checked to be within the fit."""
     return (
         within(temperature, 0, 30, name="temperature", unit="degC"),
         within(salinity, 0, 43, name="salinity"),
@@ -24,14 +24,14 @@ def state(temperature: ArrayLike, salinity: ArrayLike) -> tuple[_Array, _Array]:
 
 
 def index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Array:
-    """Return the index relative to air."""
+    """Return the refractive index of sea water relative to air."""
     inverse = 1e-9 / wavelength
     offset, slope = _terms(temperature, salinity)
     return offset + slope * inverse - 4382.0 * inverse**2 + 1.1455e6 * inverse**3
 
 
 def group_index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Array:
-    """Return n - L dn/dL: a term L^-p of the index counts 1 + p times in it."""
+    """Return the group index n - L dn/dL, L the wavelength."""
     inverse = 1e-9 / wavelength
     offset, slope = _terms(temperature, salinity)
     curvature = -3 * 4382.0 * inverse**2 + 4 * 1.1455e6 * inverse**3
@@ -39,12 +39,12 @@ def group_index(wavelength: _Array, *, temperature: _Array, salinity: _Array) ->
 
 
 def salinity_slope(wavelength: _Array, *, temperature: _Array) -> _Array:
-    """Return dn/dS, which does not depend on the salinity."""
+    """Return the derivative dn/dS by salinity, independent of salinity."""
     return _salt(temperature) + 0.01155 * 1e-9 / wavelength
 
 
 def _terms(t: _Array, s: _Array) -> tuple[_Array, _Array]:
-    """Return the part without wavelength and the factor of 1/L [nm]."""
+    """Return the term without wavelength, and the factor of 1 / wavelength [nm]."""
     offset = 1.31405 - 2.02e-6 * t**2 + _salt(t) * s
     return offset, 15.868 + 0.01155 * s - 0.00423 * t
 

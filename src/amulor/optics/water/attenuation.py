@@ -1,4 +1,4 @@
-"""Attenuation of a collimated beam: Lambert-Beer law and its coefficients."""
+"""Attenuation of a collimated beam in water, by the Lambert-Beer law."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["optical_thickness", "single_scattering_albedo", "transmission"]
 
 
 def transmission(distance: ArrayLike, *, attenuation: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the fraction of a collimated beam that remains after a distance.
+    r"""Return the transmitted fraction of a collimated beam over a distance.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def transmission(distance: ArrayLike, *, attenuation: ArrayLike) -> NDArray[np.f
 def optical_thickness(
     distance: ArrayLike, *, attenuation: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the number of mean free paths in a distance.
+    r"""Return the optical thickness of a distance in water.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def optical_thickness(
 def single_scattering_albedo(
     *, absorption: ArrayLike, scattering: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the fraction of the attenuation by scattering.
+    r"""Return the single-scattering albedo: scattering over attenuation.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-r"""Case-1 water: open ocean whose optics follow from its chlorophyll alone.
+r"""Case-1 water: open ocean with optical properties fixed by its chlorophyll.
 
 References
 ----------
@@ -33,10 +33,10 @@ __all__ = [
 _Array = NDArray[np.float64]
 
 CDOM_FRACTION = 0.2
-"""Absorption of dissolved matter over that of particles at 440 nm, ref. [2] [1]."""
+"""Ratio of dissolved-matter to particle absorption at 440 nm, ref. [2] [1]."""
 
 CDOM_SLOPE = 0.014e9
-"""Slope S of the absorption of dissolved matter, ref. [4]: 0.014 per nm [1/m]."""
+"""Spectral slope S of dissolved-matter absorption, ref. [4]: 0.014 per nm [1/m]."""
 
 #: Chlorophyll of the data that the laws were fitted to [mg/m^3].
 _LOWEST, _HIGHEST = 0.02, 30.0
@@ -47,7 +47,7 @@ _GREEN = 550e-9
 def phytoplankton_absorption(
     wavelength: ArrayLike, *, chlorophyll: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the absorption of living phytoplankton.
+    r"""Return the absorption coefficient of living phytoplankton.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def phytoplankton_absorption(
 def particle_absorption(
     wavelength: ArrayLike, *, chlorophyll: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the absorption of all particles, phytoplankton and detritus.
+    r"""Return the absorption coefficient of phytoplankton and detritus together.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def cdom_absorption(
     absorption_at_440: ArrayLike,
     cdom_slope: ArrayLike = CDOM_SLOPE,
 ) -> NDArray[np.float64]:
-    r"""Return the absorption of colored dissolved organic matter (yellow substance).
+    r"""Return the absorption coefficient of colored dissolved organic matter.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def cdom_absorption(
 def particle_scattering(
     wavelength: ArrayLike, *, chlorophyll: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the scattering of the particles of case-1 water.
+    r"""Return the scattering coefficient of particles in case-1 water.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def particle_scattering(
 def particle_backscattering(
     wavelength: ArrayLike, *, chlorophyll: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the backscattering of the particles of case-1 water.
+    r"""Return the backscattering coefficient of particles in case-1 water.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def particle_backscattering(
 
 
 def _power_law(wavelength: ArrayLike, chlorophyll: ArrayLike, *, column: int) -> _Array:
-    """Return A Chl^E with the coefficients in a column and the next one [1/m]."""
+    """Return the power law A Chl^E, from two neighboring table columns [1/m]."""
     vacuum, pigment = _checked(wavelength, chlorophyll)
     table = _tables.numbers("bricaud_1998.csv")
     grid = table[:, 0] * 1e-9

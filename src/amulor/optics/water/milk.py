@@ -1,4 +1,4 @@
-r"""Milk at any visible wavelength: spheres of fat and casein, and measurements.
+r"""Optical properties of milk: Mie scattering by fat and casein, and measurements.
 
 References
 ----------
@@ -44,7 +44,7 @@ _BANDS = {"B": 400e-9, "G": 500e-9, "R": 600e-9}
 
 
 class MilkSuspension(NamedTuple):
-    """Contribution of milk to the water that it is stirred into.
+    """Optical properties that added milk contributes to water.
 
     Examples
     --------
@@ -63,11 +63,11 @@ class MilkSuspension(NamedTuple):
     scattering: float
     """Scattering coefficient [1/m]."""
     phase_function: PhaseFunction
-    """Phase function of fat and casein together."""
+    """Phase function of the fat and casein mixture."""
 
 
 class MeasuredMilk(NamedTuple):
-    """Camera measurement of undiluted milk, in one band.
+    """Measured properties of undiluted milk in one camera band.
 
     Examples
     --------
@@ -80,13 +80,13 @@ class MeasuredMilk(NamedTuple):
     absorption: float
     """Absorption coefficient [1/m]."""
     reduced_scattering: float
-    """Scattering coefficient times 1 - g [1/m]."""
+    """Reduced scattering coefficient b (1 - g) [1/m]."""
 
 
 def milk_suspension(
     wavelength: float, *, volume_fraction: float, fat: float, medium_index: float
 ) -> MilkSuspension:
-    r"""Return scattering and phase function of homogenised milk in water.
+    r"""Return the scattering of homogenized milk in water, from Mie theory.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def milk_suspension(
 
 
 def measured_milk(wavelength: float, *, kind: str) -> MeasuredMilk:
-    """Return the measured properties of undiluted milk in a band of a camera.
+    """Return measured properties of undiluted milk in a camera band.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def _spheres(
     index: complex,
     light: tuple[float, float],
 ) -> mie.Suspension:
-    """Return the spheres of a volume share."""
+    """Return Mie scattering by spheres that fill a volume fraction."""
     filled = float(np.sum(number * 4 / 3 * np.pi * radius**3))
     return mie.size_distribution(
         2 * radius,
@@ -225,7 +225,7 @@ def _spheres(
 
 
 def _log_normal(surface_mean: float, *, width: float) -> tuple[_Array, _Array]:
-    """Return radii and numbers with a volume-to-surface mean and a relative width."""
+    """Return radii and numbers of a log-normal size distribution."""
     spread = np.sqrt(np.log(width**2 + 1))
     centre = np.log(surface_mean) - 2.5 * spread**2
     # The volume lies three squares of the spread above the numbers.
@@ -234,7 +234,7 @@ def _log_normal(surface_mean: float, *, width: float) -> tuple[_Array, _Array]:
 
 
 def _casein_sizes() -> tuple[_Array, _Array]:
-    """Return radii and numbers, log-normal in r / (largest - r)."""
+    """Return radii and numbers of casein micelles, log-normal in r / (largest - r)."""
     mean = _CASEIN_RADIUS / (_CASEIN_LARGEST - _CASEIN_RADIUS)
     ratio, number = _log_normal(mean, width=_CASEIN_WIDTH)
     return _CASEIN_LARGEST * ratio / (1 + ratio), number

@@ -1,4 +1,4 @@
-r"""Scattering by the molecules and ions of pure fresh and sea water.
+r"""Molecular scattering of pure fresh water and sea water.
 
 Density fluctuates in any water and concentration in salt water; both scatter like
 anisotropic dipoles, the same forwards and backwards.
@@ -46,7 +46,7 @@ _MOLAR_MASS = 18e-3  # of water, as ref. [1] takes it [kg/mol]
 def molecular_scattering(
     wavelength: ArrayLike, *, temperature: ArrayLike, salinity: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the scattering coefficient of pure fresh or sea water.
+    r"""Return the molecular scattering coefficient of pure fresh or sea water.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def molecular_scattering(
 def molecular_backscattering(
     wavelength: ArrayLike, *, temperature: ArrayLike, salinity: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the part of the molecular scattering beyond 90 degrees.
+    r"""Return the molecular backscattering coefficient of fresh or sea water.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def molecular_vsf(
 
 
 def molecular_phase_function(angle: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the phase function of scattering by pure water.
+    r"""Return the phase function of molecular scattering in water.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def morel_scattering(wavelength: ArrayLike) -> NDArray[np.float64]:
 
 
 def _pattern(angle: ArrayLike) -> _Array:
-    """Return the volume scattering function over that at 90 degrees."""
+    """Return the volume scattering function relative to that at 90 degrees."""
     delta = DEPOLARIZATION_RATIO
     theta = checked_angle(angle, name="angle")
     return np.asarray(1 + (1 - delta) / (1 + delta) * np.cos(theta) ** 2)
@@ -293,14 +293,14 @@ def _density_derivative(n: _Array) -> _Array:
 
 
 def _air_index(wavelength: _Array) -> _Array:
-    """Return the index of standard air after Ciddor, ref. [2]."""
+    """Return the refractive index of standard air after Ciddor, ref. [2]."""
     square = (1e-6 / wavelength) ** 2
     terms = 5792105 / (238.0185 - square) + 167917 / (57.362 - square)
     return 1 + 1e-8 * terms
 
 
 def _density(t: _Array, s: _Array) -> _Array:
-    """Return the density of EOS-80 at atmospheric pressure [kg/m^3]."""
+    """Return the density of sea water, EOS-80, at atmospheric pressure [kg/m^3]."""
     polyval = np.polynomial.polynomial.polyval
     fresh = polyval(
         t,
@@ -312,7 +312,7 @@ def _density(t: _Array, s: _Array) -> _Array:
 
 
 def _compressibility(t: _Array, s: _Array) -> _Array:
-    """Return the compressibility of EOS-80 at atmospheric pressure [1/Pa]."""
+    """Return the compressibility of sea water, EOS-80, at 1 atm [1/Pa]."""
     polyval = np.polynomial.polynomial.polyval
     fresh = polyval(t, [19652.21, 148.4206, -2.327105, 1.360477e-2, -5.155288e-5])
     first = polyval(t, [54.6746, -0.603459, 1.09987e-2, -6.167e-5])
@@ -322,7 +322,7 @@ def _compressibility(t: _Array, s: _Array) -> _Array:
 
 
 def _activity_slope(t: _Array, s: _Array) -> _Array:
-    """Return -d ln(a_w)/dS of ref. [4], above zero."""
+    """Return the decrease -d ln(a_w)/dS of water activity with salinity, ref. [4]."""
     polyval = np.polynomial.polynomial.polyval
     first = polyval(t, [-5.58651e-4, 2.40452e-7, -3.12165e-9, 2.40808e-11])
     second = polyval(t, [1.79613e-5, -9.9422e-8, 2.08919e-9, -1.39872e-11])

@@ -1,4 +1,4 @@
-r"""Absorption of pure fresh and sea water, from two sources that disagree.
+r"""Absorption of pure fresh water and sea water, from two published sources.
 
 At 405 nm Pope and Fry give twice the absorption of Mason, Cone and Fry. Where amulor
 has to choose it takes `mason_absorption`: it is the later measurement of the same
@@ -29,7 +29,7 @@ __all__ = ["mason_absorption", "mason_absorption_uncertainty", "pope_fry_absorpt
 
 
 def pope_fry_absorption(wavelength: ArrayLike) -> NDArray[np.float64]:
-    """Return the absorption of pure water as measured by Pope and Fry.
+    """Return the absorption of pure water after Pope and Fry 1997.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def pope_fry_absorption(wavelength: ArrayLike) -> NDArray[np.float64]:
 def mason_absorption(
     wavelength: ArrayLike, *, temperature: ArrayLike, salinity: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the absorption of pure sea water, after Mason et al. below 510 nm.
+    r"""Return the absorption of pure water or sea water, Mason et al. below 510 nm.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def mason_absorption_uncertainty(
 def _mason(
     wavelength: ArrayLike, temperature: ArrayLike, salinity: ArrayLike
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the columns of the table, temperature above 20 degC, and salinity."""
+    """Return interpolated table columns, temperature above 20 degC, and salinity."""
     table = _tables.numbers("wopp_v3_mason_2016.csv")
     grid = table[:, 0] * 1e-9
     inside = within(wavelength, grid[0], grid[-1], name="wavelength", unit="m")

@@ -1,4 +1,4 @@
-r"""Phase and group index of pure fresh and sea water, relative to air and to vacuum.
+r"""Phase and group index of fresh water and sea water, in air and in vacuum.
 
 Rays bend by the phase index, the modulation travels by the group index. Every
 wavelength is the one in vacuum. Absorption (`amulor.optics.water.pure_water`) and
@@ -57,7 +57,7 @@ __all__ = [
 ]
 
 AIR_REFRACTIVE_INDEX = 1.000283
-"""Index of standard air (15 degC, 101325 Pa) at 0.40 um, by ref. [3] above [1]."""
+"""Refractive index of standard air (15 degC, 101325 Pa) at 0.40 um, ref. [3] [1]."""
 
 
 def refractive_index(
@@ -160,7 +160,7 @@ def refractive_index_vacuum(
 def group_index(
     wavelength: ArrayLike, *, temperature: ArrayLike, salinity: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the group index of sea water, for the modulation envelope.
+    r"""Return the group index of sea water, for the speed of the modulation.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def iapws_refractive_index(
 def iapws_group_index(
     wavelength: ArrayLike, *, temperature: ArrayLike, density: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the group index of fresh water, for the modulation envelope.
+    r"""Return the group index of fresh water, for the speed of the modulation.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def iapws_group_index(
 def _lorentz_lorenz(
     wavelength: ArrayLike, temperature: ArrayLike, density: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the ratio (n^2 - 1)/(n^2 + 2) of IAPWS R9-97 and L times its slope."""
+    """Return the IAPWS ratio (n^2 - 1)/(n^2 + 2), and its slope times wavelength."""
     vacuum = within(wavelength, 200e-9, 1100e-9, name="wavelength", unit="m")
     degrees = within(temperature, -12, 500, name="temperature", unit="degC")
     mass = within(density, 0, 1060, name="density", unit="kg/m^3", above=True)

@@ -48,12 +48,12 @@ JERLOV_SOURCES = {
     "solonenko-mobley-2015": "solonenko_mobley_2015.csv",
     "williamson-hollins-2022": "williamson_hollins_2022.csv",
 }
-"""Sources of the Jerlov types by name, and the tables that hold them."""
+"""Published sources of the Jerlov types, with their table files."""
 
 _MEASURED = "williamson_hollins_2022_measured.csv"
 
 MAALOX_VOLUME_FRACTION = 0.1e-6 / 27e-3
-"""Volume fraction of Maalox in ref. [5]: 0.1 ml in 27 litre, 3.7e-6 [1].
+"""Volume fraction of Maalox in ref. [5]: 0.1 ml in 27 liters, 3.7e-6 [1].
 
 The dose is all that is known: no scattering coefficient of Maalox at 405 nm has a
 source to cite, and a number without one would be worse than none. Measure the
@@ -66,7 +66,7 @@ _MILKS = {0.001: (3.4e3, 0.25), 0.015: (12.5e3, 0.63), 0.035: (37e3, 0.80)}
 
 @dataclass(frozen=True, kw_only=True)
 class JerlovWater:
-    """Optical coefficients of a Jerlov water type, all arrays of one shape.
+    """Absorption and scattering of a Jerlov water type, arrays of one shape.
 
     Examples
     --------
@@ -77,20 +77,20 @@ class JerlovWater:
     """
 
     absorption: _Array
-    """Absorption coefficient a, with that of water [1/m]."""
+    """Absorption coefficient a, pure water included [1/m]."""
     scattering: _Array
-    """Scattering coefficient b, with that of water [1/m]."""
+    """Scattering coefficient b, pure water included [1/m]."""
     status: NDArray[np.str_]
-    """`measured`: on a curve fitted to averages of measurements; else `model`."""
+    """`measured` for fits to averaged measurements, else `model`."""
     absorption_deviation: _Array
-    """Standard deviation of a between campaigns; NaN where it is a model [1/m]."""
+    """Standard deviation of a between campaigns; NaN for a model [1/m]."""
     scattering_deviation: _Array
-    """Standard deviation of b between campaigns; NaN where it is a model [1/m]."""
+    """Standard deviation of b between campaigns; NaN for a model [1/m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PetzoldStation:
-    """Optical coefficients of one of Petzold's stations.
+    """Optical properties measured at one of Petzold's stations.
 
     Examples
     --------
@@ -101,9 +101,9 @@ class PetzoldStation:
     """
 
     name: str
-    """Station name in the report."""
+    """Station name in Petzold's report."""
     water: str
-    """Kind of water that the station usually represents."""
+    """Kind of water for which the station is commonly used."""
     place: str
     """Place of the measurement."""
     date: str
@@ -111,22 +111,22 @@ class PetzoldStation:
     wavelength: float
     """Wavelength [m]."""
     attenuation: float
-    """Attenuation coefficient c, measured [1/m]."""
+    """Measured attenuation coefficient c [1/m]."""
     scattering: float
-    """Scattering coefficient b, the integral of the measured function [1/m]."""
+    """Scattering coefficient b, integrated from the measured function [1/m]."""
     absorption: float
-    """Absorption coefficient a, the difference of c and b [1/m]."""
+    """Absorption coefficient a = c - b [1/m]."""
     backscatter_fraction: float
-    """Backscattering over scattering [1]."""
+    """Ratio of backscattering to scattering, b_b / b [1]."""
     median_angle: float
-    """Angle below which half of the scattering lies [rad]."""
+    """Median scattering angle [rad]."""
     status: Literal["measured"] = "measured"
     """Source of the numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Milk:
-    """Contribution of milk to the scattering of the water that it is stirred into.
+    """Scattering that milk adds to the water.
 
     Examples
     --------
@@ -143,7 +143,7 @@ class Milk:
     asymmetry: float
     """Mean cosine of the scattering angle [1]."""
     uncertainty_factor: float
-    """Factor within which the true scattering is expected, either way [1]."""
+    """Uncertainty of the scattering as a factor, up and down [1]."""
     status: Literal["model"] = "model"
     """Source of the numbers."""
 
@@ -237,7 +237,7 @@ def jerlov(water_type: str, wavelength: ArrayLike, *, source: str) -> JerlovWate
 
 
 def petzold_station(name: str) -> PetzoldStation:
-    """Return the optical coefficients that Petzold measured at a station.
+    """Return the optical properties at one of Petzold's stations.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def petzold_station(name: str) -> PetzoldStation:
 
 
 def milk(volume_fraction: ArrayLike, *, fat: float) -> Milk:
-    """Return the scattering at 405 nm that milk adds to water.
+    """Return the scattering that milk adds to water at 405 nm.
 
     Parameters
     ----------
@@ -343,7 +343,7 @@ def milk(volume_fraction: ArrayLike, *, fat: float) -> Milk:
 def _columns(
     rows: tuple[dict[str, str], ...], water_type: str, *names: str
 ) -> list[_Array]:
-    """Return the wavelengths [m] and the named columns of a water type."""
+    """Return wavelengths [m] and named columns of a Jerlov water type."""
     selected = [row for row in rows if row["water_type"] == water_type]
     grid = 1e-9 * np.array([float(row["wavelength_nm"]) for row in selected])
     return [grid, *(np.array([float(row[name]) for row in selected]) for name in names)]
