@@ -1,4 +1,4 @@
-"""Photon transport: all orders of scattering, full Stokes vectors, modulated light."""
+"""Photon transport by Monte Carlo: multiple scattering, polarization, modulation."""
 
 from amulor.transport.medium import Layer, Medium
 from amulor.transport.mesh import MeshTarget

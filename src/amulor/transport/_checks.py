@@ -1,4 +1,4 @@
-"""Checks of numbers and vectors that describe a transport problem."""
+"""Checks of the numbers and vectors in a transport problem."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def at_least(value: float, limit: float, *, name: str, unit: str) -> float:
-    """Return a finite number not below a limit."""
+    """Return a finite number; ValueError if below a limit."""
     number = float(value)
     if not (math.isfinite(number) and number >= limit):
         raise ValueError(f"{name} must be at least {limit:g} {unit}, got {value!r}")
@@ -17,7 +17,7 @@ def at_least(value: float, limit: float, *, name: str, unit: str) -> float:
 
 
 def above(value: float, limit: float, *, name: str, unit: str) -> float:
-    """Return a finite number above a limit."""
+    """Return a finite number; ValueError unless above a limit."""
     number = float(value)
     if not (math.isfinite(number) and number > limit):
         raise ValueError(f"{name} must be above {limit:g} {unit}, got {value!r}")
@@ -25,7 +25,7 @@ def above(value: float, limit: float, *, name: str, unit: str) -> float:
 
 
 def at_most(value: float, limit: float, *, name: str, unit: str) -> float:
-    """Return a number above zero, up to a limit."""
+    """Return a number above zero; ValueError if above a limit."""
     number = above(value, 0.0, name=name, unit=unit)
     if number > limit:
         raise ValueError(f"{name} must not exceed {limit:g} {unit}, got {value!r}")
@@ -33,7 +33,7 @@ def at_most(value: float, limit: float, *, name: str, unit: str) -> float:
 
 
 def place(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
-    """Return three finite coordinates as a vector."""
+    """Return three coordinates as a vector; ValueError unless finite."""
     vector = np.array(value, dtype=np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise ValueError(
@@ -43,7 +43,7 @@ def place(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
 
 
 def unit_vector(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
-    """Return three coordinates scaled to a length of 1."""
+    """Return a unit vector along three given coordinates."""
     vector = place(value, name=name)
     norm = float(np.linalg.norm(vector))
     if norm == 0:
@@ -53,7 +53,7 @@ def unit_vector(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
 
 
 def axes_of(direction: NDArray[np.float64], *, name: str) -> NDArray[np.float64]:
-    """Return right, down and forward axes that look along a direction, as rows.
+    """Return right, down and forward axes of a view along a direction, as rows.
 
     The first axis is the part of "right" that is perpendicular to the direction.
     """

@@ -1,4 +1,4 @@
-"""Transport problem of the compiled loops, in the axes of the receiver."""
+"""Transport problem in receiver coordinates, as arguments of the compiled loops."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _DEPTHS = 8.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
-    """Medium, source, receiver and target, checked against each other."""
+    """Medium, source, receiver and target, checked for consistency."""
 
     medium: Medium
     source: Source
@@ -48,7 +48,7 @@ class Problem:
     target: PlaneTarget | MeshTarget | None
 
     def __post_init__(self) -> None:
-        """Refuse parts that do not fit together."""
+        """Raise a ValueError for parts that are inconsistent."""
         axis = self.axes[2]
         if not self.medium.unbounded and abs(abs(axis[2]) - 1) > 1e-9:
             tilt = math.degrees(math.acos(min(1.0, abs(axis[2]))))
@@ -76,7 +76,7 @@ class Problem:
             self._refuse_inside(self.target)
 
     def _refuse_in_view(self) -> None:
-        """Refuse a source whose unscattered light falls on the receiver.
+        """Raise a ValueError if unscattered source light falls on the receiver.
 
         A width of 1/e counts threefold: what is left out is below e^-9 of the light.
         """
@@ -98,7 +98,7 @@ class Problem:
             )
 
     def _refuse_behind(self, target: PlaneTarget) -> None:
-        """Refuse a receiver or source that is not in front of the target."""
+        """Raise a ValueError if receiver or source is not in front of the target."""
         normal = unit_vector(target.normal, name="normal")
         point = place(target.position, name="position")
         source = float((place(self.source.position, name="position") - point) @ normal)
@@ -120,7 +120,7 @@ class Problem:
             )
 
     def _refuse_inside(self, target: MeshTarget) -> None:
-        """Refuse a receiver or source that is inside of a mesh, or touches it."""
+        """Raise a ValueError if receiver or source is inside a mesh, or touches it."""
         source = place(self.source.position, name="position")
         centre = place(self.receiver.position, name="position")
         parts = (("source", source), ("centre of the receiver", centre))
@@ -146,18 +146,18 @@ class Problem:
 
     @cached_property
     def axes(self) -> Array:
-        """Right, down and forward axes of the receiver, as rows."""
+        """Right, down and forward axis of the receiver, as rows."""
         direction = unit_vector(self.receiver.direction, name="direction")
         return axes_of(direction, name="direction of the receiver")
 
     @cached_property
     def layers(self) -> tuple[Layer, ...]:
-        """Layers in the order along the receiver's axis."""
+        """Water layers, ordered along the receiver's axis."""
         return self.medium.layers if self.axes[2, 2] >= 0 else self.medium.layers[::-1]
 
     @cached_property
     def edges(self) -> Array:
-        """Planes between the layers on the receiver's axis [m]."""
+        """Boundaries of the water layers along the receiver's axis [m]."""
         edges = np.array(self.medium.edges)
         if self.medium.unbounded:
             return edges
@@ -166,19 +166,19 @@ class Problem:
         return np.sort(sign * (edges - depth))
 
     def _turned(self, position: Array) -> Array:
-        """Return positions in the axes of the receiver."""
+        """Return positions in the coordinates of the receiver."""
         offset = position - place(self.receiver.position, name="position")
         result: Array = offset @ self.axes.T
         return result
 
     @cached_property
     def water(self) -> Water:
-        """Edges, coefficients and angle tables for the kernels."""
+        """Water layers in the form of the compiled loops."""
         return water_tables(self.layers, self.edges)
 
     @cached_property
     def beam(self) -> Beam:
-        """Source for the kernels."""
+        """Source in the form of the compiled loops."""
         direction = unit_vector(self.source.direction, name="direction")
         axes = axes_of(direction, name="direction of the source")
         return Beam(
@@ -192,7 +192,7 @@ class Problem:
 
     @cached_property
     def face(self) -> Face:
-        """Receiver for the kernels."""
+        """Receiver in the form of the compiled loops."""
         return Face(
             radius=float(self.receiver.radius),
             acceptance=float(self.receiver.acceptance_angle),
@@ -201,7 +201,7 @@ class Problem:
 
     @cached_property
     def surface(self) -> Surface:
-        """Target for the kernels, also without one."""
+        """Target in the form of the compiled loops; empty without target."""
         target = self.target
         plane = isinstance(target, PlaneTarget)
         right = [float(component) for component in self.axes[:, 0]]
@@ -227,7 +227,7 @@ class Problem:
 
     @property
     def joined_touch(self) -> float:
-        """Light of one touch of the target that meets an adjoint path [1].
+        """Estimated light of a target reflection joined with an adjoint path [1].
 
         Omega times reflectance over pi, for a target that faces the receiver; 0 where
         no path of light from the target is scattered on its way. Several times as much
@@ -242,14 +242,14 @@ class Problem:
 
     @cached_property
     def scene(self) -> Scene:
-        """Water, target and receiver for the kernels."""
+        """Water, source, target and receiver in the form of the compiled loops."""
         return Scene(
             beam=self.beam, face=self.face, water=self.water, target=self.surface
         )
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all numbers of the problem."""
+        """SHA-256 digest of all numbers of the problem."""
         return digest_of(
             *self.water,
             *self.beam[:5],
@@ -263,7 +263,7 @@ class Problem:
 
 
 def digest_of(*parts: Any) -> str:
-    """Return the SHA-256 of numbers and arrays."""
+    """Return the SHA-256 digest of numbers and arrays."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(np.ascontiguousarray(part).tobytes())
@@ -271,7 +271,7 @@ def digest_of(*parts: Any) -> str:
 
 
 def water_tables(layers: tuple[Layer, ...], edges: Array) -> Water:
-    """Return edges, coefficients and angle tables for the kernels."""
+    """Return layer boundaries, coefficients and angle tables of the water."""
     functions: list[Any] = []
     table = []
     for layer in layers:
@@ -309,14 +309,14 @@ def water_tables(layers: tuple[Layer, ...], edges: Array) -> Water:
 
 @lru_cache(maxsize=8)
 def _cells_of(function: Any) -> AngleCells:
-    """Return the angle cells of a phase function or matrix, cached."""
+    """Return the angle cells of a phase function or scattering matrix, cached."""
     matrix = isinstance(function, ScatteringMatrix)
     return AngleCells(function.phase_function if matrix else function)
 
 
 @lru_cache(maxsize=8)
 def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
-    """Return alias table, phase function and matrix elements in the angle cells."""
+    """Return alias table, phase function and matrix elements per angle cell."""
     cells = _cells_of(function)
     element = np.zeros((_cells.SIZE, 5))
     if isinstance(function, ScatteringMatrix):
@@ -325,5 +325,5 @@ def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
 
 
 def integrals_of(layers: tuple[Layer, ...]) -> tuple[float, ...]:
-    """Return the integral of each layer's phase function, its divisor [1]."""
+    """Return the integral of each layer's phase function before normalization [1]."""
     return tuple(_cells_of(layer.phase_function).integral for layer in layers)

@@ -1,4 +1,4 @@
-"""Batches of a transport run: schedule, sums, and record of path lengths."""
+"""Batches of a transport run: schedule, running sums, and path-length record."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Batch:
-    """Result of one batch, as means per history."""
+    """Result of one batch of histories, as means per history."""
 
     number: int
     histories: int
@@ -46,7 +46,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Accumulator:
-    """Batches in the order of their numbers; pairs are merged when there are many.
+    """Results of the batches so far, neighbors merged if there are many.
 
     What is kept depends on the batches alone, so a run that was resumed has the same
     numbers as one that was not. A batch makes a new accumulator, so an interruption at
@@ -66,7 +66,7 @@ class Accumulator:
 
     @classmethod
     def start(cls, frame: Tally, resume: Tally | None) -> Self:
-        """Return an accumulator without batches, or with those of a run to resume."""
+        """Return an accumulator, empty or with the batches of a run to resume."""
         if resume is None:
             return cls(frame=frame, full=frame.batch_size)
         if resume.problem != frame.problem or resume.parts != frame.parts:
@@ -105,7 +105,7 @@ class Accumulator:
         return sum(self.counts)
 
     def with_batch(self, batch: Batch) -> Self:
-        """Return the accumulator with the next batch added."""
+        """Return the accumulator after one more batch."""
         values, counts, full = [*self.values], [*self.counts], self.full
         if counts and counts[-1] < full:
             mean, count = values[-1], counts[-1]
@@ -134,7 +134,7 @@ class Accumulator:
         )
 
     def _with_record(self, batch: Batch) -> tuple[Array, Array] | None:
-        """Return the path record with that of the next batch added."""
+        """Return the path-length record after one more batch."""
         if batch.mass is None or batch.edge is None:
             return None
         if self.record is not None:
@@ -147,7 +147,7 @@ class Accumulator:
         return batch.mass, batch.edge
 
     def tally(self, seconds: float, interrupted: bool) -> Tally:
-        """Return the tally of the run."""
+        """Return the tally of the batches so far."""
         return replace(
             self.frame,
             batches=np.array(self.values),
@@ -163,14 +163,14 @@ class Accumulator:
 
     @property
     def contribution(self) -> tuple[float, float, float]:
-        """Sum, sum of squares and largest of the contributions of all light."""
+        """Sum, sum of squares and maximum of the group contributions, all light."""
         if self.contributions is None:
             return (0.0, 0.0, 0.0)
         total, square, largest = (float(value) for value in self.contributions[0, 0])
         return total, square, largest
 
     def _path_record(self, masses: Array, edges: Array) -> PathRecord:
-        """Return the mean path record, both kinds of deposits in one."""
+        """Return the mean path-length record over all histories."""
         mass, edge = masses / self.next_batch, edges / self.next_batch
         # Light spread over a bin, and half of what lies at each of its two nodes.
         spread = np.cumsum(edge, axis=-1)[..., :-1] * self.spacing
@@ -190,7 +190,7 @@ class Accumulator:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Progress of a run.
+    """Progress of a transport run.
 
     Examples
     --------
@@ -201,20 +201,18 @@ class Progress:
     """
 
     histories: int
-    """Histories so far."""
+    """Number of histories so far."""
     goal: int
-    """Requested histories."""
+    """Requested number of histories."""
     relative_error: float
-    """Relative error of the goal, or of all light at the first frequency; infinite
-    before eight batches [1].
-    """
+    """Relative standard error so far, infinite before eight batches [1]."""
     seconds: float
     """Time since the start [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorGoal:
-    """Relative error at which a run stops.
+    """Relative error at which a transport run stops.
 
     Raises
     ------
@@ -230,16 +228,16 @@ class ErrorGoal:
     """
 
     relative_error: float
-    """Standard error over the modulus to reach [1]."""
+    """Required ratio of standard error to signal modulus [1]."""
     light: str = "all"
-    """Kind of light: "all", "water", "target", or a part."""
+    """Kind of light: "all", "water", "target", or the name of a part."""
     analyser: str = "none"
-    """Analyzer in the receiver, as for `Tally.detected`."""
+    """Analyzer at the receiver, as for `Tally.detected`."""
     frequency: int = 0
-    """Index of the frequency, from 0."""
+    """Index of the modulation frequency, from 0."""
 
     def __post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise a ValueError for invalid values."""
         if not self.relative_error > 0:
             raise ValueError(
                 f"relative_error must be above 0, got {self.relative_error}"
@@ -247,14 +245,14 @@ class ErrorGoal:
         _refuse_fractions(self.frequency, least=0, name="frequency")
 
     def of(self, tally: Tally) -> float:
-        """Return the relative error of a run; infinite for fewer than 8 batches."""
+        """Return the relative error of a tally; infinite for fewer than 8 batches."""
         if tally.histories_of.size < 8:  # too few to tell
             return math.inf
         errors = tally.relative_error_of(self.light, analyser=self.analyser)
         return float(errors[self.frequency])
 
     def reached(self, tally: Tally) -> bool:
-        """Return whether a run may stop.
+        """Return whether a tally meets the error goal.
 
         It is asked after 16 batches and then after sqrt(2) times as many each time, so
         that a run that looks good by chance is seldom caught at it; and the error has
@@ -277,7 +275,7 @@ Spread = Callable[[Callable[[int], Batch], int, int], Iterator[Batch]]
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits of a run, and its workers."""
+    """Limits of a transport run in histories, time and error, and its workers."""
 
     histories: int
     error: ErrorGoal | None = None
@@ -287,7 +285,7 @@ class Limits:
     spread: Spread | None = None
 
     def __post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise a ValueError for invalid values."""
         _refuse_fractions(self.histories, least=1, name="histories")
         if self.longest_time is not None and not self.longest_time > 0:
             raise ValueError(f"longest_time must be above 0 s, got {self.longest_time}")
@@ -296,7 +294,7 @@ class Limits:
 
 
 def frequencies(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
-    """Return checked modulation frequencies."""
+    """Return modulation frequencies as an array, checked."""
     frequency = np.array(modulation_frequency, dtype=np.float64)
     if frequency.ndim != 1 or frequency.size == 0:
         raise ValueError(
@@ -313,13 +311,13 @@ def frequencies(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
 
 
 def checked_seed(seed: int) -> int:
-    """Return a seed that is valid for a random number generator."""
+    """Return a seed; ValueError if invalid for the random number generator."""
     _refuse_fractions(seed, least=0, name="seed")
     return int(seed)
 
 
 def _refuse_fractions(value: float, *, least: int, name: str) -> None:
-    """Refuse a number that is not whole or too small."""
+    """Raise a ValueError for a number that is not whole or too small."""
     if not (value >= least and value % 1 == 0):
         raise ValueError(
             f"{name} must be a whole number of at least {least}, got {value}"
@@ -332,7 +330,7 @@ def conduct(
     limits: Limits,
     resume: Tally | None = None,
 ) -> Tally:
-    """Run batches up to the first limit, and return their tally."""
+    """Run batches until the first limit is reached; return their tally."""
     started = time.monotonic()
     done = Accumulator.start(frame, resume)
     size = frame.batch_size
@@ -371,7 +369,7 @@ def conduct(
 def _in_order(
     batch_of: Callable[[int], Batch], first: int, end: int, workers: int
 ) -> Iterator[Batch]:
-    """Yield batches in the order of their numbers, several at work at once."""
+    """Yield batches in the order of their numbers, computed in parallel."""
     waiting: deque[Future[Batch]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         try:
@@ -393,14 +391,14 @@ _STEP = 0.05
 
 
 def random_state(seed: int, number: int) -> NDArray[np.uint64]:
-    """Return the state of the random number generator of a batch."""
+    """Return the random-number state of one batch."""
     sequence = np.random.SeedSequence(seed, spawn_key=(number,))
     return sequence.generate_state(4, np.uint64).astype(np.uint64)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Record:
-    """Arrays that a batch fills."""
+    """Arrays in which a batch records its light."""
 
     mass: Array
     edge: Array
@@ -412,7 +410,7 @@ class Record:
     def empty(
         cls, attenuation: Array, group_index: float, frequency: Array, frame: Tally
     ) -> Self:
-        """Return a record without light, for the parts of a tally."""
+        """Return an empty record for the parts of a tally."""
         wavenumber = 2j * np.pi * frequency * group_index / speed_of_light
         steepest = max(float(np.abs(wavenumber).max()), float(attenuation.max()))
         spacing = _STEP / steepest
@@ -428,7 +426,7 @@ class Record:
         )
 
     def arrays(self, orders: int) -> Deposits:
-        """Return the arrays for the kernels, with that many parts for orders."""
+        """Return the record arrays for the compiled loops."""
         return Deposits(
             mass=self.mass,
             edge=self.edge,
@@ -441,7 +439,7 @@ class Record:
     def batch(
         self, number: int, histories: int, units: int, weight: Array, *, keep: bool
     ) -> Batch:
-        """Return the batch, as means over units of work."""
+        """Return the result of a batch, as means per history."""
         _record_kernels.transform(
             self.mass, self.edge, self.wavenumber, self.spacing, self.beyond
         )

@@ -1,4 +1,4 @@
-"""Water that photons travel through: homogeneous layers."""
+"""Water through which photons travel, as homogeneous layers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["Layer", "Medium"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Layer:
-    """Homogeneous water between two planes, or a gap without water.
+    """Homogeneous layer of water, or of empty space, between two planes.
 
     Raises
     ------
@@ -37,12 +37,12 @@ class Layer:
     scattering: float
     """Scattering coefficient b [1/m]."""
     phase_function: PhaseFunction | ScatteringMatrix
-    """Phase function or scattering matrix; with a matrix Stokes vectors are carried."""
+    """Phase function, or scattering matrix for polarized transport."""
     thickness: float = math.inf
-    """Extent across its planes [m]."""
+    """Thickness of the layer [m]."""
 
     def __post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise a ValueError for invalid values."""
         for name in ("absorption", "scattering"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
@@ -66,7 +66,7 @@ class Layer:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Medium:
-    """Layers of water, one below the other along the forward axis.
+    """Stack of water layers along the forward axis.
 
     Light that leaves the first or the last layer is lost: there is black, with the
     same refractive index. Rays are straight.
@@ -88,14 +88,14 @@ class Medium:
     """
 
     layers: tuple[Layer, ...]
-    """Layers, in the order of light that travels forward."""
+    """Layers, in the order in which forward light passes them."""
     group_index: float
-    """Group index, the same in all layers [1]."""
+    """Group index of all layers [1]."""
     top: float = -math.inf
-    """Start of the first layer on the forward axis [m]."""
+    """Forward coordinate at which the first layer starts [m]."""
 
     def __post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise a ValueError for invalid values."""
         if not (math.isfinite(self.group_index) and self.group_index >= 1):
             raise ValueError(
                 f"group_index must be at least 1, got {self.group_index!r}"
@@ -142,7 +142,7 @@ class Medium:
         phase_function: PhaseFunction | ScatteringMatrix,
         group_index: float,
     ) -> Self:
-        """Return homogeneous water without bounds.
+        """Return a medium of homogeneous, unbounded water.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class Medium:
     def layered(
         cls, layers: Sequence[Layer], *, group_index: float, top: float = 0.0
     ) -> Self:
-        """Return layers of water, one below the other.
+        """Return a medium of several layers of water.
 
         Parameters
         ----------
@@ -187,7 +187,7 @@ class Medium:
 
     @property
     def edges(self) -> tuple[float, ...]:
-        """Planes between the layers and at both ends, on the forward axis [m]."""
+        """Boundaries of the layers on the forward axis [m]."""
         if math.isinf(self.top):
             return (-math.inf, math.inf)
         edges = [self.top]
@@ -197,10 +197,10 @@ class Medium:
 
     @property
     def polarized(self) -> bool:
-        """Whether Stokes vectors are carried."""
+        """Whether transport in this medium computes Stokes vectors."""
         return isinstance(self.layers[0].phase_function, ScatteringMatrix)
 
     @property
     def unbounded(self) -> bool:
-        """Whether one water fills all space."""
+        """Whether the medium is one water that fills all space."""
         return all(math.isinf(edge) for edge in self.edges)

@@ -1,4 +1,4 @@
-"""Targets of photon transport that are triangle meshes."""
+"""Triangle meshes as targets of photon transport."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PROBES = np.array(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeshTarget:
-    """Surface of triangles that reflects by Lambert's law, on both of its sides.
+    """Lambertian surface of triangles, reflective on both sides.
 
     Light does not pass it. The order of a triangle's corners does not matter: the
     side that the light comes from is the one that reflects it. Light may be reflected
@@ -51,28 +51,28 @@ class MeshTarget:
     """
 
     vertices: ArrayLike
-    """Positions of the vertices: right, down, forward, shape (vertices, 3) [m]."""
+    """Vertex positions: right, down, forward, shape (vertices, 3) [m]."""
     faces: ArrayLike
-    """Indices of the three vertices of each triangle, shape (faces, 3)."""
+    """Vertex indices of each triangle, shape (faces, 3)."""
     reflectance: float
-    """Reflectance [1]."""
+    """Diffuse reflectance [1]."""
     mueller: ArrayLike | None = None
     """Matrix over its first element, an ideal depolarizer if not given. It leads from
     the part of the scene's axis to the right that is perpendicular to the light before
     the reflection to that after it, wherever the receiver looks."""
     corners: Array = field(init=False, repr=False)
-    """Positions of the corners of each triangle, shape (faces, 3, 3) [m]."""
+    """Corner positions of each triangle, shape (faces, 3, 3) [m]."""
     matrix: Array = field(init=False, repr=False)
     """Reduced Mueller matrix, shape (4, 4)."""
 
     def __post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise a ValueError for invalid values."""
         object.__setattr__(self, "corners", _corners(self.vertices, self.faces))
         matrix = reflection_matrix(self.reflectance, self.mueller)
         object.__setattr__(self, "matrix", matrix)
 
     def depth_inside(self, point: Array) -> float:
-        """Return the depth of a point inside of a closed part, 0 outside [m].
+        """Return the depth of a point below the surface of a closed part, or 0 [m].
 
         A part is a set of triangles that share edges; it is closed if each of its
         edges has two triangles.
@@ -87,7 +87,7 @@ class MeshTarget:
         return inside
 
     def reach_into(self, centre: Array, axis: Array, radius: float) -> float:
-        """Return the depth to which the mesh enters a disc from its rim, or 0 [m].
+        """Return how far the mesh extends into a disc from its rim, or 0 [m].
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class MeshTarget:
 
     @cached_property
     def _closed_parts(self) -> list[Array]:
-        """Return the corners of each closed part."""
+        """Triangle corners of each closed part of the mesh."""
         shape = self.corners.shape
         _, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
         vertex = number.reshape(shape[0], 3)
@@ -142,7 +142,7 @@ class MeshTarget:
 
 
 def _corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Return the corners of all triangles, checked."""
+    """Return the corner positions of all triangles, checked."""
     place = np.array(vertices, dtype=np.float64)
     if place.ndim != 2 or place.shape[1] != 3:
         raise ValueError(
@@ -186,7 +186,7 @@ def _corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
 
 
 def _refuse_twins(corner: Array) -> None:
-    """Refuse two triangles in one place: the lit side would be undefined."""
+    """Raise a ValueError for two triangles in the same place."""
     _, number = np.unique(corner.reshape(-1, 3), axis=0, return_inverse=True)
     _, first, face_of = np.unique(
         np.sort(number.reshape(-1, 3), axis=1),
@@ -205,7 +205,7 @@ def _refuse_twins(corner: Array) -> None:
 
 
 def _crossings(corner: Array, point: Array, direction: Array) -> int:
-    """Return the number of triangles on a ray."""
+    """Return the number of triangles that a ray meets."""
     first_edge, second_edge = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     p = np.cross(direction, second_edge)
     determinant = np.einsum("ij,ij->i", first_edge, p)
@@ -220,7 +220,7 @@ def _crossings(corner: Array, point: Array, direction: Array) -> int:
 
 
 def _to_segments(point: Array, start: Array, end: Array) -> Array:
-    """Return the distances of a point from straight segments."""
+    """Return the distances of a point from line segments."""
     way = end - start
     square = np.einsum("ij,ij->i", way, way)
     along = np.einsum("ij,ij->i", point - start, way)

@@ -1,4 +1,4 @@
-"""Photon transport to a narrow receiver: all orders of scattering, all frequencies."""
+"""Monte Carlo photon transport from a modulated laser to a narrow receiver."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Technique:
-    """Options of drawing and joining paths; none changes the expected result.
+    """Options for sampling and joining paths; none changes the expected result.
 
     Raises
     ------
@@ -58,24 +58,22 @@ class Technique:
     """
 
     paths: int = 8
-    """Forward paths in a group."""
+    """Number of forward paths in a group."""
     partners: int = 8
-    """Adjoint paths joined with each forward path of a group."""
+    """Number of adjoint paths joined with each forward path of a group."""
     stratified: bool = True
-    """Whether first flights and directions of a group are spread evenly."""
+    """Whether first flights and directions in a group are stratified."""
     balanced: bool = True
-    """Whether pairs are weighted by the balance heuristic, instead of all alike."""
+    """Whether pairs are weighted by the balance heuristic; else equally."""
     direct: bool | None = None
     """Whether the last path to the receiver is a local estimate; by default for
     acceptances up to 0.35 rad.
     """
     scattering_orders: int = 10
-    """Orders of scattering that are recorded singly; the last one includes all higher
-    ones.
-    """
+    """Number of separate scattering orders; the last includes higher ones."""
 
     def __post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise a ValueError for invalid values."""
         for name in ("paths", "partners", "scattering_orders"):
             value = getattr(self, name)
             if value < 1 or value != int(value):
@@ -100,7 +98,7 @@ def simulate(
     progress: Callable[[Progress], None] | None = None,
     spread: Spread | None = None,
 ) -> Tally:
-    r"""Simulate the light of a modulated beam that comes back to a receiver.
+    r"""Simulate the received light of a modulated laser beam in water.
 
     Parameters
     ----------
@@ -212,7 +210,7 @@ def simulate(
 
 
 def _batch_size(histories: int, technique: Technique) -> int:
-    """Return the histories in a batch: whole groups, in many batches."""
+    """Return the number of histories in a batch, a multiple of the group size."""
     groups = math.ceil(histories / _BATCHES / technique.paths)
     most = max(1, _LARGEST_BATCH // technique.paths)
     return min(groups, most) * technique.paths
@@ -220,7 +218,7 @@ def _batch_size(histories: int, technique: Technique) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """Batches of a problem; each has its own random numbers."""
+    """Batches of one transport problem, each with its random numbers."""
 
     problem: Problem
     technique: Technique
@@ -231,7 +229,7 @@ class _Run:
 
     @property
     def stated(self) -> dict[str, Any]:
-        """Numbers and texts that determine the batches."""
+        """Numbers and names that determine the result of the batches."""
         return {
             "problem": self.problem.digest,
             "technique": asdict(self.technique),
@@ -242,7 +240,7 @@ class _Run:
         }
 
     def frame(self) -> Tally:
-        """Return a tally without batches."""
+        """Return an empty tally."""
         orders = self.technique.scattering_orders
         names = [f"water, order {k}" for k in range(1, orders)]
         parts = (
@@ -270,7 +268,7 @@ class _Run:
         )
 
     def __call__(self, number: int) -> Batch:
-        """Run a batch."""
+        """Run one batch of histories."""
         frame = self.frame()
         record = Record.empty(
             self.problem.water.attenuation,

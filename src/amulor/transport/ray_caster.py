@@ -1,4 +1,4 @@
-"""Intersection of rays with triangles: one box hierarchy for photons and scenes."""
+"""Intersection of rays with triangle meshes, for photons and simulated scenes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RELATIVE_GAP = 1e-9
 
 
 class RayCaster:
-    """Triangles that rays meet on both of their sides, in double precision.
+    """Triangle mesh for ray intersection, hit on both sides of a triangle.
 
     Examples
     --------
@@ -37,7 +37,7 @@ class RayCaster:
 
     @property
     def gap(self) -> float:
-        """Distance that counts as zero: 1e-9 of the largest coordinate [m]."""
+        """Distance regarded as zero: 1e-9 of the largest coordinate [m]."""
         return self._mesh.least
 
     def first(self, start: Array, direction: Array) -> Integers:
@@ -54,7 +54,7 @@ class RayCaster:
         return met
 
     def free(self, start: Array, end: Array, triangle: Integers) -> NDArray[np.bool_]:
-        """Return whether the lines between points are free of triangles."""
+        """Return whether the lines between points are unobstructed by triangles."""
         free = np.empty(len(start), dtype=np.bool_)
         _kernels.free_ways(
             np.ascontiguousarray(start, dtype=float),
@@ -67,7 +67,7 @@ class RayCaster:
 
 
 def hierarchy(corner: Array) -> tuple[Mesh, Integers]:
-    """Return boxes, links, triangles and least distance for the kernels.
+    """Build the hierarchy of boxes around triangles, for the compiled loops.
 
     A box is split at the median of the triangles' centres along the axis on which
     those spread the most.

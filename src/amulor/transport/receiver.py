@@ -1,4 +1,4 @@
-"""Source, receivers and plane target of a transport problem."""
+"""Laser source, receivers and plane target of a transport problem."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FORWARD = (0.0, 0.0, 1.0)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Source:
-    """Beam of light: a pencil, or one with Gaussian profile and divergence.
+    """Laser beam, infinitely thin or with Gaussian profile and divergence.
 
     Raises
     ------
@@ -45,22 +45,22 @@ class Source:
     """
 
     position: ArrayLike = _ORIGIN
-    """Start of the beam: right, down, forward [m]."""
+    """Center of the beam at its start: right, down, forward [m]."""
     direction: ArrayLike = _FORWARD
-    """Direction of the beam, any length."""
+    """Direction of the beam, a vector of any length."""
     polarization: str | ArrayLike = "none"
     """Name of a state of `amulor.optics.polarization.stokes.state`, or a Stokes vector
     with an intensity of 1. Its parallel axis is the part of "right" perpendicular to
     the direction."""
     radius: float = 0.0
-    """Radius at which the irradiance falls to 1/e; 0 for a pencil [m]."""
+    """Radius at which the irradiance falls to 1/e; 0 for a thin beam [m]."""
     divergence: float = 0.0
-    """Semi-angle at which the radiant intensity falls to 1/e [rad]."""
+    """Half-angle at which the radiant intensity falls to 1/e [rad]."""
     stokes: NDArray[np.float64] = field(init=False, repr=False)
-    """Stokes vector of the light."""
+    """Stokes vector of the launched light."""
 
     def __post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise a ValueError for invalid values."""
         place(self.position, name="position")
         axes_of(unit_vector(self.direction, name="direction"), name="direction")
         at_least(self.radius, 0.0, name="radius", unit="m")
@@ -88,19 +88,19 @@ class Source:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Receiver:
-    """Position, axis and size of a receiver."""
+    """Base class of receivers: position, axis and size."""
 
     radius: float
-    """Radius of the face [m]."""
+    """Radius of the receiver face [m]."""
     acceptance_angle: float
-    """Half angle of acceptance, up to pi / 2 [rad]."""
+    """Half-angle of the acceptance cone, up to pi / 2 [rad]."""
     position: ArrayLike = _ORIGIN
-    """Center of the face: right, down, forward [m]."""
+    """Center of the receiver face: right, down, forward [m]."""
     direction: ArrayLike = _FORWARD
-    """Viewing direction, any length."""
+    """Viewing direction, a vector of any length."""
 
     def __post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise a ValueError for invalid values."""
         above(self.radius, 0.0, name="radius", unit="m")
         at_most(self.acceptance_angle, np.pi / 2, name="acceptance_angle", unit="rad")
         place(self.position, name="position")
@@ -109,7 +109,7 @@ class _Receiver:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DiscReceiver(_Receiver):
-    """Round face that receives all light within a cone, and nothing else.
+    """Round receiver with a sharp aperture and a sharp acceptance cone.
 
     With an acceptance of pi / 2 it receives all light that falls on its front.
 
@@ -124,7 +124,7 @@ class DiscReceiver(_Receiver):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GaussianReceiver(_Receiver):
-    r"""Gaussian receiver of eq. (38) of Ricci et al. 2010, as rebuilt.
+    r"""Receiver with Gaussian aperture and acceptance, eq. (38) of Ricci et al. 2010.
 
     It receives the fraction :math:`\exp(-s^2/R^2 - \theta^2/\gamma^2)` of the light
     that falls on it at a distance s from its centre, under an angle to its axis.
@@ -143,7 +143,7 @@ class GaussianReceiver(_Receiver):
 def reflection_matrix(
     reflectance: float, mueller: ArrayLike | None
 ) -> NDArray[np.float64]:
-    """Return the reduced matrix of a surface, checked along with its reflectance."""
+    """Return the reduced Mueller matrix of a surface, checked with its reflectance."""
     if not 0 <= reflectance <= 1:
         raise ValueError(f"reflectance must be from 0 to 1, got {reflectance!r}")
     elements = np.diag([1.0, 0, 0, 0]) if mueller is None else mueller
@@ -166,7 +166,7 @@ def reflection_matrix(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlaneTarget:
-    """Endless plane that reflects by Lambert's law.
+    """Infinite Lambertian plane.
 
     Raises
     ------
@@ -183,11 +183,11 @@ class PlaneTarget:
     """
 
     position: ArrayLike
-    """Point of the plane: right, down, forward [m]."""
+    """A point on the plane: right, down, forward [m]."""
     normal: ArrayLike = (0.0, 0.0, -1.0)
-    """Normal on the lit side, any length."""
+    """Normal on the illuminated side, a vector of any length."""
     reflectance: float
-    """Reflectance [1]."""
+    """Diffuse reflectance [1]."""
     mueller: ArrayLike | None = None
     """Matrix over its first element, an ideal depolarizer if not given. It leads from
     the part of the scene's axis to the right that is perpendicular to the light before
@@ -196,7 +196,7 @@ class PlaneTarget:
     """Reduced Mueller matrix, shape (4, 4)."""
 
     def __post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise a ValueError for invalid values."""
         place(self.position, name="position")
         unit_vector(self.normal, name="normal")
         matrix = reflection_matrix(self.reflectance, self.mueller)

@@ -1,4 +1,4 @@
-"""Single scattering in photon transport: phase function and matrix.
+"""Single scattering in photon transport: phase function and Mueller matrix.
 
 Equation numbers are those of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010,
 958360, doi:10.1155/2010/958360, as rebuilt.
@@ -33,7 +33,7 @@ REALIZABILITY_TOLERANCE = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class ScatteringMatrix:
-    r"""Reduced Mueller matrix of scattering by particles.
+    r"""Reduced Mueller matrix of particle scattering, by scattering angle.
 
     .. math::
 
@@ -73,7 +73,7 @@ class ScatteringMatrix:
     elements: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise a ValueError for invalid values."""
         angle = np.asarray(self.angle, dtype=np.float64)
         elements = np.asarray(self.elements, dtype=np.float64)
         if angle.ndim != 1 or angle.size < 2 or elements.shape != (angle.size, 5):
@@ -104,7 +104,7 @@ class ScatteringMatrix:
 
     @classmethod
     def rayleigh(cls, *, cells: int = 3600) -> ScatteringMatrix:
-        """Return the matrix of particles much smaller than the wavelength, eq. (64).
+        """Return the scattering matrix of Rayleigh particles, eq. (64).
 
         Parameters
         ----------
@@ -121,7 +121,7 @@ class ScatteringMatrix:
 
     @classmethod
     def spheres(cls, suspension: Suspension) -> ScatteringMatrix:
-        """Return the scattering matrix of spheres, from Mie's theory.
+        """Return the scattering matrix of spheres, from Mie theory.
 
         Parameters
         ----------
@@ -140,7 +140,7 @@ class ScatteringMatrix:
     def tabulated(
         cls, angle: ArrayLike, *, mueller: ArrayLike, phase_function: PhaseFunction
     ) -> ScatteringMatrix:
-        """Return a scattering matrix from tabulated Mueller matrices.
+        """Return a scattering matrix from Mueller matrices at given angles.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class ScatteringMatrix:
         return cls(phase_function, theta, elements)
 
     def elements_at(self, angle: ArrayLike) -> NDArray[np.float64]:
-        """Return m12, m22, m33, m34 and m44 at angles.
+        """Return the elements m12, m22, m33, m34 and m44 at scattering angles.
 
         Parameters
         ----------
@@ -201,7 +201,7 @@ class ScatteringMatrix:
 
 @dataclass(frozen=True, eq=False)
 class AngleCells:
-    """Phase function in cells from which angles are drawn.
+    """Phase function averaged in angle cells, for random scattering angles.
 
     In a cell the phase function is even in solid angle with the true mean, so what
     is drawn and what is looked up are one and the same function. A cell is 0.4 % of
@@ -213,12 +213,12 @@ class AngleCells:
 
     @cached_property
     def edges(self) -> NDArray[np.float64]:
-        """Edges of the cells, sin^2(angle / 2), shape (cells + 1,) [1]."""
+        """Cell edges as sin^2(angle / 2), shape (cells + 1,) [1]."""
         return cell_edges()
 
     @cached_property
     def middle(self) -> NDArray[np.float64]:
-        """Angle in the middle of the solid angle of each cell [rad]."""
+        """Scattering angle at the middle of each cell's solid angle [rad]."""
         return _angle(0.5 * (self.edges[:-1] + self.edges[1:]))
 
     @cached_property
@@ -237,7 +237,7 @@ class AngleCells:
 
     @cached_property
     def integral(self) -> float:
-        """Integral of the phase function over the sphere, its divisor [1]."""
+        """Integral of the phase function over the sphere, before normalization [1]."""
         total = float(self._integrals.sum())
         if abs(total - 1) > INTEGRAL_TOLERANCE:
             raise ValueError(
@@ -254,21 +254,21 @@ class AngleCells:
 
     @cached_property
     def value(self) -> NDArray[np.float64]:
-        """Phase function in each cell [1/sr]."""
+        """Mean phase function in each cell [1/sr]."""
         solid_angle = 4 * np.pi * np.diff(self.edges)
         result: NDArray[np.float64] = self.probability / solid_angle
         return result
 
     @cached_property
     def _values(self) -> NDArray[np.float64]:
-        """Terms of Simpson's rule in the height for the mean of each cell [1/sr]."""
+        """Weighted phase function at Simpson's nodes of each cell [1/sr]."""
         value = np.zeros(self.edges.size)
         value[1:] = self.phase_function(_angle(self.edges)[1:])
         middle = self.phase_function(self.middle)
         return np.stack([value[:-1], 4 * middle, value[1:]]) / 6
 
     def elements(self, matrix: ScatteringMatrix) -> NDArray[np.float64]:
-        """Return means of a matrix over the light in each cell, shape (cells, 5) [1].
+        """Return mean matrix elements in each cell, shape (cells, 5) [1].
 
         The elements are weighted by the phase function, so that a cell has the right
         mean of their product, also where both vary within it.
@@ -287,7 +287,7 @@ class AngleCells:
 
     @cached_property
     def urn(self) -> NDArray[np.float64]:
-        """Alias table of the angles, shape (cells, 8).
+        """Alias table for drawing scattering angles, shape (cells, 8).
 
         A row holds a threshold, and lower end, width and number first of its own
         cell, then of the partner.
@@ -300,7 +300,7 @@ class AngleCells:
 
 
 def cell_edges() -> NDArray[np.float64]:
-    """Return the cell edges as sin^2(angle / 2), from 0 to 1."""
+    """Return the edges of the angle cells as sin^2(angle / 2), from 0 to 1."""
     step = np.arange(_cells.PER_OCTAVE) / _cells.PER_OCTAVE
 
     def octaves(number: int) -> NDArray[np.float64]:
@@ -315,7 +315,7 @@ def cell_edges() -> NDArray[np.float64]:
 def alias_table(
     probability: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return thresholds and partners of Walker's alias method.
+    """Return thresholds and alias indices for Walker's alias method.
 
     A. J. Walker, ACM Trans. Math. Softw. 3, 253 (1977), in the form of M. D. Vose,
     IEEE Trans. Softw. Eng. 17, 972 (1991).
@@ -335,13 +335,13 @@ def alias_table(
 
 
 def _angle(height: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the angle of sin^2(angle / 2)."""
+    """Return the angle for a given sin^2(angle / 2)."""
     result: NDArray[np.float64] = 2 * np.arctan2(np.sqrt(height), np.sqrt(1 - height))
     return result
 
 
 def _compact(mueller: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return m12, m22, m33, m34 and m44 of full matrices."""
+    """Return the elements m12, m22, m33, m34 and m44 of Mueller matrices."""
     return np.stack(
         [
             mueller[..., 0, 1],
@@ -355,7 +355,7 @@ def _compact(mueller: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _full(elements: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return full matrices from m12, m22, m33, m34 and m44."""
+    """Return Mueller matrices from the elements m12, m22, m33, m34 and m44."""
     matrix = np.zeros((*elements.shape[:-1], 4, 4))
     matrix[..., 0, 0] = 1
     matrix[..., 0, 1] = matrix[..., 1, 0] = elements[..., 0]

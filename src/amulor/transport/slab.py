@@ -1,4 +1,4 @@
-"""Light through plane layers under uniform illumination: the classical benchmark."""
+"""Reflection and transmission of light by plane water layers, by Monte Carlo."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def reflection_and_transmission(
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """Batches of a slab; each has its own random numbers."""
+    """Batches of one slab problem, each with its random numbers."""
 
     medium: Medium
     water: Water
@@ -155,7 +155,7 @@ class _Run:
     outward: Array
 
     def frame(self) -> Tally:
-        """Return a tally without batches."""
+        """Return an empty tally."""
         directions = [f"direction {k + 1}" for k in range(len(self.outward))]
         parts = ("reflected", "transmitted", *directions)
         components = 4 if self.medium.polarized else 1
@@ -182,7 +182,7 @@ class _Run:
         )
 
     def __call__(self, number: int) -> Batch:
-        """Run a batch."""
+        """Run one batch of histories."""
         frame = self.frame()
         record = Record.empty(
             self.water.attenuation, self.medium.group_index, self.frequency, frame
@@ -204,7 +204,7 @@ class _Run:
 
 
 def _axes(outward: Array) -> Array:
-    """Return directions with parallel axes towards larger polar angles: (m, 6)."""
+    """Return exit directions with their polarization axes, shape (m, 6)."""
     polar, azimuth = outward.T
     columns = [
         np.sin(polar) * np.cos(azimuth),

@@ -1,4 +1,4 @@
-"""Result of a transport run: signals, uncertainty, contributions of groups."""
+"""Result of a transport run: signals, standard errors, group contributions."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ _FEWEST = 30
 
 
 def analyser_vector(name: str) -> Array:
-    """Return the Stokes response of an ideal analyzer."""
+    """Return the analyzer's Stokes vector, whose product with light is its power."""
     vector = _stokes.state(name)
     result: Array = vector if name == "none" else 0.5 * vector
     return result
 
 
 def sums_of(weight: Array) -> Array:
-    """Return sum, sum of squares and largest of contributions."""
+    """Return sum, sum of squares and maximum of the group contributions."""
     light = np.stack([weight.sum(axis=1), weight[:, 0], weight[:, 1]])
     if weight.shape[2] == 4:
         vectors = np.stack([analyser_vector(name) for name in ANALYSERS], axis=-1)
@@ -62,14 +62,14 @@ def sums_of(weight: Array) -> Array:
 
 
 def together(first: Array, second: Array) -> Array:
-    """Return the combined sums of two sets of groups."""
+    """Return the sums of two sets of group contributions combined."""
     result = first + second
     result[..., LARGEST] = np.maximum(first[..., LARGEST], second[..., LARGEST])
     return result
 
 
 def outweighs(sums: Array, *, groups: int, unseen: float = 0.0) -> bool:
-    """Return whether one group moves the mean by more than a standard error."""
+    """Return whether one group shifts the mean by more than a standard error."""
     if groups < 2:
         return False
     total, square, largest = (float(value) for value in sums)
@@ -89,7 +89,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PathRecord:
-    """Received light by path length, for other frequencies later.
+    """Received light by path length, for evaluation at other frequencies.
 
     Light of all lengths in a bin counts at its middle. A phasor that is summed over
     the bins is wrong by at most an eighth of the square of the phase across a bin
@@ -113,13 +113,13 @@ class PathRecord:
     """
 
     length: Array
-    """Middle of each bin of path length, shape (bins,) [m]."""
+    """Path length at the middle of each bin, shape (bins,) [m]."""
     water: Array
-    """Mean light of water only in each bin, shape (bins, components) [1]."""
+    """Mean light scattered by water only, shape (bins, components) [1]."""
     target: Array
-    """Mean light that met the target in each bin [1]."""
+    """Mean light that was reflected by the target, shape (bins, components) [1]."""
     beyond: float
-    """Share of the unmodulated light on longer paths, which the record lacks [1]."""
+    """Fraction of unmodulated light with path lengths beyond the record [1]."""
 
     def stokes(
         self,
@@ -128,7 +128,7 @@ class PathRecord:
         group_index: float,
         more_absorption: float = 0.0,
     ) -> Complex:
-        r"""Return the light at other frequencies, or in water that absorbs more.
+        r"""Return the received light at other frequencies or with more absorption.
 
         Parameters
         ----------
@@ -173,7 +173,7 @@ MOST_BATCHES = 256
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tally:
-    r"""Received light of a transport run, per launched light.
+    r"""Received light of a transport run, relative to the launched light.
 
     The signal is complex, in_phase + 1j quadrature, with a later echo at a larger
     phase. Errors come from the scatter of batches of histories that are
@@ -202,31 +202,31 @@ class Tally:
     """Names of the parts of the light: water by number of scatterings, target without
     and with scattering in the water."""
     batches: Complex
-    """Mean of each batch, shape (batches, parts, components, n); the components are I,
-    or I, Q, U and V [1].
+    """Mean light of each batch, shape (batches, parts, components, n); the components
+    are I, or I, Q, U and V [1].
     """
     histories_of: NDArray[np.int64]
-    """Histories in each batch."""
+    """Number of histories in each batch."""
     groups: int
-    """Groups of histories that share their paths; each is one contribution."""
+    """Number of groups of histories with shared paths; each is one contribution."""
     contribution: tuple[float, float, float]
-    """Sum, sum of squares and largest of the contributions at zero frequency."""
+    """Sum, sum of squares and maximum of the contributions at zero frequency."""
     seed: int
-    """Seed of the random numbers."""
+    """Seed of the random number generator."""
     next_batch: int
-    """Number of the first batch that was not run, to resume from."""
+    """Number of the next batch, from which the run can resume."""
     batch_size: int
-    """Histories in a full batch."""
+    """Number of histories in a full batch."""
     problem: str
-    """Digest of the problem; only runs of the same one are merged."""
+    """Digest of the transport problem; only runs of one problem can be merged."""
     seconds: float
     """Run time [s]."""
     interrupted: bool = False
     """Whether the run was stopped before all of its histories."""
     record: PathRecord | None = None
-    """Record of path lengths, if requested."""
+    """Path-length record, if requested."""
     merged_seeds: tuple[int, ...] = ()
-    """Seeds of the other runs that were merged into this one."""
+    """Seeds of other runs that are merged into this one."""
     contributions: Array | None = None
     """Sum, sum of squares and largest of the contributions at zero frequency, for all
     light, water and target, and each analyser: shape (3, 1 or 7, 3) [1]."""
@@ -235,7 +235,7 @@ class Tally:
     within 0.2 % [1].
     """
     unseen: float = 0.0
-    """Light of a group by one touch of the target that meets an adjoint path [1]."""
+    """Light of a group from one target reflection joined with an adjoint path [1]."""
 
     @property
     def histories(self) -> int:
@@ -244,18 +244,18 @@ class Tally:
 
     @property
     def polarized(self) -> bool:
-        """Whether Stokes vectors were carried."""
+        """Whether Stokes vectors were computed."""
         return bool(self.batches.shape[2] == 4)
 
     def _select(self, which: str) -> Complex:
-        """Return batches of a kind of light, shape (batches, components, n)."""
+        """Return batch means of one kind of light, shape (batches, components, n)."""
         target = np.array([name.startswith("target") for name in self.parts])
         chosen = dict(zip(LIGHT, (np.ones_like(target), ~target, target), strict=True))
         summed: Complex = self.batches[:, chosen[which]].sum(axis=1)
         return summed
 
     def _mean(self, values: Complex) -> Complex:
-        """Return the weighted mean over batches."""
+        """Return the mean over batches, weighted by histories."""
         weight = self.histories_of / self.histories
         mean: Complex = np.tensordot(weight, values, axes=1)
         return mean
@@ -268,24 +268,24 @@ class Tally:
 
     @property
     def signal(self) -> Complex:
-        """Received light, shape (n,) [1]."""
+        """Received intensity at each frequency, complex, shape (n,) [1]."""
         signal: Complex = self._mean(self._select("all"))[0]
         return signal
 
     @property
     def water_signal(self) -> Complex:
-        """Light that met water only, shape (n,) [1]."""
+        """Received light scattered by water only, shape (n,) [1]."""
         signal: Complex = self._mean(self._select("water"))[0]
         return signal
 
     @property
     def target_signal(self) -> Complex:
-        """Light that met the target, shape (n,) [1]."""
+        """Received light that was reflected by the target, shape (n,) [1]."""
         signal: Complex = self._mean(self._select("target"))[0]
         return signal
 
     def part(self, name: str) -> tuple[Complex, Array]:
-        """Return the Stokes vector of one part of the light, and its covariance.
+        """Return the Stokes vector of one part of the light, with covariance.
 
         Parameters
         ----------
@@ -312,7 +312,7 @@ class Tally:
 
     @property
     def by_part(self) -> dict[str, Complex]:
-        """Light of each part, shape (n,) [1]."""
+        """Received light by part, each of shape (n,) [1]."""
         mean = self._mean(self.batches)
         return {name: mean[k, 0] for k, name in enumerate(self.parts)}
 
@@ -333,7 +333,7 @@ class Tally:
 
     @property
     def frequency_covariance(self) -> Array:
-        """Covariance of real and imaginary parts of all frequencies of `signal`.
+        """Covariance of `signal` between frequencies, real and imaginary parts.
 
         Shape (2 n, 2 n), all real parts first [1]. All frequencies share the same
         paths, so their errors belong together.
@@ -342,7 +342,7 @@ class Tally:
         return self._scatter(np.concatenate([values.real, values.imag], axis=1))
 
     def covariance_of(self, values: ArrayLike) -> Array:
-        """Return the covariance of the mean of batch values.
+        """Return the covariance of the mean over batches.
 
         Parameters
         ----------
@@ -367,7 +367,7 @@ class Tally:
         return result
 
     def _weight(self) -> Array:
-        """Weights of squared batch deviations in the variance of the mean."""
+        """Weights of the squared batch deviations, for the variance of the mean."""
         if self.histories_of.size < 2:
             raise ValueError("an error needs at least two batches, got one")
         return variance_weight(self.histories_of)
@@ -380,7 +380,7 @@ class Tally:
         return result
 
     def detected(self, analyser: str) -> tuple[Complex, Array]:
-        """Return the light behind an ideal analyzer, and its covariance.
+        """Return the light behind an ideal analyzer, with covariance.
 
         Parameters
         ----------
@@ -404,7 +404,7 @@ class Tally:
         return self._mean(values), self.covariance_of(values)
 
     def passed(self, light: str = "all", *, analyser: str = "none") -> Complex:
-        """Return the light of each batch behind an ideal analyzer.
+        """Return each batch's light behind an ideal analyzer.
 
         Parameters
         ----------
@@ -440,7 +440,7 @@ class Tally:
         return passed
 
     def relative_error_of(self, light: str = "all", *, analyser: str = "none") -> Array:
-        """Return the standard error of some light over its modulus.
+        """Return the relative standard error of one kind of light.
 
         Parameters
         ----------
@@ -466,7 +466,7 @@ class Tally:
 
     @property
     def relative_error(self) -> Array:
-        """Standard error over the signal's modulus at each frequency, (n,) [1].
+        """Relative standard error of `signal` at each frequency, shape (n,) [1].
 
         Root of the sum of the variances of real and imaginary part; infinite where
         no light has come.
@@ -487,19 +487,19 @@ class Tally:
 
     @property
     def effective_contributions(self) -> float:
-        """Number of equal contributions with the same relative scatter [1]."""
+        """Effective number of contributions, by their relative scatter [1]."""
         total, square, _ = self.contribution
         return total**2 / square if square > 0 else 0.0
 
     @property
     def largest_fraction(self) -> float:
-        """Largest fraction of the light from one group of histories [1]."""
+        """Largest fraction of the light contributed by one group [1]."""
         total, _, largest = self.contribution
         return largest / total if total > 0 else 0.0
 
     @property
     def heavy_tailed(self) -> bool:
-        """Whether all light, that of the water or that of the target is heavy-tailed.
+        """Whether a single group dominates the error of all, water or target light.
 
         If so, the stated error of at least one of them is likely too small;
         `heavy_tail_of` tells which.
@@ -508,7 +508,7 @@ class Tally:
         return any(self.heavy_tail_of(light) for light in kinds)
 
     def heavy_tail_of(self, light: str = "all", *, analyser: str = "none") -> bool:
-        """Return whether one group alone moves the mean by more than a standard error.
+        """Return whether a single group shifts the mean by more than a standard error.
 
         Parameters
         ----------
@@ -558,7 +558,7 @@ class Tally:
         )
 
     def delayed(self, path: float, *, group_index: float) -> Tally:
-        """Return the tally with an added optical path.
+        """Return the tally with an additional optical path.
 
         Parameters
         ----------
@@ -582,7 +582,7 @@ class Tally:
         )
 
     def merged(self, other: Tally) -> Tally:
-        """Merge two runs into one.
+        """Return the merged tally of two runs of the same problem.
 
         Parameters
         ----------
@@ -639,7 +639,7 @@ class Tally:
 def paired(
     batches: Complex, histories_of: NDArray[np.int64]
 ) -> tuple[Complex, NDArray[np.int64]]:
-    """Merge neighboring batches in pairs; an odd last one stays."""
+    """Merge neighboring batches in pairs; an odd last one remains."""
     starts = np.arange(0, histories_of.size, 2)
     joined: NDArray[np.int64] = np.add.reduceat(histories_of, starts)
     fraction = histories_of / np.repeat(joined, 2)[: histories_of.size]
@@ -648,7 +648,7 @@ def paired(
 
 
 def variance_weight(histories_of: NDArray[np.int64]) -> Array:
-    """Return the weights of squared batch deviations in the variance of the mean.
+    """Return weights of squared batch deviations for the variance of the mean.
 
     Free of bias for batches of any sizes; fraction / (batches - 1) for equal ones.
     """
@@ -658,7 +658,7 @@ def variance_weight(histories_of: NDArray[np.int64]) -> Array:
 
 
 def _over(error: Array, modulus: Array) -> Array:
-    """Return an error over a modulus, infinite without light."""
+    """Return the ratio of error and modulus, infinite without light."""
     lit = modulus > 0
     result: Array = np.full(error.shape, math.inf)
     np.divide(error, modulus, out=result, where=lit)
@@ -666,7 +666,7 @@ def _over(error: Array, modulus: Array) -> Array:
 
 
 def _along(signal: Complex, covariance: Array, *, turn: complex) -> Array:
-    """Return the standard error of a signal along its own direction."""
+    """Return the standard error of a signal along its phase times turn."""
     modulus = np.abs(signal)
     unit = (
         np.divide(signal, modulus, out=np.ones_like(signal), where=modulus > 0) * turn

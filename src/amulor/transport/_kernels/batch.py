@@ -1,4 +1,4 @@
-"""Compiled batch of histories: trace paths, join them, record their light.
+"""Compiled batch of photon histories: trace paths, join them, record their light.
 
 Theory: docs/theory/photon-transport.md. Compiled, so that a batch of thousands of
 groups runs without Python, and without the lock that keeps its threads apart.
@@ -53,7 +53,7 @@ _ROWS = 64
 
 @step
 def launch(state: States, beam: Beam) -> Ray:
-    """Launch a ray of light from the source, its frame turned with its direction."""
+    """Draw a random ray of the source, with its polarization axis."""
     centre, axis, u = beam.centre, beam.axis, beam.across
     n = (axis[0], axis[1], axis[2])
     e = (u[0], u[1], u[2])
@@ -96,7 +96,7 @@ def launch(state: States, beam: Beam) -> Ray:
 
 @step
 def look(state: States, fraction: float, largest: float) -> Ray:
-    """Start a ray in the middle of the face, the first one of an adjoint path.
+    """Draw a random ray from the center of the receiver face, for an adjoint path.
 
     Directions are drawn by the cosine law, with a squared sine up to largest, of which
     fraction is the part that this one has.
@@ -110,7 +110,7 @@ def look(state: States, fraction: float, largest: float) -> Ray:
 
 @allocating
 def without_segments(light: Array) -> Paths:
-    """Empty paths, for light with this many numbers a segment."""
+    """Return arrays for paths, still empty, with given arrays for the light."""
     return Paths(
         np.empty((_ROWS, SEGMENT_COLUMNS)),
         light,
@@ -124,7 +124,7 @@ def without_segments(light: Array) -> Paths:
 def begin_forward(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray]:
-    """Start a forward path: first flight and ray; fill now with its light.
+    """Draw first flight and ray of a forward path; fill now with its light.
 
     The optical thickness of the flight is exponential. Those of the paths of a group,
     of which this is the number-th, are spread evenly if the plan is stratified.
@@ -142,7 +142,7 @@ def begin_forward(
 def begin_adjoint(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray, Kind]:
-    """Start an adjoint path: first flight, ray and kind; fill now with its light.
+    """Draw first flight, ray and kind of an adjoint path; fill now with its light.
 
     Its direction is drawn by the cosine law from the acceptance gamma; a pair with it
     counts Omega = pi sin^2 gamma over the number of pairs in the group.
@@ -169,7 +169,7 @@ def join(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join the paths of a group in all ways, and add their light."""
+    """Join all forward and adjoint paths of a group, and record their light."""
     water, target = scene.water, scene.target
     join_segments(state, forward, adjoint, water, target, plan, record, arrival)
     if plan.direct:

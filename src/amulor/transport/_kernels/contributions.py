@@ -1,4 +1,4 @@
-"""Contributions of photon paths: direct estimate, joined paths, and their record."""
+"""Contributions of photon paths: local estimates, joined paths, and their record."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ from amulor.transport._kernels.types import (
 def add_at(
     array: Array, part: int, scaled: float, component: int, light: float
 ) -> None:
-    """Split light among four nodes around a position, with cubic weights."""
+    """Distribute light on four nodes around a position, with cubic weights."""
     node = max(int(scaled) - 1, 0)
     a = scaled - node
     b, c, d = a - 1.0, a - 2.0, a - 3.0
@@ -96,7 +96,7 @@ WATER, TARGET = range(2)
 
 @kernel
 def add_to(total: Array, kind: int, light: Array) -> None:
-    """Add light to the sum of its kind, water or target."""
+    """Add light to the group sum of its kind: water or target."""
     for k in range(light.size):
         total[kind, k] += light[k]
 
@@ -105,7 +105,7 @@ def add_to(total: Array, kind: int, light: Array) -> None:
 def add_beyond(
     record: Record, part: int, low: float, high: float, light: Array
 ) -> None:
-    """Add light spread over path lengths beyond the last node, exactly."""
+    """Add light with path lengths beyond the last node, phases exact."""
     beyond, wavenumber = record.beyond, record.wavenumber
     for f in range(wavenumber.size):
         q = wavenumber[f]
@@ -119,7 +119,7 @@ def add_beyond(
 
 @kernel
 def add_point(record: Record, part: int, length: float, light: Array) -> None:
-    """Add light of one path length; the light has as many components as the record."""
+    """Add light of a single path length to the record."""
     mass = record.mass
     scaled = length / record.spacing
     if scaled < mass.shape[2] - 3:
@@ -131,7 +131,7 @@ def add_point(record: Record, part: int, length: float, light: Array) -> None:
 
 @kernel
 def add_range(record: Record, part: int, low: float, high: float, light: Array) -> None:
-    """Add light spread evenly over path lengths from low to high."""
+    """Add light that is uniformly distributed over an interval of path lengths."""
     edge, spacing = record.edge, record.spacing
     if high - low < 0.05 * spacing:
         add_point(record, part, 0.5 * (low + high), light)
@@ -150,7 +150,7 @@ def add_range(record: Record, part: int, low: float, high: float, light: Array) 
 def transform(
     mass: Array, edge: Array, wavenumber: Complex, spacing: float, out: Complex
 ) -> None:
-    """Add the Fourier integral of the record over path length to out."""
+    """Add the Fourier transform of the path-length record to out."""
     parts, components, nodes = mass.shape
     last = np.zeros((parts, components), dtype=np.int64)
     filled = 0
@@ -188,7 +188,7 @@ def transform(
 
 @kernel
 def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
-    """Draw radius and acceptance of a sharp receiver in place of a Gaussian one.
+    """Draw radius and acceptance of a receiver; random for a Gaussian one.
 
     A Gaussian exp(-s^2 / w^2) is the mean of discs of radius w sqrt(-ln u) over u
     from 0 to 1; so a Gaussian receiver is a sharp one of random size.
@@ -202,7 +202,7 @@ def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
 
 @kernel
 def face_point(state: States, place: Vector, radius: float, slope: float) -> Vector:
-    """Draw a point of the face that sees a place, with the area that it represents.
+    """Draw a random face point from which a place is in view, with its area weight.
 
     Returns its two coordinates and the area it stands for, 0 if it does not see the
     place.
@@ -222,7 +222,7 @@ def face_point(state: States, place: Vector, radius: float, slope: float) -> Vec
 
 @step
 def way_to(place: Vector, px: float, py: float) -> tuple[float, Vector]:
-    """Return distance and direction from a place to a point of the face."""
+    """Return distance and direction from a place to a point on the receiver face."""
     x, y, z = place
     distance = math.sqrt((px - x) ** 2 + (py - y) ** 2 + z * z)
     return distance, ((px - x) / distance, (py - y) / distance, -z / distance)
@@ -237,7 +237,7 @@ def direct_from_segments(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add the light of one more scattering on each segment, straight to the receiver.
+    """Add light scattered once more on each segment, straight to the receiver.
 
     At z on a segment it is b p(theta) dz / |n_z| times the solid angle of the face,
     the transmission and the weight w_k.
@@ -322,7 +322,7 @@ def direct_from_touches(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add the light from each touch of the target straight to the receiver.
+    """Add the light of each target reflection that goes straight to the receiver.
 
     It is (reflectance / pi) cos times the solid angle of the face and the
     transmission, the cosine that between the target's normal and the way.
@@ -384,7 +384,7 @@ def direct_from_touches(
 def path_blocked(
     adjoint: Array, row: int, end: Vector, start: float, mesh: Mesh
 ) -> bool:
-    """Return whether the mesh blocks a shifted adjoint path.
+    """Return whether the mesh blocks an adjoint path shifted over the face.
 
     end is the shift of the path over the face, and the depth z on its segment in row
     at which it ends; start is the number of the triangle that it ends on, or -1.
@@ -411,7 +411,7 @@ def path_blocked(
 def meeting_depths(
     forward: Array, i: int, adjoint: Array, j: int, target: Target
 ) -> tuple[float, float]:
-    """Return the interval of depths z in which two segments can meet.
+    """Return the interval of depths z in which two path segments can be joined.
 
     At these both segments have a point, the shift rho(z) - rho'(z) is on the face of
     the receiver, and the shifted scatterings are in front of the target's plane. There
@@ -466,7 +466,7 @@ def join_segments(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join each forward segment with each adjoint segment, and add the light.
+    """Join each forward segment with each adjoint segment, and record the light.
 
     The light of a pair is Omega b p(theta) dz / |n_z n'_z| times its weight w_k. FACE
     of an adjoint segment is the radius R of the face, SCALE is Omega over the number
@@ -540,7 +540,7 @@ def join_touches(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join each touch of the target with each adjoint segment, and add the light.
+    """Join each target reflection with each adjoint segment, and record the light.
 
     The light of a pair is Omega (reflectance / pi) cos / |n'_z|, the cosine that
     between the target's normal and the way to the receiver.

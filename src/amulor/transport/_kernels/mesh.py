@@ -1,4 +1,4 @@
-"""Compiled hits of rays on triangles: box hierarchy, occlusion, directions."""
+"""Compiled intersection of rays with triangles, by a hierarchy of boxes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STEEP = 1e300  # in place of 1/0, so that 0 times it is not "not a number"
 
 @kernel
 def inverse(component: float) -> float:
-    """Return the reciprocal of a direction component, finite for 0."""
+    """Return the reciprocal of a direction component, finite also for 0."""
     if abs(component) * _STEEP > 1.0:
         return 1.0 / component
     return math.copysign(_STEEP, component)
@@ -108,7 +108,7 @@ def first_hit(
 
 @kernel
 def facing_normal(number: float, way: Vector, mesh: Mesh) -> Vector:
-    """Return the normal of a triangle on the side from which a ray comes."""
+    """Return the triangle's normal on the side from which the ray comes."""
     triangle = mesh.triangle
     k = int(number)
     nx, ny, nz = triangle[k, 9], triangle[k, 10], triangle[k, 11]
@@ -119,7 +119,7 @@ def facing_normal(number: float, way: Vector, mesh: Mesh) -> Vector:
 
 @kernel
 def blocked(place: Vector, end: Vector, start: float, mesh: Mesh) -> bool:
-    """Return whether a triangle lies between two points, the first one's excluded."""
+    """Return whether a triangle blocks the line between two points."""
     way = (end[0] - place[0], end[1] - place[1], end[2] - place[2])
     distance, _ = first_hit(place, way, 1.0, 1.0, start, mesh)
     return distance < 1.0
@@ -127,7 +127,7 @@ def blocked(place: Vector, end: Vector, start: float, mesh: Mesh) -> bool:
 
 @entry
 def first_triangles(start: Array, way: Array, mesh: Mesh, met: Integers) -> None:
-    """Fill the index of the nearest triangle on each ray, -1 for none."""
+    """Fill met with the index of the nearest triangle on each ray, -1 for none."""
     for i in range(start.shape[0]):
         place = (start[i, 0], start[i, 1], start[i, 2])
         ahead = (way[i, 0], way[i, 1], way[i, 2])
@@ -143,7 +143,7 @@ def free_ways(
     mesh: Mesh,
     free: NDArray[np.bool_],
 ) -> None:
-    """Fill whether lines between points are free, less triangles at their starts."""
+    """Fill free with whether lines between points are unobstructed by triangles."""
     for i in range(start.shape[0]):
         place = (start[i, 0], start[i, 1], start[i, 2])
         stop = (end[i, 0], end[i, 1], end[i, 2])
@@ -156,7 +156,7 @@ LEAF = 4
 
 @kernel
 def widest(centre: Array, number: Integers, first: int, last: int) -> int:
-    """Return the axis of largest spread of triangle centers."""
+    """Return the axis along which the triangle centers are spread most."""
     axis = 0
     most = -1.0
     for k in range(3):
@@ -174,7 +174,7 @@ def widest(centre: Array, number: Integers, first: int, last: int) -> int:
 def part(
     centre: Array, number: Integers, axis: int, first: int, last: int, middle: int
 ) -> None:
-    """Partition triangles about a middle one along an axis.
+    """Partition triangles along an axis about the middle one.
 
     C. A. R. Hoare's Find, Commun. ACM 4, 321 (1961), doi:10.1145/366622.366647.
     """
@@ -199,7 +199,7 @@ def part(
 
 @allocating_entry
 def split(centre: Array, number: Integers, link: Integers, sibling: Integers) -> int:
-    """Build the box hierarchy; fill links and siblings, and return the number of boxes.
+    """Build the hierarchy of boxes: fill links and siblings; return the box count.
 
     Boxes come before what is in them. sibling of a box is the second one of the two
     in it.
@@ -244,7 +244,7 @@ def enclose(
     sibling: Integers,
     box: Array,
 ) -> None:
-    """Fill the corners of boxes from those of triangles, with a gap around them."""
+    """Fill the corners of all boxes, with a safety gap around their triangles."""
     for k in range(len(box) - 1, -1, -1):
         for axis in range(3):
             if sibling[k] < 0:
@@ -263,7 +263,7 @@ def enclose(
 def transmission_depth(
     z_start: float, z_end: float, length: float, edge: Array, attenuation: Array
 ) -> float:
-    """Return the optical thickness of a straight path between two depths."""
+    """Return the optical thickness along a straight path between two depths."""
     low, high = min(z_start, z_end), max(z_start, z_end)
     if high - low < 1e-9 * length or attenuation.size == 1:
         for k in range(attenuation.size):
@@ -288,7 +288,7 @@ def cone_window(
     z_low: float,
     z_high: float,
 ) -> tuple[float, float]:
-    """Return the part of a line within a cone that widens with z from z = 0.
+    """Return the part of a line inside a cone that opens along z.
 
     The line is (x + slope_x z, y + slope_y z), the cone has the radius radius +
     slope z. The part is empty if the second number is not above the first.

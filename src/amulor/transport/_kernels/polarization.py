@@ -1,4 +1,4 @@
-"""Compiled Stokes vectors along a path: frames, rotations, scattering.
+"""Compiled Stokes vectors along a path: reference axes, rotation, scattering.
 
 The frame of light that travels along n is a parallel axis e, perpendicular to n; the
 perpendicular axis is n x e. A scattering matrix enters as its elements m12, m22, m33,
@@ -31,7 +31,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 @kernel
 def turned_frame(turn: Turn, n: Vector, e: Vector) -> Vector:
-    """Return the parallel axis e turned about n, towards the perpendicular one."""
+    """Return the polarization axis e rotated about the direction n."""
     p = cross(n, e)
     return (
         turn[0] * e[0] + turn[1] * p[0],
@@ -42,7 +42,7 @@ def turned_frame(turn: Turn, n: Vector, e: Vector) -> Vector:
 
 @kernel
 def any_frame(n: Vector) -> Vector:
-    """Return a unit vector perpendicular to n."""
+    """Return an arbitrary unit vector perpendicular to n."""
     sign = 1.0 if n[2] >= 0 else -1.0
     factor = -1.0 / (sign + n[2])
     return 1.0 + sign * n[0] * n[0] * factor, sign * n[0] * n[1] * factor, -sign * n[0]
@@ -50,7 +50,7 @@ def any_frame(n: Vector) -> Vector:
 
 @kernel
 def projected_frame(n: Vector, right: Vector) -> Vector:
-    """Return the normalized projection of an axis on the plane perpendicular to n."""
+    """Return an axis projected onto the plane perpendicular to n, of length 1."""
     c = cross(right, n)
     across = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
     if across < 1e-24:  # along that axis, where it has no part to the side
@@ -62,7 +62,7 @@ def projected_frame(n: Vector, right: Vector) -> Vector:
 
 @kernel
 def returning_frame(m: Vector) -> Vector:
-    """Return the parallel axis (1, 0, 0), turned with the direction (0, 0, -1) to m."""
+    """Return the polarization axis of light that returns along m."""
     # Rotation that takes a = (0, 0, -1) to m: e - (e.m) (a + m) / (1 + a.m), as e.a=0.
     factor = m[0] / max(1.0 - m[2], 1e-300)
     return 1.0 - factor * m[0], -factor * m[1], -factor * (m[2] - 1.0)
@@ -72,7 +72,7 @@ def returning_frame(m: Vector) -> Vector:
 def deflected(
     n: Vector, e: Vector, drawn: float, turn: Turn, sign: float
 ) -> tuple[Vector, Vector]:
-    """Return direction and parallel axis of a path after a scattering.
+    """Return direction and polarization axis after a scattering event.
 
     drawn is sin^2(theta / 2), turn that of the axis e to the plane of scattering; the
     light travels along sign x n. The axis stays in that plane: cos e - sin n forward,
@@ -97,7 +97,7 @@ def deflected(
 def scattered(
     stokes: Stokes, turn: Turn, element: Array, table: int, cell: int
 ) -> Stokes:
-    """Return the Stokes vector after a turn of the frame and a scattering."""
+    """Return the Stokes vector after a scattering event."""
     i, q, u, v = stokes
     turned_q, turned_u = turned_stokes(q, u, turn)
     return (
@@ -110,7 +110,7 @@ def scattered(
 
 @kernel
 def see_through(row: Array, turn: Turn, element: Array, table: int, cell: int) -> None:
-    """Update the Mueller matrix A in row[3:] by one more scattering.
+    """Multiply the Mueller matrix of an adjoint path by that of a scattering event.
 
     The light is scattered first and its frame then turned back, so the matrix is
     multiplied from the right: A L(-azimuth) M.
@@ -130,7 +130,7 @@ def see_through(row: Array, turn: Turn, element: Array, table: int, cell: int) -
 
 @kernel
 def between_frames(n: Vector, e: Vector, axis: Vector) -> Turn:
-    """Return the rotation from one parallel axis to another of direction n."""
+    """Return the rotation angle between two polarization axes of direction n."""
     p = cross(n, e)
     return (
         e[0] * axis[0] + e[1] * axis[1] + e[2] * axis[2],
@@ -140,7 +140,7 @@ def between_frames(n: Vector, e: Vector, axis: Vector) -> Turn:
 
 @kernel
 def turned_stokes(q: float, u: float, turn: Turn) -> tuple[float, float]:
-    """Return Q and U in a frame turned towards the perpendicular axis."""
+    """Return Q and U relative to a rotated polarization axis."""
     cos2 = turn[0] * turn[0] - turn[1] * turn[1]
     sin2 = 2.0 * turn[0] * turn[1]
     return q * cos2 + u * sin2, u * cos2 - q * sin2
@@ -157,7 +157,7 @@ def connected(
     cell: int,
     out: Array,
 ) -> None:
-    """Fill out with the Stokes vector received after a scattering from n to m.
+    """Fill out with the received Stokes vector after scattering from n to m.
 
     light holds frame and Stokes vector of the light along n, path_matrix frame and
     Mueller matrix from the light along m to the receiver.
@@ -202,7 +202,7 @@ def received(path_matrix: Array, stokes: Stokes, out: Array) -> None:
 def reflected(
     n: Vector, light: Array, mueller: Array, right: Vector, m: Vector, frame: Vector
 ) -> Stokes:
-    """Return the Stokes vector reflected from n to m, in a given frame of m.
+    """Return the Stokes vector after a target reflection from n to m.
 
     The matrix of the surface leads from axes that lie as near as can be to the axis
     right, which belongs to the scene, before to after.

@@ -1,4 +1,4 @@
-"""Compiled random numbers and scattering angles of photon transport."""
+"""Compiled generator of random numbers and random scattering angles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PER_UNIT = 2.0**-53
 
 @kernel
 def next_integer(state: States) -> Any:
-    """Return 64 random bits, and advance the generator of four such words."""
+    """Return 64 random bits, and advance the state of the generator."""
     total = state[0] + state[3]
     value = ((total << np.uint64(23)) | (total >> np.uint64(41))) + state[0]
     shifted = state[1] << np.uint64(17)
@@ -29,19 +29,19 @@ def next_integer(state: States) -> Any:
 
 @kernel
 def uniform(state: States) -> float:
-    """Return a uniform number from 0 to 1, 1 excluded."""
+    """Return a uniformly distributed random number from 0 to 1, 1 excluded."""
     return float(next_integer(state) >> np.uint64(11)) * _PER_UNIT
 
 
 @kernel
 def exponential(state: States) -> float:
-    """Return an exponentially distributed number."""
+    """Return an exponentially distributed random number of mean 1."""
     return -math.log(1.0 - uniform(state))
 
 
 @kernel
 def fill_uniform(state: States, out: Array) -> None:
-    """Fill out with uniform numbers from 0 to 1."""
+    """Fill out with uniformly distributed random numbers from 0 to 1."""
     for k in range(out.size):
         out[k] = uniform(state)
 
@@ -61,7 +61,7 @@ _BACKWARD_OFFSET = (1023 - BACKWARD_OCTAVES - 1) * PER_OCTAVE - 1
 
 @kernel
 def cell_of(height: float) -> Any:
-    """Return the cell of a height from 0 to 1."""
+    """Return the angle cell for sin^2(angle / 2), from 0 to 1."""
     if height < 0.5:
         if height < _FORWARD_LOW:
             return 0
@@ -76,7 +76,7 @@ def cell_of(height: float) -> Any:
 
 @kernel
 def draw_height(state: States, urn: Array, table: int) -> tuple[float, int]:
-    """Draw a height: a cell by Walker's alias method, then evenly inside of it.
+    """Draw a random sin^2(angle / 2): a cell by Walker's alias method, uniform inside.
 
     A row of the urn holds a threshold, and lower end, width and number of two cells.
     """
@@ -89,13 +89,13 @@ def draw_height(state: States, urn: Array, table: int) -> tuple[float, int]:
 
 @kernel
 def height_between(cosine: float) -> float:
-    """Return the height of a cosine, within 0 to 1."""
+    """Return sin^2(angle / 2) for the cosine of an angle, within 0 to 1."""
     return min(max(0.5 * (1.0 - cosine), 0.0), 1.0)
 
 
 @kernel
 def disc_point(state: States, radius: float) -> tuple[float, float]:
-    """Draw a point evenly from a disc around the origin."""
+    """Draw a uniformly distributed random point of a disc around the origin."""
     distance = radius * math.sqrt(uniform(state))
     angle = 2.0 * math.pi * uniform(state)
     return distance * math.cos(angle), distance * math.sin(angle)

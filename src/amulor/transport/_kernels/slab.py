@@ -1,4 +1,4 @@
-"""Compiled photons through a slab: random exits, and fixed directions.
+"""Compiled photon paths in a slab: random exits, and fixed exit directions.
 
 The slab is the same all over its planes, so only the depth of a photon is known.
 Theory: docs/theory/photon-transport.md, "What it is checked against". Compiled, as the
@@ -47,23 +47,23 @@ REFLECTED, TRANSMITTED, FIRST_DIRECTION = 0, 1, 2
 
 
 class Light(NamedTuple):
-    """Light incident on a slab, and directions of its radiant intensity."""
+    """Light incident on a slab, and fixed exit directions."""
 
     incidence: Array
-    """Unit vector along the incident light."""
+    """Unit vector along the propagation of the incident light."""
     stokes: Array
     """Stokes vector of the incident light."""
     polarized: bool
-    """Whether Stokes vectors are carried."""
+    """Whether Stokes vectors are computed."""
     outward: Array
-    """Fixed directions and their parallel axes, shape (m, 6)."""
+    """Fixed exit directions and their polarization axes, shape (m, 6)."""
 
 
 @kernel
 def way_out(
     z: float, mz: float, edge: Array, attenuation: Array
 ) -> tuple[float, float]:
-    """Return optical thickness and length of the straight path out of the slab."""
+    """Return optical thickness and length of the straight exit path of the slab."""
     depth, length = 0.0, 0.0
     for k in range(attenuation.size):
         low, high = edge[k], edge[k + 1]
@@ -79,7 +79,7 @@ def way_out(
 
 @kernel
 def meridian(n: Vector) -> Vector:
-    """Return the parallel axis in the plane of n and z, towards larger angles.
+    """Return the polarization axis in the plane of n and z, toward larger angles.
 
     The angle is counted from +z. Along z it is taken at an azimuth of zero.
     """
@@ -120,7 +120,7 @@ def cross_layers(
 def add_exit(
     n: Vector, now: Array, part: int, length: float, record: Record, out: Array
 ) -> None:
-    """Add a photon that leaves along n, its Stokes vector in the plane of n and z."""
+    """Record a photon that leaves along n, with its Stokes vector."""
     out[0] = 1.0
     if out.size == 4:
         turn = between_frames(n, (now[0], now[1], now[2]), meridian(n))
@@ -145,7 +145,7 @@ def add_directions(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add the light of the next scattering into each fixed direction.
+    """Record the local estimate of a scattering event for each fixed direction.
 
     A local estimate: p(theta) times exp(-tau) on the straight way out. The collision
     is given by its depth, layer and path length.
@@ -179,7 +179,7 @@ def follow_photon(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Follow a photon along n until it is absorbed, or leaves and counts 1.
+    """Trace a photon along n until it is absorbed, or leaves and is recorded.
 
     now holds the frame and Stokes vector of its light, which counts instead of 1.
     """
@@ -232,7 +232,7 @@ def follow_photons(
     arrival: Arrival,
     now: Array,
 ) -> None:
-    """Follow incident photons one by one; now holds the light of one."""
+    """Trace incident photons one by one, with now as work array of their light."""
     n = (light.incidence[0], light.incidence[1], light.incidence[2])
     axis = projected_frame(n, (1.0, 0.0, 0.0))
     for _ in range(histories):
@@ -246,7 +246,7 @@ def follow_photons(
 def run_slab(
     state: States, histories: int, light: Light, water: Water, record: Record
 ) -> None:
-    """Run histories, and add them to the record."""
+    """Trace photon histories through a slab, and add them to the record."""
     path_matrix = np.zeros(19)
     for k in range(4):
         path_matrix[3 + 5 * k] = 1.0

@@ -1,4 +1,4 @@
-"""Compiled photon paths: straight segments between scatterings.
+"""Compiled photon paths: straight flights between scattering events.
 
 A path is traced forward from the source, or against the light from the receiver (an
 adjoint path). The axis z is that of the receiver, which looks along +z from z = 0.
@@ -64,7 +64,7 @@ _LEVEL = 1e-9  # segments with less of a slope have no z to be joined at
 
 @step
 def has_room(paths: Paths, water: Water) -> bool:
-    """Return whether there are rows for the segments and the touch of one flight."""
+    """Return whether the arrays have free rows for one more flight."""
     return bool(
         paths.used[USED_SEGMENTS] + water.attenuation.size < paths.segment.shape[0]
         and paths.used[USED_TOUCHES] < paths.touch.shape[0]
@@ -73,7 +73,7 @@ def has_room(paths: Paths, water: Water) -> bool:
 
 @allocating
 def more_rows(array: Array, layers: int) -> Array:
-    """Copy an array into a longer one, with room for further flights."""
+    """Copy an array into a longer one, with rows for further flights."""
     rows = array.shape[0]
     longer = np.empty((2 * (rows + layers), array.shape[1]))
     for row in range(rows):
@@ -84,7 +84,7 @@ def more_rows(array: Array, layers: int) -> Array:
 
 @allocating
 def longer(paths: Paths, layers: int, polarized: bool) -> Paths:
-    """Copy paths into longer arrays; those of no light stay as they are."""
+    """Copy paths into longer arrays, those of unused light excepted."""
     light, touch_light = paths.light, paths.touch_light
     if polarized:
         light, touch_light = more_rows(light, layers), more_rows(touch_light, layers)
@@ -99,7 +99,7 @@ def longer(paths: Paths, layers: int, polarized: bool) -> Paths:
 
 @kernel
 def layer_of(z: float, edge: Array) -> int:
-    """Return the layer at z; -1 or the number of layers outside."""
+    """Return the layer at z; -1 before the first, the layer count beyond the last."""
     k = 0
     while k < edge.size and z >= edge[k]:
         k += 1
@@ -110,7 +110,7 @@ def layer_of(z: float, edge: Array) -> int:
 def surface_ahead(
     ray: Ray, thickness: float, start: float, water: Water, target: Target
 ) -> tuple[float, Vector, float]:
-    """Return the distance of the target along a ray, its normal, and the triangle.
+    """Return distance, normal and triangle of the target ahead on a ray.
 
     The distance is infinite if no part of the target is within the optical thickness
     of the flight in the clearest water. start is the triangle that the ray starts on,
@@ -149,7 +149,7 @@ def fly(
     paths: Paths,
     now: Array,
 ) -> tuple[int, Vector, int, float]:
-    """Add the segments of one flight; return how, where and in which layer it ends.
+    """Add the segments of one flight; return end type, end point, layer, path length.
 
     The fourth number is the length of the path up to there. thickness is the optical
     one of the flight, tau = c L summed over the layers, to_target the way to the
@@ -223,7 +223,7 @@ def touch_target(
     paths: Paths,
     now: Array,
 ) -> None:
-    """Add a touch of the target by a path."""
+    """Add a target reflection to the path arrays."""
     touch, touch_light = paths.touch, paths.touch_light
     row = paths.used[USED_TOUCHES]
     touch[row, TOUCH_X], touch[row, TOUCH_Y], touch[row, TOUCH_Z] = ray.place
@@ -241,7 +241,7 @@ def touch_target(
 def reflect(
     state: States, ray: Ray, normal: Vector, target: Target, kind: Kind, now: Array
 ) -> Ray:
-    """Reflect a ray by Lambert's law, cos / pi per solid angle.
+    """Draw a reflected ray by Lambert's law, cos / pi per solid angle.
 
     The frame and Stokes vector in now become those of the light that goes on, by the
     Mueller matrix of the target.
@@ -271,7 +271,7 @@ def reflect(
 def scatter(
     state: States, ray: Ray, layer: int, kind: Kind, water: Water, now: Array
 ) -> tuple[Ray, float]:
-    """Scatter a ray; return it with its term of the partition.
+    """Draw a scattered ray; return it with its term of the partition sum.
 
     The angle is drawn from the phase function p, and |n_z m_z| / (b p) is added, the
     denominator of the weight w_k. The frame in now and the Stokes vector, or the
@@ -312,7 +312,7 @@ def trace(
     paths: Paths,
     now: Array,
 ) -> tuple[bool, Walk]:
-    """Add flights and touches of a path until it ends, or the arrays are full.
+    """Trace a path until it ends, or the arrays are full.
 
     Returns whether it has ended, and where it is. now holds frame and Stokes vector,
     or Mueller matrix, of its light. Adjoint paths go through the target; what of them
@@ -370,7 +370,7 @@ def follow(
     paths: Paths,
     now: Array,
 ) -> Paths:
-    """Trace a path in arrays long enough for it; return the paths.
+    """Trace a path to its end, and extend the arrays as needed; return the paths.
 
     thickness is the optical one of the first flight; now holds the light at its start.
     """

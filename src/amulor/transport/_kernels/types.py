@@ -1,4 +1,4 @@
-"""Compiler options and data types of the compiled loops of photon transport."""
+"""Compiler options and data types of the compiled photon-transport loops."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
 class Compiler(Protocol):
-    """Decorator that leaves the types of a loop unchanged."""
+    """Type of a compiler decorator that keeps the types of the decorated function."""
 
     def __call__(self, loop: Loop, /) -> Loop:
-        """Return the compiled loop."""
+        """Return the compiled function."""
 
 
 # The types that come with numba do not know all of these options.
@@ -63,27 +63,26 @@ Turn: TypeAlias = tuple[float, float]
 
 
 class Water(NamedTuple):
-    """Layers of water across z, and their scattering angles."""
+    """Water layers across z, with coefficients and scattering-angle tables."""
 
     edge: Array
-    """Planes between the layers and at both ends, z rising, shape (layers + 1,) [m]."""
+    """Boundaries of the layers, z rising, shape (layers + 1,) [m]."""
     attenuation: Array
-    """c = a + b of each layer [1/m]."""
+    """Attenuation coefficient c = a + b of each layer [1/m]."""
     albedo: Array
-    """b / c of each layer [1]."""
+    """Single-scattering albedo b / c of each layer [1]."""
     table: Integers
-    """Index of the angle table of each layer."""
+    """Index of the scattering-angle table of each layer."""
     urn: Array
-    """Alias tables of the scattering angles, shape (tables, cells, 8)."""
+    """Alias tables for drawing scattering angles, shape (tables, cells, 8)."""
     value: Array
-    """Phase function p in each cell of the angle, shape (tables, cells) [1/sr]."""
+    """Phase function p in each angle cell, shape (tables, cells) [1/sr]."""
     element: Array
-    """Elements m12, m22, m33, m34 and m44 in each cell, shape (tables, cells, 5) [1].
-    """
+    """Elements m12, m22, m33, m34, m44, shape (tables, angle cells, 5) [1]."""
 
 
 class Mesh(NamedTuple):
-    """Triangles in a hierarchy of boxes; no boxes without a mesh."""
+    """Triangles in a hierarchy of boxes, empty without a mesh."""
 
     box: Array
     """Lower and upper corner of each box, shape (boxes, 6) [m]."""
@@ -92,58 +91,58 @@ class Mesh(NamedTuple):
     triangle: Array
     """Corner, two edges and unit normal of each triangle, shape (triangles, 12) [m]."""
     least: float
-    """Least distance of a hit to a ray that starts on a triangle [m]."""
+    """Least hit distance for a ray that starts on a triangle [m]."""
 
 
 class Target(NamedTuple):
-    """Surface that reflects by Lambert's law: a plane, a mesh, or none."""
+    """Lambertian surface: a plane, a mesh, or none."""
 
     has_plane: bool
     """Whether the target is a plane."""
     normal: Array
-    """Unit normal of the plane on its lit side."""
+    """Unit normal of the plane, on its illuminated side."""
     height: float
     """Position of the plane along its normal [m]."""
     reflectance: float
-    """Reflectance [1]."""
+    """Diffuse reflectance [1]."""
     mueller: Array
-    """Mueller matrix over its first element."""
+    """Reduced Mueller matrix, m11 = 1."""
     right: Vector
-    """Scene axis to the right, which the matrix refers to."""
+    """Right-hand axis of the scene, reference of the Mueller matrix."""
     mesh: Mesh
     """Triangles of the mesh."""
 
 
 class Beam(NamedTuple):
-    """Source of the light."""
+    """Laser beam of the source."""
 
     centre: Array
-    """Start of the beam [m]."""
+    """Center of the beam at its start [m]."""
     axis: Array
     """Unit vector along the beam."""
     across: Array
-    """Parallel axis of the light, a unit vector perpendicular to the beam."""
+    """Polarization axis of the light, a unit vector perpendicular to the beam."""
     radius: float
-    """Radius at which the irradiance falls to 1/e; 0 for a pencil [m]."""
+    """Radius at which the irradiance falls to 1/e; 0 for a thin beam [m]."""
     divergence: float
-    """Angle at which its radiant intensity falls to 1/e [rad]."""
+    """Angle at which the radiant intensity falls to 1/e [rad]."""
     stokes: Array
-    """Stokes vector of the light."""
+    """Stokes vector of the launched light."""
 
 
 class Face(NamedTuple):
-    """Receiver around the origin, which looks along +z."""
+    """Receiver face at the origin, with its axis along +z."""
 
     radius: float
-    """R [m]."""
+    """Receiver radius R [m]."""
     acceptance: float
-    """Half angle gamma of the cone from which it receives [rad]."""
+    """Half-angle gamma of the acceptance cone [rad]."""
     gaussian: bool
     """Whether R and gamma are the 1/e widths of a Gaussian receiver."""
 
 
 class Scene(NamedTuple):
-    """Water, target and receiver, in the axes of the receiver."""
+    """Water, target, source and receiver, in the coordinates of the receiver."""
 
     beam: Beam
     face: Face
@@ -152,117 +151,116 @@ class Scene(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """Options of drawing and joining paths."""
+    """Options for sampling and joining paths."""
 
     paths: int
-    """Forward paths in a group."""
+    """Number of forward paths in a group."""
     partners: int
-    """Adjoint paths joined with each of them."""
+    """Number of adjoint paths joined with each forward path."""
     stratified: bool
-    """Whether first flights and directions of a group are spread evenly."""
+    """Whether first flights and directions in a group are stratified."""
     balanced: bool
     """Whether pairs are weighted by the balance heuristic."""
     direct: bool
     """Whether the last path to the receiver is a local estimate."""
     polarized: bool
-    """Whether Stokes vectors are carried."""
+    """Whether Stokes vectors are computed."""
 
 
 class Record(NamedTuple):
     """Received light by part and path length."""
 
     mass: Array
-    """Light of single path lengths, split among nodes, (parts, components, nodes) [1].
-    """
+    """Light with single path lengths, shape (parts, components, nodes) [1]."""
     edge: Array
-    """Steps of the light per path length, split likewise [1/m]."""
+    """Steps of the light per path length, shape (parts, components, nodes) [1/m]."""
     beyond: Complex
-    """Light of longer paths, shape (parts, components, frequencies) [1]."""
+    """Light beyond the last node, shape (parts, components, frequencies) [1]."""
     wavenumber: Complex
-    """i omega / v of each frequency [1/m]."""
+    """Imaginary wavenumber i omega / v of each frequency [1/m]."""
     spacing: float
-    """Path length between nodes [m]."""
+    """Path-length spacing of the nodes [m]."""
     orders: int
-    """Number of parts for orders of scattering; those of the target follow."""
+    """Number of parts by scattering order; target parts follow."""
 
 
 class Ray(NamedTuple):
-    """Position and direction of a path."""
+    """Position, direction and polarization axis of a ray."""
 
     place: Vector
     """Coordinates x, y and z [m]."""
     direction: Vector
     """Unit vector n along the path."""
     axis: Vector
-    """Unit vector across the path: parallel axis of polarized light."""
+    """Polarization axis, a unit vector perpendicular to the path."""
 
 
 class Past(NamedTuple):
-    """History of a path up to its last corner."""
+    """State of a path at its last scattering event or reflection."""
 
     first: int
-    """Row of the first segment."""
+    """Row of the path's first segment."""
     layer: int
-    """Layer of the corner."""
+    """Water layer at that point."""
     length: float
-    """Path length L [m]."""
+    """Path length L up to that point [m]."""
     partition: float
-    """Sum over its scatterings of 1 / w, the balance heuristic's denominator [m sr]."""
+    """Sum of 1 / w over scatterings, denominator of the balance heuristic [m sr]."""
     front: float
-    """Least height of the scatterings over the target's plane, adjoint paths [m]."""
+    """Least height of an adjoint path's scatterings above the target plane [m]."""
     order: float
-    """Number of scatterings."""
+    """Number of scattering events so far."""
     touches: float
-    """Number of reflections."""
+    """Number of target reflections so far."""
 
 
 class Walk(NamedTuple):
-    """State of a path that is traced."""
+    """State of a path during tracing."""
 
     ray: Ray
-    """Ray from the last corner."""
+    """Ray from the last scattering event or reflection."""
     past: Past
-    """History up to that corner."""
+    """State of the path at that event."""
     thickness: float
     """Optical thickness tau of the next flight [1]."""
     triangle: float
-    """Index of the triangle on which the ray starts, or -1."""
+    """Index of the triangle at the start of the ray, or -1."""
 
 
 class Kind(NamedTuple):
-    """Kind of a traced path."""
+    """Type of a path: forward or adjoint, polarized or not."""
 
     adjoint: bool
-    """Whether the path starts at the receiver and runs against the light."""
+    """Whether the path starts at the receiver, against the light."""
     polarized: bool
-    """Whether it carries a Stokes vector, or an adjoint path a Mueller matrix."""
+    """Whether the path has a Stokes vector, or if adjoint a Mueller matrix."""
     face: float
-    """Radius of the face on which an adjoint path starts [m]."""
+    """Radius of the receiver face at the start of an adjoint path [m]."""
     scale: float
-    """Factor of a pair with this adjoint path [sr]."""
+    """Weight of a pair with this adjoint path [sr]."""
 
 
 class Paths(NamedTuple):
-    """Corners of the paths of one kind in a group, row by row."""
+    """Segments and target reflections of all paths of one kind in a group."""
 
     segment: Array
-    """Straight segments, columns of `trace`."""
+    """Straight segments, with the columns defined in `trace`."""
     light: Array
-    """Frame, and Stokes vector or Mueller matrix, of the light on each segment."""
+    """Polarization axis, with Stokes vector or Mueller matrix, on each segment."""
     touch: Array
-    """Touches of the target, columns of `trace`."""
+    """Target reflections, with the columns defined in `trace`."""
     touch_light: Array
-    """Frame and Stokes vector of the light of each touch."""
+    """Polarization axis and Stokes vector at each target reflection."""
     used: Integers
-    """Number of segments and of touches."""
+    """Number of used rows for segments and for target reflections."""
 
 
 class Arrival(NamedTuple):
-    """Work arrays for light at the receiver, so that no loop allocates."""
+    """Work arrays for light at the receiver, allocated once."""
 
     light: Array
-    """Stokes vector, or intensity."""
+    """Received Stokes vector, or intensity."""
     path_matrix: Array
-    """Frame and identity matrix of light that arrives unchanged."""
+    """Polarization axis and identity matrix, for light without further scattering."""
     total: Array
-    """Sum of the light of a group, from water and target, (2, components)."""
+    """Sum of a group's light from water and target, shape (2, components)."""
