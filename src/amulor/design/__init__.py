@@ -1,4 +1,4 @@
-"""Instrument design: range errors of any design, and a recommendation for a goal."""
+"""Instrument design: predicted range errors, and a recommendation for a goal."""
 
 from amulor.design.axes import AXES
 from amulor.design.candidates import Parameters

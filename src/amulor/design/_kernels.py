@@ -1,4 +1,4 @@
-"""Compiled loops of instrument design: signals, phase and range errors."""
+"""Compiled loops of instrument design: signals, phase errors and range errors."""
 
 from __future__ import annotations
 
@@ -96,78 +96,77 @@ KEPT, ONE_FREQUENCY, OPEN_WATER, UNMIX, COMBINED, JOINT = range(6)
 
 
 class Points(NamedTuple):
-    """Candidates at distances, one row each."""
+    """Candidate instruments at distances, one row per pair."""
 
     number: Floats
-    """Columns of `NUMBERS`, shape (point, ...)."""
+    """Numbers of each point, with the columns of `NUMBERS`, shape (point, ...)."""
     look: Index
-    """Row of `Light`, shape (point,)."""
+    """Row of the arrays in `Light`, shape (point,)."""
     reach: Index
-    """Index of the distance, shape (point,)."""
+    """Index of the target distance, shape (point,)."""
     place: Index
-    """Index of the receiver place, shape (point,)."""
+    """Index of the receiver position, shape (point,)."""
     frequency_index: Index
-    """Indices of the frequencies of a set, -1 for none, shape (point, K)."""
+    """Frequency indices of each point's set, -1 for none, shape (point, K)."""
     target_fraction: Floats
-    """Fraction of the echo that each analyzer passes, shape (point, channel) [1]."""
+    """Fraction of the echo that each analyzer transmits, shape (point, channel) [1]."""
     water_fraction: Floats
-    """Fraction of the water signal that each analyzer passes [1]."""
+    """Fraction of the water signal that each analyzer transmits [1]."""
     has_analyser: NDArray[np.bool_]
-    """Whether a channel has an analyzer, shape (channel,)."""
+    """Whether each channel has an analyzer, shape (channel,)."""
 
 
 class Light(NamedTuple):
-    """Light of all looks, as in `amulor.design.light.Columns`."""
+    """Overlap and water signal of all receiver views, as in `light.Columns`."""
 
     overlap: Floats
-    """Overlap F(d), shape (look, distance) [sr]."""
+    """Overlap F of beam and receiver, shape (look, distance) [sr]."""
     mean: Floats
     """Unmodulated water signal, shape (look, distance + 1) [1]."""
     water: NDArray[np.complex128]
-    """Water signal at each frequency, shape (version, look, distance + 1, frequency);
+    """Water signal by frequency, shape (version, look, distance + 1, frequency);
     versions after the first have slightly more absorption or scattering [1].
     """
     step: float
-    """Relative change of absorption or scattering in these versions [1]."""
+    """Relative increase of absorption or scattering in those versions [1]."""
     frequency: Floats
     """Modulation frequencies, shape (frequency,) [Hz]."""
     path: Floats
-    """Optical path, shape (place, distance) [m]."""
+    """Two-way optical path, shape (place, distance) [m]."""
     slope: Floats
     """Derivative of the slant range by the optical path, shape (place, distance) [1].
     """
     offset: Floats
-    """Optical path at which the water begins, shape (place,) [m]."""
+    """Optical path before the water, shape (place,) [m]."""
 
 
 class Scratch(NamedTuple):
-    """Signals and errors of a point, arrays over (frequency, channel) or either."""
+    """Work arrays for signals and errors of one point, by frequency and channel."""
 
     target: NDArray[np.complex128]
     """Target signal [1/s]."""
     water: NDArray[np.complex128]
-    """Water signal in front of the target [1/s]."""
+    """Water signal before the target [1/s]."""
     open_water: NDArray[np.complex128]
-    """Water signal of the whole column [1/s]."""
+    """Water signal without a target, of the whole water column [1/s]."""
     change: NDArray[np.complex128]
     """Derivatives of the water signal by the logarithms of absorption and scattering,
     last axis the two; then those of the whole column [1/s].
     """
     laser_rate: Floats
-    """Photoelectrons by the laser, shape (channel,) [1/s]."""
+    """Photoelectron rate of the laser light, shape (channel,) [1/s]."""
     sky_rate: Floats
-    """Photoelectrons by daylight, shape (channel,) [1/s]."""
+    """Photoelectron rate of daylight, shape (channel,) [1/s]."""
     open_rate: Floats
-    """Photoelectrons by the laser without a target, shape (channel,) [1/s]."""
+    """Photoelectron rate of the laser without a target, shape (channel,) [1/s]."""
     to_range: Floats
-    """Range per phase, 0 where a set has no such frequency, shape (frequency,) [m/rad].
-    """
+    """Range per phase, 0 for a missing frequency, shape (frequency,) [m/rad]."""
     variance: Floats
-    """Phase variance by `RANDOM`, shape (frequency, 6) [rad^2]."""
+    """Phase variance by each term of `RANDOM`, shape (frequency, 6) [rad^2]."""
     bias: Floats
-    """Phase error by `SYSTEMATIC`, shape (frequency, 4) [rad]."""
+    """Phase bias by each term of `SYSTEMATIC`, shape (frequency, 4) [rad]."""
     size: Floats
-    """Modulus of the signal whose phase is taken, shape (frequency,) [1/s]."""
+    """Modulus of the signal used for ranging, shape (frequency,) [1/s]."""
 
 
 _LIGHT_SPEED = 299792458.0
@@ -175,7 +174,7 @@ _LIGHT_SPEED = 299792458.0
 
 @numba.njit(cache=True, error_model="numpy")
 def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
-    """Fill the signals of a point; return its mean output over the linear limit.
+    """Fill the signals of a point; return its detector output over the linear limit.
 
     Signals are rates of photoelectrons; the phase is that of the delay.
     """
@@ -221,7 +220,7 @@ def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def across(value: complex, along: complex) -> float:
-    """Phase by which a small signal turns another one [rad]."""
+    """Phase shift that a small signal causes in another one [rad]."""
     square = along.real * along.real + along.imag * along.imag
     if square == 0.0:
         return np.inf
@@ -236,7 +235,7 @@ _MOST = 400
 def astray(
     to_range: Floats, variance: Floats, distance: float, near: float, far: float
 ) -> tuple[float, float]:
-    """Probability of a wrong ambiguity interval, and the mean square error by it.
+    """Probability of a wrong ambiguity interval, and its mean square range error.
 
     Phases of the given variances [rad^2] and ranges per phase [m/rad], 0 for those that
     are not there. Candidates are the ranges that differ by whole intervals of the most
@@ -281,18 +280,18 @@ def astray(
 
 
 class Nodes(NamedTuple):
-    """Quadrature nodes along a water column."""
+    """Quadrature nodes along the water column."""
 
     segment: NDArray[np.intp]
     """Spline segment of each node, shape (node,)."""
     within: Floats
-    """Position in that segment, in logarithms of the depth, shape (node,)."""
+    """Position in that spline segment, as logarithm of the depth, shape (node,)."""
     weight: Floats
     """Quadrature weight, shape (node,) [m]."""
     turn: NDArray[np.complex128]
-    """Phase factor, shape (node, frequency) [1]."""
+    """Complex phase factor, shape (node, frequency) [1]."""
     stop: NDArray[np.intp]
-    """Number of nodes in front of each distance, increasing, shape (distance,)."""
+    """Number of nodes before each distance, increasing, shape (distance,)."""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -302,7 +301,7 @@ def fill_columns(
     mean: Floats,
     water: NDArray[np.complex128],
 ) -> None:
-    """Fill the water signal up to each distance, and of the whole column last.
+    """Fill the water signals up to each distance, and that of the whole column.
 
     `piece` is that of the logarithm of the overlap, (4, segment, look); `mean` has the
     shape (look, distance + 1), `water` (look, distance + 1, frequency).
@@ -335,7 +334,7 @@ def fill_columns(
 def phase_errors(
     method: int, channel: int, x: Floats, passed: Floats, scratch: Scratch
 ) -> None:
-    """Fill variance, bias and modulus of the phases that a method takes the range from.
+    """Fill variance and bias of the phases used by a method, and signal modulus.
 
     `passed` holds the shares of target and water that the channels pass, (2, channel).
     The signal that the range is taken of is a sum of channels with real weights.
@@ -368,7 +367,7 @@ def phase_errors(
 def _mix(
     method: int, k: int, x: Floats, passed: Floats, scratch: Scratch, weight: Floats
 ) -> None:
-    """Fill the channel weights that yield the target signal of the first channel."""
+    """Fill the channel weights with which the target signal is obtained."""
     of_target = passed[0, 1] / max(passed[0, 0], 1e-12)
     of_water = passed[1, 1] / max(passed[1, 0], 1e-12)
     if method == UNMIX:
@@ -397,7 +396,7 @@ def _mix(
 def _add_noise(
     method: int, k: int, x: Floats, weight: Floats, aim: complex, scratch: Scratch
 ) -> None:
-    """Add the random error terms of one frequency."""
+    """Add the random phase-error terms of one frequency."""
     square = max(abs(aim), 1e-300) ** 2
     variance = scratch.variance[k]
     for c in range(weight.size):
@@ -422,7 +421,7 @@ def _add_noise(
 def _add_bias(
     method: int, k: int, x: Floats, weight: Floats, aim: complex, scratch: Scratch
 ) -> None:
-    """Add the systematic error terms of one frequency."""
+    """Add the systematic phase-error terms of one frequency."""
     bias = scratch.bias[k]
     if method in (KEPT, ONE_FREQUENCY):
         for c in range(weight.size):
@@ -450,7 +449,7 @@ _UNKNOWN = 2.0
 def _inverse(
     counting: float, along: complex, floor: float, water: complex, part: float
 ) -> tuple[float, float, float]:
-    """Invert the covariance of one sample: in phase, quadrature and mixed element."""
+    """Invert a sample's covariance: in-phase, quadrature and mixed element."""
     turned = 1j * along * floor
     moved = water * part
     a = counting + turned.real**2 + moved.real**2
@@ -462,7 +461,7 @@ def _inverse(
 
 @numba.njit(cache=True, error_model="numpy")
 def _add(slope: Complex, inverse: tuple[float, float, float], out: Floats) -> None:
-    """Add the Fisher information of one sample on parameters with these slopes."""
+    """Add one sample's Fisher information on the parameters."""
     for i in range(slope.size):
         re = inverse[0] * slope[i].real + inverse[2] * slope[i].imag
         im = inverse[2] * slope[i].real + inverse[1] * slope[i].imag
@@ -472,7 +471,7 @@ def _add(slope: Complex, inverse: tuple[float, float, float], out: Floats) -> No
 
 @numba.njit(cache=True, error_model="numpy")
 def range_information(x: Floats, scratch: Scratch, out: Floats, bias: Floats) -> None:
-    """Fill the variance of the range by its random terms [m^2], and the bias [m].
+    """Fill range variance [m^2] and bias [m] of joint estimation.
 
     Parameters are the range, the logarithm of the echo of each channel, and, shared by
     the pixels, those of the strength of the water in each channel, of absorption and of
@@ -530,7 +529,7 @@ def range_information(x: Floats, scratch: Scratch, out: Floats, bias: Floats) ->
 
 @numba.njit(cache=True, error_model="numpy")
 def _scaled(matrix: Floats) -> Floats:
-    """Scale a matrix to a unit diagonal, with a small regularization."""
+    """Scale a matrix to a unit diagonal, slightly regularized."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
     out = np.empty(matrix.shape)
     for i in range(matrix.shape[0]):
@@ -544,7 +543,7 @@ def _scaled(matrix: Floats) -> Floats:
 def _terms(
     x: Floats, scratch: Scratch, inner: Floats, out: Floats, bias: Floats
 ) -> None:
-    """Split the range variance at known water into its terms, sample by sample."""
+    """Split the range variance into its terms, for known water properties."""
     departed = 0.0
     for k in range(scratch.to_range.size):
         if scratch.to_range[k] == 0.0:
@@ -578,7 +577,7 @@ _COUNTING, _LOST = 0.2, 0.3
 
 @numba.njit(cache=True, error_model="numpy")
 def _phase_variance(k: int, scratch: Scratch) -> float:
-    """Phase variance of one frequency, all random terms [rad^2]."""
+    """Phase variance of one frequency, sum of all random terms [rad^2]."""
     total = 0.0
     for j in range(scratch.variance.shape[1]):
         total += scratch.variance[k, j]
@@ -587,7 +586,7 @@ def _phase_variance(k: int, scratch: Scratch) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _combine(only: int, x: Floats, scratch: Scratch, row: Floats) -> float:
-    """Fill a result from phases weighted by their precision; return its squared error.
+    """Fill the errors of the weighted mean range; return the squared total error.
 
     `only` is the one frequency that counts, -1 for all.
     """
@@ -641,7 +640,7 @@ def _combine(only: int, x: Floats, scratch: Scratch, row: Floats) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _jointly(x: Floats, passed: Floats, scratch: Scratch, row: Floats) -> None:
-    """Fill the result of joint estimation."""
+    """Fill the errors of joint estimation."""
     # Which interval it is follows from the phases, channel by channel together.
     best = 0
     for c in range(passed.shape[1]):
@@ -661,7 +660,7 @@ def _jointly(x: Floats, passed: Floats, scratch: Scratch, row: Floats) -> None:
 def assess(
     method: int, points: Points, light: Light, scratch: Scratch, out: Floats
 ) -> None:
-    """Fill a row of results for each point, see `RESULTS`.
+    """Fill the errors of each point, with the columns of `RESULTS`.
 
     Compiled, as a point has few numbers and there are hundreds of thousands.
     """

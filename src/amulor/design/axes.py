@@ -1,4 +1,4 @@
-"""Axes and rejection methods of a design evaluation, and the arrangement of arrays."""
+"""Axes and rejection methods of a design evaluation, and array broadcasting."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Axis:
-    """Number of an instrument, its water or its target."""
+    """Axis of an evaluation: a number of the instrument, water or target."""
 
     meaning: str
-    """Quantity in a few words."""
+    """Short description of the quantity."""
     unit: str
     """SI unit."""
     least: float = 0.0
-    """Smallest value [unit]."""
+    """Smallest allowed value [unit]."""
     open: bool = True
-    """Whether the smallest value itself is refused."""
+    """Whether the smallest value itself is excluded."""
     most: float = np.inf
-    """Largest value [unit]."""
+    """Largest allowed value [unit]."""
 
 
 #: All axes with numbers, by name.
@@ -73,16 +73,16 @@ Method = Literal["none", "frequency", "open-water", "polarization", "combined", 
 
 @dataclass(frozen=True, kw_only=True)
 class Predicted:
-    """Prediction of the error of one rejection method."""
+    """Properties of a rejection method that determine its predicted error."""
 
     kernel: int
-    """Number of the method in the compiled loop."""
+    """Number of the method in the compiled loops."""
     channel_pair: bool = False
-    """Whether the method needs a co-polarized channel and its partner."""
+    """Whether the method needs a co-polarized channel and its cross-polarized one."""
     separate_frequencies: bool = True
-    """Whether each frequency has a phase of its own."""
+    """Whether dwell time can be divided between frequencies by the phases' errors."""
     assumptions: tuple[str, ...] = ()
-    """Fields of a goal's assumptions on which the error depends."""
+    """Fields of `Assumptions` that affect the error."""
 
 
 #: By the names of `amulor.rejection.names`.
@@ -111,16 +111,16 @@ PREDICTED: dict[str, Predicted] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Arranged:
-    """Values with one array dimension for each axis."""
+    """Values of all axes, broadcast to common array dimensions."""
 
     sizes: dict[str, int]
     """Length of each dimension by its name."""
     values: dict[str, Floats]
-    """Values by axis, each with all dimensions, of length 1 where it is constant."""
+    """Values of each axis, with all dimensions, of length 1 where constant."""
     frequencies: Floats | None
-    """Sets of modulation frequencies, (K, ...), NaN where a set has fewer [Hz]."""
+    """Sets of modulation frequencies, (K, ...), filled up with NaN [Hz]."""
     coordinates: dict[str, Any]
-    """Coordinates of the dimensions."""
+    """Coordinates of the array dimensions."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -131,7 +131,7 @@ class Arranged:
 def arranged(
     axes: Mapping[str, Any], frequencies: Sequence[Sequence[float]] | None
 ) -> Arranged:
-    """Arrange the arrays of a caller along common dimensions."""
+    """Arrange the arguments of an evaluation along common dimensions."""
     if "attenuation" in axes and {"absorption", "scattering"} & set(axes):
         raise SurveyError(
             "attenuation is the sum of absorption and scattering; state it alone, or "
@@ -185,7 +185,7 @@ def arranged(
 
 
 def _axis_values(name: str, value: Any) -> tuple[tuple[str, ...], Floats]:
-    """Dimensions and values of one axis, refused if out of range."""
+    """Dimensions and values of one axis; SurveyError if out of range."""
     if name not in AXES:
         raise SurveyError(
             f"{name}: is no axis of a design; allowed are {', '.join(AXES)}, "
@@ -219,7 +219,7 @@ def _axis_values(name: str, value: Any) -> tuple[tuple[str, ...], Floats]:
 
 
 def _sets(frequencies: Sequence[Sequence[float]]) -> tuple[list[Floats], list[str]]:
-    """Frequency sets as arrays, one for each place in a set, and their labels."""
+    """Frequency sets as rows of an array, filled up with NaN, and their labels."""
     most = max((len(members) for members in frequencies), default=0)
     if min((len(members) for members in frequencies), default=0) < 1:
         raise SurveyError("frequencies: each set needs one frequency at least")

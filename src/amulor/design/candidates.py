@@ -1,4 +1,4 @@
-"""Candidates of a goal: choices of components, survey of each choice, drawn waters."""
+"""Candidate instruments for a goal: components, surveys, randomly drawn waters."""
 
 from __future__ import annotations
 
@@ -56,29 +56,29 @@ class Parameters:
     laser: str
     """Name of the laser."""
     power: float
-    """Mean launched power [W]."""
+    """Mean launched laser power [W]."""
     frequencies: tuple[float, ...]
     """Modulation frequencies, increasing [Hz]."""
     baseline: float
-    """Distance of emitter and receiver [m]."""
+    """Distance between emitter and receiver [m]."""
     radius: float
-    """1/e half-width of the aperture [m]."""
+    """1/e half-width of the receiver aperture [m]."""
     field_of_view: float
-    """1/e half-width of the field of view [rad]."""
+    """1/e half-width of the receiver's field of view [rad]."""
     dwell: float
-    """Time on each pixel, frequency and channel [s]."""
+    """Dwell time per pixel, frequency and channel [s]."""
     polarization: str
-    """Channels joined by a plus sign."""
+    """Polarization channels joined by a plus sign, such as "VV+VH"."""
     method: str
     """Rejection method."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the numbers by name, in SI units."""
+        """Return the parameters by name, in SI units."""
         return {**asdict(self), "frequencies": list(self.frequencies)}
 
 
 def laser_of(goal: Goal, name: str) -> Laser:
-    """Laser of the goal with this name."""
+    """Laser of a goal, by its name."""
     for laser in goal.components.lasers:
         if laser.name == name:
             return laser
@@ -93,7 +93,7 @@ def middle(spread: Spread) -> float:
 
 
 def box_values(box: Box) -> tuple[float, ...]:
-    """Grid values of a box, increasing."""
+    """Grid values of a parameter range, increasing."""
     if box.values:
         return box.values
     assert box.low is not None
@@ -102,7 +102,7 @@ def box_values(box: Box) -> tuple[float, ...]:
 
 
 def frequency_grid(goal: Goal) -> tuple[float, ...]:
-    """Single modulation frequencies to choose from, increasing [Hz]."""
+    """Single modulation frequencies of a goal's choice, increasing [Hz]."""
     modulation = goal.components.modulation
     if modulation.sets:
         return tuple(sorted({f for members in modulation.sets for f in members}))
@@ -118,7 +118,7 @@ def frequency_grid(goal: Goal) -> tuple[float, ...]:
 
 
 def aim_of_goal(goal: Goal) -> float:
-    """Distance at which receivers are aimed [m]."""
+    """Distance at which the receiver axis meets the beam [m]."""
     if goal.aim is not None:
         return goal.aim
     near, far = goal.asked[0], goal.asked[-1]
@@ -126,7 +126,7 @@ def aim_of_goal(goal: Goal) -> float:
 
 
 def first_choice(goal: Goal) -> Parameters:
-    """Candidate made of the first value of each choice."""
+    """Candidate with the first value of each component choice."""
     parts = goal.components
     modulation = parts.modulation
     first = modulation.sets[0] if modulation.sets else frequency_grid(goal)[:1]
@@ -145,7 +145,7 @@ def first_choice(goal: Goal) -> Parameters:
 
 
 def fits(goal: Goal) -> Iterator[tuple[str, str]]:
-    """Yield the polarization schemes and methods that fit together."""
+    """Yield compatible pairs of polarization scheme and rejection method."""
     parts = goal.components
     any_fit = False
     for scheme, method in itertools.product(parts.polarizations, parts.methods):
@@ -163,7 +163,7 @@ def fits(goal: Goal) -> Iterator[tuple[str, str]]:
 
 
 def cost_of(goal: Goal, chosen: Parameters) -> float:
-    """Price of a candidate [currency]."""
+    """Total price of a candidate [currency]."""
     parts = goal.components
     laser = laser_of(goal, chosen.laser)
     channels = len(chosen.polarization.split("+"))
@@ -178,13 +178,13 @@ def cost_of(goal: Goal, chosen: Parameters) -> float:
 
 
 def scan_time(goal: Goal, chosen: Parameters) -> float:
-    """Time to scan all pixels [s]."""
+    """Time for scanning all pixels [s]."""
     samples = len(chosen.frequencies) * len(chosen.polarization.split("+"))
     return goal.scan.rows * goal.scan.columns * samples * chosen.dwell
 
 
 def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
-    """Mueller matrix scaled to another element m22."""
+    """Mueller matrix scaled to a given element m22."""
     base = matrix(mueller)
     if base[1, 1] == 0:
         base = np.diag([1.0, 1.0, -1.0, -1.0])
@@ -194,7 +194,7 @@ def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
 
 
 def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
-    """Water coefficients at the laser's wavelength over those of the ranges."""
+    """Ratio of water coefficients: at the laser's wavelength over the first laser's."""
     first = goal.components.lasers[0].name
     if chosen.laser == first:
         return {}
@@ -208,7 +208,7 @@ def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
 
 
 def survey_of(goal: Goal, chosen: Parameters) -> Survey:
-    """Survey of a candidate, with a plate at the middle distance."""
+    """Survey of a candidate, with a plate target at the distance of aim."""
     laser = laser_of(goal, chosen.laser)
     detector = goal.detector
     if laser.quantum_efficiency is not None:
@@ -286,7 +286,7 @@ _NINETY_FIVE, _CUT = 1.959964, 2 * 1.959964
 
 
 def spreads_of(goal: Goal) -> dict[str, Spread]:
-    """Ranges of a goal by the names of axes."""
+    """Parameter ranges of a goal by axis name."""
     waters, targets = goal.waters, goal.targets
     ranges = {
         "attenuation": waters.attenuation,
@@ -303,7 +303,7 @@ def spreads_of(goal: Goal) -> dict[str, Spread]:
 
 
 def drawn(goal: Goal, count: int | None = None) -> dict[str, Floats]:
-    """Waters and targets drawn from the ranges of a goal.
+    """Water and target properties drawn at random from a goal's ranges.
 
     A scrambled Sobol' sequence with a fixed seed, through the inverse distributions:
     the same draws for the same ranges, and evenly spread over them.
@@ -320,7 +320,7 @@ def drawn(goal: Goal, count: int | None = None) -> dict[str, Floats]:
 
 
 def values_at(spread: Spread, share: Floats) -> Floats:
-    """Quantiles of a range at these shares of its distribution."""
+    """Quantiles of a parameter range at given probabilities."""
     low, high = spread.low, spread.high
     logarithm = spread.distribution.startswith("log")
     if logarithm:

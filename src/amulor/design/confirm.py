@@ -1,4 +1,4 @@
-"""Check of a design by simulated scans and photon transport."""
+"""Check of a design by simulated scans and by photon transport."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Photons:
-    """Light of the middle beam by photon transport over that of the model."""
+    """Photon-transport result for the scan's middle beam, relative to the model."""
 
     histories: int
-    """Photon histories [1]."""
+    """Number of photon histories [1]."""
     frequency: Floats
     """Modulation frequencies, shape (frequency,) [Hz]."""
     echo: Floats
-    """Amplitude of the echo over that of the model, of the same shape [1]."""
+    """Ratio of echo amplitudes, photons over model, shape (frequency,) [1]."""
     echo_error: Floats
-    """Standard error of the echo [1]."""
+    """Standard error of the echo ratio [1]."""
     shift: Floats
-    """Range of the echo less that of the model [m]."""
+    """Range difference of the echo, photons minus model [m]."""
     shift_error: Floats
-    """Standard error of the shift [m]."""
+    """Standard error of the range difference [m]."""
     water: Floats
-    """Amplitude of the water signal before the target over that of the model [1]."""
+    """Ratio of water-signal amplitudes before the target, photons over model [1]."""
     water_error: Floats
-    """Standard error of the water signal [1]."""
+    """Standard error of the water-signal ratio [1]."""
 
 
 def follow_photons(
@@ -63,7 +63,7 @@ def follow_photons(
     seed: int = 1,
     progress: Callable[[str, float], None] | None = None,
 ) -> Photons:
-    r"""Follow photons along the middle beam of a survey to its target and back.
+    r"""Simulate photon transport along the middle beam of a survey and back.
 
     A phase :math:`\Delta\varphi` more than that of the model shifts a range by
     :math:`v \Delta\varphi / 4 \pi f`: light that was scattered on its way is late.
@@ -136,7 +136,7 @@ def _reported(
 def _model(
     survey: Survey, water: WaterProperties, traced: Geometry, place: Place
 ) -> tuple[Complex, Complex]:
-    """Echo and water signal before it by the small-angle model, over frequencies."""
+    """Echo and water signal before the target, by the small-angle model."""
     frequency = np.array(survey.instrument.modulation_frequencies)[:, None, None]
     common: dict[str, Any] = {"survey": survey, "water": water, "view": traced.view}
     surface = {
@@ -180,7 +180,7 @@ def _compared(
 def _ratio(
     light: Complex, covariance: Floats, expected: Complex
 ) -> tuple[Complex, Floats, Floats]:
-    """Ratio of light to its expectation, with the errors of amplitude and phase."""
+    """Ratio of a signal to its expectation, with errors of amplitude and phase."""
     lit = (np.abs(expected) > 0) & (np.abs(light) > 0)
     along = np.where(lit, light, 1.0) / np.where(lit, np.abs(light), 1.0)
     ahead = np.stack([along.real, along.imag], axis=-1)
@@ -212,31 +212,31 @@ SHIFT = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class Scans:
-    """Simulated scans against their prediction."""
+    """Comparison of simulated scans with the predicted errors."""
 
     distance: float
     """Slant range of the target [m]."""
     predicted: float
-    """Standard uncertainty of one pixel by `evaluate` [m]."""
+    """Standard uncertainty of one pixel predicted by `evaluate` [m]."""
     achieved: float
-    """Scatter of the ranges about their mean [m]."""
+    """Standard deviation of the simulated ranges about their mean [m]."""
     ratio: float
-    """Achieved over predicted scatter [1]."""
+    """Ratio of simulated to predicted standard deviation [1]."""
     ratio_error: float
-    """Standard error of the ratio, from the scatter between scans [1]."""
+    """Standard error of this ratio, from the scatter between scans [1]."""
     offset: float
-    """Mean range less the true one [m]."""
+    """Mean error of the simulated ranges [m]."""
     offset_error: float
-    """Standard error of the offset [m]."""
+    """Standard error of the mean error [m]."""
     residual_bias: float
     """Bias predicted by `evaluate`, without late light, which simulated scans lack [m].
     """
     ranges: int
-    """Number of ranges."""
+    """Number of simulated ranges."""
 
     @property
     def holds(self) -> bool:
-        """Whether the ratio is within 0.9 to 1.1, give or take two standard errors."""
+        """Whether the ratio agrees with 0.9 to 1.1 within two standard errors."""
         low, high = HOLDS
         margin = 2 * self.ratio_error
         return low - margin <= self.ratio <= high + margin
@@ -244,21 +244,21 @@ class Scans:
 
 @dataclass(frozen=True, kw_only=True)
 class Confirmation:
-    """Results of simulated scans and photon transport for one instrument."""
+    """Check of one instrument by simulated scans and photon transport."""
 
     name: str
-    """Name of the instrument."""
+    """Name of the instrument, such as "best"."""
     scans: Scans
-    """Simulated scans."""
+    """Comparison of simulated scans with the prediction."""
     photons: Photons | None
-    """Photon results; None if photons cannot follow the water or the beam."""
+    """Photon-transport result; None if photons cannot follow the water or the beam."""
     late: float
-    """Predicted standard uncertainty of the correction for late light [m]."""
+    """Predicted standard uncertainty of the late-light correction [m]."""
     said: tuple[str, ...]
-    """One line for each difference beyond its stated limit."""
+    """Message for each difference beyond its limit."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, texts and lists."""
+        """Return the results as plain numbers, texts and lists."""
         photons = None
         if self.photons is not None:
             photons = {
@@ -283,7 +283,7 @@ def confirm(
     histories: int = 1_000_000,
     seed: int = 1,
 ) -> Confirmation:
-    """Simulate and process scans of an instrument, and follow photons through it."""
+    """Check an instrument by simulated scans and photon transport."""
     distance = goal.asked[-1]
     survey = _reduced_survey(goal, chosen, distance)
     with _progress.part(0.0, 0.6):
@@ -321,7 +321,7 @@ def scans(
     repeats: int = 12,
     seed: int = 1,
 ) -> Scans:
-    """Simulate scans, reject the water, and compare ranges with their prediction."""
+    """Simulate scans, reject the water signal, compare ranges with the prediction."""
     if repeats < 3:
         raise ValueError(f"at least 3 scans are needed, got {repeats}")
     errors: list[Floats] = []
@@ -365,7 +365,7 @@ def scans(
 
 
 def _reduced_survey(goal: Goal, chosen: Parameters, distance: float) -> Survey:
-    """Survey of an instrument with few pixels, target at a distance."""
+    """Survey of an instrument with few pixels and a target at one distance."""
     survey = survey_of(goal, chosen)
     scan = survey.scan
     return survey.with_(
@@ -380,7 +380,7 @@ def _reduced_survey(goal: Goal, chosen: Parameters, distance: float) -> Survey:
 
 
 def _image(target: xr.Dataset, interval: tuple[float, float] | None) -> xr.Dataset:
-    """Range image of the channel with the smallest uncertainty."""
+    """Range image of the target channel with the smallest uncertainty."""
     channels = [str(value) for value in target["polarization"].values]
     if "joint_slant_range" in target:
         channels = channels[:1]
@@ -399,7 +399,7 @@ def _image(target: xr.Dataset, interval: tuple[float, float] | None) -> xr.Datas
 
 
 def _truth(survey: Survey, image: xr.Dataset) -> Floats:
-    """Return the slant range of the plate, which stands across the forward axis [m]."""
+    """Return the true slant range of the plate at each pixel [m]."""
     azimuth, elevation = image["azimuth"].values, image["elevation"].values
     forward = survey.targets[0].position[2] - survey.instrument.emitter.position[2]
     if survey.instrument.window is not None:
@@ -413,7 +413,7 @@ def _truth(survey: Survey, image: xr.Dataset) -> Floats:
 def _differences(
     name: str, simulated: Scans, photons: Photons | None, late: float, accuracy: float
 ) -> list[str]:
-    """Differences beyond their stated limits, a line each."""
+    """Messages for differences that exceed their limits."""
     differences = []
     if not simulated.holds:
         differences.append(

@@ -1,4 +1,4 @@
-"""Errors of the range for any instrument, water, target and distance, as a Dataset."""
+"""Predicted range errors for any instrument, water, target and distance."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def evaluate(
     late_light: bool = True,
     **axes: Any,
 ) -> xr.Dataset:
-    r"""Return the errors of the range for all combinations of some axes.
+    r"""Predict the range errors for all combinations of parameter values.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def evaluate(
 
 
 def scheme_of(text: str) -> tuple[str, ...]:
-    """Return the channels of a polarization scheme.
+    """Return the channels of a polarization scheme such as "VV+VH".
 
     Examples
     --------
@@ -225,7 +225,7 @@ def scheme_of(text: str) -> tuple[str, ...]:
 
 
 def _several(names: str | Sequence[str] | None, default: str) -> tuple[list[str], bool]:
-    """Values of an axis of texts, and whether it is a dimension."""
+    """Values of a text axis as a list, and whether it is a dimension."""
     if names is None:
         return [default], False
     if isinstance(names, str):
@@ -236,7 +236,7 @@ def _several(names: str | Sequence[str] | None, default: str) -> tuple[list[str]
 
 
 def _distance_of(survey: Survey) -> float:
-    """Middle of the target distances of a survey [m]."""
+    """Middle of the target distances in a survey [m]."""
     reach = target_reach(survey)
     if reach is None:
         raise SurveyError(
@@ -247,7 +247,7 @@ def _distance_of(survey: Survey) -> float:
 
 
 def _frequency_sets(survey: Survey, arrays: Arranged) -> Floats:
-    """Return sets of modulation frequencies, (K, ...) [Hz]."""
+    """Return the sets of modulation frequencies, shape (K, ...) [Hz]."""
     if arrays.frequencies is not None:
         return arrays.frequencies
     if "frequency" in arrays.values:
@@ -263,7 +263,7 @@ def _variables(
     case: Case,
     wrong_interval: float,
 ) -> dict[str, NDArray[Any]]:
-    """Variables of the Dataset, arrays of one shape."""
+    """Variables of the result Dataset, arrays of one shape."""
     column = {name: errors.result[..., k] for k, name in enumerate(kernel.RESULTS)}
     variance = sum(column[name] for name in kernel.RANDOM)
     water_bias_square = sum(column[name] ** 2 for name in kernel.SYSTEMATIC)
@@ -335,21 +335,20 @@ _NEAREST, _FARTHEST, _STEPS = 0.3, 60.0, 160
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """Distances at which an instrument meets an accuracy in one water."""
+    """Distances at which an instrument meets a required accuracy in one water."""
 
     water: str
     """Name of the water."""
     attenuation: float
-    """Its attenuation coefficient at the wavelength of the instrument [1/m]."""
+    """Attenuation coefficient at the instrument's wavelength [1/m]."""
     nearest: float | None
-    """Nearest slant range of the longest stretch over which the accuracy is met; None
-    where it is met nowhere [m]."""
+    """Nearest slant range of the longest accurate interval; None without one [m]."""
     farthest: float | None
-    """Farthest one, infinite where it is still met at 60 m [m]."""
+    """Farthest slant range of that interval; infinite if met up to 60 m [m]."""
     binding: str
-    """Term that ends it: the largest one there, or "model" where the model ends."""
+    """Largest error term at that range, or "model" where the model ends."""
     repetition: float
-    """Slant range after which the phases repeat [m]."""
+    """Unambiguous range: slant range after which the phases repeat [m]."""
 
 
 def reach(
@@ -360,7 +359,7 @@ def reach(
     reflectance: float | None = None,
     method: str = "open-water",
 ) -> Reach:
-    """Distances at which an instrument meets an accuracy in a water."""
+    """Return the distances at which an instrument meets an accuracy in a water."""
     title, properties = WATERS[water]
     # A survey's own far wall is not part of another water.
     moved = survey.with_({"water": properties})
@@ -394,7 +393,7 @@ def reach(
 
 
 def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
-    """Begin and end of the longest run, counted as equal ratios of distance."""
+    """First and last index of the longest run of True, last one excluded."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
     if not len(edges):
         return 0, 0
@@ -404,7 +403,7 @@ def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def _largest(errors: Any, number: int) -> str:
-    """Largest error term at one distance, wrong intervals apart."""
+    """Name of the largest error term at one distance, ambiguity excluded."""
     if errors["saturated"].values[number]:
         return "saturation"
     sizes = {

@@ -22,26 +22,26 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Place of the receiver, with the beam in the middle of the scan."""
+    """Geometry of the receiver relative to the middle beam of a scan."""
 
     view: View
-    """View of the beam by the receiver; arrays of one number."""
+    """Receiver's view of the beam, arrays of length one."""
     depth: Floats
     """Part of each slant range that lies in water, shape (distance,) [m]."""
     path: Floats
-    """Optical path, out and back, shape (distance,) [m]."""
+    """Two-way optical path, shape (distance,) [m]."""
     back: Floats
-    """Length in water of the way back to the receiver, shape (distance,) [m]."""
+    """Path length in water back to the receiver, shape (distance,) [m]."""
     slope: Floats
     """Derivative of the slant range by the optical path, shape (distance,) [1]."""
     cosine: Floats
-    """Cosine of the angle between the way back and the beam, shape (distance,) [1]."""
+    """Cosine of the angle between beam and return path, shape (distance,) [1]."""
     per_acceptance: float
-    """Acceptance in the water over that of the receiver [1]."""
+    """Acceptance angle in water over that of the receiver [1]."""
 
 
 def place_of(survey: Survey, distance: Floats) -> Place:
-    """Geometry of a survey's instrument at some slant ranges."""
+    """Geometry of a survey's instrument at given slant ranges."""
     crossed = medium_of(survey)
     azimuth, elevation = np.array(survey.scan.azimuth), np.array(survey.scan.elevation)
     instrument = survey.instrument
@@ -80,7 +80,7 @@ def aim_of(survey: Survey) -> float:
 
 
 def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
-    """Survey with its receiver moved to a baseline and aimed at a distance."""
+    """Survey with another baseline, and the receiver aimed at a given distance."""
     instrument = survey.instrument
     start = np.asarray(instrument.emitter.position)
     side = np.asarray(instrument.receiver.position) - start
@@ -110,7 +110,7 @@ def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
 
 
 def _towards(point: Floats, start: Floats, crossed: rays.Medium) -> Floats:
-    """Direction before the window whose ray in the water meets a point."""
+    """Direction before the window for a ray that reaches a point in the water."""
     way = point - start
     if crossed.window_distance is None:
         return np.asarray(way)

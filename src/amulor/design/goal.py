@@ -1,4 +1,4 @@
-"""Goal of a design: requirements and available components, from one TOML file."""
+"""Goal file of a design: required performance and available components, in TOML."""
 
 from __future__ import annotations
 
@@ -125,12 +125,12 @@ class DistanceRange(Description):
 
 
 class Interval(Description):
-    """Limits of the range that are known before the measurement."""
+    """Limits of the slant range, known before the measurement."""
 
     nearest: Annotated[Length, Field(ge=0)]
-    """Nearest slant range that is possible [m]."""
+    """Nearest possible slant range [m]."""
     farthest: Annotated[Length, Field(gt=0)]
-    """Farthest slant range that is possible [m]."""
+    """Farthest possible slant range [m]."""
 
     @model_validator(mode="after")
     def _rises(self) -> Self:
@@ -143,34 +143,34 @@ class Interval(Description):
 
 
 class Accuracy(Description):
-    """Required accuracy of the range."""
+    """Required range accuracy."""
 
     total_error: Annotated[Length, Field(gt=0)]
-    """Largest root of squared standard uncertainty and residual bias of one pixel
-    [m]."""
+    """Largest total error of one pixel: root sum of squares of standard uncertainty and
+    residual bias [m].
+    """
     share: Annotated[Fraction, Field(gt=0, le=1)] = 0.9
-    """Share of the waters and targets in which the total error must be met [1]."""
+    """Fraction of drawn waters and targets in which the total error must be met [1]."""
     wrong_interval: Annotated[Fraction, Field(gt=0, lt=0.5)] = 0.001
-    """Largest probability of a wrong ambiguity interval [1]."""
+    """Largest allowed probability of a wrong ambiguity interval [1]."""
 
 
 class Waters(Description):
-    """Water, and the ranges of its properties."""
+    """Water of the goal, with ranges of its properties."""
 
     base: WaterStated
-    """The water, as in a survey."""
+    """Base water, described as in a survey."""
     attenuation: CoefficientSpread | None = None
     """Range of a + b at the wavelength of the first laser, in the proportion of the
     base; as the base if left out [1/m]."""
     absorption: CoefficientSpread | None = None
-    """Range of a, in place of the attenuation [1/m]."""
+    """Range of the absorption a, instead of the attenuation [1/m]."""
     scattering: CoefficientSpread | None = None
-    """Range of b, in place of the attenuation [1/m]."""
+    """Range of the scattering b, instead of the attenuation [1/m]."""
     fluctuation: FractionSpread | None = None
-    """Range of the random change of the water signal from sample to sample [1]."""
+    """Range of the relative water-signal fluctuation from sample to sample [1]."""
     m22: FractionSpread | None = None
-    """Range of the water's Mueller element m22, 1 for what keeps the polarization
-    [1]."""
+    """Range of the water's Mueller element m22; 1 for no depolarization [1]."""
 
     @model_validator(mode="after")
     def _is_stated_once(self) -> Self:
@@ -183,42 +183,43 @@ class Waters(Description):
 
 
 class Targets(Description):
-    """Surfaces, and the ranges of their properties."""
+    """Target surfaces, with ranges of their properties."""
 
     reflectance: FractionSpread
     """Range of the reflectance [1]."""
     mueller: ReducedMueller = PAINTED_METAL
-    """Reduced Mueller matrix straight backwards, as in a survey [1]."""
+    """Reduced Mueller matrix of backscattering, as in a survey [1]."""
     m22: FractionSpread | None = None
-    """Range of its element m22, 0 for what loses the polarization [1]."""
+    """Range of the Mueller element m22; 0 for complete depolarization [1]."""
     slope: AngleSpread | None = None
-    """Range of the inclination of the surface; it faces the beam if left out [rad]."""
+    """Range of the surface's inclination; faces the beam if left out [rad]."""
     texture: FractionSpread | None = None
-    """Range of the relative change of the reflectance over the half-width of the beam;
-    none if left out [1]."""
+    """Range of the relative reflectance change over the half-width of the beam; none if
+    left out [1].
+    """
 
 
 class ScanGoal(Description):
-    """Required scan pattern, and the time for it."""
+    """Required scan pattern, and the time available for it."""
 
     columns: Annotated[Count, Field(ge=1, le=20_000)]
-    """Pixels along a row [1]."""
+    """Number of pixels per row [1]."""
     rows: Annotated[Count, Field(ge=1, le=20_000)]
-    """Rows of pixels [1]."""
+    """Number of pixel rows [1]."""
     azimuth_span: Annotated[Angle, Field(ge=0, lt=math.pi)]
     """Angle between the first and the last column [rad]."""
     elevation_span: Annotated[Angle, Field(ge=0, lt=math.pi)]
     """Angle between the first and the last row [rad]."""
     longest: Annotated[Time, Field(gt=0)]
-    """Longest time for all pixels [s]."""
+    """Longest allowed time for all pixels [s]."""
     moves: Literal["beam", "both"] = "both"
-    """What turns: the beam alone, or emitter and receiver together."""
+    """Scanned part: the beam alone, or emitter and receiver together."""
     open_water: OpenWater = OpenWater(columns=9, rows=3, repeats=20)
-    """Open-water shots."""
+    """Open-water reference measurements of the scan."""
 
 
 class Laser(Description):
-    """Laser, and the numbers that depend on its wavelength."""
+    """Laser to choose, with properties that depend on its wavelength."""
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
     """Name of the laser."""
@@ -227,19 +228,17 @@ class Laser(Description):
     powers: Annotated[
         tuple[Annotated[Power, Field(gt=0)], ...], Field(min_length=1, max_length=20)
     ]
-    """Mean powers to choose from [W]."""
+    """Mean launched powers to choose from [W]."""
     modulation_depth: Annotated[Fraction, Field(gt=0, le=1)] = 0.8
-    """Depth of the intensity modulation [1]."""
+    """Modulation depth of the intensity [1]."""
     top_frequency: _Tone | None = None
-    """Highest modulation frequency; any if left out [Hz]."""
+    """Highest modulation frequency; no limit if left out [Hz]."""
     beam_radius: Annotated[Length, Field(ge=0, le=0.5)] | None = None
-    """1/e half-width of the beam at its start [m]."""
+    """1/e radius of the beam at the emitter [m]."""
     beam_divergence: Annotated[Angle, Field(ge=0, le=0.2)] | None = None
-    """1/e semi-angle of the beam [rad]."""
+    """1/e half-angle of the beam [rad]."""
     quantum_efficiency: Annotated[Fraction, Field(gt=0, le=1)] | None = None
-    """Photoelectrons per photon at this wavelength; the detector's value if left out
-    [1].
-    """
+    """Quantum efficiency at this wavelength; that of the detector if left out [1]."""
     water: WaterStated | None = None
     """Base water at this wavelength, where its coefficients do not follow from those
     stated.
@@ -247,26 +246,26 @@ class Laser(Description):
     price: _Money = 0.0
     """Price of the laser [currency]."""
     price_per_watt: _Money = 0.0
-    """Price of each watt of mean power in addition [currency/W]."""
+    """Additional price per watt of mean power [currency/W]."""
 
 
 class Modulation(Description):
     """Modulation frequencies to choose from."""
 
     lowest: _Tone | None = None
-    """Lowest frequency of a grid [Hz]."""
+    """Lowest modulation frequency of a grid [Hz]."""
     highest: _Tone | None = None
-    """Highest frequency of a grid [Hz]."""
+    """Highest modulation frequency of a grid [Hz]."""
     count: Annotated[Count, Field(ge=2, le=200)] = 25
-    """Frequencies of the grid, evenly apart in the logarithm [1]."""
+    """Number of grid frequencies, evenly spaced in the logarithm [1]."""
     frequencies: tuple[_Tone, ...] = ()
-    """Frequencies in place of a grid, increasing [Hz]."""
+    """List of frequencies instead of a grid, increasing [Hz]."""
     sets: tuple[Annotated[tuple[_Tone, ...], Field(min_length=1)], ...] = ()
-    """Whole sets in place of frequencies to combine [Hz]."""
+    """Complete frequency sets instead of single frequencies to combine [Hz]."""
     most: Annotated[Count, Field(ge=1, le=6)] = 2
-    """Largest number of frequencies at each pixel [1]."""
+    """Largest number of frequencies per pixel [1]."""
     price_each: _Money = 0.0
-    """Price of each frequency after the first [currency]."""
+    """Price of each additional frequency [currency]."""
 
     @model_validator(mode="after")
     def _is_stated_once(self) -> Self:
@@ -314,36 +313,36 @@ class _Box(Description):
 
 
 class LengthBox(_Box):
-    """Lengths to choose from, or the ends of a range."""
+    """Lengths to choose from: a list, or a range."""
 
     values: tuple[Annotated[Length, Field(gt=0)], ...] = ()
-    """Values to choose from [m]."""
+    """List of lengths to choose from [m]."""
     low: Annotated[Length, Field(gt=0)] | None = None
-    """Lower end of what may be chosen [m]."""
+    """Lower end of the range [m]."""
     high: Annotated[Length, Field(gt=0)] | None = None
-    """Upper end [m]."""
+    """Upper end of the range [m]."""
 
 
 class AngleBox(_Box):
-    """Angles to choose from, or the ends of a range."""
+    """Angles to choose from: a list, or a range."""
 
     values: tuple[Annotated[Angle, Field(gt=0, le=0.5)], ...] = ()
-    """Values to choose from [rad]."""
+    """List of angles to choose from [rad]."""
     low: Annotated[Angle, Field(gt=0)] | None = None
-    """Lower end of what may be chosen [rad]."""
+    """Lower end of the range [rad]."""
     high: Annotated[Angle, Field(gt=0, le=0.5)] | None = None
-    """Upper end [rad]."""
+    """Upper end of the range [rad]."""
 
 
 class TimeBox(_Box):
-    """Times to choose from, or the ends of a range."""
+    """Times to choose from: a list, or a range."""
 
     values: tuple[Annotated[Time, Field(gt=0)], ...] = ()
-    """Values to choose from [s]."""
+    """List of times to choose from [s]."""
     low: Annotated[Time, Field(gt=0)] | None = None
-    """Lower end of what may be chosen [s]."""
+    """Lower end of the range [s]."""
     high: Annotated[Time, Field(gt=0)] | None = None
-    """Upper end [s]."""
+    """Upper end of the range [s]."""
 
 
 #: Any of them.
@@ -358,21 +357,21 @@ class Components(Description):
     modulation: Modulation
     """Modulation frequencies to choose from."""
     baseline: LengthBox
-    """Distance of emitter and receiver [m]."""
+    """Distance between emitter and receiver [m]."""
     radius: LengthBox
-    """1/e half-width of the receiver's aperture [m]."""
+    """1/e half-width of the receiver aperture [m]."""
     field_of_view: AngleBox
     """1/e half-width of the receiver's field of view [rad]."""
     dwell: TimeBox
-    """Time on each pixel, frequency and channel [s]."""
+    """Dwell time per pixel, frequency and channel [s]."""
     polarizations: Annotated[tuple[Scheme, ...], Field(min_length=1)]
     """Schemes to choose from: channels joined by a plus sign, such as "VH", "VV+VH"."""
     methods: Annotated[tuple[Method, ...], Field(min_length=1)] = ("open-water",)
     """Rejection methods to choose from, by the names of `amulor reject`."""
     price_per_channel: _Money = 0.0
-    """Price of each polarization channel after the first [currency]."""
+    """Price of each additional polarization channel [currency]."""
     budget: _Money | None = None
-    """Largest sum of all prices; any if left out [currency]."""
+    """Largest total price; no limit if left out [currency]."""
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
@@ -384,30 +383,29 @@ class Components(Description):
 
 
 class Assumptions(Description):
-    """Assumed knowledge of the water when the scan is processed."""
+    """Assumed uncertainties of the water when the scan is processed."""
 
     water_change: Annotated[Fraction, Field(ge=0, le=1)] = 0.01
-    """Relative change of the water signal between the shots and the scan [1]."""
+    """Relative change of the water signal between open-water shots and scan [1]."""
     column_uncertainty: Annotated[Fraction, Field(ge=0, le=1)] = 0.1
-    """Relative uncertainty of the water behind the target [1]."""
+    """Relative uncertainty of the water signal from behind the target [1]."""
     ratio_uncertainty: Annotated[Fraction, Field(ge=0, le=1)] = 0.01
     """Uncertainty of the water's depolarization ratio [1]."""
     departure: Annotated[Fraction, Field(ge=0, le=1)] = 0.003
-    """Relative departure of the water signal from the model of the joint estimation
-    [1]."""
+    """Relative deviation of the water signal from the model of joint estimation [1]."""
 
 
 class Effort(Description):
-    """Extent of the search."""
+    """Computing effort of the search."""
 
     draws: Annotated[Count, Field(ge=4, le=4096)] = 64
-    """Number of waters and targets drawn from their ranges [1]."""
+    """Number of randomly drawn waters and targets [1]."""
     refined: Annotated[Count, Field(ge=1, le=50)] = 4
-    """Number of candidates of the grid that are refined [1]."""
+    """Number of best grid candidates that are refined [1]."""
 
 
 class Goal(Description):
-    """Requirements of an instrument, its waters, and the available components.
+    """Required performance, waters, targets and available components of a design.
 
     Examples
     --------
@@ -427,25 +425,26 @@ class Goal(Description):
     """Slant ranges at which the accuracy is asked for: a list, or nearest and farthest
     [m]."""
     interval: Interval | None = None
-    """Limits of the range that are known beforehand; from 0 to a tenth beyond the
-    farthest distance if left out."""
+    """Limits of the slant range, known before the measurement; from 0 to 1.1 times the
+    farthest distance if left out.
+    """
     accuracy: Accuracy
     """Required accuracy of the range."""
     waters: Waters
-    """Waters."""
+    """Waters, with ranges of their properties."""
     targets: Targets
-    """Surfaces."""
+    """Target surfaces, with ranges of their properties."""
     scan: ScanGoal
-    """Scan pattern and time."""
+    """Scan pattern and available time."""
     components: Components
-    """Components of the instrument."""
+    """Components to choose from."""
     aim: Annotated[Length, Field(gt=0)] | None = None
     """Distance at which the receiver's axis meets the beam; the harmonic mean of the
     nearest and the farthest distance if left out [m]."""
     detector: Detector = Detector()
-    """The photomultiplier, as in a survey."""
+    """Photomultiplier, as in a survey."""
     lock_in: LockIn = LockIn()
-    """The lock-in amplifier; its time constant is at most a tenth of the dwell."""
+    """Lock-in amplifier; its time constant is limited to a tenth of the dwell time."""
     window: Window | None = None
     """Window, as in a survey."""
     daylight: Daylight | None = None
@@ -453,9 +452,9 @@ class Goal(Description):
     calibration: Calibration | None = None
     """Calibration, as in a survey."""
     assumptions: Assumptions = Assumptions()
-    """Assumed knowledge of the water."""
+    """Assumed uncertainties of the water."""
     effort: Effort = Effort()
-    """Extent of the search."""
+    """Computing effort of the search."""
 
     @model_validator(mode="after")
     def _distances_lie_in_the_interval(self) -> Self:
@@ -483,19 +482,19 @@ class Goal(Description):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Nearest and farthest slant range that are possible [m]."""
+        """Nearest and farthest possible slant range [m]."""
         if self.interval is not None:
             return self.interval.nearest, self.interval.farthest
         return 0.0, 1.1 * self.asked[-1]
 
     @property
     def assumed(self) -> dict[str, Any]:
-        """Values on axes of `evaluate` that the goal assumes; draws replace them."""
+        """Values that the goal assumes for axes of `evaluate`."""
         return {"texture": 0.0, **self.assumptions.model_dump()}
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Read a goal file.
+        """Read a goal from a TOML file.
 
         Parameters
         ----------
@@ -518,7 +517,7 @@ class Goal(Description):
 
     @classmethod
     def from_text(cls, text: str, *, name: str = "goal") -> Self:
-        """Read a goal from the text of its file.
+        """Read a goal from TOML text.
 
         Parameters
         ----------
@@ -543,7 +542,7 @@ class Goal(Description):
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of goal files, for editors that check while typing.
+    """Return the JSON Schema of goal files, for checks in an editor.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Echo and water signal of many instruments in many waters, from one table each."""
+"""Echo and water signal of many instruments in many waters, from shared tables."""
 
 from __future__ import annotations
 
@@ -56,31 +56,31 @@ _FADED, _FARTHEST = 14.0, 150.0
 
 @dataclass(frozen=True, kw_only=True)
 class Looks:
-    """Views of receivers through waters, arrays over (look,)."""
+    """Distinct combinations of receiver view and water, arrays over (look,)."""
 
     absorption: Floats
     """Absorption coefficient [1/m]."""
     scattering: Floats
     """Scattering coefficient [1/m]."""
     baseline: Floats
-    """Distance of receiver and beam at depth zero [m]."""
+    """Distance between receiver and beam at depth zero [m]."""
     tilt: Floats
-    """Inclination of the beam against the receiver's axis [rad]."""
+    """Inclination of the beam to the receiver axis along the baseline [rad]."""
     cross_tilt: Floats
-    """Inclination across the baseline [rad]."""
+    """Inclination of the beam across the baseline [rad]."""
     standoff: Floats
-    """Air and glass before the water, as an equivalent depth of water [m]."""
+    """Air and glass before the water, as equivalent water depth [m]."""
     radius: Floats
-    """1/e half-width of the aperture [m]."""
+    """1/e half-width of the receiver aperture [m]."""
     acceptance: Floats
     """1/e half-width of the field of view in the water [rad]."""
     back: Floats
-    """Length in water of the way back from each depth, shape (look, depth) [m]."""
+    """Path length in water back from each depth, shape (look, depth) [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Received over launched power before polarizers, arrays over (look, ...)."""
+    """Water signal per launched power, without polarizers, arrays over (look, ...)."""
 
     mean: Floats
     """Unmodulated water signal in front of each depth, the whole column last, shape
@@ -98,7 +98,7 @@ def columns(
     depth: Floats,
     frequency: Floats,
 ) -> Columns:
-    r"""Water signals by the small-angle model, in front of all depths at once.
+    r"""Water signals up to each depth, by the small-angle model.
 
     :math:`\ln F(z)` of eq. (29) of Ricci et al. 2010, as rebuilt, is computed at 64
     depths for each look and a cubic spline of :math:`\ln z` goes through them. The
@@ -136,7 +136,7 @@ def columns(
 def _log_overlap(
     survey: Survey, water: WaterProperties, looks: Looks, knots: Floats
 ) -> Floats:
-    """Logarithm of the overlap F at all knots, shape (look, knot)."""
+    """Logarithm of the overlap F at the spline knots, shape (look, knot)."""
     overlap = (
         sharp_receiver.overlap if has_sharp_receiver(survey) else small_angle.overlap
     )
@@ -147,7 +147,7 @@ def _log_overlap(
 def overlaps(
     survey: Survey, water: WaterProperties, looks: Looks, *, depth: Floats
 ) -> Floats:
-    """Overlap F out and back, by the small-angle model."""
+    """Two-way overlap F of beam and receiver, by the small-angle model [sr]."""
     echo = (
         target_echo.sharp_receiver_target_response
         if has_sharp_receiver(survey)
@@ -165,7 +165,7 @@ def overlaps(
 
 
 def _arguments(survey: Survey, water: WaterProperties, looks: Looks) -> dict[str, Any]:
-    """Arguments of the optics functions, arrays of shape (look, 1)."""
+    """Arguments of the small-angle functions, arrays of shape (look, 1)."""
     absorption, scattering = looks.absorption, looks.scattering
     forward = water.forward_scattering * water.second_moment
     arguments: dict[str, Any] = beam_arguments(survey, water)
@@ -190,7 +190,7 @@ def _arguments(survey: Survey, water: WaterProperties, looks: Looks) -> dict[str
 
 
 def _farthest(survey: Survey, looks: Looks, depth: Floats) -> float:
-    """Depth at which the sum over the water column ends [m]."""
+    """Depth at which the integral over the water column ends [m]."""
     least = float(np.min(looks.absorption + 0.1 * looks.scattering))
     faded = _FADED / (2 * least) if least > 0 else _FARTHEST
     reach = max(1.5 * float(depth[-1]), min(faded, _FARTHEST))
@@ -207,7 +207,7 @@ def _nodes(
     *,
     end: float | None,
 ) -> kernel.Nodes:
-    """Quadrature nodes, their spline segments and phase factors."""
+    """Quadrature nodes, with their spline segments and phase factors."""
     widest = _TURN / max(float(rate.max()), 1e-9)
     edges = [0.0, float(math.exp(place[0]))]
     while edges[-1] < farthest * (1 - 1e-9):
@@ -249,7 +249,7 @@ def late_uncertainty(
     places: list[Place],
     distance: Floats,
 ) -> Floats:
-    """Return the standard uncertainty of the correction for late light [m].
+    """Return the standard uncertainty of the late-light correction [m].
 
     As `amulor.imaging.late_light`: a rectangular distribution between the delay of
     the phase function and half of it, and 15 % of the middle for the model. The delay
@@ -325,34 +325,34 @@ _STEP = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Survey, its water, and its value on each axis."""
+    """Survey with its water properties, and its values on the axes."""
 
     survey: Survey
-    """Instrument, water and target."""
+    """Survey: instrument, water and target."""
     water: WaterProperties
     """Optical properties of the water."""
     survey_values: dict[str, float]
-    """Value of the survey by axis, without distance."""
+    """Values of the survey on all axes except distance."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lit:
-    """Light of all looks at all distances, and the look of each candidate."""
+    """Light for all receiver views and distances, and indices of the candidates."""
 
     light: kernel.Light
-    """Light, geometry and frequencies."""
+    """Overlaps, water signals, optical paths and frequencies."""
     places: list[geometry.Place]
-    """Places of the receivers."""
+    """Distinct receiver positions."""
     look: NDArray[np.intp]
-    """Row of the light; can be broadcast with the candidates."""
+    """Row in `light` for each candidate, broadcastable."""
     reach: NDArray[np.intp]
-    """Index of the distance."""
+    """Distance index of each candidate."""
     place: NDArray[np.intp]
-    """Index of the place."""
+    """Receiver-position index of each candidate."""
     late: Floats
-    """Uncertainty of the correction for late light, (look, distance) [m]."""
+    """Uncertainty of the late-light correction, shape (look, distance) [m]."""
     bent: Floats
-    """Mean square angle added by scattering, (look, distance) [rad^2]."""
+    """Mean square scattering angle on the path, shape (look, distance) [rad^2]."""
 
 
 def lit(
@@ -363,7 +363,7 @@ def lit(
     joint: bool,
     late: bool = True,
 ) -> Lit:
-    """Light, which is independent of power, time, channels and method."""
+    """Compute light, which does not depend on power, dwell, channels and method."""
     by_axis = values_on_axes(case, values)
     distance, reach = np.unique(values["distance"], return_inverse=True)
     places, place = _places(case, values, distance)
@@ -385,7 +385,7 @@ def lit(
 
 
 def values_on_axes(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
-    """Values on all axes; constant ones are those of the survey."""
+    """Values on all axes, those of the survey where not varied."""
     by_axis = {
         name: np.asarray(value) for name, value in case.survey_values.items()
     } | values
@@ -397,7 +397,7 @@ def values_on_axes(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
 
 
 def case_of(survey: Survey, water: WaterProperties) -> Case:
-    """Value of a survey on each axis."""
+    """Case of a survey, with its value on each axis."""
     instrument = survey.instrument
     receiver = np.asarray(instrument.receiver.position)
     survey_values = {
@@ -424,7 +424,7 @@ def case_of(survey: Survey, water: WaterProperties) -> Case:
 def _places(
     case: Case, values: dict[str, Floats], distance: Floats
 ) -> tuple[list[geometry.Place], NDArray[np.intp]]:
-    """Distinct receiver places, and the place of each candidate."""
+    """Distinct receiver positions, and the index of each candidate's position."""
     if not {"baseline", "aim"} & set(values):
         place = geometry.place_of(case.survey, distance)
         return [place], np.zeros((), dtype=np.intp)
@@ -450,7 +450,7 @@ def _looks(
     places: list[geometry.Place],
     place: NDArray[np.intp],
 ) -> tuple[Looks, NDArray[np.intp]]:
-    """Distinct looks through waters, and the look of each candidate."""
+    """Distinct views and waters, and the index of each candidate's combination."""
     names = ("absorption", "scattering", "radius", "field_of_view")
     parts = np.broadcast_arrays(*(by_axis[name] for name in names), place)
     distinct, number = np.unique(
@@ -483,7 +483,7 @@ def _light(
     *,
     joint: bool,
 ) -> tuple[kernel.Light, Floats]:
-    """Light for the compiled loops, and the mean square scattering angle of the way."""
+    """Light for the compiled loops, and the mean square scattering angle."""
     before = distance[0] - float(places[0].depth[0])
     depth = distance - before
     if depth[0] <= 0:

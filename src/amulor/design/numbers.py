@@ -1,4 +1,4 @@
-"""Errors of candidates: columns of the compiled loops, and their results."""
+"""Predicted errors of candidates, from the arrays of the compiled loops."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ _LOCK_IN = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Assessed:
-    """Errors of candidates; arrays of one shape."""
+    """Predicted errors of candidates, arrays of one shape."""
 
     result: Floats
-    """Columns of `RESULTS` along the last axis."""
+    """Errors of the compiled loops, columns of `RESULTS` along the last axis."""
     late: Floats
-    """Uncertainty of the correction for late light [m]."""
+    """Uncertainty of the late-light correction [m]."""
     footprint: Floats
-    """Error by uneven light on a slope [m]."""
+    """Error by uneven reflectance within the laser spot on a slope [m]."""
     near: Floats
-    """Nearest possible range [m]."""
+    """Nearest possible slant range [m]."""
     far: Floats
-    """Farthest possible range, infinite without a stated interval [m]."""
+    """Farthest possible slant range, infinite if not stated [m]."""
     repetition: Floats
-    """Range after which all phases repeat [m]."""
+    """Unambiguous range, after which all phases repeat [m]."""
     bent: Floats
-    """Mean square angle added by scattering on the way [rad^2]."""
+    """Mean square scattering angle on the path [rad^2]."""
     volt: float
-    """Output per rate of photoelectrons [V s]."""
+    """Detector output per photoelectron rate [V s]."""
 
 
 def assessed(
@@ -65,7 +65,7 @@ def assessed(
     late: bool = True,
     lighting: Lit | None = None,
 ) -> Assessed:
-    """Errors of candidates, all of them in one compiled loop."""
+    """Compute the errors of all candidates in one compiled loop."""
     pairs = _ordered(method, pairs)
     by_axis = values_on_axes(case, values)
     shape = np.broadcast_shapes(
@@ -128,7 +128,7 @@ def assessed(
 
 
 def _ordered(method: str, pairs: tuple[str, ...]) -> tuple[str, ...]:
-    """Channels in the order that a method expects."""
+    """Channels in the order that a rejection method requires."""
     if method not in PREDICTED:
         raise SurveyError(
             f"method: found {method!r}, but it must be one of {', '.join(PREDICTED)}"
@@ -145,7 +145,7 @@ def _ordered(method: str, pairs: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _repetition(frequencies: Floats, group_index: float) -> Floats:
-    """Range after which the phases of each set repeat [m]."""
+    """Unambiguous range of each frequency set [m]."""
     smallest = np.nanmin(frequencies, axis=0)
     if len(frequencies) > 1:
         apart = np.diff(np.sort(frequencies, axis=0), axis=0)
@@ -154,7 +154,7 @@ def _repetition(frequencies: Floats, group_index: float) -> Floats:
 
 
 def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floats:
-    """Error by uneven reflectance of the lit spot on a slope [m]."""
+    """Error by uneven reflectance within the laser spot on a slope [m]."""
     emitter = case.survey.instrument.emitter
     width = np.hypot(
         emitter.beam_radius or 0.0, (emitter.beam_divergence or 0.0) * distance
@@ -163,7 +163,7 @@ def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floa
 
 
 def _numbers(case: Case, by_axis: dict[str, Floats], lighting: Lit) -> dict[str, Any]:
-    """Columns of `NUMBERS` that follow from a survey and its axes."""
+    """Columns of `NUMBERS` computed from a survey and its axes."""
     survey = case.survey
     instrument, detector = survey.instrument, survey.instrument.detector
     constant = np.minimum(instrument.lock_in.time_constant, _LOCK_IN * by_axis["dwell"])
@@ -198,7 +198,7 @@ def _numbers(case: Case, by_axis: dict[str, Floats], lighting: Lit) -> dict[str,
 
 
 def _sky(case: Case, by_axis: dict[str, Floats]) -> Floats | float:
-    """Photoelectrons by daylight without an analyzer [1/s]."""
+    """Photoelectron rate of daylight without an analyzer [1/s]."""
     survey = case.survey
     if survey.daylight is None:
         if np.any(by_axis["radiance"] > 0):
@@ -225,7 +225,7 @@ def _fractions(
     surface: str,
     flat: Any,
 ) -> Floats:
-    """Fraction that each analyzer passes of target or water light, (point, channel)."""
+    """Fraction of target or water light behind each analyzer, (point, channel)."""
     if surface == "target":
         description: Any = "painted-metal"
         if case.survey.targets:

@@ -1,4 +1,4 @@
-"""Recommendation of an instrument, with its reasons and limits."""
+"""Recommendation of an instrument for a goal, with reasons and limits."""
 
 from __future__ import annotations
 
@@ -55,18 +55,18 @@ _DRAWS = 16
 
 @dataclass(frozen=True, kw_only=True)
 class Shares:
-    """Best division of the time of a pixel between its frequencies."""
+    """Optimum division of a pixel's dwell time between the frequencies."""
 
     share: tuple[float, ...]
-    """Share of each frequency, 1 in sum [1]."""
+    """Fraction of the time for each frequency, sum 1 [1]."""
     error: float
-    """Total error with these shares [m]."""
+    """Total error with these fractions [m]."""
     even: float
-    """Total error with the time evenly divided, as in a survey [m]."""
+    """Total error with equal fractions, as in a survey [m]."""
 
 
 def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
-    """Best division of the time of a pixel between its frequencies.
+    """Optimize the division of a pixel's dwell time between the frequencies.
 
     Every division into twentieths is judged by the error at the worst distance that
     the asked share of 16 draws reaches, among those with a probability of a wrong
@@ -127,7 +127,7 @@ def _error(
     bias: Floats,
     dwell: tuple[int, ...],
 ) -> float:
-    """Error at the worst distance, infinite with wrong intervals [m]."""
+    """Total error at the worst distance; infinite with likely wrong intervals [m]."""
     variances = np.stack([variance[k, number] for k, number in enumerate(dwell)])
     biases = np.stack([bias[k, number] for k, number in enumerate(dwell)])
     weight = 1 / np.maximum(variances, 1e-30)
@@ -161,7 +161,7 @@ _BETWEEN = 41
 
 @dataclass(frozen=True, kw_only=True)
 class Between:
-    """Largest error from the nearest to the farthest required distance.
+    """Largest error at any distance between the nearest and farthest required one.
 
     The phase of the water against that of the target turns with distance, so an
     instrument can be good at each asked distance and not between them.
@@ -173,14 +173,14 @@ class Between:
     """
 
     distance: float
-    """Slant range [m]."""
+    """Slant range of the largest error [m]."""
     error: float
-    """Total error there, not exceeded in the required share of draws [m]."""
+    """Total error there, not exceeded in the required fraction of draws [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """Proposed instrument with its reasons.
+    """Proposed instrument, with requirements and errors.
 
     Examples
     --------
@@ -191,27 +191,27 @@ class Choice:
     parameters: Parameters
     """Parameters of the instrument."""
     survey: str
-    """Survey (TOML) for `amulor simulate`: a plate in median water."""
+    """Survey text (TOML) for `amulor simulate`: a plate in median water."""
     requirements: tuple[Requirement, ...]
-    """Requirements, met or not."""
+    """Requirements of the goal, met or missed."""
     terms: dict[str, float]
-    """Median of each term of the error at the worst distance [m]."""
+    """Median of each error term at the worst distance [m]."""
     binding: str
-    """Largest error term, or the reason that makes the range unusable."""
+    """Largest error term, or the reason for an unusable range."""
     error: float
-    """Total error at the worst required distance, not exceeded in the required share of
-    draws [m].
+    """Total error at the worst required distance, not exceeded in the required fraction
+    of draws [m].
     """
     worst_distance: float
-    """Worst required distance [m]."""
+    """Required distance with the largest error [m]."""
     share: float
-    """Share of the draws in which the accuracy is met at all distances [1]."""
+    """Fraction of draws in which the accuracy is met at all distances [1]."""
     scan_time: float
-    """Time of all pixels [s]."""
+    """Time for scanning all pixels [s]."""
     cost: float
-    """Price [currency]."""
+    """Total price [currency]."""
     shares: Shares | None = None
-    """Best division of the time between the frequencies; None for one frequency."""
+    """Optimum time per frequency; None for a single frequency."""
     between: Between
     """Largest error between the required distances."""
 
@@ -221,7 +221,7 @@ class Choice:
         return all(requirement.met for requirement in self.requirements)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, texts and lists; None for infinite values."""
+        """Return the results as plain numbers, texts and lists, None for infinity."""
         plain: dict[str, Any] = finite(
             {
                 "parameters": self.parameters.to_dict(),
@@ -244,7 +244,7 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """Parameter whose best value is the last one that the goal allows.
+    """Parameter whose optimum lies at a limit set by the goal.
 
     It is no recommendation: what lies beyond was not looked at.
 
@@ -257,11 +257,11 @@ class Bound:
     parameter: str
     """Name of the parameter."""
     value: float
-    """Value at the edge, in SI units."""
+    """Value at the limit, in SI units."""
     side: str
-    """Whether it is the "low" or the "high" one."""
+    """Side of the limit, "low" or "high"."""
     text: str
-    """Sentence that says so."""
+    """Message that states the limit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,24 +277,24 @@ class Recommendation:
     goal: Goal
     """Goal of the design."""
     best: Choice
-    """Best instrument; if the goal is impossible, the nearest one."""
+    """Best instrument; if the goal is impossible, the one closest to it."""
     runner_up: Choice | None
     """Best instrument with another laser, scheme, method or number of frequencies; None
     without a choice.
     """
     bounds: tuple[Bound, ...]
-    """Parameters of the best instrument at an edge of the choice."""
+    """Parameters of the best instrument that lie at a limit of the goal."""
     impossible: tuple[Shortfall, ...]
     """Requirements that must give if no candidate meets all: each line alone suffices,
     unless it says otherwise.
     """
     candidates: xr.Dataset
-    """Best candidates, over `candidate`."""
+    """Table of the best candidates, over `candidate`."""
     looked_at: int
-    """Number of candidates judged."""
+    """Number of candidates evaluated."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, texts and lists, as for JSON."""
+        """Return the results as plain numbers, texts and lists, for JSON."""
         return {
             "goal": self.goal.name,
             "possible": not self.impossible,
@@ -311,7 +311,7 @@ class Recommendation:
 
 
 def finite(value: Any) -> Any:
-    """Replace numbers that are not finite by None, as in JSON."""
+    """Replace infinite numbers and NaN by None, for JSON."""
     if isinstance(value, dict):
         return {name: finite(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -322,7 +322,7 @@ def finite(value: Any) -> Any:
 
 
 def _plain_row(row: xr.Dataset) -> dict[str, Any]:
-    """One row of the table of candidates, its frequencies as a list."""
+    """Table row of a candidate as plain values, frequencies as a list."""
     frequencies = row["modulation_frequency"].values
     plain = {
         str(name): row[name].item() for name in row if name != "modulation_frequency"
@@ -389,7 +389,7 @@ def recommend(
 
 
 def _kind(chosen: Parameters) -> tuple[str, str, str, int]:
-    """Properties that distinguish kinds of instruments."""
+    """Laser, channels, method and frequency count, which distinguish instruments."""
     return (
         chosen.laser,
         chosen.polarization,
@@ -399,7 +399,7 @@ def _kind(chosen: Parameters) -> tuple[str, str, str, int]:
 
 
 def _runner_up(result: SearchResult) -> Candidate | None:
-    """Best candidate of another kind, else of the same kind."""
+    """Best candidate of a different kind, else the second best."""
     best, *following = result.best
     others = [
         candidate
@@ -410,7 +410,7 @@ def _runner_up(result: SearchResult) -> Candidate | None:
 
 
 def _choice(goal: Goal, candidate: Candidate) -> Choice:
-    """Candidate with its reasons."""
+    """Evaluate a candidate: requirements, error terms and best dwell shares."""
     chosen = candidate.parameters
     survey = survey_of(goal, chosen)
     all_errors = _errors(goal, chosen, survey)
@@ -448,7 +448,7 @@ def _choice(goal: Goal, candidate: Candidate) -> Choice:
 
 
 def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
-    """Errors at the required distances and between them, over the draws."""
+    """Errors of an instrument in all draws, at and between the required distances."""
     distance = np.unique(
         [*goal.asked, *np.linspace(goal.asked[0], goal.asked[-1], _BETWEEN)]
     )
@@ -468,7 +468,7 @@ def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
 
 
 def _between(goal: Goal, errors: xr.DataArray) -> Between:
-    """Largest error from the first to the last required distance."""
+    """Largest error over all distances, in the required fraction of draws."""
     # The value not exceeded in the required share of draws, as in the search.
     error = errors.quantile(goal.accuracy.share, "draw", method="inverted_cdf")
     worst = error.isel(distance=int(error.argmax("distance")))
@@ -476,7 +476,7 @@ def _between(goal: Goal, errors: xr.DataArray) -> Between:
 
 
 def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
-    """Parameters at an edge of the choice."""
+    """Parameters of an instrument that lie at a limit of the goal."""
     parts = goal.components
     laser = laser_of(goal, chosen.laser)
     edges: list[tuple[str, float, tuple[float, ...]]] = [
@@ -519,7 +519,7 @@ def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
 
 
 def _table(goal: Goal, result: SearchResult) -> xr.Dataset:
-    """Table of the best candidates."""
+    """Table of the best candidates as a Dataset."""
     listed = result.best[:_LISTED]
     most = max(len(candidate.parameters.frequencies) for candidate in listed)
     frequencies = np.full((len(listed), most), np.nan)

@@ -1,4 +1,4 @@
-"""Requirements of a goal: margin of each, and those that must give."""
+"""Requirements of a goal: safety margins, and the ones to relax if impossible."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """Requirement of a goal, met or not.
+    """Requirement of a goal, met or missed.
 
     Examples
     --------
@@ -42,22 +42,22 @@ class Requirement:
     name: str
     """Name of the requirement, such as "total error at 2 m"."""
     met: bool
-    """Whether it is met."""
+    """Whether the requirement is met."""
     value: float
-    """Value reached, in SI units."""
+    """Achieved value, in SI units."""
     limit: float
-    """The largest value allowed, in the same unit."""
+    """Largest allowed value, in SI units."""
     margin: float
-    """Limit over value; below 1 where it is missed [1]."""
+    """Ratio of limit to value; below 1 if missed [1]."""
     unit: str
     """Unit of value and limit."""
     binding: str
-    """Largest error term there, or empty."""
+    """Largest error term in this requirement, or empty."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shortfall:
-    """Requirement that must give.
+    """Requirement that must be relaxed.
 
     Examples
     --------
@@ -68,17 +68,17 @@ class Shortfall:
     requirement: str
     """Name of the requirement."""
     value: float
-    """Value to which it would have to be relaxed, in SI units."""
+    """Relaxed limit that would be sufficient, in SI units."""
     limit: float
-    """Value in the goal."""
+    """Limit in the goal, in SI units."""
     factor: float
-    """Relaxed value over that in the goal [1]."""
+    """Ratio of relaxed limit to limit in the goal [1]."""
     unit: str
-    """Unit of both values."""
+    """Unit of both limits."""
     alone: bool
     """Whether relaxing this requirement alone suffices."""
     text: str
-    """Sentence that says so."""
+    """Message that states the relaxed limit."""
 
 
 #: Unit and factor in which people read a quantity.
@@ -103,7 +103,7 @@ _SELDOM = 1e-8
 
 
 def written(name: str, value: float) -> str:
-    """Format a number with its unit."""
+    """Format the value of a quantity with its unit."""
     unit, factor = _READ[name]
     if name == "wrong interval" and 0 < value < _SELDOM:
         return f"below {_SELDOM * factor:g} {unit}"
@@ -113,7 +113,7 @@ def written(name: str, value: float) -> str:
 def table(
     goal: Goal, candidate: Candidate, errors: xr.Dataset
 ) -> tuple[Requirement, ...]:
-    """Return requirements with their margins and largest error terms."""
+    """Return the requirements with margins and largest error terms."""
     score, accuracy = candidate.score, goal.accuracy
     rows = []
     for number, distance in enumerate(goal.asked):
@@ -158,7 +158,7 @@ def _row(name: str, value: float, limit: float, unit: str, binding: str) -> Requ
 
 
 def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, ...]:
-    """Return requirements that must give, and by how much."""
+    """Return the requirements that must be relaxed, and by how much."""
     ratios = _ratios(goal, scores)
     names = list(ratios)
     all_ratios = np.stack([ratios[name] for name in names])
@@ -182,7 +182,7 @@ def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, .
 
 
 def _ratios(goal: Goal, scores: Score) -> dict[str, Floats]:
-    """Reached over allowed values, by requirement."""
+    """Ratio of achieved to allowed value, by requirement."""
     ratios = {
         "total error": scores.error.max(axis=1) / goal.accuracy.total_error,
         "wrong interval": scores.wrong.max(axis=1) / goal.accuracy.wrong_interval,
@@ -218,12 +218,12 @@ def _shortfall(goal: Goal, name: str, factor: float, *, alone: bool) -> Shortfal
 
 
 def quantity_text(name: str, value: float) -> str:
-    """Format a value of a requirement."""
+    """Format the value of a requirement with its unit."""
     return written(name.partition(" at ")[0], value)
 
 
 def parameters_text(chosen: Parameters) -> str:
-    """Format the parameters of an instrument as one line."""
+    """Format the parameters of an instrument as one line of text."""
     megahertz = ", ".join(f"{f * 1e-6:.4g}" for f in chosen.frequencies)
     return (
         f"{chosen.laser}, {written('power', chosen.power)}; {megahertz} MHz; baseline "

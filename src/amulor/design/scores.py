@@ -1,4 +1,4 @@
-"""Figures of candidates in all drawn waters and targets."""
+"""Errors, times and costs of candidates, evaluated over the drawn waters."""
 
 from __future__ import annotations
 
@@ -44,20 +44,20 @@ _DIMENSIONS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Grid of candidates: all combinations of some values."""
+    """Parameter grid of candidates, all combinations of the listed values."""
 
     baseline: tuple[float, ...]
-    """[m]."""
+    """Distances between emitter and receiver [m]."""
     radius: tuple[float, ...]
-    """[m]."""
+    """Receiver aperture half-widths [m]."""
     field_of_view: tuple[float, ...]
-    """[rad]."""
+    """Half-widths of the field of view [rad]."""
     power: tuple[float, ...]
-    """[W]."""
+    """Mean launched powers [W]."""
     dwell: tuple[float, ...]
-    """[s]."""
+    """Dwell times [s]."""
     sets: tuple[tuple[float, ...], ...]
-    """Sets of frequencies [Hz]."""
+    """Sets of modulation frequencies [Hz]."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -72,7 +72,7 @@ class Grid:
         )
 
     def parameters(self, number: int, like: Parameters) -> Parameters:
-        """Parameters of one candidate; laser, channels and method are copied."""
+        """Parameters of one candidate; laser, channels and method from another."""
         b, r, f, p, t, s = np.unravel_index(number, self.shape)
         return replace(
             like,
@@ -87,28 +87,28 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Figures of candidates, each not exceeded in the required share of draws."""
+    """Performance of candidates, not exceeded in the required fraction of draws."""
 
     error: Floats
     """Total error, shape (candidate, distance) [m]."""
     wrong: Floats
-    """Probability of a wrong interval, shape (candidate, distance) [1]."""
+    """Probability of a wrong ambiguity interval, shape (candidate, distance) [1]."""
     output: Floats
-    """Mean output over the largest linear one, shape (candidate,) [1]."""
+    """Detector output over its linear limit, shape (candidate,) [1]."""
     validity: Floats
-    """Above 1 where model or first-order errors do not hold, shape (candidate,) [1]."""
+    """Above 1 where the error model does not apply, shape (candidate,) [1]."""
     time: Floats
-    """Time of all pixels, shape (candidate,) [s]."""
+    """Time for scanning all pixels, shape (candidate,) [s]."""
     cost: Floats
-    """Sum of prices, shape (candidate,) [currency]."""
+    """Total price, shape (candidate,) [currency]."""
 
     def part(self, which: NDArray[np.intp]) -> Score:
-        """Return a selection of candidates."""
+        """Return the scores of selected candidates."""
         return Score(**{name: value[which] for name, value in vars(self).items()})
 
     @staticmethod
     def joined(scores: Sequence[Score]) -> Score:
-        """Candidates of several scores in one."""
+        """Concatenate several scores."""
         return Score(
             **{
                 name: np.concatenate([getattr(score, name) for score in scores])
@@ -118,7 +118,7 @@ class Score:
 
 
 def merits(goal: Goal, score: Score, *, with_intervals: bool = True) -> Floats:
-    """Figure of merit by which candidates are ordered: the smaller, the better."""
+    """Figure of merit of candidates, smaller is better."""
     merit = _log(score.error.max(axis=1) / goal.accuracy.total_error)
     missed = [
         score.output,
@@ -144,14 +144,14 @@ def _log(ratio: Floats) -> Floats:
 def draws_at(
     goal: Goal, chosen: Parameters, count: int | None = None
 ) -> dict[str, Floats]:
-    """Drawn waters and targets at the wavelength of an instrument."""
+    """Drawn waters and targets, converted to the wavelength of an instrument."""
     draws = drawn(goal, count)
     scale = water_scale(goal, chosen) if draws else {}
     return {name: values * scale.get(name, 1.0) for name, values in draws.items()}
 
 
 class Judge:
-    """Judge of candidates with one laser."""
+    """Evaluator of candidates with one laser."""
 
     def __init__(
         self,
@@ -185,7 +185,7 @@ class Judge:
         self._distance = _along(np.array(asked_distances), _DIMENSIONS - 2)
 
     def lit(self, grid: Grid, *, joint: bool) -> Lit:
-        """Light of a grid, for several methods and schemes."""
+        """Compute the light of a grid, shared by methods and polarization schemes."""
         all_frequencies = np.unique(
             np.concatenate([np.array(members) for members in grid.sets])
         )
@@ -194,7 +194,7 @@ class Judge:
     def score(
         self, grid: Grid, *, scheme: str, method: str, lighting: Lit | None = None
     ) -> Score:
-        """Figures of all candidates of a grid, in the order of its shape."""
+        """Score all candidates of a grid, in the order of its shape."""
         if lighting is None:
             lighting = self.lit(grid, joint=method == "joint")
         values = self._values(grid)
@@ -246,13 +246,13 @@ class Judge:
         )
 
     def of(self, chosen: Parameters) -> Score:
-        """Figures of one candidate."""
+        """Score one candidate."""
         return self.score(
             grid_of(chosen), scheme=chosen.polarization, method=chosen.method
         )
 
     def _values(self, grid: Grid) -> dict[str, Floats]:
-        """Values of all axes, along their dimensions."""
+        """Values of all axes, along their array dimensions."""
         names = ("baseline", "radius", "field_of_view", "power", "dwell")
         values = {
             name: _along(np.array(getattr(grid, name)), k)
@@ -262,7 +262,7 @@ class Judge:
         return {**values, "aim": aim, "distance": self._distance, **self._draws}
 
     def _figures(self, errors: Assessed) -> tuple[Floats, Floats, Floats, Floats]:
-        """Figures not exceeded in the required share of draws."""
+        """Errors not exceeded in the required fraction of draws."""
         column = {name: errors.result[..., k] for k, name in enumerate(kernel.RESULTS)}
         square = errors.late**2 + errors.footprint**2
         for name in kernel.RANDOM:
@@ -279,7 +279,7 @@ class Judge:
         return np.sqrt(flat[0]), flat[1], flat[2].max(axis=1), flat[3].max(axis=1)
 
     def _prices(self, grid: Grid, scheme: str, method: str) -> tuple[Floats, Floats]:
-        """Scan time and cost of all candidates."""
+        """Scan time and total price of all candidates."""
         like = replace(self.start, polarization=scheme, method=method)
         goal, shape = self.goal, grid.shape
         time = np.zeros(shape)
@@ -302,7 +302,7 @@ class Judge:
 
 
 def grid_of(chosen: Parameters) -> Grid:
-    """Grid of one candidate."""
+    """Grid that contains one candidate."""
     return Grid(
         baseline=(chosen.baseline,),
         radius=(chosen.radius,),
@@ -314,12 +314,12 @@ def grid_of(chosen: Parameters) -> Grid:
 
 
 def _along(values: Floats, dimension: int) -> Floats:
-    """Values along one of the dimensions."""
+    """Values reshaped to lie along one array dimension."""
     return values.reshape([-1 if k == dimension else 1 for k in range(_DIMENSIONS)])
 
 
 def _part(value: NDArray, index: tuple[slice, ...]) -> NDArray:  # type: ignore[type-arg]
-    """Part of an array, complete along dimensions of length 1."""
+    """Part of an array by index; dimensions of length 1 are kept complete."""
     if value.ndim != _DIMENSIONS:
         return value
     return value[

@@ -1,4 +1,4 @@
-"""Search for instruments: grid, exchange of frequencies, refinement, cheaper parts."""
+"""Search for the best instrument: grid, frequency exchange, refinement, lower price."""
 
 from __future__ import annotations
 
@@ -42,26 +42,26 @@ _EXCHANGES = 12
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """One instrument with its figures in all draws at all distances."""
+    """Candidate instrument with its score."""
 
     parameters: Parameters
     """Parameters of the instrument."""
     score: Score
-    """Figures; arrays of one candidate."""
+    """Score with arrays of one candidate."""
     merit: float
-    """Figure of merit."""
+    """Figure of merit, smaller is better."""
 
 
 def allowed(
     sets: tuple[tuple[float, ...], ...], top: float | None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return sets within a laser's modulation range; the lowest set if none is."""
+    """Return sets within a laser's frequency limit; if none is, the lowest set."""
     good = tuple(members for members in sets if top is None or max(members) <= top)
     return good or (min(sets, key=max),)
 
 
 def candidate_of(judge: Judge, chosen: Parameters) -> Candidate:
-    """Candidate judged in all draws at all distances."""
+    """Evaluate a candidate in all draws at all distances."""
     score = judge.of(chosen)
     return Candidate(
         parameters=chosen,
@@ -71,7 +71,7 @@ def candidate_of(judge: Judge, chosen: Parameters) -> Candidate:
 
 
 def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Exchange frequencies of a candidate as long as its merit improves."""
+    """Exchange single frequencies while the figure of merit improves."""
     modulation = goal.components.modulation
     if modulation.sets:
         return start, 0
@@ -111,7 +111,7 @@ def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, in
 def _neighbours(
     now: tuple[float, ...], frequencies: tuple[float, ...], most: int
 ) -> tuple[tuple[float, ...], ...]:
-    """Return a set, and those with one frequency added, dropped or exchanged."""
+    """Return a frequency set, and those with one added, dropped or exchanged."""
     sets = [now]
     for frequency in frequencies:
         if frequency in now:
@@ -129,7 +129,7 @@ def _neighbours(
 def _dwells(
     goal: Goal, like: Parameters, sets: tuple[tuple[float, ...], ...]
 ) -> tuple[float, ...]:
-    """Dwell times to choose from, those that just fit the scan time included."""
+    """Dwell times to choose from, and those that use the full scan time."""
     box = goal.components.dwell
     values = {like.dwell, *box_values(box)}
     if not box.values and box.low is not None and box.high is not None:
@@ -143,7 +143,7 @@ def _dwells(
 
 
 def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Exchange one part at a time for a cheaper one that meets all requirements."""
+    """Exchange parts for cheaper ones while all requirements are met."""
     best, tried = start, 0
     for _ in range(_EXCHANGES):
         candidates: list[Candidate] = []
@@ -175,7 +175,7 @@ def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]
 
 
 def _cheaper_grids(goal: Goal, chosen: Parameters) -> Iterator[Grid]:
-    """Yield cheaper candidates: one part changed, with other frequencies and dwells."""
+    """Yield grids of cheaper candidates, with one part changed."""
     now = cost_of(goal, chosen)
     frequencies = _single_frequencies(goal, chosen)
     fixed = bool(goal.components.modulation.sets)
@@ -215,7 +215,7 @@ def _cheaper_grids(goal: Goal, chosen: Parameters) -> Iterator[Grid]:
 def _around(
     goal: Goal, chosen: Parameters, sets: tuple[tuple[float, ...], ...]
 ) -> Grid:
-    """Grid of one instrument with several sets, dwells and fields of view."""
+    """Grid around one instrument: several sets, dwell times and fields of view."""
     views = {chosen.field_of_view}
     if not goal.components.field_of_view.prices:
         views |= set(box_values(goal.components.field_of_view))
@@ -228,7 +228,7 @@ def _around(
 
 
 def _single_frequencies(goal: Goal, chosen: Parameters) -> tuple[float, ...]:
-    """Single frequencies within a laser's modulation range [Hz]."""
+    """Single frequencies within a laser's frequency limit [Hz]."""
     top = laser_of(goal, chosen.laser).top_frequency
     return tuple(t for (t,) in allowed(tuple((f,) for f in frequency_grid(goal)), top))
 
@@ -248,17 +248,17 @@ class SearchResult:
     """Result of a design search."""
 
     best: tuple[Candidate, ...]
-    """Distinct candidates, the best one first."""
+    """Best distinct candidates, in order of merit."""
     count: int
-    """Number of candidates judged."""
+    """Number of candidates evaluated."""
 
     def all_scores(self) -> Score:
-        """Scores of all candidates at their worst distance."""
+        """Scores of all evaluated candidates, at their worst distance."""
         return Score.joined([_worst(candidate.score) for candidate in self.best])
 
 
 def search(goal: Goal) -> SearchResult:
-    """Search the components of a goal.
+    """Search for the best instruments of a goal.
 
     All combinations on a grid are judged with few draws and single frequencies (or
     the stated sets). From the best of each laser, scheme and method the frequencies
@@ -306,7 +306,7 @@ def search(goal: Goal) -> SearchResult:
 
 
 def _worst(score: Score) -> Score:
-    """Figures at the worst distance."""
+    """Score reduced to the worst distance."""
     return replace(
         score,
         error=score.error.max(axis=1, keepdims=True),
@@ -315,7 +315,7 @@ def _worst(score: Score) -> Score:
 
 
 def _grids(goal: Goal, laser: str) -> Iterator[tuple[Grid, Score, Parameters]]:
-    """Yield the grid of one laser with its figures, for each scheme and method."""
+    """Yield the scored grid of one laser, for each scheme and method."""
     distances = goal.asked
     indices = np.unique(np.linspace(0, len(distances) - 1, _FEW_DISTANCES).astype(int))
     judge = Judge(
@@ -330,7 +330,7 @@ def _grids(goal: Goal, laser: str) -> Iterator[tuple[Grid, Score, Parameters]]:
 
 
 def _grid(goal: Goal, laser: str) -> Grid:
-    """All combinations of one laser, with single frequencies or stated sets."""
+    """Parameter grid of one laser, with single frequencies or given sets."""
     parts = goal.components
     source = laser_of(goal, laser)
     sets = parts.modulation.sets or tuple((f,) for f in frequency_grid(goal))
@@ -345,7 +345,7 @@ def _grid(goal: Goal, laser: str) -> Grid:
 
 
 def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Parameters]:
-    """Best candidates of a grid, with intervals and without, and the cheapest."""
+    """Best candidates of a grid as starts: with and without intervals, cheapest."""
     chosen: list[int] = []
     alone = not goal.components.modulation.sets and goal.components.modulation.most > 1
     for with_intervals in (True, False) if alone else (True,):
@@ -359,7 +359,7 @@ def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Para
 
 
 def _priced(goal: Goal) -> bool:
-    """Whether a goal states any price."""
+    """Whether the goal states any price."""
     parts = goal.components
     prices = [parts.price_per_channel, parts.modulation.price_each]
     prices += [laser.price + laser.price_per_watt for laser in parts.lasers]
@@ -373,7 +373,7 @@ def _unique(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
-    """Candidates, the best first: among those that meet all, the cheapest."""
+    """Candidates sorted, best first; of those that meet all, the cheapest first."""
     priced = _priced(goal)
 
     def key(candidate: Candidate) -> tuple[bool, float, float]:
@@ -388,7 +388,7 @@ def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Refine a candidate within the ranges of a goal; return it and the evaluations."""
+    """Refine a candidate by optimization; return it and the number of evaluations."""
     from scipy.optimize import minimize
 
     names, low, high = _ranges(goal, start.parameters)
@@ -430,7 +430,7 @@ def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int
 
 
 def _ranges(goal: Goal, chosen: Parameters) -> tuple[list[str], Floats, Floats]:
-    """Parameters that can be refined, with their lower and upper limits."""
+    """Parameters that can be refined, with their limits."""
     limits: list[tuple[str, float, float]] = []
     for name in ("baseline", "radius", "field_of_view", "dwell"):
         box: Box = getattr(goal.components, name)
@@ -450,7 +450,7 @@ def _ranges(goal: Goal, chosen: Parameters) -> tuple[list[str], Floats, Floats]:
 
 
 def _value(chosen: Parameters, name: str) -> float:
-    """Value of a parameter."""
+    """Value of a parameter by name."""
     field, _, number = name.partition(".")
     value = getattr(chosen, field)
     return float(value[int(number)]) if number else float(value)
@@ -459,7 +459,7 @@ def _value(chosen: Parameters, name: str) -> float:
 def _with(
     chosen: Parameters, names: list[str], values: tuple[float, ...]
 ) -> Parameters:
-    """Copy of the parameters with other values."""
+    """Copy of the parameters with some values replaced."""
     changes: dict[str, Any] = {}
     frequencies = list(chosen.frequencies)
     for name, value in zip(names, values, strict=True):

@@ -1,4 +1,4 @@
-"""Sensitivity of the error to each uncertain number: total Sobol indices."""
+"""Sensitivity of the predicted error to uncertain numbers, as Sobol indices."""
 
 from __future__ import annotations
 
@@ -53,44 +53,44 @@ _BOOTSTRAPS = 200
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertain:
-    """Uncertain number of a design."""
+    """Uncertain input of a design, with its range."""
 
     axis: str
-    """Its axis of `evaluate`."""
+    """Axis of `evaluate`."""
     label: str
-    """Label for people."""
+    """Readable label."""
     low: float
     """Lower end of the range, in the unit of the axis."""
     high: float
-    """Upper end of the range."""
+    """Upper end of the range, in the unit of the axis."""
     stated: bool
-    """Whether the goal states the range; else it is a factor of two up and down."""
+    """Whether the range is from the goal; else a factor of two up and down."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """Shares of the variance of the logarithm of the error."""
+    """Variance shares of uncertain inputs in the logarithm of the error."""
 
     numbers: tuple[Uncertain, ...]
-    """Uncertain numbers."""
+    """Uncertain inputs."""
     total: Floats
-    """Total Sobol index of each, interactions included, shape (number,) [1]."""
+    """Total Sobol index of each input, interactions included, shape (number,) [1]."""
     total_error: Floats
     """Standard error of the total index, from resampling [1]."""
     first: Floats
-    """First-order Sobol index, without interactions [1]."""
+    """First-order Sobol index of each input, without interactions [1]."""
     first_error: Floats
     """Standard error of the first-order index [1]."""
     spread: float
-    """Standard deviation of the logarithm of the error by all numbers together [1]."""
+    """Standard deviation of the logarithm of the error, all inputs varied [1]."""
 
     @property
     def largest(self) -> Uncertain:
-        """Uncertain number with the largest total index."""
+        """Uncertain input with the largest total index."""
         return self.numbers[int(np.argmax(self.total))]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers and texts, the largest share first."""
+        """Return the results as plain numbers and texts, largest share first."""
         order = np.argsort(-self.total)
         return {
             "spread_of_logarithm": self.spread,
@@ -108,7 +108,7 @@ class Sensitivity:
 
 
 def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
-    """Uncertain numbers of an instrument at work."""
+    """Uncertain inputs of an instrument in operation."""
     numbers = [
         Uncertain(
             axis=name,
@@ -145,7 +145,7 @@ def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
 
 
 def _assumptions(goal: Goal, method: str) -> dict[str, float]:
-    """Assumptions on which a method depends."""
+    """Assumptions of the goal on which a rejection method depends."""
     names = PREDICTED[method].assumptions
     return {name: getattr(goal.assumptions, name) for name in names}
 
@@ -153,7 +153,7 @@ def _assumptions(goal: Goal, method: str) -> dict[str, float]:
 def sensitivity(
     goal: Goal, chosen: Parameters, *, samples: int = 256, seed: int = 7
 ) -> Sensitivity:
-    r"""Estimate Sobol indices of the error of an instrument, with standard errors.
+    r"""Estimate Sobol indices of an instrument's error, with standard errors.
 
     `scipy.stats.sobol_indices` after Saltelli 2010; numbers are independent, ranges of
     the goal as it states their distributions, assumed numbers log-uniform. The
@@ -222,6 +222,6 @@ def sensitivity(
 
 
 def _indices(samples_of: dict[str, Floats], samples: int) -> tuple[Floats, Floats]:
-    """Total and first-order indices of evaluated samples."""
+    """Total and first-order Sobol indices from evaluated samples."""
     result = stats.sobol_indices(func=samples_of, n=samples)
     return np.ravel(result.total_order), np.ravel(result.first_order)

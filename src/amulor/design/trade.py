@@ -1,4 +1,4 @@
-"""Trade-offs of an instrument: Pareto front, and assumptions that change the answer."""
+"""Trade-offs of an instrument: Pareto front, and assumptions that matter."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["Trade", "Turn", "trade", "what_if"]
 
 
 def front(cost: ArrayLike, error: ArrayLike) -> NDArray[np.intp]:
-    """Return the indices of candidates that none beats in both cost and error."""
+    """Return the indices of the Pareto front: no candidate better in cost and error."""
     cost, error = np.asarray(cost, dtype=float), np.asarray(error, dtype=float)
     if cost.ndim != 1 or cost.shape != error.shape:
         raise ValueError(
@@ -47,7 +47,7 @@ def front(cost: ArrayLike, error: ArrayLike) -> NDArray[np.intp]:
 
 
 def knee(cost: ArrayLike, error: ArrayLike) -> int | None:
-    """Return the index where a front bends most: beyond it, more cost buys little."""
+    """Return the index of the knee of a front, beyond which cost buys little."""
     x, y = (np.log(np.asarray(values, dtype=float)) for values in (cost, error))
     if len(x) < 3 or x[-1] <= x[0] or y[0] <= y[-1]:
         return None
@@ -64,21 +64,21 @@ _DWELLS, _BEYOND = 13, 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class Trade:
-    """Errors of one instrument with other dwells and frequencies, over (candidate,)."""
+    """Errors of one instrument for several dwell times and frequency sets."""
 
     error: Floats
     """Total error at the worst asked distance, as the asked share of draws reaches it;
     infinite where intervals go wrong too often or the detector is overloaded [m]."""
     scan_time: Floats
-    """Time of all pixels [s]."""
+    """Time for scanning all pixels [s]."""
     top_frequency: Floats
-    """Highest modulation frequency [Hz]."""
+    """Highest modulation frequency of the set [Hz]."""
     best: int
-    """Index of the recommended candidate."""
+    """Index of the recommended combination."""
 
 
 def trade(goal: Goal, chosen: Parameters, *, draws: int = 24) -> Trade:
-    """Return the errors of an instrument with other dwells and frequencies."""
+    """Evaluate an instrument with other dwell times and frequency sets."""
     box = box_values(goal.components.dwell)
     dwells = np.geomspace(box[0] / _BEYOND, box[-1] * _BEYOND, _DWELLS)
     dwells = np.unique(np.append(dwells, chosen.dwell))
@@ -141,24 +141,24 @@ _HALVINGS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """Assumption, and the value at which the runner-up wins."""
+    """Assumption, with the value at which the runner-up becomes better."""
 
     label: str
-    """Label of the assumption."""
+    """Readable name of the assumption."""
     value: float
-    """Value in the goal, in SI units; the middle of a range."""
+    """Value in the goal, or the middle of its range, in SI units."""
     unit: str
     """SI unit."""
     turns_at: float | None
-    """Nearest value at which the runner-up wins; None within a factor of ten."""
+    """Nearest value at which the runner-up is better; None within a factor of 10."""
     factor: float | None
-    """That value over the one in the goal [1]."""
+    """Ratio of that value to the one in the goal [1]."""
 
 
 def what_if(
     goal: Goal, best: Parameters, other: Parameters, *, draws: int = 16
 ) -> tuple[Turn, ...]:
-    """Return the value of each assumption at which another instrument wins.
+    """Return the value of each assumption at which another instrument becomes better.
 
     Both are judged as the search judges: those that meet all requirements before those
     that do not, then by cost where the goal states prices, then by error. One
@@ -196,7 +196,7 @@ def _crossing(
     scaled: Callable[[float], Goal | None],
     draws: int,
 ) -> float | None:
-    """Factor nearest to 1 at which the other instrument wins, None without one."""
+    """Factor nearest to 1 at which the other instrument is better, None without one."""
 
     def wins(logarithm: float) -> bool | None:
         changed = scaled(math.exp(logarithm))
@@ -223,7 +223,7 @@ def _crossing(
 
 
 def _wins(goal: Goal, best: Parameters, other: Parameters, draws: int) -> bool:
-    """Whether the other instrument is ordered before the best."""
+    """Whether the other instrument is better than the recommended one."""
     return _key(goal, other, draws) < _key(goal, best, draws)
 
 
@@ -240,7 +240,7 @@ def _key(goal: Goal, chosen: Parameters, draws: int) -> tuple[bool, float, float
 def _assumptions(
     goal: Goal, chosen: tuple[Parameters, ...]
 ) -> list[tuple[str, float, str, Callable[[float], Goal | None]]]:
-    """Label, value, unit and scaling function of each assumption."""
+    """Label, value, unit and scaling function of each assumption of a goal."""
     rows: list[tuple[str, float, str, Callable[[float], Goal | None]]] = []
 
     def number(label: str, part: str, name: str, unit: str, most: float) -> None:
