@@ -1,1 +1,1 @@
-"""Published experiments, run again with amulor's public interface."""
+"""Published experiments, repeated with amulor's public functions."""

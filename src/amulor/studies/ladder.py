@@ -1,4 +1,4 @@
-"""The ladder study: scans in clear and milky water, before and after rejection."""
+"""Ladder study: scans in clear and milky water, before and after water rejection."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ _MARGIN = 3e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Range image of one water and one channel, before or after rejection."""
+    """Range image of the ladder in one water and channel, before or after rejection."""
 
     water: str
-    """Water: "clear" or "milk"."""
+    """Name of the water: "clear" or "milk"."""
     channel: str
-    """Polarization pair."""
+    """Polarization channel, such as "VH"."""
     stage: str
-    """Stage: before or after rejection."""
+    """Processing stage: "before" or "after" water rejection."""
     image: xr.Dataset
     """Range image."""
     steps: list[metrics.StepHeight]
@@ -72,23 +72,20 @@ class Case:
     bias: float
     """Mean error of the slant range on the treads [m]."""
     bias_uncertainty: float
-    """Standard uncertainty of that mean: noise, and the part common to all pixels [m].
-    """
+    """Standard uncertainty of the mean error, common errors included [m]."""
     noise: float
-    """Scatter of the slant range among the rows of each column, on the treads [m]."""
+    """Standard deviation of the slant range between rows, on the treads [m]."""
     stated: float
-    """Root mean square of the stated uncertainty on the treads; NaN where the image
-    states none: before rejection [m].
-    """
+    """Root mean square of the stated uncertainty on the treads; NaN before [m]."""
 
     @property
     def name(self) -> str:
-        """Channel and water, the name of the case in figures."""
+        """Name of the case in figures: channel and water."""
         return f"{self.channel} {self.water}"
 
 
 def treads(survey: Survey) -> NDArray[np.intp]:
-    """Return the tread of each pixel, counted 1, 2, ... from the left."""
+    """Return the tread number of each pixel: 1, 2, ... from the left, 0 near edges."""
     stairs = survey.targets[0]
     assert isinstance(stairs, Staircase)
     scan = survey.scan
@@ -135,7 +132,7 @@ def evaluate(
 
 
 def summary(cases: list[Case]) -> list[dict[str, object]]:
-    """Return the numbers of all cases for other programs."""
+    """Return the results of all cases as plain numbers and texts, for JSON."""
     return [
         {
             "water": case.water,
@@ -159,7 +156,7 @@ def summary(cases: list[Case]) -> list[dict[str, object]]:
 
 
 def _known(value: float) -> float | None:
-    """Return a number, None if it is not finite."""
+    """Return a number, or None if it is infinite or NaN."""
     return value if math.isfinite(value) else None
 
 
@@ -253,7 +250,7 @@ def write(
 
 
 def _result(cases: list[Case]) -> str:
-    """Return the result of the study in one sentence."""
+    """Return the conclusion of the study in one sentence."""
     before, after = cases[-2:]
     return (
         f"Result: in {'milky' if after.water == 'milk' else after.water} water the "
@@ -263,7 +260,7 @@ def _result(cases: list[Case]) -> str:
 
 
 def mean_error(case: Case) -> str:
-    """Return the mean error of a case with its standard uncertainty [mm]."""
+    """Format the mean error of a case, with its standard uncertainty [mm]."""
     return f"{case.bias * 1e3:+.2f} ± {case.bias_uncertainty * 1e3:.2f}"
 
 
@@ -327,7 +324,7 @@ _WRITERS = {"laz": "lazrs", "e57": "pye57"}
 
 
 def survey_text(water: str) -> str:
-    """Return the survey file of one of the two waters."""
+    """Return the text of the survey file for clear water or milk."""
     folder = resources.files("amulor.survey") / "examples"
     return (folder / f"ladder_{water}.toml").read_text(encoding="utf-8")
 
@@ -339,7 +336,7 @@ def run(
     overwrite: bool = False,
     progress: Progress = lambda step, done: None,
 ) -> list[Case]:
-    """Scan the ladder in both waters; write cubes, images, clouds, figures and report.
+    """Simulate and process all ladder scans; write cubes, images, clouds and a report.
 
     Point clouds are in PLY, and in LAZ and E57 where there is a package for these.
     """
@@ -398,7 +395,7 @@ def run(
 
 
 def output_names() -> list[str]:
-    """Return the names of all files that `run` writes."""
+    """Return the names of all output files of `run`."""
     names = ["report.html", "steps.json"]
     for water in WATERS:
         stem = f"ladder_{water}"
@@ -410,7 +407,7 @@ def output_names() -> list[str]:
 
 
 def left_out() -> dict[str, str]:
-    """Return the formats of point clouds that cannot be written here."""
+    """Return point-cloud formats that cannot be written, with the missing package."""
     return _extras.left_out(_WRITERS)
 
 

@@ -1,4 +1,4 @@
-"""Numbers of the study with their basis and range, from one TOML file."""
+"""Input numbers of the study, with source and range, from a TOML file."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ Basis = Literal["text", "deduced", "assumed"]
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """Number of the study, with its basis and range."""
+    """Input number of the study, with source and range."""
 
     name: str
     """Name in `parameters.toml`."""
     value: float
     """Value in the unit of `amulor.units.SI_UNITS`."""
     basis: Basis
-    """Basis: "text", "deduced" or "assumed"."""
+    """Kind of source: "text", "deduced" or "assumed"."""
     reason: str
-    """Source of the number, in a sentence."""
+    """Explanation of the source, in a sentence."""
     shown: str
-    """Value in the file, with its unit."""
+    """Value as written in the file, with its unit."""
     quantity: str
-    """Quantity, a key of `amulor.units.SI_UNITS`."""
+    """Physical quantity, a key of `amulor.units.SI_UNITS`."""
     limits: tuple[float, float] | None = None
     """Lowest and highest value that the surviving text of the paper allows, in the same
     unit; None where it is printed.
     """
     shown_limits: tuple[str, str] | None = None
-    """Limits in the file, with their units."""
+    """Limits as written in the file, with their units."""
 
 
 def load() -> dict[str, Parameter]:
-    """Return all numbers of the study."""
+    """Return all input numbers of the study."""
     text = (resources.files("amulor.studies.ricci2010") / "parameters.toml").read_text(
         encoding="utf-8"
     )
@@ -48,14 +48,14 @@ def load() -> dict[str, Parameter]:
 
 
 def parse(text: str) -> dict[str, Parameter]:
-    """Parse the numbers of a TOML text."""
+    """Parse the input numbers from a TOML text."""
     return {name: _entry(name, entry) for name, entry in tomllib.loads(text).items()}
 
 
 def varied(
     parameters: Mapping[str, Parameter], name: str, value: float
 ) -> dict[str, Parameter]:
-    """Return the numbers with one of them changed."""
+    """Return the input numbers with one value changed."""
     return {**parameters, name: replace(parameters[name], value=value)}
 
 

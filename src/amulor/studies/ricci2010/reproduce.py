@@ -1,4 +1,4 @@
-"""Run of the study: figures, checks and their sensitivity, written to files."""
+"""Run of the study: figures, checks and sensitivity, written to files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def run(
     folder: Path | None = None,
     progress: Progress = lambda step, done: None,
 ) -> Results:
-    """Redraw figures of the paper, and check the statements about them."""
+    """Redraw figures of the paper, and check its statements about them."""
     wrong = sorted(set(numbers) - set(FIGURES))
     if wrong:
         raise ValueError(
@@ -61,7 +61,7 @@ def run(
 
 
 def write(folder: Path, results: Results, *, overwrite: bool = False) -> list[str]:
-    """Write figures as PNG and SVG, all numbers as JSON, and a report."""
+    """Write figures (PNG, SVG), all results as JSON, and a report."""
     numbers = [figure.number for figure in results.figures]
     check_outputs(folder, numbers, overwrite=overwrite)
     for figure in results.figures:
@@ -82,14 +82,14 @@ def write(folder: Path, results: Results, *, overwrite: bool = False) -> list[st
 
 
 def check_outputs(folder: Path, numbers: Sequence[int], *, overwrite: bool) -> None:
-    """Refuse a folder into which the study cannot be written, before the work."""
+    """Check that the output folder can be written, before the computation."""
     io.make_folder(folder)
     for name in output_names(numbers):
         io.check_output(folder / name, overwrite=overwrite)
 
 
 def output_names(numbers: Sequence[int]) -> list[str]:
-    """Return the names of all files that `write` writes."""
+    """Return the names of all output files of `write`."""
     pictures = [
         f"{stem_of(number)}.{kind}" for number in numbers for kind in ("png", "svg")
     ]
@@ -97,7 +97,7 @@ def output_names(numbers: Sequence[int]) -> list[str]:
 
 
 def stem_of(number: int) -> str:
-    """Return the stem of a figure's file names."""
+    """Return the file-name stem of a figure."""
     return f"figure_{number:02d}"
 
 

@@ -25,25 +25,25 @@ Role = Literal["test", "set", "own"]
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Statement, and whether it holds."""
+    """Statement of the paper, and whether the reproduction agrees with it."""
 
     statement: str
-    """Statement in a sentence."""
+    """Statement, as a sentence."""
     place: str
-    """Place in the paper; empty for a check that the paper does not state."""
+    """Place of the statement in the paper; empty if not in the paper."""
     found: str
-    """Result with its unit and, where it is random, its standard error."""
+    """Result with unit, and with standard error if random."""
     wanted: str
-    """Required result, with its unit."""
+    """Required result, with unit."""
     passed: bool
-    """Whether the statement holds."""
+    """Whether the result agrees with the statement."""
     role: Role = "test"
-    """Whether the statement is a test, or was used to choose a number."""
+    """Role of the statement: a test, or used to choose an input number."""
     value: float | None = None
     """Result as a number, in the unit of `found`."""
 
     def __post_init__(self) -> None:
-        """Refuse a statement of the paper without its place."""
+        """Raise a ValueError for a statement of the paper without its place."""
         if (self.role == "own") == bool(self.place):
             raise ValueError(
                 f"check {self.statement!r}: a statement of the paper says where it "
@@ -52,7 +52,7 @@ class Check:
             )
 
     def plain(self) -> dict[str, Any]:
-        """Return the check for other programs."""
+        """Return the check as plain values, for JSON."""
         return dict(vars(self))
 
 
@@ -101,7 +101,7 @@ def holds(
     wanted: str,
     role: Role | None = None,
 ) -> Check:
-    """Return the check of a statement without a single number."""
+    """Return the check of a statement without a number."""
     return Check(
         statement=statement,
         found=found,
@@ -113,7 +113,7 @@ def holds(
 
 
 def _role(place: str) -> Role:
-    """Return the role of a statement that was not used to choose a number."""
+    """Return the role of a statement that was not used to choose an input number."""
     return "test" if place else "own"
 
 
@@ -126,10 +126,10 @@ class Statements:
     caption: str
     """Caption."""
     checks: Mapping[str, Mapping[str, Any]]
-    """Statement, place, limits, unit and role of each check, by name."""
+    """Statement, place, limits, unit and role of each check, by check name."""
 
     def row(self, name: str, **words: Any) -> dict[str, Any]:
-        """Return the row of a check, with words put into its texts."""
+        """Return the texts of a check, with words filled in."""
         return {
             key: value.format(**words) if isinstance(value, str) else value
             for key, value in self.checks[name].items()
@@ -155,7 +155,7 @@ class Statements:
     def holds(
         self, name: str, truth: bool, found: str, *, wanted: str = "", **words: Any
     ) -> Check:
-        """Return the check of a statement without a single number."""
+        """Return the check of a statement without a number."""
         row = {"place": "", "wanted": wanted, **self.row(name, **words)}
         return holds(truth=truth, found=found, **row)
 
@@ -173,29 +173,29 @@ class PaperFigure:
     """Figure of the paper: its statements, checks and drawing."""
 
     number: int
-    """Number in the paper."""
+    """Figure number in the paper."""
     checks: Callable[[Study], list[Check]]
-    """Function that compares the study with the statements."""
+    """Function that compares the reproduction with the statements."""
     draw: Callable[[Study], Figure]
     """Function that draws the figure."""
 
     @property
     def title(self) -> str:
-        """Short title."""
+        """Short title of the figure."""
         return statements(self.number).title
 
     @property
     def caption(self) -> str:
-        """Caption."""
+        """Figure caption."""
         return statements(self.number).caption
 
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """Result of a check with one number at an end of its range."""
+    """Result of a check with one input number at an end of its range."""
 
     parameter: str
-    """Name of the number."""
+    """Name of the input number."""
     shown: str
     """Value at that end, with its unit."""
     found: str
@@ -208,23 +208,23 @@ class Change:
 
 @dataclass(frozen=True)
 class Dependence:
-    """Check, and its results at the ends of all ranges that its figure reads."""
+    """Check, with its results at both ends of each input number's range."""
 
     figure: int
     """Figure of the paper."""
     check: Check
-    """Check with the numbers as they are."""
+    """Check with the input numbers at their nominal values."""
     changes: tuple[Change, ...]
-    """Results at both ends of each number that the figure reads."""
+    """Results at both ends of each input number that the figure uses."""
 
     @property
     def flips(self) -> tuple[Change, ...]:
-        """Changes that turn pass into fail, or fail into pass."""
+        """Changes after which a passed check fails, or a failed one passes."""
         return tuple(c for c in self.changes if c.passed != self.check.passed)
 
     @property
     def strongest(self) -> Change | None:
-        """Change that moves the result the most; None for a result without a number."""
+        """Change with the largest effect; None without a numeric result."""
         start = self.check.value
         moved = [c for c in self.changes if c.value is not None]
         if start is None or not moved:
@@ -232,7 +232,7 @@ class Dependence:
         return max(moved, key=lambda change: abs((change.value or 0.0) - start))
 
     def plain(self) -> dict[str, Any]:
-        """Return the dependence for other programs."""
+        """Return the dependence as plain values, for JSON."""
         return {
             "figure": self.figure,
             "statement": self.check.statement,
@@ -245,10 +245,10 @@ class Dependence:
 
 @dataclass(frozen=True, kw_only=True)
 class Redrawn:
-    """Figure of the paper, redrawn with its checks."""
+    """Figure of the paper as redrawn, with its checks."""
 
     number: int
-    """Number of the figure in the paper."""
+    """Figure number in the paper."""
     title: str
     """Short title."""
     caption: str
@@ -261,17 +261,17 @@ class Redrawn:
 
 @dataclass(frozen=True)
 class Results:
-    """Results of the study, or of the requested part of it."""
+    """Results of the whole study, or of selected figures."""
 
     figures: tuple[Redrawn, ...]
     """Figures in the order of the paper."""
     dependence: tuple[Dependence, ...] | None
-    """Dependence of each conclusion on the numbers; None if it was not examined."""
+    """Dependence of each check on the input numbers; None if not computed."""
     parameters: dict[str, Parameter]
-    """All numbers of the study."""
+    """All input numbers of the study."""
 
     def plain(self) -> dict[str, Any]:
-        """Return everything but the pictures for other programs."""
+        """Return all results except the pictures as plain values, for JSON."""
         return {
             "figures": [
                 {
@@ -297,18 +297,18 @@ PARAMETER_HEADER = ("number", "value", "basis", "range", "why")
 
 
 def verdict(check: Check) -> str:
-    """Return the outcome of a check in a word or two."""
+    """Return the outcome of a check in one or two words."""
     text = "pass" if check.passed else "FAIL"
     return text if check.role == "test" else f"{text} ({check.role})"
 
 
 def check_rows(checks: Iterable[Check]) -> Rows:
-    """Return one table row for each check, under `CHECK_HEADER`."""
+    """Return table rows of checks, with columns as in `CHECK_HEADER`."""
     return [[c.statement, c.place, c.found, c.wanted, verdict(c)] for c in checks]
 
 
 def dependence_rows(dependence: Iterable[Dependence]) -> Rows:
-    """Return a table row for each conclusion that flips, under `DEPENDENCE_HEADER`."""
+    """Return table rows of checks that change outcome, as in `DEPENDENCE_HEADER`."""
     return [
         [
             str(entry.figure),
@@ -322,7 +322,7 @@ def dependence_rows(dependence: Iterable[Dependence]) -> Rows:
 
 
 def parameter_rows(parameters: Mapping[str, Parameter]) -> Rows:
-    """Return one table row for each number, under `PARAMETER_HEADER`."""
+    """Return table rows of input numbers, with columns as in `PARAMETER_HEADER`."""
     return [
         [
             entry.name,
@@ -336,7 +336,7 @@ def parameter_rows(parameters: Mapping[str, Parameter]) -> Rows:
 
 
 def tally(checks: Iterable[Check]) -> str:
-    """Summarize the number of statements that hold, in a sentence."""
+    """Summarize in a sentence how many statements are confirmed."""
     listed = list(checks)
 
     def count(role: Role) -> tuple[int, int]:
@@ -373,7 +373,7 @@ FOREWORD = (
 
 
 def write_page(path: Path, results: Results, *, overwrite: bool) -> None:
-    """Write figures, checks, dependences and numbers as one HTML file."""
+    """Write figures, checks, dependences and input numbers as one HTML file."""
     checks = [check for figure in results.figures for check in figure.checks]
     parts: list[Part] = [Paragraph(FOREWORD), Paragraph(tally(checks))]
     for figure in results.figures:

@@ -1,4 +1,4 @@
-"""Sensitivity of each conclusion: every number at both ends of its range, in turn."""
+"""Sensitivity of each check to the input numbers, at both ends of their ranges."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def sensitivity(
     folder: Path | None = None,
     progress: Callable[[str, float], None] = lambda step, done: None,
 ) -> tuple[Dependence, ...]:
-    """Vary every number that is not printed in the paper to both ends of its range.
+    """Vary each assumed or deduced input number to both ends of its range.
 
     One number at a time; numbers that a figure does not read are left alone. The
     noise is the same in all, so that a flip is the number's doing.
@@ -93,7 +93,7 @@ def sensitivity(
 
 @dataclass(frozen=True)
 class _End:
-    """End of the range of one number."""
+    """One end of the range of an input number."""
 
     name: str
     value: float
@@ -107,7 +107,7 @@ _Outcome = tuple[float | None, str, bool]
 def _worked(
     study: Study, figures: Mapping[int, Checks], tasks: list[_Task], workers: int
 ) -> Iterator[tuple[_Task, list[_Outcome]]]:
-    """Yield tasks with their outcomes; those of one end of one number stay together."""
+    """Yield tasks with their outcomes, computed on several processor cores."""
     together = _together(tasks)
     if workers == 1:
         for group in together:
@@ -138,7 +138,7 @@ def _worked(
 
 
 def _together(tasks: list[_Task]) -> list[list[_Task]]:
-    """Return the tasks of each end of each number."""
+    """Return the tasks grouped by input number and end."""
     return [list(group) for _, group in groupby(tasks, key=lambda task: task[0])]
 
 
@@ -149,7 +149,7 @@ def _spread_out(
     scheduler: str,
     folder: Path,
 ) -> Iterator[tuple[_Task, list[_Outcome]]]:
-    """Yield tasks with their outcomes, from files that workers of a cluster write."""
+    """Yield tasks with their outcomes, from files written by cluster workers."""
     require("scale", purpose="a cluster")
     from amulor.scale.tasks import cluster_client, in_order
 
@@ -171,7 +171,7 @@ def _spread_out(
 
 @dataclass(frozen=True, kw_only=True)
 class _Ends:
-    """Outcomes of checks at each end of each number, as files."""
+    """Files with the outcomes of checks at each end of each input number's range."""
 
     parameters: tuple[Parameter, ...]
     quick: bool
@@ -181,7 +181,7 @@ class _Ends:
     file: str = "end.json"
 
     def made_of(self, number: int) -> dict[str, Any]:
-        """Return everything that determines the outcomes at an end."""
+        """Return all inputs that determine the outcomes at an end, as text."""
         return {
             "parameters": {entry.name: entry.value for entry in self.parameters},
             "quick": self.quick,
@@ -193,7 +193,7 @@ class _Ends:
         }
 
     def write(self, number: int, path: Path) -> None:
-        """Write the outcomes at an end."""
+        """Write the outcomes at one end of a range to a file."""
         group = self.together[number]
         outcomes = _elsewhere(
             self.parameters, self.quick, self.seed, self.figures, group
@@ -215,7 +215,7 @@ def _name(function: Any) -> str:
 
 
 def _begin() -> None:
-    """Prepare a worker process: it ends with its parent, which alone handles Ctrl-C.
+    """Prepare a worker process: end with the parent, ignore Ctrl-C.
 
     A run of photons would take an interrupt for the wish to go on with the photons it
     has.
@@ -227,7 +227,7 @@ def _begin() -> None:
 
 
 def _end_with(parent: BaseProcess) -> None:
-    """Wait for the end of a process, and exit."""
+    """Wait until a process ends, then exit."""
     parent.join()
     os._exit(1)
 
@@ -239,14 +239,14 @@ def _elsewhere(
     figures: Mapping[int, Checks],
     tasks: list[_Task],
 ) -> list[list[_Outcome]]:
-    """Return the outcomes of tasks in a process of its own."""
+    """Return the outcomes of tasks, computed in a worker process."""
     study = _study_here(parameters, quick, seed)
     return [_outcome(study, figures, task) for task in tasks]
 
 
 @cache
 def _study_here(parameters: tuple[Parameter, ...], quick: bool, seed: int) -> Study:
-    """Return the study that the tasks of a process share, with its results."""
+    """Return the study shared by the tasks of a process, cached."""
     return Study({entry.name: entry for entry in parameters}, quick=quick, rng=seed)
 
 
@@ -259,7 +259,7 @@ def _outcome(
 
 
 def _outcomes(checks: Checks, study: Study, count: int) -> list[_Outcome]:
-    """Return value, text and outcome of each check; all fail on an error."""
+    """Return value, text and outcome of each check; all failed after an error."""
     try:
         result = checks(study)
     except (AmulorError, ValueError) as problem:

@@ -1,4 +1,4 @@
-"""Run of the study: its numbers, its pace, and results that figures share."""
+"""Study object: input numbers, speed, and cached results shared by the figures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Result = TypeVar("Result")
 
 
 class Study:
-    """Numbers of the study, with a cache of results computed from them.
+    """Input numbers of the study, with a cache of results computed from them.
 
     `study["name"]` gives a number and notes that it was read. `study.once(function)`
     gives `function(study)`, computed again only if a number has changed that the
@@ -36,23 +36,23 @@ class Study:
         self._known: dict[Any, list[tuple[dict[str, float], Any]]] = {}
 
     def __getitem__(self, name: str) -> float:
-        """Return a number in the unit of `amulor.units.SI_UNITS`."""
+        """Return an input number in the unit of `amulor.units.SI_UNITS`."""
         for names in self._read:
             names.add(name)
         return self.parameters[name].value
 
     def with_parameters(self, parameters: Mapping[str, Parameter]) -> Study:
-        """Return a study with other numbers that shares the cache."""
+        """Return a study with other input numbers that shares the cache."""
         changed = Study(parameters, quick=self.quick, rng=self.seed)
         changed._known = self._known
         return changed
 
     def rng(self, label: str) -> np.random.Generator:
-        """Return the generator of one series of synthetic noise."""
+        """Return the random number generator for one series of synthetic noise."""
         return np.random.default_rng([self.seed, zlib.crc32(label.encode())])
 
     def once(self, function: Callable[[Study], Result]) -> Result:
-        """Return the result of a function of the study, computed once."""
+        """Return the cached result of a function of the study."""
         for numbers, result in self._known.setdefault(function, []):
             if all(self.parameters[n].value == v for n, v in numbers.items()):
                 for names in self._read:
@@ -64,7 +64,7 @@ class Study:
         return outcome
 
     def read_by(self, function: Callable[[Study], Result]) -> tuple[set[str], Result]:
-        """Return the names of the numbers that a function reads, and its result."""
+        """Return the input numbers that a function uses, and its result."""
         names: set[str] = set()
         self._read.append(names)
         try:

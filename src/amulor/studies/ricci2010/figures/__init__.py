@@ -1,4 +1,4 @@
-"""The figures of Ricci et al. 2010 by their numbers."""
+"""Figures of Ricci et al. 2010, by number."""
 
 from amulor.studies.ricci2010.figures import (
     depths,

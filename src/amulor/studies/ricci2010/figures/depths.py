@@ -1,4 +1,4 @@
-"""Figure 1 of Ricci et al. 2010: depths from which the water signal comes."""
+"""Figure 1 of Ricci et al. 2010: contribution of each depth to the water signal."""
 
 from __future__ import annotations
 
@@ -29,44 +29,44 @@ _DEPTHS = 2501
 
 @dataclass(frozen=True)
 class Profile:
-    """Integrand of the water signal at one turbidity."""
+    """Contribution of each depth to the water signal at one turbidity."""
 
     depth: Floats
-    """Depths, to the end of the tank [m]."""
+    """Depths, up to the end of the tank [m]."""
     diffusion: Floats
-    """Overlap F(z) of the diffusion form [sr]."""
+    """Overlap F(z) by the diffusion model [sr]."""
     small_angle: Floats
-    """Overlap F(z) of the small-angle form [sr]."""
+    """Overlap F(z) by the small-angle model [sr]."""
 
     @property
     def peak(self) -> float:
-        """Depth of the largest value of the diffusion form [m]."""
+        """Depth of the maximum overlap, diffusion model [m]."""
         return float(self.depth[np.argmax(self.diffusion)])
 
     @property
     def maxima(self) -> int:
-        """Number of maxima of the diffusion form."""
+        """Number of maxima of the overlap, diffusion model."""
         slope = np.sign(np.diff(self.diffusion))
         return int(np.count_nonzero(np.diff(slope[slope != 0]) < 0))
 
     def fraction(self, integrand: Floats) -> Floats:
-        """Return the fraction of an integrand up to each depth."""
+        """Return the cumulative fraction of an overlap up to each depth."""
         area: Floats = cumulative_trapezoid(integrand, self.depth, initial=0.0)
         fraction: Floats = area / area[-1]
         return fraction
 
     def reach(self, integrand: Floats) -> float:
-        """Return the depth that contains nine tenths of an integrand."""
+        """Return the depth up to which an overlap reaches 90 % of its integral [m]."""
         return float(np.interp(0.9, self.fraction(integrand), self.depth))
 
 
 def profile(study: Study, turbidity: Turbidity) -> Profile:
-    """Return the integrand of the water signal at a turbidity."""
+    """Return the depth profile of the water signal at a turbidity."""
     return study.once(_PROFILE[turbidity])
 
 
 def checks(study: Study) -> list[Check]:
-    """Compare the integrand with the text of the paper."""
+    """Compare the depth profiles with the text of the paper."""
     rows = statements(1)
     profiles = {t: profile(study, t) for t in TURBIDITIES}
     both = list(profiles.values())
@@ -86,7 +86,7 @@ def checks(study: Study) -> list[Check]:
 
 
 def draw(study: Study) -> Figure:
-    """Draw integrand and cumulative share."""
+    """Draw the depth profiles and their cumulative fractions."""
     with style():
         figure = new_figure(WIDE, 2.7)
         overlap, share = figure.subplots(1, 2)

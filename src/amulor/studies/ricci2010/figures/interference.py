@@ -1,4 +1,4 @@
-"""Figures 7 to 9 of Ricci et al. 2010: interference of echo and water signal."""
+"""Figures 7 to 9 of Ricci et al. 2010: interference of target and water signal."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _APART = {2: (33.5 - 2.0, 43.4 + 2.0), 3: (25.0 - 2.0, 25.0 + 2.0)}
 
 
 def amplitude_checks(study: Study) -> list[Check]:
-    """Compare the sweeps with the text of the paper."""
+    """Compare the amplitudes over frequency with the text of the paper."""
     rows = statements(7)
     sweeps = study.once(shared.sweeps)
     first, second, third = sweeps
@@ -69,7 +69,7 @@ def amplitude_checks(study: Study) -> list[Check]:
 
 @styled
 def draw_amplitude(study: Study) -> Figure:
-    """Draw the amplitude of all experiments, raw and corrected."""
+    """Draw the amplitude of all experiments, before and after water subtraction."""
     figure = new_figure(WIDE, 2.7)
     axes = figure.subplots(1, 3)
     small_angle = study.once(shared.small_angle_sweeps)
@@ -141,7 +141,7 @@ def _plot_both(
 
 
 def _finish(figure: Figure, axes: Any, label: str, *, columns: int) -> None:
-    """Set limits, labels and legend of the three experiments."""
+    """Set axis limits, labels and legend for the three experiments."""
     for axis in axes:
         axis.set_xlim(0, 150)
         axis.set_xlabel("modulation frequency [MHz]")
@@ -154,7 +154,7 @@ def _finish(figure: Figure, axes: Any, label: str, *, columns: int) -> None:
 
 
 def _separations(sweep: Sweep) -> Floats:
-    """Return the distances of successive maxima, and minima, of the amplitude [MHz]."""
+    """Return the spacing of successive maxima and minima of the amplitude [MHz]."""
     amplitude = smoothed(np.abs(sweep.signal))
     return extrema.find(sweep.frequency, amplitude).separations / 1e6
 
@@ -169,7 +169,7 @@ def _spread(apart: Floats) -> str:
 
 
 def _in_better_water(study: Study) -> list[Check]:
-    """Check experiments 2 and 3 with the water signal of form (29)."""
+    """Check experiments 2 and 3 with the water signal of eq. (29)."""
     rows = statements(7)
     checks = []
     for sweep in study.once(shared.small_angle_sweeps)[1:]:
@@ -227,7 +227,7 @@ def _white_in_milk(study: Study) -> list[Check]:
 
 
 def _backscatter_needed(study: Study) -> Check:
-    """Check that both forms need the same phase function."""
+    """Check that both models need equal phase functions at 180 degrees."""
     forms = [
         [sweep.needed_backscatter for sweep in study.once(sweeps)]
         for sweeps in (shared.sweeps, shared.small_angle_sweeps)
@@ -245,7 +245,7 @@ def _backscatter_needed(study: Study) -> Check:
 
 
 def ratio_checks(study: Study) -> list[Check]:
-    """Compare signal over water signal with the text of the paper."""
+    """Compare the signal-to-water-signal ratio with the text of the paper."""
     rows = statements(8)
     sweeps = study.once(shared.sweeps)
     name = "signal-to-optical-noise ratio"
@@ -293,7 +293,7 @@ def contrast_checks(study: Study) -> list[Check]:
 
 
 def same_extrema(sweep: Sweep, value: Floats, name: str) -> Check:
-    """Check that the extrema of a quantity and of the amplitude coincide."""
+    """Check that extrema of a quantity coincide with those of the amplitude."""
     limit = max(1.0, sweep.period / 1e7)
     of_value, of_amplitude = (
         extrema.find(sweep.frequency, smoothed(curve))
@@ -322,7 +322,7 @@ def same_extrema(sweep: Sweep, value: Floats, name: str) -> Check:
 
 
 def almost_monotonic(sweep: Sweep, value: Floats, name: str) -> Check:
-    """Check that a quantity rises almost monotonically."""
+    """Check that a quantity increases almost monotonically with frequency."""
     count = turns(sweep, value, depth=0.1 * float(np.ptp(smoothed(value))))
     return statements(8).holds(
         "monotonic", count == 0, str(count), number=sweep.number, quantity=name
@@ -330,7 +330,7 @@ def almost_monotonic(sweep: Sweep, value: Floats, name: str) -> Check:
 
 
 def turns(sweep: Sweep, value: Floats, *, depth: float) -> int:
-    """Count the maxima that exceed both neighboring minima by a depth."""
+    """Count the maxima that exceed both neighboring minima by a given amount."""
     even = smoothed(value)
     result = extrema.find(sweep.frequency, even)
     level = np.interp(result.maxima, sweep.frequency, even)
@@ -344,7 +344,7 @@ def turns(sweep: Sweep, value: Floats, *, depth: float) -> int:
 
 
 def grows(sweep: Sweep, value: Floats, name: str) -> Check:
-    """Check that a quantity grows with frequency, period by period."""
+    """Check that the mean of a quantity rises from one period to the next."""
     span = sweep.frequency[-1] - sweep.frequency[0]
     count = max(2, int(span / sweep.period))
     edges = sweep.frequency[-1] - sweep.period * np.arange(count, -1, -1.0)
@@ -362,7 +362,7 @@ def grows(sweep: Sweep, value: Floats, name: str) -> Check:
 
 
 def draw_ratio(study: Study) -> Figure:
-    """Draw signal over water signal."""
+    """Draw the ratio of signal to water signal."""
     return _draw_both(
         study,
         lambda sweep: sweep.ratio,
@@ -375,7 +375,7 @@ def draw_ratio(study: Study) -> Figure:
 
 
 def draw_contrast(study: Study) -> Figure:
-    """Draw the contrast of signal and water signal."""
+    """Draw the contrast between signal and water signal."""
     return _draw_both(
         study,
         lambda sweep: sweep.contrast,
@@ -398,7 +398,7 @@ def _draw_both(
     level: float,
     scale: str,
 ) -> Figure:
-    """Draw a quantity of all experiments, before and after correction."""
+    """Draw a quantity of all experiments, before and after water subtraction."""
     figure = new_figure(WIDE, 2.5)
     axes = figure.subplots(1, 3, sharey=True)
     for axis, sweep in zip(axes, study.once(shared.sweeps), strict=True):

@@ -1,4 +1,4 @@
-"""Figures 10 to 12 of Ricci et al. 2010: lines over a flat plate behind polarizers."""
+"""Figures 10 to 12 of Ricci et al. 2010: phase along a plate behind polarizers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _COLOUR = {"VV": COLOURS[0], "VH": COLOURS[1], "RL": COLOURS[2], "RR": COLOURS[3
 
 
 def linear_checks(study: Study) -> list[Check]:
-    """Compare the lines of linear polarization with the text of the paper."""
+    """Compare the phase lines of linear polarization with the text of the paper."""
     rows = statements(10)
 
     def drift(name: str) -> Check:
@@ -67,7 +67,7 @@ def linear_checks(study: Study) -> list[Check]:
 
 
 def _overlap(study: Study) -> Check:
-    """Check that the share of water is least at pixel 1 and largest at pixel 80."""
+    """Check that the water's share of light is least at pixel 1, largest at 80."""
     ratios = [lines.water_over_plate(study, step, "VV") for step in ("b", "c", "d")]
     ends = [(int(np.argmin(r)) + 1, int(np.argmax(r)) + 1) for r in ratios]
     return statements(10).holds(
@@ -82,14 +82,14 @@ def _overlap(study: Study) -> Check:
 
 
 def needed_crossed_share(study: Study) -> float:
-    """Return the crossed share of the water's light that both drifts of (d) need."""
+    """Return the cross-polarized share of water light by both drifts of (d)."""
     m22 = study["m22_target"]
     ratio = _CROSSED / _PARALLEL * (1 - m22) / (1 + m22)
     return ratio / (1 + ratio)
 
 
 def circular_checks(study: Study) -> list[Check]:
-    """Compare the lines of circular polarization with the text of the paper."""
+    """Compare the phase lines of circular polarization with the text of the paper."""
     rows = statements(11)
     apart, error = lines.difference(study, "tap", ("RL", "RR"))
     turbid = lines.line(study, "d", "RR")
@@ -104,7 +104,7 @@ def circular_checks(study: Study) -> list[Check]:
 
 
 def crossed_checks(study: Study) -> list[Check]:
-    """Compare the drifts of VH and RR with the text of the paper."""
+    """Compare the phase drifts of VH and RR with the text of the paper."""
     margin, error = lines.difference(study, "d", ("VH", "RR"))
     crossed, circular = (
         abs(lines.line(study, "d", pair).drift) for pair in ("VH", "RR")
@@ -126,7 +126,7 @@ def crossed_checks(study: Study) -> list[Check]:
 
 
 def echo_ratio(study: Study) -> float:
-    """Return the echo of the plate behind RR over that behind VH.
+    """Return the ratio of the plate's echo behind RR to that behind VH.
 
     In light exactly back from particles without order reciprocity makes
     m44 = 1 - 2 m22, so that the ratio of the water is 2 there, at any order of
@@ -137,18 +137,18 @@ def echo_ratio(study: Study) -> float:
 
 
 def draw_linear(study: Study) -> Figure:
-    """Draw the lines of linear polarization in all waters."""
+    """Draw the phase lines of linear polarization in all waters."""
     return _draw_waters(study, ("VV", "VH"))
 
 
 def draw_circular(study: Study) -> Figure:
-    """Draw the lines of circular polarization in all waters."""
+    """Draw the phase lines of circular polarization in all waters."""
     return _draw_waters(study, ("RL", "RR"))
 
 
 @styled
 def _draw_waters(study: Study, pairs: tuple[str, str]) -> Figure:
-    """Draw two lines in each of the four waters."""
+    """Draw the phase lines of two polarizer pairs in each of the four waters."""
     figure = new_figure(WIDE, 4.6)
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     for axis, step in zip(axes.flat, TURBIDITIES, strict=True):
@@ -165,7 +165,7 @@ def _draw_waters(study: Study, pairs: tuple[str, str]) -> Figure:
 
 @styled
 def draw_crossed(study: Study) -> Figure:
-    """Draw the lines of VH and RR, and their drifts in other set-ups."""
+    """Draw the phase lines of VH and RR, and their drifts in other set-ups."""
     figure = new_figure(WIDE, 3.6)
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
     _draw_lines(study, left, "d", ("VH", "RR"), subtracted=False)
@@ -180,7 +180,7 @@ def draw_crossed(study: Study) -> Figure:
 def _draw_lines(
     study: Study, axis: Axes, step: str, pairs: tuple[str, str], *, subtracted: bool
 ) -> None:
-    """Draw two lines of one water."""
+    """Draw the phase lines of two polarizer pairs in one water."""
     pixel = np.arange(1, PIXELS + 1)
     for pair, filled in zip(pairs, (True, False), strict=True):
         result = lines.line(study, step, pair)
@@ -215,7 +215,7 @@ def _draw_lines(
 
 
 def _water_name(study: Study, step: str) -> str:
-    """Return the title of a panel by its water."""
+    """Return the panel title for a water."""
     attenuation = study[TURBIDITIES[step]]
     thickness = attenuation * study["short_distance"]
     name = "tap water" if step == "tap" else "with milk"
@@ -223,7 +223,7 @@ def _water_name(study: Study, step: str) -> str:
 
 
 def _draw_trade_off(study: Study, axis: Axes) -> None:
-    """Draw the drifts of VH and RR by set-up, and the drifts stated in the text."""
+    """Draw the phase drifts of VH and RR by set-up, with the paper's values."""
     low, high = _CROSSED_LIMITS
     axis.fill_between(
         [low, high],

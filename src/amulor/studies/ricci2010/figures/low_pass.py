@@ -1,4 +1,4 @@
-"""Figures 3 and 4 of Ricci et al. 2010: water signal against modulation frequency."""
+"""Figures 3 and 4 of Ricci et al. 2010: water signal over modulation frequency."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ FREE, OF_POWER = "a free fit of (71)", "a fit of (71) to power"
 
 
 def lower_checks(study: Study) -> list[Check]:
-    """Compare the sweep of lower turbidity with the text of the paper."""
+    """Compare the frequency sweep at lower turbidity with the text of the paper."""
     return sweep_checks(sweep(study, "low"))
 
 
 def higher_checks(study: Study) -> list[Check]:
-    """Compare the sweep of higher turbidity with the text of the paper."""
+    """Compare the frequency sweep at higher turbidity with the text of the paper."""
     rows = statements(4)
     low, high = sweep(study, "low"), sweep(study, "high")
     ratios = []
@@ -63,17 +63,17 @@ def higher_checks(study: Study) -> list[Check]:
 
 
 def draw_lower(study: Study) -> Figure:
-    """Draw curves and cut-offs of lower turbidity."""
+    """Draw amplitudes and cut-off frequencies at lower turbidity."""
     return _draw(sweep(study, "low"))
 
 
 def draw_higher(study: Study) -> Figure:
-    """Draw curves and cut-offs of higher turbidity."""
+    """Draw amplitudes and cut-off frequencies at higher turbidity."""
     return _draw(sweep(study, "high"))
 
 
 def sweep_checks(data: Sweep) -> list[Check]:
-    """Compare a sweep with the text of the paper on figures 3 and 4."""
+    """Compare a frequency sweep with the text of the paper on figures 3 and 4."""
     rows = statements(3)
     simple, realistic, photons = data.simple, data.realistic, data.monte_carlo
     closed = (simple, realistic, data.small_angle)
@@ -95,7 +95,7 @@ def sweep_checks(data: Sweep) -> list[Check]:
 
 
 def _fits(data: Sweep, name: str) -> list[Check]:
-    """Check one kind of fit of (71): to measurements, then to the curves."""
+    """Check one kind of low-pass fit, eq. (71), on synthetic data and on curves."""
     rows = statements(3)
     squares, first_order = (
         _fit_of(measured, name) for measured in (data.squares, data.first_order)
@@ -142,19 +142,19 @@ def _fits(data: Sweep, name: str) -> list[Check]:
 
 
 def _fit_of(squares: Squares, name: str) -> low_pass.LowPassFit:
-    """Return one kind of fit to a synthetic measurement."""
+    """Return the low-pass fit of one kind to a synthetic measurement."""
     return squares.fit if name == FREE else squares.of_power
 
 
 def _of_curve(curve: Curve, name: str) -> tuple[float, float]:
-    """Return fitted over half-power cut-off of a curve, and its standard error."""
+    """Return the ratio of fitted to half-power cut-off, with standard error."""
     if name == FREE:
         return curve.fitted / curve.cut_off, curve.ratio_error
     return curve.of_power / curve.cut_off, curve.of_power_ratio_error
 
 
 def _draw(data: Sweep) -> Figure:
-    """Draw figure 3 or 4."""
+    """Draw figure 3 or 4 with amplitudes and cut-offs."""
     with style():
         figure = new_figure(WIDE, 3.3)
         curve_axis, cut_off_axis = figure.subplots(1, 2, width_ratios=(1.25, 1))
@@ -169,7 +169,7 @@ def _draw(data: Sweep) -> Figure:
 
 
 def _accordance(name: str, first: Curve, second: Curve) -> Check:
-    """Check that two half-power frequencies agree."""
+    """Check that two half-power frequencies agree within their errors."""
     ratio = first.cut_off / second.cut_off
     error = ratio * np.hypot(
         first.cut_off_error / first.cut_off, second.cut_off_error / second.cut_off
@@ -186,7 +186,7 @@ def _ratio(
     error: float = 0.0,
     **words: str,
 ) -> Check:
-    """Check that the ratio of two frequencies is 1, and list both."""
+    """Check that the ratio of two frequencies is 1, and list both frequencies."""
     return statements(3).within(
         name,
         first / second,
@@ -213,7 +213,7 @@ _MARKS = {"half": ("o", True), "free": ("o", False), "power": ("D", False)}
 
 
 def _draw_curves(axis: Axes, data: Sweep) -> None:
-    """Draw amplitudes against frequency."""
+    """Draw amplitudes over modulation frequency."""
     frequency = data.frequency / 1e6
     axis.axhline(np.sqrt(0.5), color="#999999", lw=0.6, zorder=0)
     for curve, (colour, dashes, size) in zip(data.curves, _LOOKS, strict=True):
@@ -248,7 +248,7 @@ def _draw_curves(axis: Axes, data: Sweep) -> None:
 
 
 def _draw_cut_offs(axis: Axes, data: Sweep) -> None:
-    """Draw half-power and fitted cut-offs, a row for each series."""
+    """Draw half-power and fitted cut-off frequencies, one row per series."""
     names = ["simple,\ndiffusion", "realistic,\ndiffusion"]
     names += ["realistic,\nsmall-angle", "realistic,\nMonte Carlo"]
     names += ["synthetic\n(diffusion)", "synthetic\n(71)"]
@@ -287,7 +287,7 @@ def _draw_cut_offs(axis: Axes, data: Sweep) -> None:
 def _mark(
     axis: Axes, row: int, corner: float, error: float, colour: str, *, look: str
 ) -> None:
-    """Draw a cut-off with its value; that of the fit to power below its mark."""
+    """Draw a marker and a number for a cut-off frequency; below for a fit to power."""
     marker, filled = _MARKS[look]
     axis.errorbar(
         corner / 1e6,

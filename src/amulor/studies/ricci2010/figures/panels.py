@@ -1,4 +1,4 @@
-"""Shared panels of the figures: lettered panels, lines, ratios and surfaces."""
+"""Shared drawing functions: lettered panels, lines, ratios and range surfaces."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ WIDE, NARROW = 7.2, 3.6
 
 
 def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
-    """Decorate a drawing function with the figure style of amulor."""
+    """Decorate a drawing function with amulor's figure style."""
 
     @wraps(draw)
     def drawn(*arguments: Arguments.args, **options: Arguments.kwargs) -> Figure:
@@ -40,13 +40,13 @@ def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
 
 
 def letter(axes: Iterable[Axes], titles: Iterable[str]) -> None:
-    """Name panels (a), (b), ... as in the paper, with a short title each."""
+    """Title the panels (a), (b), ... as in the paper."""
     for number, (axis, title) in enumerate(zip(axes, titles, strict=True)):
         axis.set_title(f"({chr(ord('a') + number)}) {title}")
 
 
 def mark_synthetic(figure: Figure) -> None:
-    """Note at the foot of a figure that its measurements are simulated."""
+    """Write at the foot of a figure that its measurements are simulated."""
     figure.supxlabel(
         "Measured series are synthetic: simulated, with the noise that the study says.",
         fontsize=6,
@@ -73,18 +73,18 @@ _STRIP = 4.0
 
 @dataclass(frozen=True)
 class Relief:
-    """A range image as a surface over the plane of the target."""
+    """Range image as a surface over the plane of the target."""
 
     right: Floats
     """Positions to the right, shape (row, column) [mm]."""
     up: Floats
     """Positions upwards [mm]."""
     near: Floats
-    """Heights towards the instrument, NaN without a range [mm]."""
+    """Heights toward the instrument, NaN without a range [mm]."""
 
 
 def relief(image: xr.Dataset, *, origin: float) -> Relief:
-    """Return the points of a range image as a surface."""
+    """Return a range image as a surface over the plane of the target."""
     cloud = point_cloud(image)
     place = (cloud["row"].values, cloud["column"].values)
     right = origin * np.tan(image["azimuth"].values)
@@ -96,12 +96,12 @@ def relief(image: xr.Dataset, *, origin: float) -> Relief:
 
 
 def masked(surface: Relief, keep: NDArray[np.bool_]) -> Relief:
-    """Return a surface of selected pixels."""
+    """Return a surface with only the selected pixels."""
     return replace(surface, near=np.where(keep, surface.near, np.nan))
 
 
 def median(surface: Relief, *, size: int = 5) -> tuple[Relief, float]:
-    """Medians of a surface over small squares, and the scatter of pixels about them."""
+    """Median of a surface in small squares, and the scatter of pixels about it."""
     half = size // 2
     padded = np.pad(surface.near, half, constant_values=np.nan)
     windows = sliding_window_view(padded, (size, size))
@@ -134,7 +134,7 @@ def draw_surfaces(
     shades: tuple[float, float],
     zoom: float,
 ) -> Figure:
-    """Draw surfaces with their titles, each from an elevation and azimuth."""
+    """Draw several surfaces with titles, each from a given viewing direction."""
     figure = new_figure(WIDE, height)
     engine: Any = figure.get_layout_engine()
     # Room for the labels of panels in space.
@@ -170,7 +170,7 @@ def draw_surface(
     spacing: float = 20.0,
     zoom: float = 1.0,
 ) -> Any:
-    """Draw a surface with one scale along all three axes."""
+    """Draw a surface in perspective, with equal scales of all axes."""
     axis: Any = figure.add_subplot(where, projection="3d", computed_zorder=False)
     corners = np.stack([surface.right, surface.up, surface.near], axis=-1)
     quads, strips = _in_strips(_quads(corners))
@@ -213,13 +213,13 @@ def draw_surface(
 
 
 def _quads(grid: Floats) -> Floats:
-    """Return the four corners of each mesh of a grid, shape (mesh, 4, ...)."""
+    """Return the corners of each grid cell, shape (cell, 4, ...)."""
     around = (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1])
     return np.stack(around, axis=2).reshape(-1, 4, grid.shape[-1])
 
 
 def _in_strips(quads: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return meshes, high ones cut into strips, and the mesh of each strip.
+    """Return grid cells, high ones cut into strips, with the cell of each strip.
 
     A drawing in space puts nearer meshes over farther ones by their middles, which
     fails for one as high as a step.
@@ -237,7 +237,7 @@ def _in_strips(quads: Floats) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def _brightness(corners: Floats) -> Floats:
-    """Return the brightness of each corner: a diffuse surface under lamp and sky."""
+    """Return the brightness of each corner: matte surface, lamp and sky light."""
     filled = _bridged(corners[..., 2])
     column = corners[..., 0].mean(axis=0)
     row = corners[..., 1].mean(axis=1)
@@ -251,7 +251,7 @@ def _brightness(corners: Floats) -> Floats:
 
 
 def _bridged(heights: Floats) -> Floats:
-    """Return heights with gaps in a row interpolated, which cast no shade."""
+    """Return heights with gaps in each row interpolated, for shading."""
     filled = np.zeros_like(heights)
     column = np.arange(heights.shape[1])
     for row, profile in enumerate(heights):

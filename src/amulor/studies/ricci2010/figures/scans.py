@@ -1,4 +1,4 @@
-"""Figures 5, 6, 13, 14 and 15 of Ricci et al. 2010: scans of a ladder and of a disc."""
+"""Figures 5, 6, 13, 14 and 15 of Ricci et al. 2010: scans of ladder and disc."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ _ERRORS: tuple[tuple[float, float, Role], ...] = (
 
 
 def clear_checks(study: Study) -> list[Check]:
-    """Compare the ladder in clear water with the text of the paper."""
+    """Compare the ladder scan in clear water with the text of the paper."""
     rows = statements(5)
     scan = study.once(unpolarized_clear)
     megahertz = study["frequency"] / 1e6
@@ -86,7 +86,7 @@ def clear_checks(study: Study) -> list[Check]:
 
 @styled
 def draw_clear(study: Study) -> Figure:
-    """Draw the ladder in clear water from three sides."""
+    """Draw the ladder scan in clear water from three sides."""
     scan = study.once(unpolarized_clear)
     surface, scatter = median(
         relief(scan.stated["none"], origin=study["short_distance"])
@@ -107,7 +107,7 @@ def draw_clear(study: Study) -> Figure:
 
 
 def turbid_checks(study: Study) -> list[Check]:
-    """Compare the ladder in turbid water with the text of the paper."""
+    """Compare the ladder scans in turbid water with the text of the paper."""
     rows = statements(6)
     scan, clear = study.once(unpolarized_turbid), study.once(unpolarized_clear)
     raw, subtracted, clear_raw, clear_subtracted = (
@@ -137,7 +137,7 @@ def turbid_checks(study: Study) -> list[Check]:
 
 
 def draw_turbid(study: Study) -> Figure:
-    """Draw the ladder in turbid water, before and after subtraction."""
+    """Draw the ladder scan in turbid water, before and after water subtraction."""
     scan = study.once(unpolarized_turbid)
     panels = [
         ("frequency alone", scan, scan.raw["none"]),
@@ -153,7 +153,7 @@ def _draw_ladders(
     rows: int,
     limits: tuple[float, float],
 ) -> Figure:
-    """Draw range images of the ladder as surfaces, each from its farthest tread."""
+    """Draw range images of the ladder as surfaces, heights from the farthest tread."""
     views = []
     for title, scan, image in panels:
         surface, scatter = median(relief(image, origin=scan.farthest(image)))
@@ -166,7 +166,7 @@ def _draw_ladders(
 
 
 def profile_checks(study: Study) -> list[Check]:
-    """Compare the profiles of the ladder with the text of the paper."""
+    """Compare the ladder profiles with the text of the paper."""
     rows = statements(13)
     result: list[Check] = []
     noises: list[float] = []
@@ -209,7 +209,7 @@ def profile_checks(study: Study) -> list[Check]:
 
 
 def _in_milk(study: Study) -> list[Check]:
-    """Check the steps in milk, behind polarizers alone."""
+    """Check the step heights in milk, with polarizers as the only rejection."""
     rows = statements(13)
     scan = study.once(polarized_milk)
     crossed, parallel = (scan.off(scan.raw[name]) * 1e3 for name in ("VH", "VV"))
@@ -228,7 +228,7 @@ def _in_milk(study: Study) -> list[Check]:
 
 
 def _phases(study: Study, steps: Steps, words: dict[str, str]) -> list[Check]:
-    """Check the phases of the steps, 5 % either way."""
+    """Check the phase steps of the ladder, with a tolerance of 5 %."""
     rows = statements(13)
     # Neighbouring steps share a tread, which makes their mean better than this.
     error = math.sqrt(float(np.sum(steps.uncertainties[1:] ** 2))) / 3
@@ -250,7 +250,7 @@ def _phases(study: Study, steps: Steps, words: dict[str, str]) -> list[Check]:
 
 @styled
 def draw_profiles(study: Study) -> Figure:
-    """Draw all lines of the ladder over each other."""
+    """Draw the height profiles of all scan lines over each other."""
     figure = new_figure(WIDE, 4.3)
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     for axis, (_, scan_of, channel) in zip(axes.flat, PANELS, strict=True):
@@ -311,7 +311,7 @@ def draw_profiles(study: Study) -> Figure:
 
 
 def _ladder(study: Study) -> tuple[list[float], list[float]]:
-    """Return the edges of the treads and their heights [mm]."""
+    """Return the true edges of the treads and their heights [mm]."""
     steps = [study["first_step"], *[study["other_steps"]] * 3]
     heights = np.concatenate([[0.0], np.cumsum(steps)]) * 1e3
     width = study["tread_width"] * 1e3
@@ -320,7 +320,7 @@ def _ladder(study: Study) -> tuple[list[float], list[float]]:
 
 
 def surface_checks(study: Study) -> list[Check]:
-    """Compare the surfaces of the ladder with the text of the paper."""
+    """Compare the ladder surfaces with the text of the paper."""
     rows = statements(14)
     milk = study.once(polarized_milk)
     crossed, parallel = (
@@ -350,7 +350,7 @@ def surface_checks(study: Study) -> list[Check]:
 
 
 def draw_surfaces_of_ladder(study: Study) -> Figure:
-    """Draw the scans of figure 13 as surfaces."""
+    """Draw the ladder scans of figure 13 as surfaces."""
     panels = [
         (title, study.once(scan_of), study.once(scan_of).raw[channel])
         for title, scan_of, channel in PANELS
@@ -359,7 +359,7 @@ def draw_surfaces_of_ladder(study: Study) -> Figure:
 
 
 def disc_checks(study: Study) -> list[Check]:
-    """Compare the disc with the text of the paper."""
+    """Compare the disc scan with the text of the paper."""
     rows = statements(15)
     scan = study.once(bent_disc)
     stages = (
@@ -399,7 +399,7 @@ def disc_checks(study: Study) -> list[Check]:
 def _outline_checks(
     study: Study, scan: DiscScan, measured: Outlines, words: dict[str, str]
 ) -> list[Check]:
-    """Check three diameters, one pixel either way, and the number of holes."""
+    """Check three diameters, with a tolerance of one pixel, and the number of holes."""
     rows = statements(15)
     small = measured.small_holes[:4]
     mean = None
@@ -428,7 +428,7 @@ def _outline_checks(
 
 
 def draw_disc(study: Study) -> Figure:
-    """Draw the disc from the front and along it, crossed and parallel."""
+    """Draw the disc from the front and from the side, cross- and co-polarized."""
     scan = study.once(bent_disc)
     bend, half = study["disc_bend"], study["disc_diameter"] / 2
     # The middle stands before the rim.

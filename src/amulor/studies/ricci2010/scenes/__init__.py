@@ -1,1 +1,1 @@
-"""Scenes of Ricci et al. 2010: waters, targets, and their simulated measurements."""
+"""Simulated scenes of Ricci et al. 2010: waters, targets and measurements."""

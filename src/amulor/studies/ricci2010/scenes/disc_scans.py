@@ -1,4 +1,4 @@
-"""Scan of the bent disc in Maalox water, and its outlines in the brightness."""
+"""Scan of a bent disc in Maalox water, and its outlines in the intensity image."""
 
 from __future__ import annotations
 
@@ -38,51 +38,51 @@ _SECTORS = 8
 
 @dataclass(frozen=True)
 class Outline:
-    """Outline with the diameter of its area."""
+    """Outline in the intensity image, with its equivalent diameter."""
 
     diameter: float
-    """Diameter of the circle of the same area [m]."""
+    """Diameter of a circle with the same area [m]."""
     uncertainty: float
-    """Standard uncertainty, from the pixels that the outline cuts [m]."""
+    """Standard uncertainty, from pixels cut by the outline [m]."""
 
 
 @dataclass(frozen=True)
 class Outlines:
-    """Outlines of the disc in a picture."""
+    """Outlines of the disc in an intensity image."""
 
     rim: Outline | None
-    """Outer rim; None without bright pixels."""
+    """Outer rim of the disc; None without bright pixels."""
     central_hole: Outline | None
-    """Largest hole."""
+    """Outline of the largest hole."""
     small_holes: tuple[Outline, ...]
-    """Other holes, largest first."""
+    """Outlines of the other holes, largest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DiscScan:
-    """Scan of the disc, with and without its water signal."""
+    """Scan of the disc, before and after water subtraction."""
 
     survey: Survey
     """Simulated survey."""
     pitch: float
-    """Distance of neighboring pixels on the disc [m]."""
+    """Spacing of neighboring pixels on the disc [m]."""
     truth: Floats
     """True slant range, NaN beside the disc, shape (row, column) [m]."""
     inside: Mask
-    """Pixels on the disc, off all edges."""
+    """Mask of pixels on the disc, edges excluded."""
     outside: Mask
-    """Pixels beside the disc and in its holes, off all edges."""
+    """Mask of pixels beside the disc and in its holes, edges excluded."""
     raw: dict[str, xr.Dataset]
-    """Range image with its water signal, by channel."""
+    """Range image before water subtraction, by channel."""
     subtracted: dict[str, xr.Dataset]
-    """Range image after subtraction of open water, by channel."""
+    """Range image after water subtraction, by channel."""
 
     def contrast(self, image: xr.Dataset) -> metrics.Contrast:
-        """Return the contrast of the disc with its surround."""
+        """Return the intensity contrast between the disc and its surroundings."""
         return metrics.contrast(image, self.inside, self.outside)
 
     def error(self, image: xr.Dataset) -> tuple[float, float]:
-        """Return root mean square and scatter of the range error on the disc [m]."""
+        """Return RMS and standard deviation of the range error on the disc [m]."""
         error = (image["slant_range"].values - self.truth)[self.inside]
         error = error[np.isfinite(error)]
         if error.size < 2:
@@ -90,13 +90,13 @@ class DiscScan:
         return float(np.sqrt(np.mean(error**2))), float(error.std(ddof=1))
 
     def moved(self, image: xr.Dataset) -> float:
-        """Return the distance by which the disc appears too near [m]."""
+        """Return the median range error of the disc, positive if too near [m]."""
         error = (self.truth - image["slant_range"].values)[self.inside]
         return float(np.nanmedian(error))
 
 
 def bent_disc(study: Study) -> DiscScan:
-    """Scan the bent disc with holes, crossed and parallel."""
+    """Simulate the scan of the bent disc with holes, cross- and co-polarized."""
     distance = study["short_distance"]
     # As fine as the scan of the ladder.
     ladder = 2 * distance * math.tan(study["scan_width"] / 2)
@@ -147,14 +147,14 @@ curvature_radius = "{write(study["disc_bend"], "length")}"
 
 
 def bright(image: xr.Dataset) -> Mask:
-    """Return the pixels brighter than halfway between bright and dark ones."""
+    """Return a mask of the pixels above the mid-level of bright and dark ones."""
     intensity = image["intensity"].values
     over: Mask = intensity > _halfway(intensity)
     return over
 
 
 def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
-    """Measure the outlines of the disc in the brightness of a picture."""
+    """Measure the outlines of the disc in an intensity image."""
     lit = bright(image)
     patches, count = ndimage.label(lit)
     if count == 0:
@@ -176,14 +176,14 @@ def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
 
 
 def _circle(area: float, step: float) -> Outline:
-    """Return the circle of an area counted on a lattice of this step."""
+    """Return the circle with the area of a pixel count."""
     diameter = math.sqrt(4 * area / math.pi)
     count = math.sqrt(_SECTORS * _LATTICE * math.pi * diameter / step)
     return Outline(diameter, 2 * count * step**2 / (math.pi * diameter))
 
 
 def _halfway(values: Floats) -> float:
-    """Return the level halfway between the means of bright and dark pixels."""
+    """Return the mid-level between the means of bright and dark pixels."""
     level = float(values.mean())
     for _ in range(_ROUNDS):
         dark, light = values[values <= level], values[values > level]
@@ -198,7 +198,7 @@ _ROUNDS = 30
 
 
 def _pixel_areas(image: xr.Dataset, disc: Mask, *, distance: float) -> Floats:
-    """Return the area of each pixel on the plane across the middle beam.
+    """Return the area of each pixel in the plane perpendicular to the middle beam.
 
     A smooth surface through the ranges of the disc, of the second degree in the
     direction, gives its holes a distance, too.

@@ -1,4 +1,4 @@
-"""The three frequency sweeps of section 8: a white plate in the long tank."""
+"""Three frequency sweeps of section 8 of the paper: a white plate in the long tank."""
 
 from __future__ import annotations
 
@@ -90,81 +90,77 @@ repeats = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """Synthetic measurement of one experiment, and the result of each method."""
+    """Synthetic frequency sweep of one experiment, with the result of each method."""
 
     number: int
     """Number of the experiment."""
     distance: float
-    """Distance of the target [m]."""
+    """Target distance [m]."""
     frequency: Floats
     """Modulation frequencies [Hz]."""
     signal: Complex
-    """Measured with the target [V]."""
+    """Measured signal with the target [V]."""
     water: Complex
-    """Measured with the target [V]."""
+    """Measured open-water signal, without the target [V]."""
     subtracted: Complex
     """Target signal by open-water subtraction [V]."""
     joint_frequency: Floats
-    """Frequencies used by joint estimation [Hz]."""
+    """Modulation frequencies used by joint estimation [Hz]."""
     joint: Complex
-    """Target signal by joint estimation, without open-water shots [V]."""
+    """Target signal by joint estimation, without open-water measurements [V]."""
     joint_range: tuple[float, float, float]
-    """Slant range by joint estimation, its uncertainty and the truth [m]."""
+    """Slant range by joint estimation, its uncertainty, and the true range [m]."""
     joint_flags: int
-    """Flags of the joint estimate."""
+    """Quality flags of the joint estimate."""
     truth: Complex
-    """Target signal without noise and water [V]."""
+    """True target signal, without noise and water [V]."""
     reflectance: float
-    """Reflectance that gives the stated ratio of water signal and echo [1]."""
+    """Plate reflectance that gives the paper's ratio of water signal to echo [1]."""
     needed_backscatter: float
-    """Phase function at 180 degrees that gives the ratio with a white plate of 0.8
-    [1/sr].
-    """
+    """Phase function at 180 degrees, needed for a plate of reflectance 0.8 [1/sr]."""
     period: float
-    """Period of the interference for a water signal from the middle of its group depths
-    [Hz].
-    """
+    """Expected period of the interference in frequency [Hz]."""
 
     @property
     def ratio(self) -> Floats:
-        """Signal over water signal, eq. (54)."""
+        """Ratio of signal to water signal, eq. (54)."""
         return interference.signal_to_optical_noise_ratio(self.signal, self.water)
 
     @property
     def corrected_ratio(self) -> Floats:
-        """Target signal over water signal, eq. (58)."""
+        """Ratio of subtracted target signal to water signal, eq. (58)."""
         return interference.signal_to_optical_noise_ratio(self.subtracted, self.water)
 
     @property
     def contrast(self) -> Floats:
-        """Contrast of signal and water signal, eq. (54)."""
+        """Contrast between signal and water signal, eq. (54)."""
         return interference.contrast(self.signal, self.water)
 
     @property
     def corrected_contrast(self) -> Floats:
-        """Contrast of target signal and water signal, eq. (58)."""
+        """Contrast between subtracted target signal and water signal, eq. (58)."""
         return interference.contrast(self.subtracted, self.water)
 
 
 def shown(sweep: Sweep) -> slice:
-    """Return the samples of a sweep to draw, with space between markers."""
+    """Return the slice of samples to draw, with space between the markers."""
     return slice(None, None, max(1, len(sweep.frequency) // 65))
 
 
 def smoothed(value: Floats) -> Floats:
-    """Return a sweep without its noise, for finding extrema."""
+    """Return a quantity over frequency smoothed against noise, for its extrema."""
     count = round(_SMOOTHED * (len(value) - 1) / (LAST - FIRST))
     fitted: Floats = savgol_filter(value, count + 1 - count % 2, 2)
     return fitted
 
 
 def sweeps(study: Study) -> tuple[Sweep, ...]:
-    """Simulate all three experiments."""
+    """Simulate the frequency sweeps of all three experiments."""
     return tuple(study.once(_DIFFUSION[number]) for number in EXPERIMENTS)
 
 
 def small_angle_sweeps(study: Study) -> tuple[Sweep, ...]:
-    """Simulate the experiments with light spread by the small-angle form (29)."""
+    """Simulate the frequency sweeps by the small-angle model, eq. (29)."""
     return tuple(study.once(_SMALL_ANGLE[number]) for number in EXPERIMENTS)
 
 

@@ -1,4 +1,4 @@
-"""Scans of the ladder through the whole chain, for figures 5, 6, 13 and 14."""
+"""Simulated and processed scans of the ladder, for figures 5, 6, 13 and 14."""
 
 from __future__ import annotations
 
@@ -35,57 +35,57 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Steps:
-    """Comparison of a range image with the ladder."""
+    """Step heights and range errors of a range image of the ladder."""
 
     heights: Floats
-    """Heights of the steps; NaN where too few pixels have a range [m]."""
+    """Measured step heights; NaN with too few valid pixels [m]."""
     uncertainties: Floats
-    """Standard uncertainties; of noise alone before subtraction [m]."""
+    """Standard uncertainties of the heights; noise only before subtraction [m]."""
     noise: float
-    """Scatter of the slant range among the lines, on the treads [m]."""
+    """Standard deviation of the slant range between scan lines, on the treads [m]."""
     error: float
-    """Root mean square of slant range less truth, on the treads [m]."""
+    """Root mean square range error on the treads [m]."""
     pixels: int
-    """Pixels on the treads that have a range [1]."""
+    """Number of pixels with a range on the treads [1]."""
     wanted: int
-    """Number of pixels on the treads [1]."""
+    """Number of all pixels on the treads [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LadderScan:
-    """Scan of the ladder, with and without its water signal."""
+    """Scan of the ladder, before and after water subtraction."""
 
     survey: Survey
     """Simulated survey."""
     truth: Floats
     """True slant range, shape (row, column) [m]."""
     treads: NDArray[np.intp]
-    """Tread of each pixel, counted from 1; 0 near edges."""
+    """Tread number of each pixel, from 1; 0 near edges."""
     water_ratio: dict[str, float]
-    """Mean of the water signal over that of the ladder, by channel [1]."""
+    """Mean ratio of water signal to ladder echo, by channel [1]."""
     raw: dict[str, xr.Dataset]
-    """Range image with its water signal, by channel."""
+    """Range image before water subtraction, by channel."""
     subtracted: dict[str, xr.Dataset]
-    """Range image after subtraction of open water, by channel."""
+    """Range image after water subtraction, by channel."""
     stated: dict[str, xr.Dataset]
     """Range image by frequency alone, by channel: the shift by water is a stated bias,
     and pixels with too much water have no range. Without polarizers only.
     """
 
     def farthest(self, image: xr.Dataset) -> float:
-        """Return the forward coordinate of the farthest tread in an image [m]."""
+        """Return the measured forward coordinate of the farthest tread [m]."""
         cloud = imaging.point_cloud(image)
         tread = self.treads[cloud["row"].values, cloud["column"].values]
         return float(cloud["z"].values[tread == 1].mean())
 
     def off(self, image: xr.Dataset) -> Floats:
-        """Return the errors of the steps in an image [m]."""
+        """Return the errors of the step heights in a range image [m]."""
         true = np.diff(np.concatenate([[0.0], _heights(self.survey)]))
         wrong: Floats = self.steps(image).heights - true
         return wrong
 
     def steps(self, image: xr.Dataset) -> Steps:
-        """Compare an image with the ladder."""
+        """Compare a range image with the true ladder."""
         on = self.treads > 0
         error = np.where(on, image["slant_range"].values - self.truth, np.nan)
         valid = np.isfinite(error)
@@ -117,7 +117,7 @@ class LadderScan:
 
 
 def _heights(survey: Survey) -> Floats:
-    """Return the heights of the treads above the farthest one [m]."""
+    """Return the tread heights above the farthest tread [m]."""
     target: Any = survey.targets[0]
     return np.cumsum(np.asarray(target.step_heights, dtype=np.float64))
 
@@ -138,7 +138,7 @@ height = "6 cm"
 
 
 def _scan(study: Study, *, scan: str) -> LadderScan:
-    """Simulate and process a scan of `scans.toml`."""
+    """Simulate and process a scan defined in `scans.toml`."""
     row = table()["ladder"][scan]
     distance = study[row["distance"]]
     # The field is 10 cm x 4 cm on the ladder.
@@ -205,14 +205,14 @@ PANELS = (
 
 
 def cut_off(survey: Survey, *, end: float | None = None) -> float:
-    """Return the cut-off of the water signal in the middle of a scan [Hz]."""
+    """Return the cut-off frequency of the water signal at the middle beam [Hz]."""
     ended = survey.water.model_copy(update={"column_end": end})
     changed = survey.model_copy(update={"water": ended})
     return low_pass.cut_off(lambda f: backscatter.diffusion_response(changed, f))
 
 
 def phase_step(study: Study, height: float) -> float:
-    """Return the phase change by a height [rad]."""
+    """Return the phase change for a step height [rad]."""
     interval = ranging.ambiguity_interval(
         study["frequency"], group_index=study["index"]
     )
@@ -222,7 +222,7 @@ def phase_step(study: Study, height: float) -> float:
 def steps_are_faithful(
     study: Study, rows: Statements, name: str, steps: Steps
 ) -> Check:
-    """Check that each step is right within the phase error of the apparatus."""
+    """Check that each step height is right within the apparatus's phase error."""
     interval = ranging.ambiguity_interval(
         study["frequency"], group_index=study["index"]
     )
@@ -243,7 +243,7 @@ def steps_are_faithful(
 def steps_agree(
     study: Study, rows: Statements, name: str, steps: Steps, **words: str
 ) -> Check:
-    """Check that the steps agree with the ladder within three standard errors."""
+    """Check that the step heights are right within three standard errors."""
     true = np.array([study["first_step"], *[study["other_steps"]] * 3])
     off = np.abs(steps.heights - true) / steps.uncertainties
     text = ", ".join(

@@ -1,4 +1,4 @@
-"""The tank of milk: its light by quadrature and photons, and its scans."""
+"""Tank with milk: water and plate signal by quadrature and photon transport."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ WALL_START = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Milk:
-    """Scattering by the particles of milk, at `ANGLES`."""
+    """Phase function and Mueller matrix of milk particles, at `ANGLES`."""
 
     value: Array
     """Phase function, shape (angles,) [1/sr]."""
@@ -58,17 +58,17 @@ class Milk:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """Places of laser, receiver and plate of the short tank: right, down, forward."""
+    """Positions of laser, receiver and plate in the tank: right, down, forward."""
 
     laser: Array
     """Start of the beam, shape (3,) [m]."""
     receiver: GaussianReceiver
-    """Receiver, aimed at the middle of the line; it stands still."""
+    """Fixed receiver, aimed at the middle of the line."""
     distance: float
     """Forward coordinate of the plate [m]."""
 
     def beam(self, place: ArrayLike) -> Array:
-        """Return the direction of the beam to points on the line, shape (..., 3)."""
+        """Return the beam direction to points on the line, shape (..., 3)."""
         x = np.asarray(place, dtype=np.float64)
         end = np.stack([x, 0 * x, np.full_like(x, self.distance)], axis=-1)
         way = end - self.laser
@@ -77,7 +77,7 @@ class Bench:
 
 
 def bench(study: Study) -> Bench:
-    """Return the bench of the short tank."""
+    """Return the positions of laser, receiver and plate in the short tank."""
     baseline, distance = study["short_baseline"], study["short_distance"]
     fraction = study["plate_normal"]
     laser = np.array([-fraction * baseline, 0.0, 0.0])
@@ -92,12 +92,12 @@ def bench(study: Study) -> Bench:
 
 
 def places(count: int = PIXELS) -> Array:
-    """Return the positions of pixels on the plate, to the right of its middle [m]."""
+    """Return pixel positions on the plate, to the right of its middle [m]."""
     return np.linspace(-LINE / 2, LINE / 2, count)
 
 
 def milk(study: Study) -> Milk:
-    """Return the scattering by the particles of milk."""
+    """Return phase function and Mueller matrix of milk particles."""
     share = study["casein_share"]
     main = _spheres(study, study["milk_diameter"], study["milk_index"])
     if share == 0:
@@ -116,7 +116,7 @@ def milk(study: Study) -> Milk:
 
 
 def _spheres(study: Study, diameter: float, index: float) -> mie.Suspension:
-    """Return spheres of a volume-to-surface diameter; only ratios are meaningful."""
+    """Return Mie scattering of spheres with a given mean diameter; arbitrary scale."""
     spread = np.sqrt(np.log1p(study["milk_spread"] ** 2))
     step = np.linspace(-3.5, 3.5, 71)
     number = np.exp(-0.5 * step**2)
@@ -133,7 +133,7 @@ def _spheres(study: Study, diameter: float, index: float) -> mie.Suspension:
 
 
 def medium(study: Study, attenuation: float) -> Medium:
-    """Return tap water with enough milk for an attenuation.
+    """Return tap water with milk for a given attenuation coefficient.
 
     The matrix of anisotropic molecules is that of J. E. Hansen and L. D. Travis,
     Space Sci. Rev. 16, 527 (1974), eqs. (2.15) and (2.16). Milk absorbs less than a
@@ -171,7 +171,7 @@ def medium(study: Study, attenuation: float) -> Medium:
 
 
 def water_matrix(angle: ArrayLike) -> Array:
-    """Return the reduced matrix of pure water, shape of `angle` and (4, 4)."""
+    """Return the reduced Mueller matrix of pure water, shape of `angle` and (4, 4)."""
     cosine = np.cos(np.asarray(angle, dtype=np.float64))
     delta = DEPOLARIZATION_RATIO
     ordered = (1 - delta) / (1 + delta / 2)
@@ -186,7 +186,7 @@ def water_matrix(angle: ArrayLike) -> Array:
 
 
 def walls(study: Study) -> MeshTarget:
-    """Return four walls of the tank along the beam, from the window to the plate."""
+    """Return the four side walls of the tank along the beam, as a mesh."""
     half = study["tank_width"] / 2
     corners = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
     ends = (WALL_START, study["short_distance"])
@@ -215,24 +215,23 @@ WIDER = 2.0
 
 @dataclass(frozen=True, eq=False)
 class LineLight:
-    """Light of one pair of states along a line, per launched light."""
+    """Light of one polarizer pair along a line of pixels, per launched light."""
 
     water: Complex
-    """Light of the water only, shape (pixels,) [1]."""
+    """Light scattered by water only, shape (pixels,) [1]."""
     target: Complex
-    """Light of the plate, shape (pixels,) [1]."""
+    """Light reflected by the plate, shape (pixels,) [1]."""
     batches: Complex
-    """Deviation of each Monte Carlo batch from the mean, shape (batches, pixels) [1].
-    """
+    """Deviation of each Monte Carlo batch, shape (batches, pixels) [1]."""
 
     @property
     def signal(self) -> Complex:
-        """All light, shape (pixels,) [1]."""
+        """Sum of water and plate light, shape (pixels,) [1]."""
         return self.water + self.target
 
     @property
     def phase_batches(self) -> Array:
-        """Phase deviation of each batch, shape (batches, pixels) [rad]."""
+        """Phase deviation of each Monte Carlo batch, shape (batches, pixels) [rad]."""
         deviation: Array = (self.batches / self.signal).imag
         return deviation
 
@@ -240,7 +239,7 @@ class LineLight:
 def scattered_more(
     study: Study, water: Medium, place: Array, *, histories: int, plate_there: bool
 ) -> dict[str, Complex]:
-    """Return the light scattered more than once by water, by polarized Monte Carlo."""
+    """Return the light multiply scattered by water, by polarized Monte Carlo."""
     target = _plate(study) if plate_there else None
     return _traced(study, water, place, histories, water_parts, target=target)
 
@@ -248,7 +247,7 @@ def scattered_more(
 def reflected_and_scattered(
     study: Study, water: Medium, place: Array, *, histories: int
 ) -> dict[str, Complex]:
-    """Return the light scattered on the way to or from the plate."""
+    """Return the plate light that is also scattered in water, by Monte Carlo."""
     traced = _traced(
         study, water, place, histories, plate_parts, target=_plate(study), wider=WIDER
     )
@@ -263,12 +262,12 @@ def reflected_and_scattered(
 def returned_by_walls(
     study: Study, water: Medium, place: Array, *, histories: int
 ) -> dict[str, Complex]:
-    """Return the light scattered to and by the walls of the tank, to the receiver."""
+    """Return the light that reaches the receiver via the tank walls, by Monte Carlo."""
     return _traced(study, water, place, histories, plate_parts, target=walls(study))
 
 
 def _plate(study: Study) -> PlaneTarget:
-    """Return the plate as a surface for photons."""
+    """Return the plate as a target of photon transport."""
     return PlaneTarget(
         position=(0.0, 0.0, study.once(bench).distance),
         reflectance=study["plate_reflectance"],
@@ -286,7 +285,7 @@ def _traced(
     target: PlaneTarget | MeshTarget | None,
     wider: float = 1.0,
 ) -> dict[str, Complex]:
-    """Return parts of the light of a polarized Monte Carlo, shape (n, batches)."""
+    """Return selected parts of the light by Monte Carlo, shape (n, batches)."""
     table = study.once(bench)
     result: dict[str, list[Complex]] = {pair: [] for pair in PAIRS}
     for launched in "VR":
@@ -310,12 +309,12 @@ def _traced(
 
 
 def water_parts(name: str) -> bool:
-    """Return whether a part of a tally is water that scattered more than once."""
+    """Return whether a tally part is light multiply scattered by water."""
     return name.startswith("water") and name != "water, order 1"
 
 
 def plate_parts(name: str) -> bool:
-    """Return whether a part of a tally met a surface and was scattered in the water."""
+    """Return whether a tally part was both reflected by a surface and scattered."""
     return name == "target, scattered"
 
 
@@ -354,7 +353,7 @@ def line_light(study: Study, attenuation: float) -> dict[str, LineLight]:
 
 
 def open_water(study: Study, attenuation: float) -> dict[str, Complex]:
-    """Return the light along a line without the plate."""
+    """Return the light along the line in open water, without the plate."""
     water = medium(study, attenuation)
     nodes, join = _nodes(study)
     histories = 2_048 if study.quick else 32_768
@@ -373,7 +372,7 @@ def _nodes(study: Study) -> tuple[Array, Array]:
 
 
 def _once(study: Study, water: Medium, *, until: float) -> dict[str, Complex]:
-    """Return the light scattered once by water at all pixels, from eleven positions."""
+    """Return the singly scattered light at all pixels, from eleven positions."""
     nodes = chebyshev.chebpts2(11)
     join = interpolation(nodes, places() / (LINE / 2), degree=10)
     light = scattered_once(study, water, nodes * LINE / 2, until=until)
@@ -426,7 +425,7 @@ def scattered_once(
 def reflected_at_once(
     study: Study, water: Medium, place: Array, *, wider: float = 1.0
 ) -> dict[str, Complex]:
-    """Return the unscattered light of the plate, by quadrature."""
+    """Return the unscattered light reflected by the plate, by quadrature."""
     table = study.once(bench)
     receiver = widened(table.receiver, wider)
     point = np.stack([place, 0 * place, np.full_like(place, table.distance)], axis=-1)
@@ -445,27 +444,27 @@ def reflected_at_once(
 
 
 def interpolation(nodes: Array, at: Array, *, degree: int) -> Array:
-    """Return the matrix of polynomial interpolation from nodes to all pixels."""
+    """Return the matrix of polynomial interpolation from nodes to pixels."""
     fit = np.linalg.pinv(chebyshev.chebvander(nodes, degree))
     matrix: Array = chebyshev.chebvander(at, degree) @ fit
     return matrix
 
 
 def _passed(matrix: Array, pair: str) -> float:
-    """Return the fraction of the reflected light that passes the analyzer of a pair."""
+    """Return the fraction of reflected light behind the analyzer of a pair."""
     launched, analysed = pair_states(pair)
     return float(0.5 * state(analysed) @ matrix @ state(launched))
 
 
 def _phasor(study: Study, water: Medium, way: Array) -> Complex:
-    """Return attenuation and delay over a distance [m], as a phasor."""
+    """Return attenuation and phase delay over a path in water [m], as a phasor."""
     wave = 2 * np.pi * study["frequency"] * water.group_index / speed_of_light
     phasor: Complex = np.exp((1j * wave - water.layers[0].attenuation) * way)
     return phasor
 
 
 def _face(receiver: GaussianReceiver, point: Array) -> tuple[Array, Array, Array]:
-    """Return the view of the parts of the receiver's face from points.
+    """Return distances and directions from points to parts of the receiver face.
 
     Directions to the parts, shape (..., parts, 3), their areas over squared distance
     weighted by what the receiver takes from there [sr], and distances [m]. For each
@@ -509,5 +508,5 @@ def _face(receiver: GaussianReceiver, point: Array) -> tuple[Array, Array, Array
 
 
 def widened(receiver: GaussianReceiver, factor: float) -> GaussianReceiver:
-    """Return a receiver with a larger face."""
+    """Return the receiver with an enlarged face."""
     return replace(receiver, radius=factor * receiver.radius)

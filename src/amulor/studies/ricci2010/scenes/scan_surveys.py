@@ -1,4 +1,4 @@
-"""Surveys of the scans: the study's instrument before a target in some water."""
+"""Survey files of the simulated scans: the paper's instrument, target and water."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from amulor.units import write
 
 @dataclass(frozen=True, kw_only=True)
 class ScanWater:
-    """Optical properties of the water of a scan."""
+    """Optical properties of the water in a scan."""
 
     attenuation: float
     """Attenuation coefficient [1/m]."""
@@ -30,36 +30,36 @@ class ScanWater:
     backscatter: float
     """Phase function at 180 degrees [1/sr]."""
     m22: float
-    """Element m22 of its reduced Mueller matrix straight backwards [1]."""
+    """Mueller element m22 of backscattering [1]."""
     fluctuation: float
-    """Relative change of the water signal from sample to sample [1]."""
+    """Relative fluctuation of the water signal from sample to sample [1]."""
 
 
 @cache
 def table() -> dict[str, dict[str, dict[str, Any]]]:
-    """Return the waters and scans of `scans.toml`."""
+    """Return the waters and scans defined in `scans.toml`."""
     path = resources.files("amulor.studies.ricci2010") / "scans.toml"
     return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def water_of(study: Study, name: str) -> ScanWater:
-    """Return a water of `scans.toml`."""
+    """Return a water defined in `scans.toml`, by name."""
     names = table()["waters"][name]
     return ScanWater(**{field: study[number] for field, number in names.items()})
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScanField:
-    """Geometry of a scan: distance, baseline and pixels."""
+    """Geometry of a scan: distance, baseline and pixel grid."""
 
     distance: float
-    """Distance of the target, at which the receiver is aimed [m]."""
+    """Target distance, at which the receiver is aimed [m]."""
     baseline: float
-    """Distance of the receiver from the beam [m]."""
+    """Distance between receiver and beam [m]."""
     columns: int
-    """Pixels of a line [1]."""
+    """Number of pixels per line [1]."""
     rows: int
-    """Lines [1]."""
+    """Number of lines [1]."""
     width: float
     """Azimuth span [rad]."""
     height: float
@@ -75,7 +75,7 @@ def survey_of(
     target: str,
     polarizations: Sequence[str],
 ) -> Survey:
-    """Return the survey of a scan with the instrument of the study."""
+    """Return the survey of a scan with the paper's instrument."""
     fraction = study["absorption_share"]
     # A sphere straight backwards: m33 = -m22, m44 = 1 - 2 m22.
     matrix = [water.m22, -water.m22, 1 - 2 * water.m22]
@@ -137,14 +137,14 @@ repeats = {round(study["open_water_repeats"])}
 
 
 def around(distance: float) -> tuple[float, float]:
-    """Return the slant ranges around a target that its operator would state [m]."""
+    """Return the range limits that an operator would give for a target [m]."""
     return max(distance - 1.0, 0.2), distance + 1.0
 
 
 def images(
     target: xr.Dataset, *, interval: tuple[float, float]
 ) -> dict[str, xr.Dataset]:
-    """Return the range images of all channels of a target signal."""
+    """Return the range images of a target signal, by channel."""
     return {
         channel: imaging.range_image(target, polarization=channel, interval=interval)
         for channel in map(str, target["polarization"].values)

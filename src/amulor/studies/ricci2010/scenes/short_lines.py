@@ -1,4 +1,4 @@
-"""Lines of 80 pixels over a flat plate in four waters, for figures 10 to 12."""
+"""Phase along a flat plate in four waters, 80 pixels a line, for figures 10 to 12."""
 
 from __future__ import annotations
 
@@ -29,32 +29,32 @@ TURBIDITIES: dict[str, str] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """Phase along a line behind one pair of polarizers, counted as an advance.
+    """Phase advance along a line of pixels behind one polarizer pair.
 
     Light of the water comes back before that of the plate, and the phase that the paper
     draws grows with its share: what it counts is an advance, not a delay.
     """
 
     phase: Array
-    """Without noise, from zero at the first pixel, shape (80,) [degrees]."""
+    """Phase without noise, zero at the first pixel, shape (80,) [degrees]."""
     measured: Array
-    """Synthetic measurement, from zero at its first pixel, shape (80,) [degrees]."""
+    """Simulated phase with noise, zero at the first pixel, shape (80,) [degrees]."""
     drift: float
-    """Rise of the straight line through `phase` from first to last pixel [degrees]."""
+    """Rise of a straight line fitted to `phase`, first to last pixel [degrees]."""
     error: float
-    """Standard error of `drift`, from the Monte Carlo [degrees]."""
+    """Standard error of `drift`, from Monte Carlo [degrees]."""
     fitted: float
-    """Rise of the straight line through `measured` [degrees]."""
+    """Drift of a straight line fitted to `measured` [degrees]."""
     fitted_error: float
     """Standard error of `fitted`, from the noise [degrees]."""
     bend: float
-    """Largest departure of `phase` from its straight line over the rise of that [1]."""
+    """Largest deviation of `phase` from the straight line, over the drift [1]."""
     bend_error: float
-    """Standard error of `bend`, from the Monte Carlo [1]."""
+    """Standard error of `bend`, from Monte Carlo [1]."""
 
 
 def _light_of(step: str) -> Callable[[Study], Lines]:
-    """Return the function of the light over the plate in one of the waters."""
+    """Return the function that computes light over the plate in a water."""
 
     def light(study: Study) -> Lines:
         return line_light(study, study[TURBIDITIES[step]])
@@ -63,7 +63,7 @@ def _light_of(step: str) -> Callable[[Study], Lines]:
 
 
 def _open_water_of(step: str) -> Callable[[Study], dict[str, Complex]]:
-    """Return the function of the light of one of the waters without the plate."""
+    """Return the function that computes light in a water without the plate."""
 
     def light(study: Study) -> dict[str, Complex]:
         return open_water(study, study[TURBIDITIES[step]])
@@ -77,7 +77,7 @@ OPEN_WATER = {step: _open_water_of(step) for step in TURBIDITIES}
 
 
 def line(study: Study, step: str, pair: str) -> Line:
-    """Return the phase along a line."""
+    """Return the phase along a line of pixels over the plate."""
     light = study.once(LIGHT[step])[pair]
     phase = advance_along(light.signal)
     sigma = float(np.degrees(study["phase_noise"]))
@@ -103,12 +103,12 @@ def line(study: Study, step: str, pair: str) -> Line:
 
 
 def standard_error(batches: Array) -> float:
-    """Return the standard error of a mean of batches [degrees, of radians]."""
+    """Return the standard error of the mean over batches [degrees, from radians]."""
     return float(np.degrees(np.std(batches) / np.sqrt(batches.size - 1)))
 
 
 def difference(study: Study, step: str, pairs: tuple[str, str]) -> tuple[float, float]:
-    """Return the difference in drift of two lines, and its standard error."""
+    """Return the difference in drift of two polarizer pairs, and its standard error."""
     first, second = (line(study, step, pair).drift for pair in pairs)
     light, dark = (study.once(LIGHT[step])[pair].phase_batches for pair in pairs)
     sign = np.sign(first * second)
@@ -118,35 +118,35 @@ def difference(study: Study, step: str, pairs: tuple[str, str]) -> tuple[float, 
 
 
 def corrected(study: Study, step: str, pair: str) -> Array:
-    """Return the phase after subtraction of the signal of open water [degrees]."""
+    """Return the phase after subtraction of the open-water signal [degrees]."""
     light = study.once(LIGHT[step])[pair]
     water = study.once(OPEN_WATER[step])[pair]
     return advance_along(light.signal - water)
 
 
 def rejected_share(study: Study, step: str, pairs: tuple[str, str]) -> float:
-    """Return the fraction of the water's light that passes the crossed analyzer."""
+    """Return the share of the water's light behind the crossed analyzer."""
     light = study.once(LIGHT[step])
     crossed, parallel = (np.abs(light[pair].water) for pair in pairs)
     return float(np.mean(crossed / (crossed + parallel)))
 
 
 def water_over_plate(study: Study, step: str, pair: str) -> Array:
-    """Return the light of the water over that of the plate at each pixel."""
+    """Return the ratio of water light to plate light at each pixel."""
     light = study.once(LIGHT[step])[pair]
     ratio: Array = np.abs(light.water) / np.abs(light.target)
     return ratio
 
 
 def advance_along(signal: Complex) -> Array:
-    """Return the phase advance along a line from its first pixel [degrees]."""
+    """Return the phase advance along a line, relative to its first pixel [degrees]."""
     delay: Array = np.degrees(np.unwrap(np.angle(signal)))
     advance: Array = delay[0] - delay
     return advance
 
 
 def rise_weight() -> Array:
-    """Return the pixel weights of the rise of a straight line over the scan."""
+    """Return pixel weights whose sum with the phase is a fitted line's rise."""
     pixel = np.arange(PIXELS) - 0.5 * (PIXELS - 1)
     weight: Array = pixel / (pixel @ pixel) * (PIXELS - 1)
     return weight
@@ -161,7 +161,7 @@ SURE = 2.0
 
 
 def drift_check(study: Study, rows: Statements, name: str) -> Check:
-    """Check the drift of a line by the kind of its row: drift, flat or moves."""
+    """Check the drift of a line; its row says whether it is drift, flat or moves."""
     result = line(study, *name.split("_"))
     kind = rows.checks[name]["kind"]
     check = rows.within(
@@ -181,7 +181,7 @@ def drift_check(study: Study, rows: Statements, name: str) -> Check:
 
 
 def straight_check(study: Study, rows: Statements, step: str, pair: str) -> Check:
-    """Check that a line drifts evenly."""
+    """Check that the phase along a line is nearly straight."""
     result = line(study, step, pair)
     check = rows.within(
         f"{step}_straight", result.bend, high=STRAIGHT, uncertainty=result.bend_error
@@ -190,12 +190,12 @@ def straight_check(study: Study, rows: Statements, step: str, pair: str) -> Chec
 
 
 def surely(check: Check, passed: bool) -> Check:
-    """Return a check that was passed by a margin of the standard error."""
+    """Return the check with its outcome, two standard errors of margin required."""
     requirement = f"{check.wanted}, by {SURE:g} standard errors"
     return replace(check, passed=bool(passed), wanted=requirement)
 
 
 def allowing(check: Check, passed: bool) -> Check:
-    """Return a check that allows for the standard error."""
+    """Return the check with its outcome, two standard errors of tolerance allowed."""
     requirement = f"{check.wanted}, within {SURE:g} standard errors"
     return replace(check, passed=bool(passed), wanted=requirement)

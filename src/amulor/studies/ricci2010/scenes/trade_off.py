@@ -1,4 +1,4 @@
-"""Figures 10(d) and 12 at one time, for kinds of milk, tank and plate."""
+"""Phase drifts of figures 10(d) and 12 for several kinds of milk, tank and plate."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ _BRIGHTER = (0.01, 100.0)
 
 @dataclass(frozen=True)
 class SetUp:
-    """Kind of milk, tank and plate."""
+    """Variant of milk, tank or plate."""
 
     group: str
     """Varied quantity."""
     label: str
-    """Its value."""
+    """Value of the varied quantity, as text."""
     numbers: Mapping[str, float]
-    """Changed numbers of the study, in the units of `amulor.units`."""
+    """Changed input numbers, in the units of `amulor.units`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drifts:
-    """Drifts of a set-up at the most milk, where VV drifts by `PARALLEL`."""
+    """Phase drifts of a set-up with the most milk, for a VV drift of `PARALLEL`."""
 
     set_up: SetUp
-    """Set-up."""
+    """Variant of milk, tank or plate."""
     crossed: float
-    """Drift of VH [degrees]."""
+    """Phase drift of VH [degrees]."""
     crossed_error: float
-    """Standard error of the VH drift, from the Monte Carlo [degrees]."""
+    """Standard error of the VH drift, from Monte Carlo [degrees]."""
     same: float
-    """Drift of RR [degrees]."""
+    """Phase drift of RR [degrees]."""
     same_error: float
     """Standard error of the RR drift [degrees]."""
     reflectance: float
-    """Reflectance of the plate there; more than 1 is impossible [1]."""
+    """Plate reflectance needed for the VV drift; impossible above 1 [1]."""
 
 
 #: All that are compared, at the turbidity of figure 10(d).
@@ -84,7 +84,7 @@ SET_UPS = (
 
 
 def drifts(study: Study) -> tuple[Drifts, ...]:
-    """Return the drifts of all set-ups."""
+    """Return the phase drifts of all set-ups."""
     return tuple(
         drifts_of(study, set_up)
         for set_up in (SET_UPS[::3] if study.quick else SET_UPS)
@@ -92,7 +92,7 @@ def drifts(study: Study) -> tuple[Drifts, ...]:
 
 
 def drifts_of(study: Study, set_up: SetUp) -> Drifts:
-    """Return the drifts of one set-up."""
+    """Return the phase drifts of one set-up."""
     numbers = dict(study.parameters)
     for name, value in set_up.numbers.items():
         numbers = varied(numbers, name, value)

@@ -1,4 +1,4 @@
-"""The water signal of the long tank against modulation frequency, in four models."""
+"""Water signal of the long tank over modulation frequency, in four models."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _PARTS = 16
 
 @dataclass(frozen=True, kw_only=True)
 class Water:
-    """Water of one turbidity, with a phase function that has its second moment."""
+    """Optical properties of the water at one turbidity."""
 
     absorption: float
     """Absorption coefficient a [1/m]."""
@@ -49,13 +49,13 @@ class Water:
     second_moment: float
     """Second moment <theta^2> of the forward part [rad^2]."""
     split_angle: float
-    """Angle between the forward and the diffuse part [rad]."""
+    """Angle between forward and diffuse scattering [rad]."""
     phase_function: PhaseFunction
-    """Henyey-Greenstein."""
+    """Henyey-Greenstein phase function with this second moment."""
 
     @property
     def realistic(self) -> dict[str, float]:
-        """Arguments of the diffusion form."""
+        """Arguments of the diffusion model."""
         fraction, _ = self.phase_function.forward_split(self.split_angle)
         return {
             "absorption": self.absorption,
@@ -66,7 +66,7 @@ class Water:
 
     @property
     def simple(self) -> dict[str, float]:
-        """Arguments of the diffusion form for diffuse scattering alone."""
+        """Arguments of the diffusion model, with diffuse scattering only."""
         return {
             "absorption": 0.0,
             "forward_scattering": 0.0,
@@ -77,72 +77,72 @@ class Water:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Normalized amplitude in one model, and its cut-offs."""
+    """Normalized amplitude over frequency in one model, with its cut-offs."""
 
     name: str
     """Name of the model."""
     amplitude: Floats
-    """Amplitude over that at 0 Hz, at the frequencies of the sweep [1]."""
+    """Amplitude relative to 0 Hz, at the frequencies of the sweep [1]."""
     cut_off: float
     """Half-power frequency [Hz]."""
     fitted: float
-    """Cut-off by a free fit of (71) to amplitudes [Hz]."""
+    """Cut-off frequency by a free fit of eq. (71) to amplitudes [Hz]."""
     of_power: float
-    """Cut-off by a fit of (71) to their squares, the largest taken as 1 [Hz]."""
+    """Cut-off frequency by a fit of eq. (71) to normalized squared amplitudes [Hz]."""
     at_cut_off: float
-    """Amplitude at the reported cut-off, rounded to 10 kHz [1]."""
+    """Amplitude at the cut-off frequency rounded to 10 kHz [1]."""
     cut_off_error: float = 0.0
     """Standard error of the half-power frequency [Hz]."""
     fitted_error: float = 0.0
-    """Standard error of the fitted cut-off [Hz]."""
+    """Standard error of the fitted cut-off frequency [Hz]."""
     ratio_error: float = 0.0
-    """Standard error of fitted over half-power cut-off [1]."""
+    """Standard error of the ratio of fitted to half-power cut-off [1]."""
     of_power_error: float = 0.0
-    """Standard error of the cut-off by squares [Hz]."""
+    """Standard error of the cut-off fitted to squares [Hz]."""
     of_power_ratio_error: float = 0.0
-    """Standard error of the cut-off by squares over the half-power cut-off [1]."""
+    """Standard error of its ratio to the half-power cut-off [1]."""
     band: Floats | None = None
     """Standard errors of the amplitudes [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Squares:
-    """A synthetic measurement of the sweep, and a fit of (71) to it."""
+    """Synthetic measurement of a frequency sweep, with fits of eq. (71)."""
 
     frequency: Floats
     """Modulation frequencies [Hz]."""
     amplitude: Floats
-    """Amplitudes over the true one at 0 Hz [1]."""
+    """Amplitudes relative to the true one at 0 Hz [1]."""
     made_with: float
-    """Half-power frequency of the underlying curve [Hz]."""
+    """Half-power frequency of the curve behind the measurement [Hz]."""
     fit: low_pass.LowPassFit
-    """Free fit of (71) to amplitudes."""
+    """Free fit of eq. (71) to the amplitudes."""
     of_power: low_pass.LowPassFit
-    """Fit of (71) to their squares, the largest taken as 1."""
+    """Fit of eq. (71) to the normalized squared amplitudes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """Curves and measurements of figure 3 or 4."""
+    """Curves and synthetic measurements of figure 3 or 4."""
 
     turbidity: Turbidity
-    """Turbidity: "low" or "high"."""
+    """Name of the turbidity: "low" or "high"."""
     attenuation: float
     """Attenuation coefficient k [1/m]."""
     water: Water
-    """Water of the sweep."""
+    """Optical properties of the water."""
     frequency: Floats
     """Modulation frequencies of the curves [Hz]."""
     simple: Curve
-    """Dashed: all attenuation is diffuse scattering."""
+    """Dashed curve: diffusion model, all attenuation by diffuse scattering."""
     realistic: Curve
-    """Solid: the diffusion form of the realistic water."""
+    """Solid curve: diffusion model of the realistic water."""
     small_angle: Curve
-    """Small-angle form of the same water, which keeps unscattered light."""
+    """Small-angle model of the realistic water, unscattered light included."""
     monte_carlo: Curve
-    """Transport of all orders of scattering in the same water."""
+    """Monte Carlo transport in the realistic water, all scattering orders."""
     squares: Squares
-    """Synthetic measurement of the realistic diffusion form."""
+    """Synthetic measurement of the solid curve."""
     first_order: Squares
     """Synthetic measurement of a first-order low-pass with the same half-power
     frequency.
@@ -150,22 +150,22 @@ class Sweep:
 
     @property
     def curves(self) -> tuple[Curve, ...]:
-        """All four models."""
+        """Curves of all four models."""
         return self.simple, self.realistic, self.small_angle, self.monte_carlo
 
 
 def water(study: Study, turbidity: Turbidity) -> Water:
-    """Return the water of one turbidity."""
+    """Return the optical properties of the water at one turbidity."""
     return study.once(_WATER[turbidity])
 
 
 def sweep(study: Study, turbidity: Turbidity) -> Sweep:
-    """Return the sweep of figure 3 (low) or 4 (high)."""
+    """Return the frequency sweep of figure 3 (low) or 4 (high)."""
     return study.once(_SWEEP[turbidity])
 
 
 def receiver(study: Study) -> dict[str, float]:
-    """Return the receiver of the long tank, as arguments of the formulas."""
+    """Return the receiver of the long tank, as arguments of the water signal."""
     return {
         "baseline": study["long_baseline"],
         "receiver_radius": study["receiver_radius"],
@@ -174,7 +174,7 @@ def receiver(study: Study) -> dict[str, float]:
 
 
 def asymmetry(second_moment: float, *, split_angle: float) -> float:
-    """Return the asymmetry of Henyey-Greenstein for a second moment."""
+    """Return the Henyey-Greenstein asymmetry for a given second moment."""
 
     def excess(g: float) -> float:
         result = phase_functions.henyey_greenstein_second_moment(
@@ -186,7 +186,7 @@ def asymmetry(second_moment: float, *, split_angle: float) -> float:
 
 
 def forward_fraction(second_moment: float, *, split_angle: float) -> float:
-    """Return the forward fraction of Henyey-Greenstein for a second moment."""
+    """Return the Henyey-Greenstein forward fraction for a given second moment."""
     g = asymmetry(second_moment, split_angle=split_angle)
     fraction, _ = henyey_greenstein_function(asymmetry=g).forward_split(split_angle)
     return float(fraction)
@@ -279,12 +279,12 @@ def _sweep(study: Study, *, turbidity: Turbidity) -> Sweep:
 
 
 def _frequencies(study: Study) -> Floats:
-    """Return the frequencies of the curves, as evenly spaced as the measured ones."""
+    """Return the frequencies of the curves, evenly spaced like the measured ones."""
     return np.linspace(study["sweep_first"], study["sweep_last"], _POINTS[study.quick])
 
 
 def _curve(name: str, response: Response, frequency: Floats) -> Curve:
-    """Return the curve of a closed form."""
+    """Return the curve of a closed-form model."""
     corner = low_pass.cut_off(response)
     reported = round(corner, -4)
     still, modulated = np.abs(response(np.array([0.0, reported])))
@@ -300,7 +300,7 @@ def _curve(name: str, response: Response, frequency: Floats) -> Curve:
 
 
 def _traced(tally: Tally) -> Curve:
-    """Return the curve of a run, whose first frequency is 0."""
+    """Return the curve of a Monte Carlo run, whose first frequency is 0."""
     frequency = tally.modulation_frequency
     corner, error = half_power(tally)
     amplitude = np.abs(tally.signal) / abs(tally.signal[0])
@@ -329,7 +329,7 @@ def _traced(tally: Tally) -> Curve:
 
 
 def _left_out(tally: Tally) -> list[Complex]:
-    """Return the signal without one part of the batches, for each part in turn."""
+    """Return the signal with one part of the batches omitted, for each part."""
     values = tally.batches.sum(axis=1)[:, 0]
     number = np.arange(values.shape[0])
     signals: list[Complex] = []
@@ -342,12 +342,12 @@ def _left_out(tally: Tally) -> list[Complex]:
 
 
 def _jackknife(left_out: Floats) -> float:
-    """Return the jackknife standard error of values with one part left out in turn."""
+    """Return the jackknife standard error from values with one part omitted each."""
     return math.sqrt((left_out.size - 1) * float(np.var(left_out)))
 
 
 def _measured(study: Study, label: str, response: Response, corner: float) -> Squares:
-    """Return a sweep with noise in phase and in quadrature."""
+    """Return a frequency sweep with noise added in both quadratures."""
     span = study["sweep_last"] - study["sweep_first"]
     count = round(span / study["sweep_step"]) + 1
     frequency = np.linspace(study["sweep_first"], study["sweep_last"], count)

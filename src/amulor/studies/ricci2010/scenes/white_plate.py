@@ -1,4 +1,4 @@
-"""Reflectance of the white plate of section 8, for water that is turbid by milk."""
+"""Reflectance of the white plate of section 8, if the water is turbid by milk."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ _PARTS = 16
 
 @dataclass(frozen=True)
 class Reflectance:
-    """Reflectance that gives the stated ratio of water signal and echo."""
+    """Plate reflectance that gives the paper's ratio of water signal to echo."""
 
     number: int
     """Number of the experiment."""
     value: float
-    """Reflectance [1]."""
+    """Plate reflectance [1]."""
     error: float
-    """Standard error, from the photons [1]."""
+    """Standard error, from photon transport [1]."""
 
 
 def reflectances(study: Study) -> tuple[Reflectance, ...]:
-    """Return the reflectance that each experiment needs with milk in the water."""
+    """Return the plate reflectance that each experiment needs in milky water."""
     return tuple(study.once(_OF[number]) for number in EXPERIMENTS)
 
 
@@ -97,7 +97,7 @@ def _reflectance(study: Study, *, number: int) -> Reflectance:
 
 
 def _batches(tally: Tally, name: str) -> Complex:
-    """Return the light of all parts of that name, shape (batches, frequencies)."""
+    """Return the light of all tally parts with a name, shape (batches, frequencies)."""
     chosen = [k for k, part in enumerate(tally.parts) if part.startswith(name)]
     light: Complex = tally.batches[:, chosen, 0].sum(axis=1)
     return light
