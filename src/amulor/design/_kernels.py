@@ -96,7 +96,7 @@ KEPT, ONE_FREQUENCY, OPEN_WATER, UNMIX, COMBINED, JOINT = range(6)
 
 
 class Points(NamedTuple):
-    """Candidate instruments at distances, one row per pair."""
+    """Pairs of candidate instrument and target distance, one row each."""
 
     number: Floats
     """Numbers of each point, with the columns of `NUMBERS`, shape (point, ...)."""

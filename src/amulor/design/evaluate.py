@@ -393,7 +393,7 @@ def reach(
 
 
 def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
-    """First and last index of the longest run of True, last one excluded."""
+    """Start and end index (exclusive) of the longest run of True values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
     if not len(edges):
         return 0, 0

@@ -468,7 +468,7 @@ def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
 
 
 def _between(goal: Goal, errors: xr.DataArray) -> Between:
-    """Largest error over all distances, in the required fraction of draws."""
+    """Largest error over all distances, at the required quantile of the draws."""
     # The value not exceeded in the required share of draws, as in the search.
     error = errors.quantile(goal.accuracy.share, "draw", method="inverted_cdf")
     worst = error.isel(distance=int(error.argmax("distance")))

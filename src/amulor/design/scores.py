@@ -87,7 +87,7 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Performance of candidates, not exceeded in the required fraction of draws."""
+    """Errors, time and cost of candidates, at the required quantile of the draws."""
 
     error: Floats
     """Total error, shape (candidate, distance) [m]."""
@@ -262,7 +262,7 @@ class Judge:
         return {**values, "aim": aim, "distance": self._distance, **self._draws}
 
     def _figures(self, errors: Assessed) -> tuple[Floats, Floats, Floats, Floats]:
-        """Errors not exceeded in the required fraction of draws."""
+        """Errors at the required quantile of the draws."""
         column = {name: errors.result[..., k] for k, name in enumerate(kernel.RESULTS)}
         square = errors.late**2 + errors.footprint**2
         for name in kernel.RANDOM:

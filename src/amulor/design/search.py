@@ -345,7 +345,7 @@ def _grid(goal: Goal, laser: str) -> Grid:
 
 
 def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Parameters]:
-    """Best candidates of a grid as starts: with and without intervals, cheapest."""
+    """Choose start candidates of a grid: best with and without intervals, cheapest."""
     chosen: list[int] = []
     alone = not goal.components.modulation.sets and goal.components.modulation.most > 1
     for with_intervals in (True, False) if alone else (True,):

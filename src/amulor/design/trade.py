@@ -1,4 +1,4 @@
-"""Trade-offs of an instrument: Pareto front, and assumptions that matter."""
+"""Trade-offs of an instrument: Pareto front, and assumptions that change the choice."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ _DIFFERENCE = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """Laser beams, receiver positions, and the refractive media between them."""
+    """Laser beams, receiver positions, and refractive indices of water and window."""
 
     azimuth: Floats
     """Azimuth of each beam at the emitter, before it enters the water [rad]."""

@@ -83,7 +83,7 @@ def sine_cosine(x: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def expand(values: Array, table: Array, out: Array) -> None:
-    """Fill out with the product of a vector of values and a matrix."""
+    """Fill `out` with the product of a vector of values and a matrix."""
     for m in range(ORDER):
         out[m] = 0.0
     for i in range(ORDER):
@@ -147,7 +147,7 @@ def _add_fast(
 
 @numba.njit(cache=True, error_model="numpy")
 def _turns(phase_per_depth: Array, distance: float, out: Array) -> None:
-    """Fill out with the phase over a distance, modulo 2 pi for large phases."""
+    """Fill `out` with the phase over a distance, modulo 2 pi for large phases."""
     for f in range(phase_per_depth.size):
         out[f] = phase_per_depth[f] * distance
     if phase_per_depth.size > 0 and out[phase_per_depth.size - 1] > _FAR:

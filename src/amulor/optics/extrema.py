@@ -165,7 +165,7 @@ def group_depth(
 def separation(
     distance: ArrayLike, *, group_depth: ArrayLike, group_index: float
 ) -> NDArray[np.float64]:
-    r"""Return the frequency spacing of maxima for target and water in interference.
+    r"""Return the frequency period of the interference of target and water signal.
 
     Parameters
     ----------

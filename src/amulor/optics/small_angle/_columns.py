@@ -502,7 +502,7 @@ def overlap_of(
     phase_function: PhaseFunction,
     split_angle: float,
 ) -> Array:
-    """Return the overlap F(z) by a given function of one water and receiver."""
+    """Return the overlap F(z) for arrays of arguments, by a function of one column."""
     z = np.asarray(checked("depth", depth))
     spread = table(phase_function, split_angle)
     columns = _columns(arguments, depth=z)
@@ -544,7 +544,7 @@ def response_of(
     batched: Many | None = None,
     fewest: int = 2,
 ) -> NDArray[np.complex128]:
-    """Return the water signal by a given integral over the water column.
+    """Return the water signal for arrays of arguments, by a given column integral.
 
     batched gives it for at least the fewest columns that differ only in the view.
     """
@@ -575,7 +575,7 @@ def fit_of(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> _Fitted | None:
-    """Return a fit to columns that differ only in the view; None if others differ."""
+    """Return the result of a given fit to columns that differ only in the view."""
     phases, columns, spread, _ = _prepared(
         modulation_frequency,
         arguments,

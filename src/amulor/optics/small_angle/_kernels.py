@@ -66,7 +66,7 @@ class Water(NamedTuple):
 
 @numba.njit(cache=True, error_model="numpy")
 def spread(x: Array, angle: Array, weight: Array, table: Array, out: Array) -> None:
-    """Fill out with sums of weight * angle^2 * (1 - mean J0 up to x angle) / x^2."""
+    """Fill `out` with sums of weight * angle^2 * (1 - mean J0 up to x angle) / x^2."""
     for i in range(x.size):
         total = 0.0
         for j in range(angle.size):
@@ -180,7 +180,7 @@ def aimed(look: Array, water: Water) -> Water:
 def scattered(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill out with F(z) / pi R^2 gamma^2 of forward-scattered light.
+    """Fill `out` with F(z) / pi R^2 gamma^2 of forward-scattered light.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
     less its unscattered part, docs/theory/water-signal.md: an integral over the spatial

@@ -221,7 +221,7 @@ def _plain_factors(
     disc: Array,
     value: Complex,
 ) -> float:
-    """Fill value[0] with the smooth factors; return that at the last node.
+    """Fill `value[0]` with the smooth factors; return that at the last node.
 
     The tables come one by one, as each access to an array of a bundle is counted.
     """
@@ -254,7 +254,7 @@ def _multiply_waves(
     rate: Array,
     value: Complex,
 ) -> int:
-    """Multiply value[0] by the oscillating factors; return the number of terms.
+    """Multiply `value[0]` by the oscillating factors; return the number of terms.
 
     The real part of the product of two waves is half that of their product and half
     that of the product of one and the conjugate of the other. rate is how fast the
@@ -337,7 +337,7 @@ def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> 
 
 @numba.njit(cache=True, error_model="numpy")
 def collected(look: Array, water: Water, tables: Tables, out: Array) -> None:
-    """Fill out with F(z) / pi R^2 gamma^2, without unscattered light of a thin beam.
+    """Fill `out` with F(z) / pi R^2 gamma^2, without unscattered light of a thin beam.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
     with the transform of two uniform discs, docs/theory/water-signal.md.

@@ -209,7 +209,7 @@ class SharedLight:
     light: Light | None = None
     """Table of the scattered light; None without scattering, or if unused."""
     singly: bool = False
-    """Whether columns are integrated one by one, as a table would not pay or fit."""
+    """Whether columns are integrated one by one, without a table."""
 
 
 def fit(

@@ -154,7 +154,7 @@ def _overlap(z: float, water: Water, table: Array) -> float:
 def departures(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill out with the light of eq. (29) minus that of the closure.
+    """Fill `out` with the light of eq. (29) minus that of the closure.
 
     By Gauss-Laguerre nodes: rule has nodes and weights, a row of look is as in
     `collected`. Compiled, as S(z) is found step by step.
@@ -183,7 +183,7 @@ def departures(
 
 @numba.njit(cache=True, error_model="numpy")
 def collected(look: Array, water: Water, table: Array, out: Array) -> None:
-    """Fill out with the overlap F(z) over pi R^2 gamma^2.
+    """Fill `out` with the overlap F(z) over pi R^2 gamma^2.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff.
     Compiled, as S(z) is found step by step, docs/theory/water-signal.md.

@@ -209,7 +209,7 @@ def _prepare(geometry: Geometry) -> Column:
 
 @numba.njit(cache=True, error_model="numpy")
 def _break_points(column: Column, z_break: Array) -> tuple[int, float, float]:
-    """Fill z_break; return its count, the maximum of F(z) and its width.
+    """Fill `z_break`; return its count, the maximum of F(z) and its width.
 
     Return -1 for how many if there is no room for them.
     """
@@ -282,7 +282,7 @@ def _sample(
     work: Array,
     bits: NDArray[np.int64],
 ) -> None:
-    """Fill work[0] and work[1] with even and odd part of F(z) over its peak."""
+    """Fill rows 0 and 1 of `work` with even and odd part of F(z) over its peak."""
     loss, spreading, slant = column.loss, column.spreading, column.slant
     aperture, acceptance = column.aperture, column.acceptance
     closest, standoff = column.closest, column.standoff
@@ -393,7 +393,7 @@ def _add_column(
 def water_column(
     geometry: Array, phase_per_depth: Array, rule: Array, out: NDArray[np.complex128]
 ) -> int:
-    """Fill out[g, f] with the integrals of exp(i w z) F(z) / (pi R^2 gamma^2).
+    """Fill `out`[g, f] with the integrals of exp(i w z) F(z) / (pi R^2 gamma^2).
 
     A row of geometry holds the fields of `Geometry` in their order; phase_per_depth,
     w = 2 omega n_g / c [rad/m], has one row for all of them or one for each. Returns

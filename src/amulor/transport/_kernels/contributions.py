@@ -150,7 +150,7 @@ def add_range(record: Record, part: int, low: float, high: float, light: Array) 
 def transform(
     mass: Array, edge: Array, wavenumber: Complex, spacing: float, out: Complex
 ) -> None:
-    """Add the Fourier transform of the path-length record to out."""
+    """Add the Fourier transform of the path-length record to `out`."""
     parts, components, nodes = mass.shape
     last = np.zeros((parts, components), dtype=np.int64)
     filled = 0

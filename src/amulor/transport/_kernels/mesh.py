@@ -127,7 +127,7 @@ def blocked(place: Vector, end: Vector, start: float, mesh: Mesh) -> bool:
 
 @entry
 def first_triangles(start: Array, way: Array, mesh: Mesh, met: Integers) -> None:
-    """Fill met with the index of the nearest triangle on each ray, -1 for none."""
+    """Fill `met` with the index of the nearest triangle on each ray, -1 for none."""
     for i in range(start.shape[0]):
         place = (start[i, 0], start[i, 1], start[i, 2])
         ahead = (way[i, 0], way[i, 1], way[i, 2])
@@ -143,7 +143,7 @@ def free_ways(
     mesh: Mesh,
     free: NDArray[np.bool_],
 ) -> None:
-    """Fill free with whether lines between points are unobstructed by triangles."""
+    """Fill `free` with whether lines between points are unobstructed by triangles."""
     for i in range(start.shape[0]):
         place = (start[i, 0], start[i, 1], start[i, 2])
         stop = (end[i, 0], end[i, 1], end[i, 2])

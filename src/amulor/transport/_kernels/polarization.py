@@ -157,7 +157,7 @@ def connected(
     cell: int,
     out: Array,
 ) -> None:
-    """Fill out with the received Stokes vector after scattering from n to m.
+    """Fill `out` with the received Stokes vector after scattering from n to m.
 
     light holds frame and Stokes vector of the light along n, path_matrix frame and
     Mueller matrix from the light along m to the receiver.
@@ -187,7 +187,7 @@ def connected(
 
 @kernel
 def received(path_matrix: Array, stokes: Stokes, out: Array) -> None:
-    """Fill out with the product of a path's Mueller matrix and a Stokes vector."""
+    """Fill `out` with the product of a path's Mueller matrix and a Stokes vector."""
     for k in range(4):
         at = 3 + 4 * k
         out[k] = (

@@ -41,7 +41,7 @@ def exponential(state: States) -> float:
 
 @kernel
 def fill_uniform(state: States, out: Array) -> None:
-    """Fill out with uniformly distributed random numbers from 0 to 1."""
+    """Fill `out` with uniformly distributed random numbers from 0 to 1."""
     for k in range(out.size):
         out[k] = uniform(state)
 

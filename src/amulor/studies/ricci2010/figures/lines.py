@@ -82,7 +82,7 @@ def _overlap(study: Study) -> Check:
 
 
 def needed_crossed_share(study: Study) -> float:
-    """Return the cross-polarized share of water light by both drifts of (d)."""
+    """Return the cross-polarized share of water light that fits both drifts of (d)."""
     m22 = study["m22_target"]
     ratio = _CROSSED / _PARALLEL * (1 - m22) / (1 + m22)
     return ratio / (1 + ratio)

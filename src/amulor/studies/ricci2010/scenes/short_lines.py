@@ -161,7 +161,7 @@ SURE = 2.0
 
 
 def drift_check(study: Study, rows: Statements, name: str) -> Check:
-    """Check the drift of a line; its row says whether it is drift, flat or moves."""
+    """Check the drift of a line: its limits, or whether it is flat or moves."""
     result = line(study, *name.split("_"))
     kind = rows.checks[name]["kind"]
     check = rows.within(
