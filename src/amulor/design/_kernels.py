@@ -150,8 +150,10 @@ class Scratch(NamedTuple):
     open_water: NDArray[np.complex128]
     """Water signal without a target, of the whole water column [1/s]."""
     change: NDArray[np.complex128]
-    """Derivatives of the water signal by the logarithms of absorption and scattering,
-    last axis the two; then those of the whole column [1/s].
+    """Derivatives of the water signal by log absorption and log scattering [1/s].
+
+    Along the last axis: the two of the water before the target, then those of the whole
+    column.
     """
     laser_rate: Floats
     """Photoelectron rate of the laser light, shape (channel,) [1/s]."""

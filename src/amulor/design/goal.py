@@ -67,27 +67,27 @@ class CoefficientSpread(_Spread):
     """Range of an attenuation, absorption or scattering coefficient."""
 
     low: Annotated[PerMetre, Field(ge=0)]
-    """Lower end [1/m]."""
+    """Lower end of the range [1/m]."""
     high: Annotated[PerMetre, Field(gt=0)]
-    """Upper end [1/m]."""
+    """Upper end of the range [1/m]."""
 
 
 class FractionSpread(_Spread):
     """Range of a fraction."""
 
     low: Annotated[Fraction, Field(ge=0, le=1)]
-    """Lower end [1]."""
+    """Lower end of the range [1]."""
     high: Annotated[Fraction, Field(ge=0, le=1)]
-    """Upper end [1]."""
+    """Upper end of the range [1]."""
 
 
 class AngleSpread(_Spread):
     """Range of an angle."""
 
     low: Annotated[Angle, Field(ge=0, le=1)]
-    """Lower end [rad]."""
+    """Lower end of the range [rad]."""
     high: Annotated[Angle, Field(ge=0, le=1)]
-    """Upper end [rad]."""
+    """Upper end of the range [rad]."""
 
 
 #: Any of them.
@@ -161,8 +161,10 @@ class Waters(Description):
     base: WaterStated
     """Base water, described as in a survey."""
     attenuation: CoefficientSpread | None = None
-    """Range of a + b at the wavelength of the first laser, in the proportion of the
-    base; as the base if left out [1/m]."""
+    """Range of a + b at the first laser's wavelength; as the base if left out [1/m].
+
+    Absorption and scattering stay in the proportion of the base.
+    """
     absorption: CoefficientSpread | None = None
     """Range of the absorption a, instead of the attenuation [1/m]."""
     scattering: CoefficientSpread | None = None
@@ -240,9 +242,7 @@ class Laser(Description):
     quantum_efficiency: Annotated[Fraction, Field(gt=0, le=1)] | None = None
     """Quantum efficiency at this wavelength; that of the detector if left out [1]."""
     water: WaterStated | None = None
-    """Base water at this wavelength, where its coefficients do not follow from those
-    stated.
-    """
+    """Base water at this wavelength, if not to be derived from the stated one."""
     price: _Money = 0.0
     """Price of the laser [currency]."""
     price_per_watt: _Money = 0.0
@@ -365,7 +365,7 @@ class Components(Description):
     dwell: TimeBox
     """Dwell time per pixel, frequency and channel [s]."""
     polarizations: Annotated[tuple[Scheme, ...], Field(min_length=1)]
-    """Schemes to choose from: channels joined by a plus sign, such as "VH", "VV+VH"."""
+    """Polarization schemes to choose from, such as "VH" or "VV+VH"."""
     methods: Annotated[tuple[Method, ...], Field(min_length=1)] = ("open-water",)
     """Rejection methods to choose from, by the names of `amulor reject`."""
     price_per_channel: _Money = 0.0
@@ -422,8 +422,7 @@ class Goal(Description):
         ]
         | DistanceRange
     )
-    """Slant ranges at which the accuracy is asked for: a list, or nearest and farthest
-    [m]."""
+    """Slant ranges with required accuracy: a list, or nearest and farthest [m]."""
     interval: Interval | None = None
     """Limits of the slant range, known before the measurement; from 0 to 1.1 times the
     farthest distance if left out.

@@ -285,8 +285,9 @@ class Recommendation:
     bounds: tuple[Bound, ...]
     """Parameters of the best instrument that lie at a limit of the goal."""
     impossible: tuple[Shortfall, ...]
-    """Requirements that must give if no candidate meets all: each line alone suffices,
-    unless it says otherwise.
+    """Requirements to relax if no candidate meets all of them.
+
+    Each line alone suffices, unless it says otherwise.
     """
     candidates: xr.Dataset
     """Table of the best candidates, over `candidate`."""

@@ -67,8 +67,11 @@ class Trade:
     """Errors of one instrument for several dwell times and frequency sets."""
 
     error: Floats
-    """Total error at the worst asked distance, as the asked share of draws reaches it;
-    infinite where intervals go wrong too often or the detector is overloaded [m]."""
+    """Total error at the worst required distance [m].
+
+    Not exceeded in the required share of draws; infinite where intervals go wrong too
+    often or the detector is overloaded.
+    """
     scan_time: Floats
     """Time for scanning all pixels [s]."""
     top_frequency: Floats

@@ -201,8 +201,7 @@ class LowPassFit:
     cut_off_standard_error: float
     """Standard error of the cut-off, from the residuals of the fit [Hz]."""
     amplitude_at_zero: float
-    """Amplitude at zero frequency, in the unit of the data: fitted by `fit`, the
-    largest of the data for `fit_of_power`."""
+    """Amplitude at zero frequency: fitted by `fit`, the maximum for `fit_of_power`."""
 
 
 def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:

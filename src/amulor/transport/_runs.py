@@ -205,7 +205,10 @@ class Progress:
     goal: int
     """Requested number of histories."""
     relative_error: float
-    """Relative standard error so far, infinite before eight batches [1]."""
+    """Relative standard error so far; infinite before eight batches [1].
+
+    It is that of the error goal, else that of all light at the first frequency.
+    """
     seconds: float
     """Time since the start [s]."""
 

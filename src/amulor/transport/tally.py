@@ -199,8 +199,10 @@ class Tally:
     modulation_frequency: Array
     """Modulation frequencies, shape (n,) [Hz]."""
     parts: tuple[str, ...]
-    """Names of the parts of the light: water by number of scatterings, target without
-    and with scattering in the water."""
+    """Names of the parts of the light.
+
+    Water by number of scatterings, target without and with scattering in the water.
+    """
     batches: Complex
     """Mean light of each batch, shape (batches, parts, components, n); the components
     are I, or I, Q, U and V [1].
@@ -228,8 +230,11 @@ class Tally:
     merged_seeds: tuple[int, ...] = ()
     """Seeds of other runs that are merged into this one."""
     contributions: Array | None = None
-    """Sum, sum of squares and largest of the contributions at zero frequency, for all
-    light, water and target, and each analyser: shape (3, 1 or 7, 3) [1]."""
+    """Sums of the group contributions at zero frequency, shape (3, 1 or 7, 3) [1].
+
+    For all light, water and target, and for each analyzer: sum, sum of squares and
+    maximum.
+    """
     phase_function_integral: tuple[float, ...] = ()
     """Integral over the sphere of each layer's phase function before normalization; 1
     within 0.2 % [1].

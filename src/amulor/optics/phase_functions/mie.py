@@ -58,8 +58,7 @@ class Sphere(NamedTuple):
     scattering: float
     """Scattering efficiency [1]."""
     backscattering: float
-    """Radar efficiency: 4 pi times the cross section per steradian straight back, over
-    the geometric one [1]."""
+    """Radar efficiency: 4 pi times backward cross section per sr, over area [1]."""
     asymmetry: float
     """Mean cosine of the scattering angle [1]."""
 

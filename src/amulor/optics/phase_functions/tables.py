@@ -40,7 +40,7 @@ STATIONS = (
     "NUC 2040",
     "NUC 2240",
 )
-"""Stations of Petzold: clear ocean (AUTEC), coast (HAOCE), San Diego Harbor (NUC)."""
+"""Petzold's stations: clear ocean (AUTEC), coast (HAOCE), San Diego Harbor (NUC)."""
 
 
 def tabulated(

@@ -325,7 +325,7 @@ class Shared(NamedTuple):
     water: _kernels.Water
     """Water and receiver; its baseline and tilts are ignored."""
     cells: Array
-    """Table of the phase function."""
+    """Transform table of the phase function."""
     rule: Array
     """Nodes and weights of one panel of spatial frequency."""
 
@@ -459,7 +459,7 @@ LOOK = ("baseline", "tilt", "cross_tilt", "standoff")
 
 
 class Column(NamedTuple):
-    """Column of water in the view of an instrument (SI units).
+    """Optical properties of a water column, and the instrument's view of it (SI).
 
     Where each depth is looked at in its own way, such as the pixels of a target, what
     `LOOK` names has an element for each depth.

@@ -38,7 +38,7 @@ __all__ = [
 _Array = NDArray[np.float64]
 
 DEPOLARIZATION_RATIO = 0.039
-"""Depolarisation ratio of water at 90 degrees in natural light, ref. [1] above [1]."""
+"""Depolarization ratio of water at 90 degrees in natural light, ref. [1] above [1]."""
 
 _MOLAR_MASS = 18e-3  # of water, as ref. [1] takes it [kg/mol]
 
@@ -286,7 +286,7 @@ def _vsf_at_90(
 
 
 def _density_derivative(n: _Array) -> _Array:
-    """Return rho dn^2/drho after Proutiere, Megnassan and Hucteau, as in ref. [1]."""
+    """Return rho dn^2/drho of water after Proutiere et al., as in ref. [1]."""
     square = n * n
     local_field = 1 + 2 / 3 * (square + 2) * ((n - 1 / n) / 3) ** 2
     return np.asarray((square - 1) * local_field)

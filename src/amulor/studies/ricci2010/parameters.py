@@ -32,9 +32,7 @@ class Parameter:
     quantity: str
     """Physical quantity, a key of `amulor.units.SI_UNITS`."""
     limits: tuple[float, float] | None = None
-    """Lowest and highest value that the surviving text of the paper allows, in the same
-    unit; None where it is printed.
-    """
+    """Lowest and highest value allowed by the paper's text; None if printed there."""
     shown_limits: tuple[str, str] | None = None
     """Limits as written in the file, with their units."""
 

@@ -117,7 +117,10 @@ class Sweep:
     reflectance: float
     """Plate reflectance that gives the paper's ratio of water signal to echo [1]."""
     needed_backscatter: float
-    """Phase function at 180 degrees, needed for a plate of reflectance 0.8 [1/sr]."""
+    """Phase function at 180 degrees that explains the ratio [1/sr].
+
+    For a white plate of reflectance 0.8.
+    """
     period: float
     """Expected period of the interference in frequency [Hz]."""
 

@@ -68,8 +68,10 @@ class LadderScan:
     subtracted: dict[str, xr.Dataset]
     """Range image after water subtraction, by channel."""
     stated: dict[str, xr.Dataset]
-    """Range image by frequency alone, by channel: the shift by water is a stated bias,
-    and pixels with too much water have no range. Without polarizers only.
+    """Range image by the `frequency` method, by channel; without polarizers only.
+
+    The range shift by water is a stated bias, and pixels with too much water have no
+    range.
     """
 
     def farthest(self, image: xr.Dataset) -> float:
