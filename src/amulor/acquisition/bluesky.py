@@ -1,4 +1,4 @@
-"""A scan as a bluesky plan, run by a RunEngine, with one event document a sample."""
+"""A scan as a bluesky plan, run by a RunEngine; each sample is one event document."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def scan(
 
 
 class ScanDevice:
-    """Bluesky device of a scan: set to n, it has acquired n samples.
+    """Bluesky device of a scan: setting it to n acquires samples up to number n.
 
     It is staged (devices are connected), set and read sample by sample, stopped (light
     off, all safe; the next set goes on) and unstaged (the scan ends where it is).
@@ -334,7 +334,7 @@ class _Status:
         self._error: BaseException | None = None
 
     def resolve(self, error: BaseException | None) -> None:
-        """Mark the action as done, unless it is already."""
+        """Mark the action as done, unless it was done before."""
         with self._lock:
             if self._over.is_set():
                 return
@@ -345,7 +345,7 @@ class _Status:
             callback(self)
 
     def add_callback(self, callback: Callable[[Any], None]) -> None:
-        """Call a function when the action is done, or now if it is."""
+        """Call a function when the action is done, at once if it is done already."""
         with self._lock:
             if not self._over.is_set():
                 self._callbacks.append(callback)

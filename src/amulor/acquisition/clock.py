@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Clock of a scan and its devices; in a rehearsal it may be faster than real."""
+    """Clock of a scan and its devices; in a rehearsal it can outrun real time."""
 
     def now(self) -> float:
         """Return the time since a fixed origin [s]."""
@@ -52,7 +52,7 @@ SLOWEST, FASTEST = 1e-3, 1e6
 
 
 class RealClock:
-    """Clock with real time, or with a multiple of its speed.
+    """Real-time clock, which can also run at a multiple of real time.
 
     Parameters
     ----------

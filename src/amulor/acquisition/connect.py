@@ -86,7 +86,7 @@ class LockInGate:
             )
 
     def make_safe(self) -> None:
-        """Switch the laser off, over a new link if the old one is lost."""
+        """Switch the laser off, through a new link if the old link is broken."""
         try:
             self.off()
         except InstrumentError:

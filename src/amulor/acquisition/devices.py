@@ -1,4 +1,4 @@
-"""The devices of a scan: their identities, their safe state and their release."""
+"""All devices of a scan: identities, safe state and release."""
 
 from __future__ import annotations
 

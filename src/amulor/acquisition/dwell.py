@@ -182,14 +182,14 @@ def refuse_for_records(records: bool, lock_in: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Dwell:
-    """Signals and state of one dwell."""
+    """Signals, mean outputs and lock-in state of one dwell."""
 
     signals: list[complex]
     """Signal at each frequency [V]."""
     modulation_frequencies: list[float]
     """Modulation frequencies read back [Hz]."""
     means: list[float]
-    """Mean outputs of the detector, empty where it is not wired [V]."""
+    """Mean outputs of the detector, empty without a wired input [V]."""
     readings: int
     """Number of readings or intervals in the mean [1]."""
     interval: float | None

@@ -36,7 +36,7 @@ class Key(NamedTuple):
     frequency: float
     """Commanded modulation frequency [Hz]."""
     polarization: str
-    """Launched and analysed state, or "none"."""
+    """Launched and analysed polarization state, or "none"."""
     repeat: int
     """Number of the sample among those of the same place and channel. In the scan it is
     0, and higher for a retake [1]."""
@@ -47,13 +47,13 @@ class Step:
     """One dwell: its direction and the samples acquired in it."""
 
     key: Key
-    """Key of its first sample."""
+    """Key of the first sample of the dwell."""
     azimuth: float
     """Azimuth, to the right [rad]."""
     elevation: float
     """Elevation, upwards [rad]."""
     others: tuple[Key, ...] = ()
-    """Keys of its samples at other frequencies."""
+    """Keys of the other samples of the dwell, at further frequencies."""
     together: tuple[float, ...] = ()
     """All modulation frequencies of this dwell, if several, including those whose
     samples exist already [Hz]."""
@@ -88,12 +88,12 @@ class Comb(NamedTuple):
     frequencies: tuple[float, ...]
     """Modulation frequencies at once [Hz]."""
     polarization: str
-    """Launched and analysed state, or "none"."""
+    """Launched and analysed polarization state, or "none"."""
 
     def step(
         self, kind: str, place: tuple[int, int], repeat: int, where: tuple[float, float]
     ) -> Step:
-        """Return the dwell at a place (row, column), in a direction [rad]."""
+        """Return the dwell at a place (row, column) and beam direction [rad]."""
         first, *others = (
             Key(kind, *place, frequency, self.polarization, repeat)
             for frequency in self.frequencies

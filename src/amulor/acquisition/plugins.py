@@ -1,4 +1,4 @@
-"""Devices of other packages, by their entry points."""
+"""Devices of other installed packages, loaded by their entry points."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Wiring:
     address: str | None
     """Address in the devices file."""
     timeout: float
-    """Longest wait for one answer [s]."""
+    """Longest wait for one answer of the device [s]."""
     clock: Clock
     """Clock of all waits: use `clock.sleep`, never `time.sleep`."""
     options: Mapping[str, Any] = field(default_factory=dict)

@@ -30,12 +30,12 @@ class Overload(enum.IntFlag):
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """One reading of a lock-in amplifier, all values of one instant."""
+    """One reading of a lock-in amplifier, with all values at one instant."""
 
     signal: complex
     """Complex signal: peak amplitude, delayed echo with positive phase [V]."""
     mean: float
-    """Mean output of the detector, NaN where it is not wired [V]."""
+    """Mean output of the detector, NaN without a wired input [V]."""
     modulation_frequency: float
     """Modulation frequency read back from the instrument [Hz]."""
     overload: Overload = Overload.NONE
@@ -107,7 +107,7 @@ class Recorded:
     """Complex signal at each time: peak amplitude, delay as a positive phase, of shape
     (n, frequency) [V]."""
     mean: float
-    """Mean output of the detector, NaN where it is not wired [V]."""
+    """Mean output of the detector, NaN without a wired input [V]."""
     modulation_frequencies: tuple[float, ...]
     """Modulation frequencies read back from the instrument [Hz]."""
     overload: Overload = Overload.NONE
@@ -162,7 +162,7 @@ class Waveform:
 
 
 class Digitiser(Device, Protocol):
-    """Digitizer that records the detector; its safe state is no modulation."""
+    """Digitizer that records the detector signal; when safe, it does not modulate."""
 
     ranges: tuple[float, ...]
     """Input ranges as peak voltages, in ascending order [V]."""
@@ -185,7 +185,7 @@ class Digitiser(Device, Protocol):
 
 
 class Source(Device, Protocol):
-    """Generator that modulates the laser; its safe state is no output.
+    """Generator that modulates the laser; its output is off in the safe state.
 
     The lock-in then takes its reference from the generator.
     """
@@ -210,7 +210,7 @@ class SweepingScanner(Scanner, Protocol):
         """Start to move to a direction [rad], reached after a time [s]; do not wait."""
 
     def where(self) -> tuple[float, float]:
-        """Return the present direction, also while it moves [rad]."""
+        """Return the present direction, also during a motion [rad]."""
 
 
 class RotationMount(Device, Protocol):

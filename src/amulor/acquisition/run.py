@@ -71,7 +71,7 @@ class Keeper:
         self._pending = (future, step, len(samples))
 
     def settle(self) -> None:
-        """Wait until all samples are written, and report them."""
+        """Wait until all samples are in the journal, and report them."""
         if self._pending is None:
             return
         future, step, count = self._pending
@@ -456,7 +456,7 @@ class _Run:
         )
 
     def _begin_to_count(self) -> None:
-        """Restart the rate, so that it excludes the time of a pause."""
+        """Restart the measurement of the sample rate, to exclude a pause."""
         self._started = time.monotonic()
         self._taken = 0
 

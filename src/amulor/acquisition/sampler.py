@@ -96,7 +96,7 @@ _FREQUENCY_TOLERANCE = 1e-3
 
 
 class Sampler:
-    """Acquire samples, with the state of all devices in memory."""
+    """Acquisition of samples, which remembers the present settings of all devices."""
 
     def __init__(self, survey: Survey, settings: Settings, devices: Devices) -> None:
         self._settings = settings
@@ -128,7 +128,7 @@ class Sampler:
         self.forget()
 
     def forget(self) -> None:
-        """Forget the state of all devices, after they were made safe."""
+        """Discard the remembered settings of all devices, after they were made safe."""
         #: Whether more than the direction has changed since the last reading.
         self._new = True
         #: Read-back of mounts and target after their last move.
@@ -223,7 +223,7 @@ class Sampler:
         elapsed: float,
         segment: int,
     ) -> list[Record]:
-        """Return the record of one dwell for each key of its step."""
+        """Return the records of one dwell, one for each sample key of its step."""
         azimuth, elevation = where
         means = dwell.means
         mean = statistics.fmean(means) if means else None

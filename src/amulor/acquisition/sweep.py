@@ -43,7 +43,7 @@ class Swept:
     """Dwell and direction of one pixel of a row."""
 
     dwell: Dwell
-    """Signals, mean output and state."""
+    """Signals, mean output and lock-in state of the pixel."""
     azimuth: float
     """Mean azimuth of the beam over the dwell [rad]."""
     elevation: float
@@ -91,7 +91,7 @@ class _Motion:
 
 
 def pitch_of(survey: Survey) -> float:
-    """Return the angle between two columns; raise if there is only one [rad]."""
+    """Return the angle between two columns of a scan; raise if it has one [rad]."""
     scan = survey.scan
     if scan.columns < 2 or scan.azimuth_span == 0:
         raise SurveyError(
@@ -103,7 +103,7 @@ def pitch_of(survey: Survey) -> float:
 
 
 class SweepReader:
-    r"""Read rows while the beam moves along them.
+    r"""Reader of rows in continuous mode, while the beam moves along them.
 
     The beam moves by one column in one dwell, so that a sample is the mean over its
     pixel. The lock-in records without a gap. A straight line through readings of the

@@ -182,7 +182,7 @@ class _Log:
         self._now = (step, share)
 
     def line(self) -> str:
-        """Return a line if one is due, else None."""
+        """Return a progress line if it is time for one, else an empty text."""
         moment = self._clock()
         step, share = self._now
         # The longer it takes, the fewer lines.

@@ -149,7 +149,7 @@ def _calibration(path: Path) -> Any:
 
 
 def _calibration_of(path: Path) -> Any:
-    """Return the calibration in a cube, if there is one."""
+    """Return the calibration stored in a cube, or None."""
     from amulor import io
     from amulor.acquisition import Calibration
 
@@ -255,7 +255,7 @@ class _Interrupts:
         return self._wanted or self._leaving
 
     def go_on(self) -> bool:
-        """Ask whether the scan goes on; in a pipe it does not."""
+        """Ask whether to continue the scan; without a terminal, end it."""
         self._wanted = False
         if self._leaving or not sys.stdin.isatty():
             return False

@@ -134,7 +134,7 @@ class QualityFlag(enum.IntFlag):
     NO_OPEN_WATER = 32
     """The water signal was not removed: the range has an unknown error."""
     MIXED = 64
-    """The beam meets two surfaces at once: the range lies between them."""
+    """The beam meets two surfaces at once, and the range lies between the two."""
     OUTLIER = 128
     """A sample disagrees with the rest of its pixel or of the scan."""
     RELATIVE = 256

@@ -59,7 +59,7 @@ class Order:
     against: Path | None = None
     """Mesh or range image that the scan is compared with."""
     unit: Unit = "m"
-    """Unit of that mesh."""
+    """Unit of length in the mesh file."""
     farthest: float | None = None
     """Largest distance of a pixel from the reference; farther ones are ignored [m]."""
     title: str = ""

@@ -31,7 +31,7 @@ def hand_over(
     frame: Frame | None = None,
     overwrite: bool = False,
 ) -> str:
-    """Make a product of a range image and write it to a file."""
+    """Make one product of a range image, such as a mesh, and write it to a file."""
     ending = path.suffix.lower()
     if ending not in ENDINGS[order.product]:
         raise FormatError(

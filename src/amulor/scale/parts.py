@@ -1,4 +1,4 @@
-"""Files of a scan in parts: computed on a cluster, joined by one task."""
+"""Files of a scan that are computed in parts on a cluster, then joined."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ class Task:
     name: str
     """Name of the scan."""
     file: str
-    """Cube of the scan; not used for a simulated one."""
+    """Cube of the scan; not used for a simulated scan."""
     simulated_from: str | None
     """Survey of a simulated scan."""
     seed: int

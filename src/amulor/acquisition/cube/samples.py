@@ -69,7 +69,7 @@ class Samples:
         self.values = np.full(shape, np.array(_EMPTY, dtype=_SAMPLE))
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return one quantity of all samples, as a view that can be written."""
+        """Return one quantity of all samples, as a writable view."""
         return self.values[name]
 
     def fill(self, journal: Journal, kind: str) -> None:

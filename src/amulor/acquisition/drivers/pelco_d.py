@@ -38,7 +38,7 @@ class Octets(Protocol):
         """Send bytes."""
 
     def receive(self, most: int) -> bytes:
-        """Return received bytes, at least one."""
+        """Wait for at least one byte, and return the received bytes."""
 
     def forget(self) -> None:
         """Discard bytes that were received but not read."""
@@ -132,7 +132,7 @@ class PelcoHead:
                 )
 
     def make_safe(self) -> None:
-        """Stop, and turn to the parking direction, if one is set."""
+        """Stop both axes, and turn to the parking direction, if one is set."""
         try:
             self._stop()
         except InstrumentError:

@@ -54,7 +54,7 @@ class PiController:
         return self._identity
 
     def enable(self, axes: Sequence[str]) -> None:
-        """Close the servo loop of axes; raise if one is not referenced."""
+        """Close the servo loop of axes; raise if an axis is not referenced."""
         self._link.send("SVO " + " ".join(f"{axis} 1" for axis in axes))
         self.raise_error()
         referenced = self._values("FRF?", axes)
@@ -128,7 +128,7 @@ class PiController:
         return [values[axis] for axis in axes]
 
     def stop(self) -> None:
-        """Stop all axes, over a new link if the old one is lost."""
+        """Stop all axes, through a new link if the old link is broken."""
         try:
             self._stop()
         except InstrumentError:
@@ -136,7 +136,7 @@ class PiController:
             self._stop()
 
     def raise_error(self) -> None:
-        """Raise if the controller reports an error, and clear it."""
+        """Raise if the controller reports an error; the query clears the error."""
         (code,) = self._link.ask("ERR?")
         if code not in ("0", str(_STOPPED)):
             raise InstrumentError(
@@ -267,7 +267,7 @@ class PiScanner(_OnController):
         self._controller.set_out({axis: goals[axis] for axis in moved})
 
     def where(self) -> tuple[float, float]:
-        """Return the present direction, also while it moves [rad]."""
+        """Return the present direction, also during a motion [rad]."""
         return self._directions(*self._controller.positions(self._axes))
 
     def _restore_velocities(self) -> None:
@@ -312,7 +312,7 @@ class PiScanner(_OnController):
         }
 
     def make_safe(self) -> None:
-        """Stop, and turn to the parking direction, if one is set."""
+        """Stop both axes, and turn to the parking direction, if one is set."""
         super().make_safe()
         self._restore_velocities()
         settings = self._settings

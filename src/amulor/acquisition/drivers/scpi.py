@@ -94,7 +94,7 @@ class ScpiSource(_Scpi):
         return actual
 
     def make_safe(self) -> None:
-        """Switch the output off, over a new link if the old one is lost."""
+        """Switch the output off, through a new link if the old link is broken."""
         self._puts_out = False
         try:
             self._send(self._words.off)
@@ -180,7 +180,7 @@ class ScpiLaser(_Scpi):
             )
 
     def make_safe(self) -> None:
-        """Switch the laser off, over a new link if the old one is lost."""
+        """Switch the laser off, through a new link if the old link is broken."""
         try:
             self.off()
         except InstrumentError:

@@ -54,7 +54,7 @@ class Stanford:
         return self._identity
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 as on the panel; return it [V]."""
+        """Set an auxiliary output, counted from 1 as on the panel [V]; read it back."""
         if not 1 <= number <= self._outputs:
             raise InstrumentError(
                 f"{self.model} has auxiliary outputs 1 to {self._outputs}, asked for "
@@ -107,7 +107,7 @@ class Stanford:
         return result
 
     def configure(self, lines: Sequence[str]) -> None:
-        """Send settings; raise if the instrument refused one."""
+        """Send setting commands; raise if the instrument refuses any."""
         for line in lines:
             self._link.send(line)
         status = int(self.number("*ESR?"))

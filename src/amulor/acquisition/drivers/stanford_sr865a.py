@@ -287,7 +287,7 @@ class Sr865a(Stanford):
         )
 
     def _wait(self, number: int) -> None:
-        """Wait until the buffer holds the point of this number, most likely."""
+        """Wait until the buffer has most likely captured the point of this number."""
         moment = self._began_after + (number + 0.6) / self._rate
         self._clock.sleep(moment - self._clock.now())
 

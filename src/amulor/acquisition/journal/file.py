@@ -182,7 +182,7 @@ def text_of(content: bytes) -> str:
 
 
 def reader(path: Path) -> sqlite3.Connection:
-    """Open the file for reading, also while it is written to."""
+    """Open the file for reading, also while a scan writes to it."""
     with explained(path):
         # One thread at a time reads: a page goes on with what its command began.
         connection = sqlite3.connect(

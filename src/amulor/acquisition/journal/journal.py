@@ -186,7 +186,7 @@ class Journal:
 
     @classmethod
     def read(cls, folder: Path) -> Journal:
-        """Open a journal for reading, also while it is written to.
+        """Open a journal for reading, also while a scan writes to it.
 
         Parameters
         ----------
@@ -226,7 +226,7 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Close the journal and let other writers in; it may be called twice."""
+        """Close the journal and release its write lock; it may be called twice."""
         with contextlib.suppress(sqlite3.Error):
             self._connection.close()
         if self._claim is not None:
@@ -281,7 +281,7 @@ class Journal:
         self._damage[line] = None
 
     def commit(self, key: Key, record: Record) -> None:
-        """Write one sample; on return, it survives a loss of power.
+        """Write one sample, which survives a loss of power after the call.
 
         Parameters
         ----------
@@ -377,7 +377,7 @@ class Journal:
         return int(result[0])
 
     def last_elapsed(self) -> float:
-        """Return the elapsed time of the last sample, 0 without one [s]."""
+        """Return the elapsed time of the last sample, 0 without samples [s]."""
         with explained(self._path):
             (result,) = self._connection.execute("SELECT MAX(elapsed) FROM samples")
         return float(result[0] or 0.0)

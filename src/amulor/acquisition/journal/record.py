@@ -24,7 +24,7 @@ class Quantity:
     text: str
     """Long name of the quantity."""
     unit: str
-    """Unit, 1 without one."""
+    """Unit; "1" for a dimensionless quantity."""
     within: tuple[float, float]
     """Smallest and largest possible value, both included."""
     cube: str | None = None
@@ -54,7 +54,7 @@ def _mount(text: str, *, cube: str) -> Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """Quantities of one sample; None where no device measures it."""
+    """Quantities of one sample; None for a quantity that no device measures."""
 
     in_phase: Annotated[float, _volt("in-phase part, mean of the readings")]
     quadrature: Annotated[float, _volt("quadrature, mean of the readings")]

@@ -61,7 +61,7 @@ def checksum(names: Sequence[str], values: Sequence[Any]) -> int:
 
 
 def refuse_impossible(key: Key, record: Record) -> None:
-    """Raise if a quantity of a sample is infinite, or missing where it is required."""
+    """Raise if a quantity of a sample is infinite, or a required one is missing."""
     for name, value in (*key._asdict().items(), *vars(record).items()):
         if value in (math.inf, -math.inf):
             problem = "infinite"
@@ -76,7 +76,7 @@ def refuse_impossible(key: Key, record: Record) -> None:
 
 
 class RowCheck:
-    """Check of the rows of one journal."""
+    """Check of a journal's rows: checksum, type and range of each quantity."""
 
     def __init__(self, survey: Survey | None, columns: Sequence[str]) -> None:
         self._columns = tuple(columns)
@@ -93,7 +93,7 @@ class RowCheck:
             )
 
     def wrong_with(self, values: Sequence[Any], stored: Any) -> str | None:
-        """Describe the damage of a row with a stored checksum; None if it is sound."""
+        """Describe the damage of a row, given its stored checksum; None if sound."""
         row = dict(zip(self._columns, values, strict=True))
         wrong = (
             self._wrong_type(row) or self._wrong_value(row) or self._not_planned(row)
@@ -248,7 +248,7 @@ def columns_of(connection: sqlite3.Connection) -> list[str]:
 
 
 class Rows:
-    """Rows of one journal, read and checked."""
+    """Reader of the rows of one journal, which checks each row."""
 
     def __init__(
         self, connection: sqlite3.Connection, damaged: Callable[[str], None]

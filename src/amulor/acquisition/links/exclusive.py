@@ -43,7 +43,7 @@ _HERE = "here"
 
 
 class DeviceLocks:
-    """Locks of devices, which end with the program that holds them."""
+    """Locks of devices; the operating system frees them when the program ends."""
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
@@ -146,7 +146,7 @@ def _hosts(host: str) -> list[str]:
 
 
 def _is_here(address: str) -> bool:
-    """Return whether an IP address is one of this computer."""
+    """Return whether an IP address belongs to this computer."""
     try:
         number = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:

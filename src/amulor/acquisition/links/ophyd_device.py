@@ -30,7 +30,7 @@ class AsyncLoop:
         self._loop = loop
 
     def run(self, call: Callable[[], Any], *, timeout: float) -> Any:
-        """Call a function in the loop, and await its result if it is awaitable."""
+        """Call a function in the event loop, and await its result if awaitable."""
 
         async def awaited() -> Any:
             async with asyncio.timeout(timeout):

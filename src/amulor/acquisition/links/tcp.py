@@ -1,4 +1,4 @@
-"""A simulated device on a network port: one line in, lines out."""
+"""Server of a simulated device on a network port, which answers lines of text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Speaker(Protocol):
     """Simulated device that answers lines."""
 
     def answer(self, line: str) -> Sequence[str | bytes]:
-        """Return the answers to one line, if any.
+        """Return the answers to one command line, if any.
 
         Text is ended by a line feed; bytes, such as a binary block, by nothing.
 
@@ -84,7 +84,7 @@ class _Conversation(socketserver.StreamRequestHandler):
     server: _Server
 
     def handle(self) -> None:
-        """Answer until the link ends."""
+        """Answer commands until the link ends."""
         speaker = self.server.speaker
         cutter = getattr(speaker, "cutter", None)
         lines: Any = cutter() if cutter else _Lines(getattr(speaker, "at_once", b""))
@@ -114,7 +114,7 @@ class DeviceServer:
 
     @property
     def address(self) -> str:
-        """Address of the device, as devices files name it."""
+        """Address of the device, as written in a devices file."""
         return f"tcp://{self._host}:{self._port}"
 
     @property

@@ -222,9 +222,9 @@ class SimulationSettings(Description):
     pickup: Annotated[Voltage, Field(ge=-100, le=100)] = 0.0
     """In-phase output without light, for dark readings [V]."""
     phase_drift: Annotated[Angle, Field(ge=-1e3, le=1e3)] = 0.0
-    """Change of the phase in one second [rad]."""
+    """Drift of the phase in one second [rad]."""
     phase_walk: Annotated[Angle, Field(ge=-10, le=10)] = 0.0
-    """Change of the phase for a tenfold amplitude [rad]."""
+    """Change of the phase when the amplitude increases tenfold [rad]."""
     water_drift: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     """Relative change of the water signal in one second [1/s]."""
     position_error: Annotated[Angle, Field(ge=0, le=0.1)] = 2e-6

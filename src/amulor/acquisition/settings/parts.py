@@ -47,7 +47,7 @@ class Linked(Description):
     "TCPIP::10.0.0.5::50000::SOCKET"; "tcp://10.0.0.5:50000" for a socket without a VISA
     library; of Zurich Instruments "server:device", such as "localhost:dev2006"."""
     timeout: Patience = 5.0
-    """Longest wait for one answer [s]."""
+    """Longest wait for one answer of the device [s]."""
     baud_rate: Annotated[int, Field(ge=50, le=10_000_000)] | None = None
     """Bits per second of a serial port; 9600, as in VISA, if left out [1/s]."""
     flow_control: Literal["none", "xon_xoff", "rts_cts", "dtr_dsr"] | None = None
@@ -96,7 +96,8 @@ class MirrorSettings(Description):
     """Number of an auxiliary output of the lock-in, counted from 1; "Dev1/ao0" of
     nidaqmx; "DAC0" of labjack."""
     volts: Annotated[tuple[Volts, ...], Field(min_length=3)]
-    """Voltages of the measured angles, rising; the scan stays between them [V]."""
+    """Voltages of the measured angles in ascending order; the scan stays between them
+    [V]."""
     angles: tuple[Angle, ...]
     """Angle of the beam at each voltage [rad]."""
 
@@ -150,7 +151,7 @@ class ScpiLaserSettings(Description):
     prepare: tuple[str, ...] | None = None
     """Commands before the laser is switched on, such as "SOUR:CURR 0.08"."""
     error: str | None = None
-    """Query of errors after the laser was switched on; left out without one."""
+    """Query of errors after the laser was switched on; not sent if left out."""
     no_error: str | None = None
     """Start of the answer without an error; "0" if left out."""
     lock: str | None = None
@@ -287,9 +288,10 @@ class ScpiLockInSettings(Description):
     counts: Literal["rms", "peak"] = "rms"
     """Whether X and Y are rms or peak values."""
     phase: Literal["falls", "rises"] = "falls"
-    """Sign of the phase with delay; it falls in most instruments."""
+    """Whether the measured phase falls or rises with delay; it falls in most
+    instruments."""
     mean: str | None = None
-    """Query of the mean output of the detector, where it is wired [V]."""
+    """Query of the mean output of the detector, if an input is wired to it [V]."""
     status: str | None = None
     """Query of the status bits, which latch until they are read."""
     input_overload: Bits = 0

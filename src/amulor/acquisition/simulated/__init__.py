@@ -1,1 +1,1 @@
-"""Simulated instruments: a bench in front of a scene, and devices on it."""
+"""Simulated instruments: an optical bench in front of a scene, and its devices."""

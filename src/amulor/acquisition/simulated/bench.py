@@ -210,7 +210,7 @@ class Bench:
             self._renew()
 
     def send(self, goals: Mapping[str, float], *, speed: float) -> None:
-        """Start to move axes to positions at a speed, with one arrival time.
+        """Start to move axes to positions, such that all arrive at the same time.
 
         The names are azimuth, elevation, launch, analyser and target.
         """
@@ -233,7 +233,7 @@ class Bench:
             self._arrive()
 
     def stop(self, names: Iterable[str] | None = None) -> None:
-        """Stop axes where they are; by default all of them."""
+        """Stop axes at their present positions; by default all axes."""
         with self._lock:
             self._advance()
             now = self._time
@@ -324,7 +324,7 @@ class Bench:
         self._relax(self._arrive())
 
     def _arrive(self) -> float:
-        """Complete motions up to the present time; return it [s]."""
+        """Update all positions to the present time; return this time [s]."""
         now = self.clock.now()
         while min(self._next_arrival, self._next_border) <= now:
             if self._next_border <= self._next_arrival:

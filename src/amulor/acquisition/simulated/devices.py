@@ -64,7 +64,7 @@ class SimulatedLockIn(_Simulated):
         self._constant = time_constant
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
-        """Set the modulation frequency [Hz], wait for lock, return it [Hz]."""
+        """Set the modulation frequency, wait for lock, return the actual one [Hz]."""
         return self.set_frequencies([frequency], timeout=timeout)[0]
 
     def set_frequencies(
@@ -414,7 +414,7 @@ class SimulatedLaserDriver:
         }
 
     def answer(self, line: str) -> list[str]:
-        """Return the answers to one line."""
+        """Return the answers to one command line."""
         self.lines.append(line)
         if line in self._answers:
             return [self._answers[line]()]

@@ -15,7 +15,7 @@ SPEED = math.radians(30.0)
 
 
 class _Frames:
-    """Splitter of the bytes of one link into frames of seven bytes."""
+    """Splitter of the received bytes of one link into frames of seven bytes."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -54,7 +54,7 @@ class SimulatedPelcoHead:
         return _Frames()
 
     def answer(self, line: bytes) -> list[bytes]:
-        """Return the answers to one frame."""
+        """Return the answers to one Pelco-D frame."""
         with self._lock:
             if line[1] != self._number:
                 return []

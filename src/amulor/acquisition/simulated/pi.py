@@ -136,7 +136,7 @@ class SimulatedPiController:
     at_once = (_MOTION + _READY + _STOP_ALL).encode()
 
     def answer(self, line: str) -> list[str]:
-        """Return the answers to one line, or to a one-character command."""
+        """Return the answers to one command line, or to a one-character command."""
         with self._lock:
             if not line:
                 return []

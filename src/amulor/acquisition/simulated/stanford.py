@@ -34,7 +34,7 @@ _BARE = ("*IDN?", "*RST", "*CLS", "*OPC?", "*TST?", "FREQ?")
 
 
 class Setting(NamedTuple):
-    """Setting with numbered choices."""
+    """Setting of an instrument that takes one of several numbered choices."""
 
     last: int = 0
     """Highest code of a choice."""
@@ -45,7 +45,7 @@ class Setting(NamedTuple):
 
 
 class Number(NamedTuple):
-    """Setting with a number, for one or several channels."""
+    """Setting of an instrument that takes a number, for one or several channels."""
 
     low: float
     high: float
@@ -103,7 +103,7 @@ class SimulatedStanford:
         self._reset("")
 
     def answer(self, line: str) -> list[str | bytes]:
-        """Return the answers to one line, which may hold several commands."""
+        """Return the answers to one line with one or several commands."""
         with self._lock:
             self.lines.append(line)
             del self.lines[:-_MOST_LINES]
@@ -183,7 +183,7 @@ class SimulatedStanford:
         return []
 
     def _enable(self, word: str, argument: str) -> list[str]:
-        """Set an enable register, or one bit of it."""
+        """Set a status-enable register, or one bit of it."""
         place, _, value = argument.partition(",")
         count = _BITS.get(word, 8)
         if not 0 <= _whole(place) < (count if value else 1 << count):
@@ -210,7 +210,7 @@ class SimulatedStanford:
         return status | _SERVICE * bool(status & self._enabled["*SRE"])
 
     def _pop(self, word: str, bit: str) -> list[str]:
-        """Return and clear a register, or one bit of it."""
+        """Return and clear a status register, or one bit of it."""
         result = _register_text(self._bits[word], bit, count=_BITS.get(word, 8))
         self._bits[word] &= ~(1 << _whole(bit)) if bit else 0
         return [result]
@@ -297,7 +297,7 @@ class SimulatedStanford:
 
 
 def _register_text(register: int, bit: str, *, count: int = 8) -> str:
-    """Return a register, or one bit of it, as text."""
+    """Return the value of a register, or of one of its bits, as text."""
     if not bit:
         return str(register)
     if not 0 <= _whole(bit) < count:

@@ -60,7 +60,7 @@ class SimulatedNode:
         return f"/{self._device.serial}/{self._path}"
 
     def __call__(self, *value: Any) -> Any:
-        """Set the node, or read it."""
+        """Set the node to a value, or read it without a value."""
         return self._device.handle(self._path, *value)
 
     def subscribe(self) -> None:
