@@ -276,7 +276,7 @@ def error_budgets(images: Mapping[str, xr.Dataset]) -> list[Part]:
 
 
 def _key(budget: ErrorBudget) -> str:
-    """Caption of the bars, limited to what is drawn."""
+    """Caption of the bar chart; it explains only the bars that are drawn."""
     parts = ["Standard uncertainty of each term, median over the usable pixels."]
     if any(line.term.name in _SHARED for line in budget.lines):
         parts.append("Dark terms are shared by pixels; a mean does not reduce them.")
@@ -364,7 +364,7 @@ def _table(name: str, budget: ErrorBudget) -> Table:
 
 
 def _limits(budget: ErrorBudget) -> str:
-    """Sentences on what the combined uncertainty includes and excludes."""
+    """Sentences on shared errors, late light, calibration, and unknown errors."""
     sentences = []
     if math.isfinite(budget.common):
         sentences.append(

@@ -52,15 +52,15 @@ class Explanation:
     kind: str
     """Kind of the name: flag, warning or error term."""
     meaning: str
-    """Meaning."""
+    """Meaning of the flag, warning or error term."""
     compared: str
-    """Quantities compared, and the limit."""
+    """Quantity that is compared, and the limit that sets the flag."""
     chance: str
-    """Rate by chance alone, if known."""
+    """Rate of false alarms from noise alone, if known."""
     consequence: str
-    """Consequence for the range or the sample."""
+    """Consequence for the slant range or the sample."""
     remedy: str
-    """Remedy."""
+    """Remedy for the operator."""
 
 
 def explanations() -> dict[str, Explanation]:
@@ -110,7 +110,7 @@ def find(words: str) -> list[Explanation]:
 
 
 def _limits() -> dict[str, Any]:
-    """Limits and chance rates, by the words in braces that stand for them."""
+    """Limits and false-alarm rates, by their placeholders in the explanations."""
     from amulor.imaging import edges, outliers
     from amulor.optics import ambiguity
     from amulor.rejection import quality, subtraction
@@ -201,18 +201,18 @@ def hint(names: Iterable[str]) -> str:
 
 
 def default_of(function: object, name: str) -> float:
-    """Default value of an argument that is a limit."""
+    """Default of a function's argument, which the function uses as a limit."""
     value = inspect.signature(function).parameters[name].default  # type: ignore[arg-type]
     return float(value)
 
 
 def _tail(sigma: float) -> float:
-    """Probability that a normal error exceeds a number of standard deviations."""
+    """Probability that a normal deviate exceeds a number of standard deviations."""
     return 0.5 * math.erfc(sigma / math.sqrt(2))
 
 
 def _share(share: float) -> str:
-    """Small share in words, to precede its noun."""
+    """Small fraction in words, such as "2 % of the", to precede its noun."""
     if share >= 1e-3:
         return f"{share * 100:.2g} % of the"
     return f"1 of {float(f'{1 / share:.2g}'):,.0f}"
@@ -228,26 +228,26 @@ _NO_FLAGS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Reason:
-    """Flag of a pixel with a number behind it."""
+    """Flag of a pixel, with the measured value and the limit that set it."""
 
     flag: str
     """Name of the flag."""
     cause: str
-    """Cause of WATER_RESIDUAL; empty for other flags."""
+    """Cause of the flag WATER_RESIDUAL; empty for other flags."""
     modulation_frequencies: tuple[float, ...] = ()
     """Frequencies of the samples; empty for the whole pixel [Hz]."""
     quantity: str
-    """Quantity compared with a limit, or a statement in place of a number."""
+    """Quantity compared with a limit, or a statement where there is no number."""
     value: float | None = None
     """Measured value; None without one."""
     limit: str = ""
-    """Relation to the limit behind the flag, such as "> 0.3"."""
+    """Condition on the value that sets the flag, such as "> 0.3"."""
     unit: str = ""
-    """Unit of both."""
+    """Unit of value and limit."""
 
 
 def reasons(path: Path, row: int, column: int) -> dict[str, list[Reason]]:
-    """Return the flags of a pixel with the numbers behind them, by channel."""
+    """Return the flags of a pixel with values and limits, by polarization channel."""
     if path.suffix.lower() not in (".nc", ".nc4"):
         raise FormatError(f"{path} has {_NO_FLAGS}")
     with open_rows(path, check_digest=False) as rows:
@@ -278,7 +278,7 @@ def reasons(path: Path, row: int, column: int) -> dict[str, list[Reason]]:
 
 
 def _of_samples(tile: xr.Dataset, channel: int) -> Iterator[Reason]:
-    """Yield the flags of a channel's samples, equal ones of all frequencies once."""
+    """Yield the flags of a channel's samples; a flag of all frequencies comes once."""
     cube = tile.isel(polarization=[channel])
     frequencies = cube["modulation_frequency"].values
     at: dict[Reason, tuple[float, ...]] = {}
@@ -300,7 +300,7 @@ def _of_image(tile: xr.Dataset, row: int, column: int) -> Iterator[Reason]:
 
 
 def _numbers_of(part: xr.Dataset) -> dict[str, float]:
-    """Numbers of a single sample or pixel."""
+    """Single-valued variables of a sample or pixel, by name."""
     numbers = {
         str(name): float(variable.item())
         for name, variable in part.data_vars.items()
@@ -313,7 +313,7 @@ def _numbers_of(part: xr.Dataset) -> dict[str, float]:
 
 
 def _phases(sample: xr.Dataset) -> dict[str, float]:
-    """Phase errors of a sample, and its shift by residual water [rad]."""
+    """Phase uncertainty of a sample, and its phase shift by residual water [rad]."""
     signal = sample.amulor.signal.values
     errors = covariance_of(sample)
     measured = np.isfinite(signal)
@@ -333,7 +333,7 @@ def _phases(sample: xr.Dataset) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Test:
-    """Number behind a flag, and the limit beyond which the flag is set."""
+    """Test of a measured quantity against the limit that sets a flag."""
 
     flag: QualityFlag | WaterResidualCause
     key: str
@@ -343,20 +343,20 @@ class _Test:
     unit: str = "1"
 
     def of(self, flag: QualityFlag, causes: WaterResidualCause) -> bool:
-        """Whether it belongs to a flag with these causes."""
+        """Whether this test explains a flag with these causes."""
         if isinstance(self.flag, WaterResidualCause):
             return flag == QualityFlag.WATER_RESIDUAL and self.flag in causes
         return self.flag == flag
 
     def given_by(self, value: float) -> bool:
-        """Whether the value sets the flag; causes are stored in the file."""
+        """Whether the value sets the flag; of a stored cause, any value does."""
         if not self.relation or isinstance(self.flag, WaterResidualCause):
             return not math.isnan(value)
         return value < self.limit if self.relation == "<" else value >= self.limit
 
 
 def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[_Test]:
-    """All tests with the limits of a sample or pixel."""
+    """All tests behind flags, with the limits that apply to a sample or pixel."""
     flag, cause = QualityFlag, WaterResidualCause
     channels = np.atleast_1d(attributes.get("channel_disagreement_limit", math.nan))
     margin = math.exp(-ambiguity.MARGIN / 2)
@@ -414,7 +414,7 @@ def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[
 def _reasons(
     numbers: dict[str, float], attributes: Mapping[Any, Any]
 ) -> Iterator[Reason]:
-    """Yield a reason for each number beyond its limit, at least one per flag."""
+    """Yield a reason for each value beyond its limit, at least one per flag."""
     flags = QualityFlag(int(numbers["quality_flag"]))
     causes = WaterResidualCause(int(numbers.get("water_residual_cause", 0)))
     if "residual_phase" in numbers:  # the angle says more than its ratio
@@ -448,7 +448,7 @@ def _reasons(
 
 
 def _words(name: str, attributes: Mapping[Any, Any]) -> str:
-    """Words for a flag or cause without a number in the file."""
+    """Text for a flag or cause whose value is not in the file."""
     if name == "RELATIVE":
         return str(attributes.get("interval_unsettled", "no interval is stated"))
     numbers = (

@@ -1,4 +1,4 @@
-"""Figures of cubes and range images, and of response curves."""
+"""Figures of measurement cubes, range images, and water response curves."""
 
 from __future__ import annotations
 
@@ -306,7 +306,7 @@ def _even(values: Floats) -> tuple[float, float]:
 
 
 def _grid(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:
-    """Coordinates x, y and height above the farthest plane over (row, column) [mm]."""
+    """Coordinates x, y, and height above the farthest plane, by pixel [mm]."""
     cloud = point_cloud(image)
     shape = image["quality_flag"].shape
     place = (cloud["row"].values, cloud["column"].values)
@@ -326,7 +326,7 @@ def _grid(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:
 
 
 def _rows_of(axis: Axes, across: Floats, height: Floats, colour: str) -> None:
-    """Draw rows as lines, or a large number of them as a band."""
+    """Draw rows of a range image as lines, or many rows as a band."""
     if len(height) <= _MOST_LINES:
         axis.plot(across.T, height.T, color=colour, lw=0.4, alpha=0.35)
         return

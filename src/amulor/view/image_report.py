@@ -1,4 +1,4 @@
-"""Report of range images: pictures, numbers, flags, history."""
+"""Report of range images: maps, numbers, flags, processing history."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ _PATH = re.compile(r"""(["'])(?:/|[A-Za-z]:[\\/]|\\\\)[^"'\n]*[\\/]([^"'\\/\n]+)
 
 
 def _without_folders(text: str) -> str:
-    """Text with file names only, without folders of one computer."""
+    """Text with file names only; their folders, private to a computer, are removed."""
     return _PATH.sub(r"\1\2\1", text)
 
 

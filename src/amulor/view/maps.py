@@ -38,7 +38,7 @@ class Map:
     """One map of a scan."""
 
     title: str
-    """Title."""
+    """Title of the map."""
     values: Floats
     """Values, shape (row, column)."""
     label: str
@@ -46,7 +46,7 @@ class Map:
     colours: str
     """Name of the color scale; "quality" for flags."""
     limits: tuple[float, float] | None = None
-    """Limits of the color scale; by default those of most values."""
+    """Limits of the color scale; by default insensitive to outliers."""
 
 
 def draw_maps(maps: Sequence[tuple[xr.Dataset, Map]]) -> Figure:
@@ -89,7 +89,7 @@ def usual_limits(values: Floats, margin: float = 0.0) -> tuple[float, float]:
 
 
 def _ratio(cube: xr.Dataset) -> float:
-    """Height over width of a scan, in angles or, without them, in pixels."""
+    """Height over width of a scan, in angles or else in pixels."""
     azimuth, elevation = cube["azimuth"].values, cube["elevation"].values
     wide, high = float(np.ptp(azimuth)), float(np.ptp(elevation))
     if _flat(cube):
@@ -103,7 +103,7 @@ def _flat(cube: xr.Dataset) -> bool:
 
 
 def _layout(count: int, ratio: float) -> tuple[int, int, float, float]:
-    """Rows, columns, width and height of the largest maps that fit."""
+    """Rows and columns of maps on a page, and width and height of the largest maps."""
     best = (0.0, (1, 1, 1.0, 1.0))
     for columns in range(1, min(count, 4) + 1):
         rows = -(-count // columns)

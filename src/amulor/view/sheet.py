@@ -55,7 +55,7 @@ _COLOURS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
-    """Content of a sheet besides the picture."""
+    """Title, scale, statements and contours of a drawing sheet."""
 
     title: str
     """Title."""
@@ -70,7 +70,7 @@ class Sheet:
 def colours_of(
     raster: Raster, show: Shown, *, values: Floats | None = None
 ) -> tuple[NDArray[np.uint8], tuple[float, float], str]:
-    """Picture of a raster."""
+    """Pixel colors of a raster, with the limits and the unit of the color scale."""
     if show == "relief":
         return _relief(raster), (0.0, 1.0), ""
     unit = "mV" if show == "amplitude" else "mm"
@@ -141,7 +141,7 @@ def sheet(
 
 
 def _paper(wide: float, high: float, scale: float) -> tuple[str, float, float]:
-    """Smallest sheet for a picture of some size [mm]."""
+    """Name, width and height of the smallest ISO sheet for a picture [mm]."""
     needed = wide + 2 * _BORDER + _TICKS, high + 2 * _BORDER + _TICKS + _BLOCK
     for name, (short, long) in _SHEETS.items():
         for width, height in ((long, short), (short, long)):
@@ -155,7 +155,7 @@ def _paper(wide: float, high: float, scale: float) -> tuple[str, float, float]:
 
 
 def _rounded(value: float) -> float:
-    """Smallest 1, 2 or 5 times a power of ten not below a value."""
+    """Smallest value of the series 1, 2, 5, 10 that is not below a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(s * power for s in (1, 2, 5, 10) if s * power >= value * 0.999))
 
@@ -225,7 +225,7 @@ def _block(
 
 
 def _scale_bar(frame: Axes, scale: float, at: tuple[float, float]) -> None:
-    """Draw a scale bar of four parts, true on paper."""
+    """Draw a scale bar of four parts, at the scale of the paper."""
     length = _rounded(0.03 * scale)
     size = length / scale * 1e3
     for part in range(4):
@@ -276,7 +276,7 @@ def _colour_bar(
 
 
 def _relief(raster: Raster) -> NDArray[np.uint8]:
-    """Picture of a raster lit from the upper left, averaged over 3 x 3 cells."""
+    """Shaded relief of a raster, lit from the upper left, averaged over 3 x 3 cells."""
     covered = np.isfinite(raster.height)
     filled = np.where(covered, raster.height, 0.0)
     weight = ndimage.uniform_filter(covered.astype(float), 3)

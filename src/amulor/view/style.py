@@ -1,4 +1,4 @@
-"""One look for all figures: fonts, colours that colour-blind people tell apart."""
+"""Common style of all figures: fonts, and colors for color-blind readers."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ SETTINGS: Any = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw what is inside with the settings of amulor; nothing global stays changed."""
+    """Apply the figure style of amulor inside a `with` block, without global change."""
     with matplotlib.rc_context(rc=SETTINGS):
         yield
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure that belongs to no window system."""
+    """Return an empty figure that is not shown in a window."""
     return Figure(figsize=(width, height), layout="constrained")

@@ -1,4 +1,4 @@
-"""Running scan as text: picture in half blocks, progress, advice."""
+"""Running scan in the terminal: map in half blocks, progress, advice."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ _UNITS = {layer.name: layer.unit for layer in MAPS.values()}
 
 
 def map_name(live: Live, channel: str, layer: str) -> str:
-    """Name of a map, before rejection until there is one after it."""
+    """Name of the map to show: after rejection if it has values, else before."""
     after = np.isfinite(live.now(channel, layer)).any()
     return layer if after else f"{layer}_before"
 
 
 def shrunk(values: Floats, rows: int, columns: int) -> Floats:
-    """Means of the finite values in blocks."""
+    """Map resampled to a terminal: block means of finite values, or repeated pixels."""
     times = min(rows // values.shape[0], columns // values.shape[1])
     if times > 1:
         return values.repeat(times, axis=0).repeat(times, axis=1)
@@ -108,7 +108,7 @@ def picture(values: Floats, *, colours: str, plain: bool = False) -> Text:
 def _colour(
     shades: NDArray[np.int_], valid: NDArray[np.bool_], row: int, column: int
 ) -> str | None:
-    """Color of a pixel in the notation of rich, None without a value."""
+    """Color of a character cell in the notation of rich, None without a value."""
     if row >= len(valid) or not valid[row, column]:
         return None
     red, green, blue = shades[row, column]
@@ -116,7 +116,7 @@ def _colour(
 
 
 def signal_to_noise(live: Live, channel: str) -> float | None:
-    """Median amplitude over its standard uncertainty."""
+    """Median signal-to-noise ratio of the amplitudes of a channel."""
     samples = live.recording.samples
     if samples is None or channel not in samples.amulor.polarizations:
         return None

@@ -28,14 +28,14 @@ _SHAPE = (44, 24)
 
 @dataclass(frozen=True)
 class _Slider:
-    """Number on a slider."""
+    """Parameter of a survey that a slider of the design page adjusts."""
 
     label: str
     unit: str
     factor: float
     """Factor from SI to the displayed unit."""
     span: float
-    """Largest change up and down, as a factor."""
+    """Largest factor by which the slider raises or lowers the value [1]."""
     least: float = 0.0
     most: float = math.inf
 
@@ -53,7 +53,7 @@ _SLIDERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """Required accuracy at one point of the map."""
+    """Required accuracy at one distance and attenuation of the error map."""
 
     distance: float
     """Slant range [m]."""
@@ -64,7 +64,7 @@ class Asked:
 
 
 class Explorer:
-    """Instrument with adjustable numbers, and the map of its errors."""
+    """Instrument with adjustable parameters, and the map of its range errors."""
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class Explorer:
         }
 
     def map(self, settings: Mapping[str, Any], *, water: str = "own") -> dict[str, Any]:
-        """Errors of an instrument over the map."""
+        """Range errors of an instrument over distance and attenuation."""
         begun = time.perf_counter()
         survey, common = self._asked_of(settings, water)
         errors = evaluate(
@@ -184,7 +184,7 @@ class Explorer:
         }
 
     def _survey_value(self, name: str) -> float:
-        """Value of a slider in the survey."""
+        """Value that the parameter of a slider has in the survey."""
         instrument = self.survey.instrument
         receiver = instrument.receiver
         apart = np.subtract(receiver.position, instrument.emitter.position)[:2]
@@ -202,7 +202,7 @@ class Explorer:
     def _instrument(
         self, settings: Mapping[str, Any], water: str
     ) -> tuple[Survey, dict[str, Any]]:
-        """Survey in a water, and the axes changed by sliders."""
+        """Survey in a named water, and the parameters that sliders changed."""
         axes: dict[str, Any] = {}
         for name, setting in settings.items():
             if name not in _SLIDERS:
@@ -222,12 +222,12 @@ class Explorer:
     def _asked_of(
         self, settings: Mapping[str, Any], water: str
     ) -> tuple[Survey, dict[str, Any]]:
-        """Survey, and the arguments of `evaluate` except distances."""
+        """Survey in a named water, and the arguments of `evaluate` except distances."""
         survey, axes = self._instrument(settings, water)
         return survey, {"method": self.method, "interval": self._interval, **axes}
 
     def _in(self, name: str) -> Survey:
-        """Survey in a named water."""
+        """Survey with its water replaced by a named water."""
         if name not in self._waters:
             if name not in WATERS:
                 raise SurveyError(f"there is no water {name[:40]!r}")
@@ -237,7 +237,7 @@ class Explorer:
     def met(
         self, settings: Mapping[str, Any], *, water: str = "own"
     ) -> list[dict[str, Any]]:
-        """Verdict on each required accuracy, with the reason."""
+        """Verdict on each required accuracy, whether it is met and why."""
         if not self.asked:
             return []
         survey, common = self._asked_of(settings, water)
@@ -270,7 +270,7 @@ class Explorer:
 def _around(
     values: Sequence[float], usual: tuple[float, float], factor: float
 ) -> tuple[float, float]:
-    """Return the ends of a map around the required points."""
+    """Return the limits of a map axis, wide enough for all required points."""
     if not values:
         return usual
     return min(values) / factor, max(values) * factor

@@ -1,4 +1,4 @@
-"""Figures of a design: error map, Pareto fronts, sensitivity."""
+"""Figures of an instrument design: error map, Pareto fronts, sensitivity."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def error_map(
     asked: Sequence[tuple[float, float]] = (),
     title: str = "",
 ) -> Figure:
-    """Draw total error against distance and attenuation."""
+    """Draw the total range error against distance and attenuation."""
     with style():
         figure = new_figure(5.6, 3.9)
         axes = figure.add_subplot()
@@ -56,7 +56,7 @@ def error_map(
 def error_maps(
     found: Mapping[str, xr.Dataset], *, asked: Sequence[tuple[float, float]] = ()
 ) -> Figure:
-    """Draw several maps beside each other in the same colors."""
+    """Draw several error maps beside each other on one color scale."""
     with style():
         figure = new_figure(1.2 + 2.5 * len(found), 3.1)
         panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
@@ -91,7 +91,7 @@ def _rings(axes: Axes, places: Sequence[tuple[float, float]]) -> None:
 
 
 def _hatched(maps: Sequence[xr.Dataset]) -> list[Patch]:
-    """Legend entries for the hatched regions of the maps."""
+    """Legend entries for the hatched regions of the error maps."""
     return [
         Patch(facecolor="#7c7b78", edgecolor="white", hatch=hatch, label=text)
         for name, text, hatch in REGIONS
@@ -158,7 +158,7 @@ def fronts(
     best: int,
     target: float | None = None,
 ) -> Figure:
-    """Draw the error of candidates against scan time and against top frequency."""
+    """Draw range error against scan time and highest frequency of candidates."""
     error = np.asarray(error, dtype=float)
     with style():
         figure = new_figure(7.0, 3.0)
@@ -221,7 +221,7 @@ def _front(axes: Axes, cost: Floats, error: Floats, best: int) -> None:
 def sensitivity_bars(
     names: Sequence[str], shares: ArrayLike, errors: ArrayLike
 ) -> Figure:
-    """Draw the total Sobol indices of the error."""
+    """Draw the total Sobol indices of the range error as bars."""
     shares, errors = np.asarray(shares, dtype=float), np.asarray(errors, dtype=float)
     order = np.argsort(shares)
     with style():

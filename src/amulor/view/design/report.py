@@ -1,4 +1,4 @@
-"""Report of a design on one page: recommendation, reasons, alternatives."""
+"""Report of an instrument design: recommendation, reasons, alternatives."""
 
 from __future__ import annotations
 
@@ -45,20 +45,20 @@ _SHAPE = (72, 44)
 
 @dataclass(frozen=True, kw_only=True)
 class Reasons:
-    """Analyzes that support a recommendation."""
+    """Analyses that support a recommended instrument."""
 
     trade: Trade
     """Trade-off with other dwell times and frequencies."""
     sensitivity: Sensitivity | None
-    """Sensitivity of the error; None without uncertain inputs."""
+    """Sensitivity of the range error; None without uncertain inputs."""
     turns: Sequence[Turn] = ()
-    """Values of each assumption at which the runner-up wins."""
+    """Values of each assumption at which the runner-up becomes the best."""
     confirmations: Sequence[Confirmation] = ()
     """Results of simulated scans and photon transport; empty if not requested."""
 
 
 def error_of(goal: Goal, chosen: Parameters) -> xr.Dataset:
-    """Errors of an instrument over distance and attenuation."""
+    """Range errors of an instrument over distance and attenuation."""
     survey = survey_of(goal, chosen)
     middles = {
         name: middle(spread)
@@ -81,7 +81,7 @@ def error_of(goal: Goal, chosen: Parameters) -> xr.Dataset:
 
 
 def waters_of(goal: Goal, chosen: Parameters) -> tuple[float, float]:
-    """Smallest and largest attenuation of the goal."""
+    """Smallest and largest attenuation coefficient among the goal's waters [1/m]."""
     attenuation_range = goal.waters.attenuation
     if attenuation_range is None:
         attenuation = water_properties(survey_of(goal, chosen)).attenuation
@@ -91,7 +91,7 @@ def waters_of(goal: Goal, chosen: Parameters) -> tuple[float, float]:
 
 
 def figures_of(recommendation: Recommendation, reasons: Reasons) -> dict[str, Figure]:
-    """Figures of a recommendation."""
+    """Figures of the report on a recommended instrument."""
     goal = recommendation.goal
     drawings = {"map": _map(goal, recommendation.best, "Recommended")}
     if recommendation.runner_up is not None:
@@ -133,7 +133,7 @@ def write(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the report of a design as one self-contained HTML file."""
+    """Write the report of an instrument design as one self-contained HTML file."""
     drawings = figures_of(recommendation, reasons)
     parts: list[Part] = [*_answer(recommendation), *_edges(recommendation)]
     parts += [

@@ -1,4 +1,4 @@
-"""Maps of the page: names, descriptions, and binary encoding."""
+"""Maps of the browser page: names, descriptions, and binary encoding."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from amulor.cube.schema import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 
 @dataclass(frozen=True, kw_only=True)
 class Layer:
-    """Map: one number for every pixel of a scan."""
+    """Map on the browser page: one value for every pixel of a scan."""
 
     name: str
-    """Name in addresses."""
+    """Name in URLs."""
     label: str
     """Label on the page."""
     unit: str
-    """Unit of the encoded numbers."""
+    """Unit of the encoded values."""
     kind: Literal["range", "amplitude", "error", "signed", "chance", "flags", "hidden"]
     """Kind of color scale."""
     before: bool = False
-    """Whether it belongs to the picture before rejection."""
+    """Whether the map shows the range image before water rejection."""
 
     @property
     def is_error(self) -> bool:
-        """Whether it is an error of the range, or a term of it."""
+        """Whether the map shows the range uncertainty or a term of it."""
         return self.kind == "error" or self.name.startswith(("common", "term_"))
 
 
@@ -79,12 +79,12 @@ def flag_words() -> list[dict[str, Any]]:
 
 
 def described(layer: Layer) -> dict[str, Any]:
-    """Layer description for the page."""
+    """Properties of a map, as the page needs them."""
     return asdict(layer)
 
 
 def stored(values: np.ndarray, layer: Layer) -> bytes:
-    """Numbers as bytes: flags with 16 bits, others with 32, little-endian."""
+    """Map values as bytes: flags with 16 bits, others with 32, little-endian."""
     form = "<u2" if layer.kind == "flags" else "<f4"
     return np.ascontiguousarray(values).astype(form).tobytes()
 
@@ -94,12 +94,12 @@ _LEVEL = 4
 
 
 def packed(content: bytes, *, width: int) -> str:
-    """Bytes as base64 text."""
+    """Values of some bytes each, compressed and encoded as base64 text."""
     sorted_bytes = np.frombuffer(content, np.uint8).reshape(-1, width).T.tobytes()
     return base64.b64encode(zlib.compress(sorted_bytes, _LEVEL)).decode()
 
 
 def unpacked(text: str, *, width: int) -> bytes:
-    """Bytes from the text of `packed`."""
+    """Bytes decoded from base64 text that `packed` encoded."""
     content = zlib.decompress(base64.b64decode(text))
     return np.frombuffer(content, np.uint8).reshape(width, -1).T.tobytes()

@@ -75,7 +75,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Rows:
-    """One row of one channel as sent to the page before all are recomputed."""
+    """New row of one channel, sent to the page before all pixels are recomputed."""
 
     version: int
     channel: str
@@ -84,7 +84,7 @@ class Rows:
 
 
 class Live:
-    """Scan folder whose growing journal is read, never written."""
+    """Live view of a scan folder, read from its growing journal."""
 
     def __init__(
         self, folder: Path, *, clock: Callable[[], float] = time.monotonic
@@ -118,13 +118,13 @@ class Live:
         return list(self._survey.instrument.polarizations)
 
     def start(self) -> None:
-        """Start following in a thread."""
+        """Start a thread that follows the journal."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, daemon=True)
             self._thread.start()
 
     def stop(self) -> None:
-        """Stop following, and release the journal."""
+        """Stop the thread and close the journal."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(10)
@@ -137,7 +137,7 @@ class Live:
             self._stop.wait(POLL)
 
     def look(self) -> None:
-        """Read new samples once; errors go to the status."""
+        """Read the new samples of the journal; errors appear in the status."""
         with self._reading:
             try:
                 self._look()
@@ -174,7 +174,7 @@ class Live:
         self._maybe_all()
 
     def _patched(self) -> list[Rows]:
-        """Complete rows, corrected with the last estimate of the water."""
+        """Newly completed rows, corrected with the last water estimate."""
         rows = []
         for channel, row in sorted(self._changed):
             if not self._progress.is_complete(channel, row):
@@ -202,7 +202,7 @@ class Live:
         return layers
 
     def _maybe_all(self) -> None:
-        """Recompute all pixels if there are new ones and it is time."""
+        """Recompute all pixels if there are new samples and the pause has passed."""
         now = self._clock()
         pause = max(_AGAIN, self._took / _SHARE)
         finished = self.status.get("state") != "running"
@@ -229,13 +229,13 @@ class Live:
         self._took = self._worked_out_at - begun
 
     def snapshot(self, version: int) -> tuple[int, dict[str, Any], list[Rows]]:
-        """Picture number, status, and rows newer than a version."""
+        """Count of full recomputations, status, and rows newer than a version."""
         with self._lock:
             rows = [row for row in self._rows.values() if row.version > version]
             return self.pictures, dict(self.status), sorted(rows, key=_by_version)
 
     def now(self, channel: str, name: str) -> Floats:
-        """Return the current map, including rows newer than the last picture."""
+        """Return the current map, including rows newer than the last recomputation."""
         with self._lock:
             recording, rows = self.recording, list(self._rows.values())
         values = np.full(recording.channel().shown.shape, np.nan)

@@ -27,17 +27,17 @@ class Made:
     content: bytes
     """File content."""
     said: str
-    """Description in a few words and numbers."""
+    """Short description of the product, for the user."""
 
 
 class Products(Protocol):
-    """Source of products of range images."""
+    """Interface of an object that makes product files from range images."""
 
     def offered(self) -> list[dict[str, Any]]:
-        """Products with labels, endings and options, for the page."""
+        """Available products with labels, file endings and options, for the page."""
 
     def make(self, image: xr.Dataset, wanted: dict[str, Any], *, stem: str) -> Made:
-        """Make a product."""
+        """Make the requested product of a range image as a file."""
 
 
 #: Pixels with one of these are no part of a surface.
@@ -158,12 +158,12 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
 
 
 def _or_none(value: Any) -> Any:
-    """Value, or None if it is NaN."""
+    """Return a value, or None if it is NaN."""
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _region(picture: Picture, corners: Any) -> list[tuple[int, int]]:
-    """Pixels of a rectangle, evenly thinned if there are many."""
+    """Pixels of a rectangle, evenly thinned if they are many."""
     if not isinstance(corners, list) or len(corners) != 4:
         raise CubeError(
             "a region has a first row and column, and a last row and column"
@@ -210,7 +210,7 @@ def _axis(request: Any) -> tuple[float, float, float]:
 
 
 def _near(places: list[int], reach: int, size: int) -> list[int]:
-    """Rows or columns within reach of some."""
+    """Row or column indices within reach of the given ones."""
     return sorted(
         {
             near

@@ -1,4 +1,4 @@
-"""Range images as maps for the page, with beams, pixels and shared errors."""
+"""Range images for the browser page: maps, beams and correlated errors."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ _CHECKED = 30_000
 
 
 class BeamReader(Protocol):
-    """Function that returns the beams of some rows and columns of a scan."""
+    """Function that returns the beams of selected rows and columns of a scan."""
 
     def __call__(self, rows: Numbers, columns: Numbers, /) -> Floats:
-        """Beams over (row, column, value)."""
+        """Beams of rows and columns, shape (row, column, value)."""
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Beams at the nodes of a coarse grid; others follow by interpolation."""
+    """Beams on a coarse grid of pixels; the page interpolates between the nodes."""
 
     rows: Numbers
-    """Rows of the nodes, including the first and the last row [1]."""
+    """Row numbers of the nodes, including the first and the last row [1]."""
     columns: Numbers
-    """Columns of the nodes [1]."""
+    """Column numbers of the nodes [1]."""
     values: NDArray[np.float32]
     """Point of zero slant range [m], direction [1], azimuth and elevation [rad]; shape
     (node rows, node columns, 8)."""
@@ -62,7 +62,7 @@ def reader_of(image: xr.Dataset) -> BeamReader:
 
 
 def values_of(part: xr.Dataset) -> Floats:
-    """Beams of a range image."""
+    """Beams of a range image as one array."""
     beam = geometry_of(part).beam
     base = beam.entry - beam.length_before[..., None] * beam.direction
     angles = np.stack([part["azimuth"].values, part["elevation"].values], axis=-1)
@@ -72,7 +72,7 @@ def values_of(part: xr.Dataset) -> Floats:
 def nodes_of(
     read: BeamReader, shape: tuple[int, int], *, farthest: float, stride: int = 1
 ) -> Nodes:
-    """Coarsest grid of beams that places every point within a tolerance."""
+    """Coarsest grid of beams that still places every point within a tolerance."""
     step = _FIRST_STEP
     while step > stride:
         nodes = _grid(read, shape, step)
@@ -96,7 +96,7 @@ def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
 
 
 def _between(nodes: Numbers, at: Numbers) -> tuple[Numbers, Numbers, Floats]:
-    """Preceding node, following node, and the weight of the latter."""
+    """Preceding node, following node, and interpolation weight of the latter."""
     before = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 1)
     after = np.minimum(before + 1, len(nodes) - 1)
     width = np.maximum(nodes[after] - nodes[before], 1)
@@ -115,7 +115,7 @@ def _places(size: int, step: int) -> Numbers:
 def _error(
     read: BeamReader, shape: tuple[int, int], nodes: Nodes, farthest: float
 ) -> float:
-    """Largest displacement of a point, at the nearest and the farthest range."""
+    """Largest displacement of a point by the interpolation of beams [m]."""
     rows, columns = (np.arange(size) for size in shape)
     thin = max(1, int(np.ceil(np.sqrt(rows.size * columns.size / _CHECKED))))
     rows, columns = rows[::thin], columns[::thin]
@@ -125,7 +125,7 @@ def _error(
 
 
 class Picture(Protocol):
-    """Range image that is read map by map."""
+    """Range image that is read one map at a time."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -137,29 +137,29 @@ class Picture(Protocol):
 
     @property
     def geometry(self) -> dict[str, Any]:
-        """Attributes of its geometry."""
+        """Attributes of the scan geometry."""
 
     @property
     def error_unknown(self) -> str:
-        """Reason why its ranges have no error; empty if they have."""
+        """Reason for unknown range errors; empty if they are known."""
 
     def has(self, variable: str) -> bool:
-        """Whether a variable exists."""
+        """Whether the image has a variable."""
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Variable at a stride of rows and columns."""
+        """Values of a variable at a stride of rows and columns."""
 
     def beams(self) -> BeamReader:
-        """Beam reader."""
+        """Reader of the image's beams."""
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
-        """Range image with some pixels and their surroundings."""
+        """Range image of the given pixels and their surroundings."""
 
     def place(self, row: int, column: int) -> tuple[int, int]:
-        """Position of a pixel of the scan in the image of `around`."""
+        """Row and column of a scan's pixel in the image that `around` returned."""
 
     def whole(self) -> xr.Dataset:
-        """Whole image in memory; raises `CubeError` if it is too large."""
+        """Whole image in memory; `CubeError` if it is too large."""
 
 
 @dataclass(frozen=True)
@@ -182,32 +182,32 @@ class MemoryPicture:
 
     @property
     def geometry(self) -> dict[str, Any]:
-        """Attributes of its geometry."""
+        """Attributes of the scan geometry."""
         return dict(self.image["geometry"].attrs)
 
     @property
     def error_unknown(self) -> str:
-        """Reason why its ranges have no error; empty if they have."""
+        """Reason for unknown range errors; empty if they are known."""
         return error_unknown(self.image)
 
     def has(self, variable: str) -> bool:
-        """Whether a variable exists."""
+        """Whether the image has a variable."""
         return variable in self.image
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Variable at a stride of rows and columns."""
+        """Values of a variable at a stride of rows and columns."""
         return np.asarray(self.image[variable].values[::stride, ::stride])
 
     def beams(self) -> BeamReader:
-        """Beam reader."""
+        """Reader of the image's beams."""
         return reader_of(self.image)
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
-        """Whole image."""
+        """Whole image, which contains the surroundings of any pixel."""
         return self.image
 
     def place(self, row: int, column: int) -> tuple[int, int]:
-        """Pixel itself."""
+        """Unchanged row and column, since `around` returns the whole image."""
         return row, column
 
     def whole(self) -> xr.Dataset:
@@ -217,16 +217,16 @@ class MemoryPicture:
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """Pictures of one channel."""
+    """Range images of one channel, before and after water rejection."""
 
     after: Picture | None
-    """Picture after rejection, if there is one."""
+    """Range image after water rejection, if there is one."""
     before: Picture | None
-    """Picture before rejection, if it is known."""
+    """Range image before water rejection, if it is available."""
 
     @property
     def shown(self) -> Picture:
-        """Picture used for measuring: the corrected one if there is one."""
+        """Range image used for measuring: after rejection, if there is one."""
         picture = self.after or self.before
         assert picture is not None
         return picture
@@ -261,7 +261,7 @@ def large_picture(path: Path) -> LargePicture:
 
 
 class LargePicture:
-    """Range image in a file, read in bands."""
+    """Range image in a file, read in bands of rows."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -277,11 +277,11 @@ class LargePicture:
         self.error_unknown = error_unknown(xr.Dataset(flags, attrs=self.attributes))
 
     def has(self, variable: str) -> bool:
-        """Whether a variable exists."""
+        """Whether the image has a variable."""
         return variable in self._file
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Variable at a stride of rows and columns, floats with 32 bits."""
+        """Values of a variable at a stride of rows and columns, floats with 32 bits."""
         rows, columns = (-(-size // stride) for size in self.shape)
         kind = self._read(variable, slice(0, 1), slice(0, 1)).dtype.kind
         out = np.empty((rows, columns), np.uint16 if kind in "iu" else np.float32)
@@ -295,7 +295,7 @@ class LargePicture:
         return out
 
     def beams(self) -> BeamReader:
-        """Beam reader."""
+        """Reader of the image's beams."""
 
         def read(rows: Numbers, columns: Numbers) -> Floats:
             names = [name for name in _BEAM_NAMES if name in self._file]
@@ -304,7 +304,7 @@ class LargePicture:
         return read
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
-        """Range image of the requested rows and columns and a coarse mesh."""
+        """Range image of the given rows and columns, and of a coarse grid."""
         self._kept = [
             np.union1d(
                 np.linspace(0, size - 1, min(size, _MESH)).astype(np.intp),
@@ -320,7 +320,7 @@ class LargePicture:
         return without_unknown_errors(self._part(names, *self._kept))
 
     def place(self, row: int, column: int) -> tuple[int, int]:
-        """Position of a pixel of the scan in the last image of `around`."""
+        """Row and column of a scan's pixel in the last image that `around` returned."""
         first, second = (
             int(np.searchsorted(indices, value))
             for indices, value in zip(self._kept, (row, column), strict=True)
@@ -328,7 +328,7 @@ class LargePicture:
         return first, second
 
     def whole(self) -> xr.Dataset:
-        """Refuse: a picture read in bands is never in memory at once."""
+        """Raise `CubeError`: an image read in bands is too large for memory."""
         raise CubeError(
             f"{self._path.name} is too large for products beside a page: "
             f"{self.shape[0]} x {self.shape[1]} pixels; use amulor export, or "
@@ -394,7 +394,7 @@ def _plain(attributes: Any) -> dict[str, Any]:
 
 
 def sharing_of(picture: Picture) -> dict[str, Any] | None:
-    """Parameters by which the page computes the correlation between two pixels."""
+    """Parameters from which the page correlates the errors of two pixels."""
     if not picture.has("slant_range_common_uncertainty") or picture.error_unknown:
         return None
     names = {

@@ -27,28 +27,28 @@ _CONTRASTS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """Relative change of the open-water signal."""
+    """Relative change of the open-water signal, with its significance."""
 
     size: float = 0.0
-    """Size in units of the water signal [1]."""
+    """Change over the water signal [1]."""
     error: float = math.inf
-    """Standard error [1]."""
+    """Standard uncertainty of the change [1]."""
     chance: float = 1.0
     """Upper bound of the probability of such a change in steady water [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Change of the open-water signal over the complete rounds of shots."""
+    """Drift of the open-water signal over complete rounds of open-water shots."""
 
     elapsed: Sequence[float] = ()
-    """Time of each round on the scan's clock [s]."""
+    """Time of each round since the start of the scan [s]."""
     change: Sequence[float] = ()
-    """Change of each round from the mean of all, in units of the water signal [1]."""
+    """Change of each round from the mean of all rounds, over the water signal [1]."""
     error: Sequence[float] = ()
-    """Standard error of each [1]."""
+    """Standard uncertainty of each change [1]."""
     total: Change = field(default_factory=Change)
-    """Change from the first to the last round along a straight line over time."""
+    """Change from the first to the last round, by a straight-line fit."""
     newest: Change = field(default_factory=Change)
     """Change of the newest round from the mean of the earlier ones."""
 
@@ -56,7 +56,7 @@ class Drift:
 def drift_of(
     signal: ArrayLike, *, cluster: ArrayLike, elapsed: ArrayLike, rounds: int
 ) -> Drift:
-    """Drift of the open-water signal between rounds of shots.
+    """Drift of the open-water signal between rounds of open-water shots.
 
     Each series has a level of its own, the mean of all its rounds, so that no round is
     the one that all others are compared with. Changes of a round are the same in all
@@ -114,7 +114,7 @@ def drift_of(
 
 
 def _two_sided(value: float, error: float, freedom: float) -> float:
-    """Probability of a deviation at least as large by chance."""
+    """Two-sided probability of so large a deviation by chance."""
     from scipy.special import stdtr
 
     if value == 0:
@@ -137,10 +137,10 @@ _SHORTEST = 15.0
 
 @dataclass(frozen=True, kw_only=True)
 class Going:
-    """State of a scan."""
+    """State of a scan: samples, rate, drift, and reason of the end."""
 
     running: bool
-    """Whether a part of it has begun and not ended."""
+    """Whether a part of the scan is running."""
     done: int
     """Samples in the journal [1]."""
     scanned: int
@@ -162,7 +162,7 @@ class Going:
     resume: str | None = None
     """Command that resumes a scan without a running program."""
     reason: str = ""
-    """Reason why its last part ended."""
+    """Reason for the end of the last part."""
 
 
 _FLAGS = {
@@ -217,7 +217,7 @@ _RECENT = 400
 
 
 class Progress:
-    """Sample counter that keeps the signals of the scan."""
+    """Counter of samples, which also stores the scan's signals."""
 
     def __init__(
         self, survey: Survey, meta: Mapping[str, str], *, clock: Callable[[], float]
@@ -266,7 +266,7 @@ class Progress:
 
     @property
     def scanned(self) -> int:
-        """Samples of the scan itself [1]."""
+        """Number of samples of the scan itself [1]."""
         return self._counts[plan.SCAN]
 
     def take(self, key: Key, record: Record) -> tuple[str, int] | None:
@@ -307,7 +307,7 @@ class Progress:
         return bool(np.isfinite(part).all())
 
     def row_signal(self, channel: str, row: int) -> NDArray[np.complex128]:
-        """Signals of a row minus the dark output, shape (frequency, column)."""
+        """Signals of a row minus the dark signal, shape (frequency, column)."""
         part = self._signal[:, self._channel[channel], row].copy()
         for frequency, at in self._frequency.items():
             dark = self._dark.get((frequency, channel))
@@ -401,7 +401,7 @@ class Progress:
 
 
 def _plain(value: Any) -> Any:
-    """Copy with None in place of numbers that JSON lacks."""
+    """Copy of a value for JSON, with None in place of NaN and infinity."""
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Maps of a file for the page: each channel before and after rejection."""
+"""Data file for the browser page: maps of each channel before and after rejection."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def spectrum(
 
 
 def spectra(cubes: Cubes, channel: str, *, most: int) -> dict[str, NDArray[np.float32]]:
-    """All spectra of a channel, for a page without a server."""
+    """Spectra of all pixels of a channel, for a page without a server."""
     encoded = {}
     for name, cube in cubes.items():
         if cube is None or channel not in cube.amulor.polarizations:
@@ -107,7 +107,7 @@ LONGEST_SIDE = 8192
 
 
 class Recording:
-    """File as the page shows it; pictures are made on demand."""
+    """Data file as shown on the page; range images are computed on request."""
 
     def __init__(
         self,
@@ -147,11 +147,11 @@ class Recording:
 
     @property
     def samples(self) -> xr.Dataset | None:
-        """Cube of level `samples`, if it is known."""
+        """Cube of level `samples`, if it is available."""
         return self._samples
 
     def channel(self, name: str | None = None) -> Channel:
-        """Pictures of a channel, by default the first one."""
+        """Range images of a channel, by default the first one."""
         chosen = self.channels[0] if name is None else name
         if chosen not in self.channels:
             raise CubeError(
@@ -202,12 +202,12 @@ class Recording:
 
     @property
     def cubes(self) -> dict[str, xr.Dataset | None]:
-        """Signals with and without the water signal, as far as known."""
+        """Cubes before and after water rejection, as far as available."""
         return {"before": self._samples, "after": self._target}
 
     @property
     def has_spectrum(self) -> bool:
-        """Whether samples are known in addition to ranges."""
+        """Whether samples are available in addition to ranges."""
         return self._samples is not None or self._target is not None
 
     def stride(self, channel: str) -> int:
@@ -222,7 +222,7 @@ class Recording:
         return stride
 
     def layers(self, channel: str) -> dict[str, tuple[Layer, Picture, str]]:
-        """Return the maps of a channel: layer, picture and variable by name."""
+        """Return the maps of a channel by name: layer, image and variable."""
         pictures = self.channel(channel)
         layers: dict[str, tuple[Layer, Picture, str]] = {}
         for picture, before in ((pictures.after, False), (pictures.before, True)):
@@ -304,12 +304,12 @@ class Recording:
 
 
 def _water_in(picture: Picture) -> bool:
-    """Whether the water signal was not removed from a picture."""
+    """Whether the water signal is still in the ranges of an image."""
     return WATER_NOT_REMOVED in picture.error_unknown
 
 
 def _steps(picture: Picture, stride: int) -> NDArray[Any]:
-    """Step map: 1 for a step to the next column, plus 2 to the next row."""
+    """Range steps: 1 for a step to the next column, plus 2 to the next row."""
     names = ["slant_range", "slant_range_uncertainty", "slant_range_common_uncertainty"]
     names += ["slant_range_bound", *(f"{RANGE_PREFIX}{term}" for term in TERMS)]
     maps = {
@@ -349,7 +349,7 @@ def _notes(pictures: Channel) -> list[str]:
 def opened(
     path: Path, *, samples: Path | None = None, interval: Interval = None
 ) -> Recording:
-    """Open a file for the page."""
+    """Open a data file for the page."""
     if is_large(path, variables=["slant_range"]):
         return Recording(path.name, image=large_picture(path), interval=interval)
     cube = read_cube(path)
@@ -393,7 +393,7 @@ def recording_of(
 
 
 def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset | None]:
-    """Return the samples with water, and the target signal if there is one."""
+    """Return the samples with water, and the target signal if it can be computed."""
     if cube.attrs["level"] == "target_signal":
         return _with_water(cube), cube
     if cube.amulor.open_water is None:
@@ -409,7 +409,7 @@ def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset 
 
 
 def _rejected(cube: xr.Dataset) -> xr.Dataset:
-    """Return the samples minus open water of a scan whose channels follow each other.
+    """Subtract open water from a scan whose channels may be measured in succession.
 
     A target that one channel has not seen yet would count as none at all.
     """
@@ -434,7 +434,7 @@ def _rejected(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _with_water(target: xr.Dataset) -> xr.Dataset:
-    """Return the samples behind a target signal: water and target together."""
+    """Return the samples of a target signal, with the water signal added back."""
     names = [
         str(name)
         for name in cubes.LEVELS["samples"].variables

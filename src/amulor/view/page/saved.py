@@ -1,4 +1,4 @@
-"""Page as one file that opens without a server and makes no request."""
+"""Browser page saved as one file, which opens without a server or network."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def save_page(
     measurements: Sequence[Mapping[str, Any]] = (),
     overwrite: bool = False,
 ) -> None:
-    """Write a page as one file."""
+    """Write the browser page of a data file or a cloud as one HTML file."""
     if isinstance(recording, Space):
         page = saved_space(recording, measurements=measurements)
     else:
@@ -63,7 +63,7 @@ def save_page(
 def saved_page(
     recording: Recording, *, measurements: Sequence[Mapping[str, Any]] = ()
 ) -> str:
-    """Page as one HTML text."""
+    """Browser page of a data file as one HTML text."""
     files = static_files()
     scenes = {name: recording.describe(name) for name in _carried(recording)}
     content = {
@@ -85,7 +85,7 @@ def saved_page(
 
 
 def saved_space(space: Space, *, measurements: Sequence[Mapping[str, Any]] = ()) -> str:
-    """Page of a cloud or a mesh as one HTML text."""
+    """Browser page of a point cloud or a mesh as one HTML text."""
     scene = space.describe()
     content = {
         "scenes": {"space": scene},
@@ -103,7 +103,7 @@ def saved_space(space: Space, *, measurements: Sequence[Mapping[str, Any]] = ())
 
 
 def _carried(recording: Recording) -> list[str]:
-    """Channels that fit into one page together."""
+    """Names of the channels that fit into one saved page."""
     rows, columns = recording.channel().shown.shape
     room = max(1, MOST_PIXELS // max(rows * columns, 1))
     return recording.channels[:room]
@@ -168,7 +168,7 @@ def _assembled(
 
 
 def _modules(files: Mapping[str, bytes], starts: str) -> set[str]:
-    """Modules imported by a module, itself included."""
+    """JavaScript modules that a module imports, directly or not, itself included."""
     modules: set[str] = set()
     pending = [starts]
     while pending:
@@ -180,5 +180,5 @@ def _modules(files: Mapping[str, bytes], starts: str) -> set[str]:
 
 
 def _bare(module: str) -> str:
-    """Return the module that imports by names of the import map instead of paths."""
+    """Return a JavaScript module that imports by name instead of by path."""
     return re.sub(r'(from\s+|import\s+)"\./([\w-]+\.js)"', r'\1"page/\2"', module)

@@ -42,7 +42,7 @@ _HOST = re.compile(r"(\[(?P<six>[0-9a-fA-F:.]+)\]|(?P<name>[\w.-]+))(:\d{1,5})?"
 
 
 def new_token() -> str:
-    """Unguessable token for an address."""
+    """Random token for the page's URL, which cannot be guessed."""
     return secrets.token_urlsafe(24)
 
 
@@ -115,7 +115,7 @@ class Guard:
 
 
 def _limited(receive: Receive) -> Receive:
-    """Receiver that limits the size of a body, whatever its header says."""
+    """Receiver that limits the size of a request's body, whatever its header states."""
     remaining = LARGEST_BODY
 
     async def limited() -> Message:

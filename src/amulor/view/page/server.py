@@ -57,7 +57,7 @@ class Files:
 
 
 async def measurements_of(request: Request) -> list[dict[str, Any]]:
-    """Measurements to save with the page."""
+    """Measurements in a request to save the page."""
     measurements = (await object_of(request)).get("measurements", [])
     if not isinstance(measurements, list) or len(measurements) > _MOST_MEASUREMENTS:
         raise CubeError(f"at most {_MOST_MEASUREMENTS} measurements are kept")
@@ -80,7 +80,7 @@ async def object_of(request: Request) -> dict[str, Any]:
 
 
 def numbers(content: bytes) -> Response:
-    """Response with bytes."""
+    """Response with binary map or point values."""
     return Response(content, media_type="application/octet-stream")
 
 
@@ -103,7 +103,7 @@ async def answered(answer: Callable[[], Response]) -> Response:
 
 
 async def explained(answer: Awaitable[Response]) -> Response:
-    """Response of an awaitable, or the reason in words why it failed."""
+    """Awaited response, or a response with the reason for its failure."""
     try:
         return await answer
     except (AmulorError, ValueError) as error:
@@ -156,7 +156,7 @@ def message_of(rows: Rows) -> bytes:
 
 
 def design_routes(explorer: Explorer) -> list[Any]:
-    """Routes of a design."""
+    """HTTP routes of the design page."""
     files = Files("design.html")
 
     async def scene(request: Request) -> Response:
@@ -207,7 +207,7 @@ def design_routes(explorer: Explorer) -> list[Any]:
 
 
 def space_routes(space: Space) -> list[Any]:
-    """Routes of a cloud or a mesh."""
+    """HTTP routes of the page of a point cloud or mesh."""
     files = Files("space.html")
 
     async def scene(request: Request) -> Response:
@@ -244,7 +244,7 @@ def application(
     beyond: bool = False,
     products: Products | None = None,
 ) -> ASGIApp:
-    """ASGI application for the page of a file, a scan or a design."""
+    """ASGI application for the page of a data file, a running scan or a design."""
     if isinstance(content, Space):
         routes = space_routes(content)
     elif isinstance(content, Explorer):
@@ -256,7 +256,7 @@ def application(
 
 
 def _routes(content: Recording | Live, products: Products | None) -> list[Any]:
-    """Routes of a picture or a scan."""
+    """HTTP routes of the page of a data file or a running scan."""
     pages, files = _Pages(content, products), Files("index.html")
     return [
         Route("/", files.index),
@@ -446,7 +446,7 @@ def _server(
     token: str,
     products: Products | None,
 ) -> tuple[str, uvicorn.Server]:
-    """Address of a page and the server behind it."""
+    """URL of a page, and the server for it."""
     name = socket.gethostname() if host in _EVERYWHERE else host
     in_address = f"[{name}]" if ":" in name else name
     config = uvicorn.Config(

@@ -1,4 +1,4 @@
-"""Point clouds and meshes for the page: opened, thinned, described."""
+"""Point clouds and meshes for the browser page: opened, thinned, described."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def _cloud(path: Path) -> Shape:
 
 
 class Space:
-    """Point cloud or mesh of the page."""
+    """Point cloud or mesh shown on the page."""
 
     def __init__(self, name: str, shape: Shape, *, notes: Sequence[str] = ()) -> None:
         self.name = name
@@ -189,7 +189,7 @@ class Space:
 
     @property
     def layers(self) -> list[dict[str, str]]:
-        """Names, labels, units and kinds of the numbers of its points."""
+        """Names, labels, units and color scales of the point values."""
         entries = []
         for name in self.scalars:
             plain = name.replace("_", " ").capitalize()
@@ -205,7 +205,7 @@ class Space:
         return entries
 
     def values(self, name: str) -> bytes:
-        """Numbers encoded for the page."""
+        """Positions, triangles or point values as bytes for the page."""
         if name == "position":
             return self.position.tobytes()
         if name == "faces" and self.faces is not None:
@@ -269,7 +269,7 @@ class Space:
         return notes
 
     def _spacing(self) -> float:
-        """Distance of neighbors, for dots large enough to close a surface [m]."""
+        """Typical distance between neighboring points, for the dot size [m]."""
         points = self.position[np.isfinite(self.position).all(axis=1)]
         some = points[:: max(1, len(points) // _SOME)].astype(float)
         if len(some) < 2:
@@ -282,7 +282,7 @@ class Space:
 
 
 def _single(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Numbers with 32 bits; too large ones become NaN."""
+    """Values with 32 bits; too large ones become NaN."""
     with np.errstate(over="ignore"):
         single = values.astype("<f4")
     single[~np.isfinite(single)] = np.nan
