@@ -33,10 +33,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """One polyline of a drawing."""
+    """Polyline of a drawing, with layer, label and uncertainty band."""
 
     points: Floats
-    """Right and up, shape (n, 2) [m]."""
+    """Coordinates to the right and upwards on the sheet, shape (n, 2) [m]."""
     layer: str
     """Layer name, such as "contours"."""
     label: str = ""
@@ -44,8 +44,8 @@ class Line:
     elevation: float = 0.0
     """Height above the drawing plane [m]."""
     band: Floats | None = None
-    """Standard uncertainty across the line at its points, drawn as a band twice as wide
-    to either side; none if absent, shape (n,) [m]."""
+    """Standard uncertainty across the line at its points; None draws no band. The band
+    extends two standard uncertainties to either side; shape (n,) [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class Drawing:
 
     @property
     def limits(self) -> tuple[float, float, float, float]:
-        """Left, right, lower and upper limit of all lines [m]."""
+        """Left, right, lower and upper bound of all lines [m]."""
         points = np.concatenate([line.points for line in self.lines])
         (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
         return float(left), float(right), float(low), float(high)
@@ -75,7 +75,7 @@ class Drawing:
 
 
 def checked(drawing: Drawing, *, name: str) -> Drawing:
-    """Drawing checked for lines with finite points."""
+    """Drawing, checked to have lines of finite points."""
     if not drawing.lines:
         raise FormatError(f"{name}: there is no line to draw")
     for line in drawing.lines:
@@ -85,7 +85,7 @@ def checked(drawing: Drawing, *, name: str) -> Drawing:
 
 
 def sides(line: Line) -> Floats | None:
-    """Return the outline of the band of a line, two standard uncertainties wide."""
+    """Return the outline of a line's band, two standard uncertainties each way."""
     if line.band is None or len(line.points) < 2:
         return None
     step = np.gradient(line.points, axis=0)
@@ -111,7 +111,7 @@ def write_svg(
     scale: float,
     overwrite: bool = False,
 ) -> None:
-    """Write a line drawing to an SVG file in millimeters of paper."""
+    """Write a line drawing to an SVG file, at scale in millimeters on paper."""
     drawing = checked(drawing, name=str(path))
     left, right, low, high = drawing.limits
     to_paper = 1000.0 / scale
@@ -179,7 +179,7 @@ def write_svg(
 
 
 def bar_length(extent: float, scale: float) -> float:
-    """Round length of a scale bar [m]."""
+    """Round length for a scale bar [m]."""
     longest = max(0.5 * extent, 0.02 * scale)
     power = 10.0 ** np.floor(np.log10(longest))
     fitting = [step * power for step in (1.0, 2.0, 5.0) if step * power <= longest]
@@ -289,7 +289,7 @@ _IS_PROJECTED, _IS_AREA, _USER_DEFINED = 1, 1, 32767
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """One layer of a raster."""
+    """Band of a GeoTIFF file: values of one quantity over the raster."""
 
     name: str
     """Quantity with its unit."""
@@ -361,7 +361,7 @@ def write_geotiff(
 
 
 def _metadata(bands: Sequence[Band]) -> str:
-    """Names and units of the bands as the XML that GDAL reads."""
+    """Names and units of the bands as the XML metadata that GDAL reads."""
     items = []
     for number, band in enumerate(bands):
         for key, role, text in (

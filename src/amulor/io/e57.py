@@ -59,7 +59,7 @@ def write_e57(
     shape: tuple[int, int] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud to an E57 file, one record per pixel of its scan.
+    """Write a point cloud to an E57 file, one record for each pixel of the scan.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def write_e57_parts(
     shape: tuple[int, int],
     overwrite: bool = False,
 ) -> None:
-    """Write a cloud to an E57 file part by part, with bounded memory.
+    """Write a point cloud to an E57 file in parts, with bounded memory.
 
     The file is that of the whole cloud, byte for byte: records are handed over in
     blocks of the same size for whatever parts.
@@ -211,7 +211,7 @@ def _pye57(purpose: str) -> Any:
 
 
 def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
-    """Rows and columns of the scan behind a cloud."""
+    """Numbers of rows and columns of the scan that a cloud was computed from."""
     if "scan_shape" in cloud.attrs:
         rows, columns = (int(size) for size in cloud.attrs["scan_shape"])
         return rows, columns
@@ -219,7 +219,7 @@ def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
 
 
 def _pose(matrix: NDArray[np.float64]) -> dict[str, dict[str, float]]:
-    """Pose as the format stores it: unit quaternion and translation."""
+    """Pose as E57 stores it: unit quaternion and translation."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
@@ -332,7 +332,7 @@ def _write_points(libe57: Any, file: Any, node: Any, scan: Records) -> None:
 
 
 class Records:
-    """Records of one scan with its metadata in the file."""
+    """E57 records of one scan, with the scan's metadata."""
 
     def __init__(
         self,
@@ -372,11 +372,11 @@ class Records:
         return self._shape[0] * self._shape[1]
 
     def blocks(self) -> Iterator[NDArray[np.void]]:
-        """Yield the records in pixel order, `BLOCK` at a time."""
+        """Yield the records in pixel order, in blocks of `BLOCK` records."""
         return in_blocks((_packed(records) for _, records in self._pieces()), BLOCK)
 
     def _pieces(self) -> Iterator[tuple[xr.Dataset | None, Arrays]]:
-        """Yield parts of the cloud with the records of complete rows."""
+        """Yield parts of the cloud, each with the records of its complete rows."""
         rows, columns = self._shape
         done = 0
         for part in self._parts():
@@ -400,14 +400,14 @@ class Records:
         yield from self._without_points(done, rows)
 
     def _without_points(self, begin: int, end: int) -> Iterator[tuple[None, Arrays]]:
-        """Yield records of rows without points, in small blocks."""
+        """Yield the records of rows without points, in small blocks."""
         columns = self._shape[1]
         few = max(1, BLOCK // columns)
         for first in range(begin, end, few):
             yield None, _empty((first, min(first + few, end)), columns)
 
     def _of(self, part: xr.Dataset, rows: tuple[int, int]) -> Arrays:
-        """Return the records of rows with points."""
+        """Return the records of rows that contain points."""
         part, _ = _in_the_instrument(part)
         columns = self._shape[1]
         row = part["row"].values.astype(np.int64) - rows[0]
@@ -455,7 +455,7 @@ def _widen(
 def _in_the_instrument(
     cloud: xr.Dataset,
 ) -> tuple[xr.Dataset, NDArray[np.float64] | None]:
-    """Cloud in instrument axes, and the matrix back to its frame."""
+    """Cloud in instrument axes, and the matrix from there to the cloud's frame."""
     if cloud.attrs.get("frame", "instrument") == "instrument":
         return cloud, None
     matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)
@@ -477,7 +477,7 @@ def _in_the_instrument(
 
 
 def read_e57(path: Path) -> Shape:
-    """Read all scans of an E57 file, each transformed by its pose [m]."""
+    """Read all scans of an E57 file, each transformed by its pose."""
     pye57 = _pye57("reading")
     try:
         file = pye57.E57(str(path))
@@ -523,7 +523,7 @@ def read_e57(path: Path) -> Shape:
 def _scan(
     file: Any, number: int
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]], list[str], bool]:
-    """Positions, numbers and texts of a scan, and whether it has a pose."""
+    """Positions, scalars and texts of a scan, and whether it has a pose."""
     header = file.get_header(number)
     names = set(header.point_fields)
     raw = file.read_scan_raw(number)

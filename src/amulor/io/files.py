@@ -1,4 +1,4 @@
-"""Reading and writing of whole files, with failures explained in one line."""
+"""Reading and writing of whole files, with one-line messages on failure."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def make_folder(path: str | os.PathLike[str]) -> None:
 def atomic_output(
     path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> Iterator[Path]:
-    """Write a file that appears under its name complete or not at all.
+    """Write a file that appears under its name only when it is complete.
 
     Examples
     --------
@@ -110,7 +110,7 @@ def check_output(
     overwrite: bool = False,
     inputs: Sequence[str | os.PathLike[str]] = (),
 ) -> None:
-    """Raise before the work if its result could not be written.
+    """Check that an output file can be written, before a long computation.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def _synchronise(path: Path) -> None:
 
 
 def synchronise_folder(folder: Path) -> None:
-    """Flush the entries of a folder to disk, where the system can do that."""
+    """Flush the entries of a folder to disk, if the operating system can."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -70,7 +70,7 @@ class Histograms:
     path: Path
     """Source file."""
     digest: str
-    """SHA-256 of that file."""
+    """SHA-256 digest of that file."""
     counts: NDArray[Any]
     """Photons per bin, dimensions (scene, row, column, bin) [1]."""
     bin_width: float
@@ -304,7 +304,7 @@ BLOCK = 2**21
 def checked_frequency(
     histograms: Histograms, modulation_frequency: ArrayLike
 ) -> NDArray[np.float64]:
-    """Modulation frequencies checked against the time resolution of the histograms."""
+    """Modulation frequencies, checked against the bin width of the histograms."""
     path = histograms.path
     try:
         frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=float))
@@ -346,7 +346,7 @@ def weights(
     time_of_emission: float = 0.0,
     background_bins: tuple[int, int] | None = None,
 ) -> NDArray[np.complex128]:
-    r"""Fourier weight of each time bin at each frequency.
+    r"""Fourier weight of each time bin at each modulation frequency.
 
     :math:`g_k = e^{2 \pi i f t_k}` with :math:`t_k` the center of bin k. With a
     background it is :math:`g_k - [k \in B] \sum_j g_j / |B|`: taking a mean off is
@@ -369,20 +369,20 @@ def weights(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Coefficients:
-    """Weighted sums of counts with their counting covariance."""
+    """Fourier coefficients of photon counts, with their counting covariance."""
 
     signal: NDArray[np.complex128]
-    """Weighted sum of counts, shape (frequencies, ...) [1]."""
+    """Fourier coefficient of the counts, shape (frequencies, ...) [1]."""
     variance_in_phase: NDArray[np.float64]
     """Variance of its real part [1]."""
     variance_quadrature: NDArray[np.float64]
     """Variance of its imaginary part [1]."""
     covariance: NDArray[np.float64]
-    """Covariance of the two [1]."""
+    """Covariance of real and imaginary part [1]."""
 
 
 def transform(counts: NDArray[Any], weight: NDArray[np.complex128]) -> Coefficients:
-    r"""Weighted sums of histograms and their Poisson covariance.
+    r"""Fourier coefficients of histograms and their Poisson covariance.
 
     Notes
     -----

@@ -130,7 +130,7 @@ def write_laz_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud part by part, with bounded memory.
+    """Write a point cloud to a LAS or LAZ file in parts, with bounded memory.
 
     The file is that of the whole cloud, byte for byte: points go to the compressor in
     blocks of the same size for whatever parts.
@@ -172,7 +172,7 @@ def write_laz_parts(
 
 @dataclass(frozen=True, kw_only=True)
 class _Extent:
-    """Bounds and largest amplitude of all points, for the header."""
+    """Bounds and largest amplitude of a cloud, for the file header."""
 
     first: xr.Dataset
     low: NDArray[np.float64]
@@ -202,7 +202,7 @@ def _extent(parts: Iterable[xr.Dataset], *, name: str) -> _Extent:
 
 
 def _header(laspy: Any, extent: _Extent, *, name: str) -> tuple[Any, list[Any]]:
-    """Header of a file, and the entries of `_EXTRA` in it."""
+    """Header of a LAS file, and the extra dimensions stored in it."""
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.global_encoding.wkt = True  # asked for by this point format, even if unused
     header.system_identifier = "amulor"
@@ -235,7 +235,7 @@ def _offsets(extent: _Extent, *, name: str) -> NDArray[np.float64]:
 def _records(
     laspy: Any, part: xr.Dataset, header: Any, extras: list[Any], brightest: float
 ) -> NDArray[np.void]:
-    """Points as records of the file format."""
+    """Points as LAS records."""
     points = laspy.ScaleAwarePointRecord.zeros(part.sizes["point"], header=header)
     for axis, offset in zip("xyz", header.offsets, strict=True):
         steps = np.round((part[axis].values - offset) / SCALE)
@@ -263,7 +263,7 @@ def _laspy(purpose: str) -> Any:
 
 
 def _lazrs_error() -> Any:
-    """Exception class of the LAZ compressor."""
+    """Exception class of `lazrs`, the library that decodes LAZ files."""
     import lazrs
 
     return lazrs.LazrsError
@@ -367,7 +367,7 @@ def _columns_of(part: Any) -> dict[str, NDArray[Any]]:
 
 
 def _statements_of(file: Any) -> list[str]:
-    """Statements that amulor stored in a record of its own."""
+    """Statements that amulor stored in a variable-length record."""
     records = [*(file.header.vlrs or []), *(file.evlrs or [])]
     for record in records:
         if getattr(record, "user_id", "") == "amulor":

@@ -1,4 +1,4 @@
-"""Cubes as netCDF-4 files, whole or by rows."""
+"""Measurement cubes as netCDF-4 files, read and written whole or row by row."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _RESERVED_ATTRIBUTES = {
 
 
 def read_cube(path: str | os.PathLike[str]) -> xr.Dataset:
-    """Read a cube from a netCDF-4 file into memory.
+    """Read a measurement cube from a netCDF-4 file into memory.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def read_cube(path: str | os.PathLike[str]) -> xr.Dataset:
 def write_cube(
     cube: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Write a cube to a netCDF-4 file.
+    """Write a measurement cube to a netCDF-4 file.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def _fill(group: Any, part: xr.Dataset) -> None:
 def _listing(
     part: xr.Dataset,
 ) -> tuple[dict[Hashable, dict[str, Any]], dict[str, Any]]:
-    """Attributes of variables and group, with the coordinates that they name."""
+    """Attributes of the variables and of the group, with the names of coordinates."""
     attributes = {key: dict(variable.attrs) for key, variable in part.variables.items()}
     listed: set[Hashable] = set(part.indexes)
     for key in part.data_vars:
@@ -328,7 +328,7 @@ def _create(
     *,
     shape: tuple[int, ...] | None = None,
 ) -> Any:
-    """Create a variable of a file; with another shape, it is filled later."""
+    """Create a variable in a file; given a shape of its own, it is filled later."""
     import h5py
 
     values = variable.values
@@ -428,7 +428,7 @@ def _check_size(storage: Any, path: Path) -> None:
 
 
 def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
-    """Cube of schema version 1 under the current names of its variables."""
+    """Cube of schema version 1, with its variables renamed to the current schema."""
     former = {
         old: new
         for old, new in schema.FORMER_NAMES.items()
@@ -438,7 +438,7 @@ def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _opened(file: Any, group: str | None, *, by_rows: bool = False) -> xr.Dataset:
-    """Group of a file; by rows, variables over the rows are not read yet."""
+    """Open a group of a file; by rows, variables over the rows stay unread."""
     store = xr.backends.H5NetCDFStore(file, group=group)
     # Units such as "days since 2020-01-01" are left to the schema.
     part = xr.open_dataset(store, decode_times=False, cache=not by_rows)
@@ -500,7 +500,7 @@ _PIECE = 2**24
 
 
 class CubeRows:
-    """Rows of a cube in a file; made by `open_rows`."""
+    """Cube in a file that is read row by row; created by `open_rows`."""
 
     def __init__(self, cube: xr.Dataset, path: Path, storage: Any) -> None:
         self._cube, self._path = cube, path
@@ -517,7 +517,7 @@ class CubeRows:
 
     @property
     def head(self) -> xr.Dataset:
-        """Everything that does not extend over the rows."""
+        """Part of the cube that does not depend on the row."""
         return self._head
 
     @property
@@ -531,13 +531,13 @@ class CubeRows:
         return self._columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Cube of some rows, checked."""
+        """Cube of a range of rows, checked against the schema."""
         part = cubes.without_unknown_errors(self._read(self._cube, begin, end))
         cubes.check(part, name=f"{self._path}, rows {begin} to {end - 1}")
         return part
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Azimuth and elevation of some rows."""
+        """Azimuth and elevation of a range of rows."""
         return self._read(tiles.directions_of(self._cube), begin, end)
 
     def _read(self, cube: xr.Dataset, begin: int, end: int) -> xr.Dataset:
@@ -572,7 +572,7 @@ class CubeRows:
 
 
 def _is_as_stored(variable: xr.Variable, stored: Any) -> bool:
-    """Whether a variable over the rows equals the values in the file."""
+    """Whether the file stores a variable over the rows without coding or fill value."""
     coded = {"scale_factor", "add_offset", "missing_value"} & set(variable.encoding)
     missing = variable.encoding.get("_FillValue", np.nan)
     return bool(
@@ -589,7 +589,7 @@ def _is_as_stored(variable: xr.Variable, stored: Any) -> bool:
 def open_rows(
     path: str | os.PathLike[str], *, check_digest: bool = True
 ) -> Iterator[CubeRows]:
-    """Open a cube to read it by rows."""
+    """Open a cube in a file to read it row by row."""
     load_hdf5()
     import h5netcdf
     import h5py
@@ -635,7 +635,7 @@ _SIZED = ("in_phase", "slant_range")
 def is_large(
     path: str | os.PathLike[str], *, variables: Sequence[str] = _SIZED
 ) -> bool:
-    """Whether the variables of a file are so large that it is processed by rows."""
+    """Whether a file is so large that it is processed row by row."""
     load_hdf5()
     import h5py
 
@@ -692,7 +692,7 @@ def _digest(file: Any, length: int) -> str:
 
 
 class RowWriter:
-    """Cube file written row by row; made by `row_writer`."""
+    """Writer of a cube file, row by row; created by `row_writer`."""
 
     def __init__(self, file: Any, rows: int, *, name: str, over: str = "row") -> None:
         self._file, self._rows, self._name, self._over = file, rows, name, over
@@ -700,7 +700,7 @@ class RowWriter:
         self._written = 0
 
     def put(self, tile: xr.Dataset, begin: int) -> None:
-        """Write some rows."""
+        """Write a tile of rows, beginning at a given row."""
         tile = cubes.checked(tile, name=self._name)
         parts = {"": _root(tile)}
         for group in schema.GROUPS:
@@ -747,7 +747,7 @@ class RowWriter:
             )
 
     def _begun(self, key: str, part: xr.Dataset) -> dict[str, Any]:
-        """Create a group with everything that does not extend over the rows."""
+        """Create a group, and write the part that does not depend on the row."""
         _check_storable(part, name=self._name)
         group = self._file.create_group(key) if key else self._file
         sizes = dict(part.sizes)
@@ -777,7 +777,7 @@ def row_writer(
     overwrite: bool = False,
     over: str = "row",
 ) -> Iterator[RowWriter]:
-    """Write a cube row by row; the file appears when it is complete."""
+    """Write a cube row by row; the file appears under its name when complete."""
     load_hdf5()
     import h5netcdf
 
@@ -793,7 +793,7 @@ def row_writer(
 
 
 def tile_rows(source: tiles.Source) -> int:
-    """Rows per tile: whole blocks of a file, within bounds."""
+    """Rows per tile: whole storage blocks of the file, within the limits of memory."""
     first, end = next(tiles.bands(source))
     block = max(1, CHUNK_VALUES // max(source.columns, 1))
     rows = end - first

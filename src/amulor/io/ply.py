@@ -126,7 +126,7 @@ def write_ply_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud part by part; the file equals that of the whole cloud."""
+    """Write a point cloud to PLY in parts; the file equals one written at once."""
     checked = checked_parts(parts, count, name=f"the cloud for {path}")
     _write(checked, count, path, overwrite=overwrite)
 
@@ -141,7 +141,7 @@ def _write(
     about: Mapping[str, str] | None = None,
     triangles: NDArray[np.void] | None = None,
 ) -> None:
-    """Write checked parts; further properties and triangles only with a single part."""
+    """Write checked parts; extra properties and triangles only for a single part."""
     faces = [] if triangles is None else _face_lines(triangles)
     with (
         atomic_output(Path(path), overwrite=overwrite) as temporary,
@@ -158,7 +158,7 @@ def _write(
 def _header(
     cloud: xr.Dataset, count: int, about: Mapping[str, str], faces: list[str]
 ) -> bytes:
-    """Header of a file, up to its points."""
+    """PLY header, up to the points."""
     properties = [entry for entry in _PROPERTIES if entry[3] in cloud]
     comments = [
         f"{name}: {cloud[variable].attrs['long_name']} "
@@ -182,7 +182,7 @@ def _header(
 def _vertices(
     cloud: xr.Dataset, more: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.void]:
-    """Points as records of the file format."""
+    """Points as PLY vertex records."""
     properties = [entry for entry in _PROPERTIES if entry[3] in cloud]
     vertices = np.empty(
         cloud.sizes["point"],
@@ -197,7 +197,7 @@ def _vertices(
 
 
 def _triangles(faces: ArrayLike | None, count: int) -> NDArray[np.void]:
-    """Triangles as records of the file format."""
+    """Triangles as PLY face records."""
     corners = np.zeros((0, 3)) if faces is None else np.asarray(faces)
     if corners.ndim != 2 or corners.shape[1] != 3:
         raise ValueError(f"faces must have the shape (m, 3), got {corners.shape}")
@@ -291,7 +291,7 @@ def read_ply(path: Path, *, unit: float) -> Shape:
 
 
 def _comments(file: BinaryIO) -> list[str]:
-    """Comments of the header, which trimesh drops."""
+    """Comments of a PLY header, which trimesh discards."""
     comments = []
     for _ in range(_MOST_LINES):
         line = file.readline(4096).decode("ascii", "replace").strip()
@@ -303,7 +303,7 @@ def _comments(file: BinaryIO) -> list[str]:
 
 
 def _check_lines(file: BinaryIO, name: str) -> None:
-    """Refuse a text file with fewer lines than its header promises."""
+    """Refuse a text file with fewer lines than its header declares."""
     lengths: list[int] = []
     for _ in range(_MOST_LINES):
         words = file.readline(4096).split()

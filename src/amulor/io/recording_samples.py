@@ -1,4 +1,4 @@
-"""Samples of a recording in sequence: channel, direction, position in the scan."""
+"""Samples of a recording in order of time: channel, direction, pixel of the scan."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def of_one_temperature(
 
 
 def rounded_temperatures(temperatures: Floats) -> Floats:
-    """Distinct temperatures, rounded for a message [degC]."""
+    """Distinct temperatures, rounded for messages [degC]."""
     step = 2 * _SAME_TEMPERATURE
     return np.asarray(np.unique(np.round(temperatures / step)) * 2 * _SAME_TEMPERATURE)
 
@@ -149,7 +149,7 @@ def at_temperature(values: Floats, temperature: float) -> NDArray[np.bool_]:
 def refuse_several(
     path: Path, rounded: Floats, temperatures: Floats, temperature: float | None
 ) -> None:
-    """Refuse several temperatures without a choice, and a choice that does not occur.
+    """Refuse several temperatures without a choice, or a chosen one without samples.
 
     `temperatures` may lack some that are neither least, largest, nor nearest to the
     chosen temperature.
@@ -169,7 +169,7 @@ def refuse_several(
 
 
 def distinct(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Distinct frequencies, rising, and the index of each sample's."""
+    """Distinct frequencies in rising order, and the index of each sample's."""
     ordered, place = np.unique(values, return_inverse=True)
     group = groups(ordered)[place]
     means = np.bincount(group, values) / np.bincount(group)
@@ -177,13 +177,13 @@ def distinct(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def groups(ordered: Floats) -> NDArray[np.intp]:
-    """Index of the frequency for each of some rising values."""
+    """Index of the distinct frequency for each of some values in rising order."""
     border = np.diff(ordered) > _SAME_FREQUENCY * ordered[:-1]
     return np.concatenate([[0], np.cumsum(border)]).astype(np.intp)
 
 
 def places_known_by(samples: Samples) -> Places:
-    """Columns that give the positions of samples in the scan."""
+    """Columns from which the positions of samples in the scan follow."""
     if np.isfinite(samples.row).any():
         return "rows"
     return "angles" if np.isfinite(samples.azimuth).any() else "order"
@@ -198,7 +198,7 @@ def pixels(
     known_by: Places | None = None,
     before: dict[tuple[int, int], int] | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Row and column of each sample, if need be by the order of the scan.
+    """Row and column of each sample, if necessary by the order of the scan.
 
     Of a part of the samples, `known_by` is what is so of all, and `before` as `turn`
     takes it.
@@ -234,7 +234,7 @@ def pixels(
 
 
 def _steps(angle: Floats, grid: Floats) -> Floats:
-    """Index of angles on an evenly spaced grid, counted from 0."""
+    """Fractional index of angles on an evenly spaced grid, counted from 0."""
     if len(grid) == 1:
         return np.zeros(len(angle))
     return np.asarray((angle - grid[0]) / (grid[-1] - grid[0]) * (len(grid) - 1))
@@ -257,7 +257,7 @@ def turn(
 
 
 def around(signal: Complex) -> list[Complex]:
-    """Eight neighbors of all pixels, NaN beyond the scan."""
+    """Signals of the eight neighbors of each pixel, NaN beyond the scan."""
     wide = np.pad(
         signal, ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=complex(np.nan)
     )
@@ -270,7 +270,7 @@ def around(signal: Complex) -> list[Complex]:
 
 
 def nearest_distance(signal: Complex) -> Floats:
-    """Distance of the nearest neighbor, NaN without one."""
+    """Distance of each signal from the most similar neighbor's, NaN without one [V]."""
     nearest = np.full(signal.shape, np.inf)
     for neighbor in around(signal):
         nearest = np.fmin(nearest, np.abs(signal - neighbor))
@@ -279,13 +279,13 @@ def nearest_distance(signal: Complex) -> Floats:
 
 
 def median_of(nearest: Floats) -> float:
-    """Median of the finite values, NaN without any."""
+    """Median of the finite distances, NaN without any."""
     finite = nearest[np.isfinite(nearest)]
     return float(np.median(finite)) if finite.size else np.nan
 
 
 def off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
-    """Distance of samples from mixtures of two neighbors, and the neighbors' spread.
+    """Distance of signals from mixtures of two neighbors, and the neighbors' spread.
 
     A beam on an edge sees a mixture of both sides. `beside` has the neighbors of each
     sample along its first axis, no numbers where there are none.

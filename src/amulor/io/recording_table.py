@@ -1,4 +1,4 @@
-"""Tables of recorded samples: columns of CSV or HDF5, and the map that names them."""
+"""Tables of recorded samples: CSV or HDF5 columns, and the map to quantities."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295}
 
 
 class TableSettings(Description):
-    """File format of the table."""
+    """File format of a recording's table."""
 
     format: Literal["csv", "hdf5"] = "csv"
     """"csv": a line of names and a line per sample; "hdf5": an array per column, of one
@@ -55,24 +55,24 @@ class TableSettings(Description):
 
 
 class ColumnSettings(Description):
-    """Names of columns; for "hdf5" the paths of arrays."""
+    """Column names of the quantities; for "hdf5" the paths of arrays."""
 
     in_phase: Column | None = None
-    """X of the lock-in."""
+    """In-phase output X of the lock-in amplifier."""
     quadrature: Column | None = None
-    """Y of the lock-in."""
+    """Quadrature output Y of the lock-in amplifier."""
     amplitude: Column | None = None
-    """R of the lock-in, instead of X and Y."""
+    """Amplitude R of the lock-in amplifier, instead of X and Y."""
     phase: Column | None = None
-    """Theta of the lock-in, instead of X and Y."""
+    """Phase theta of the lock-in amplifier, instead of X and Y."""
     frequency: Column | None = None
     """Modulation frequency of each sample [Hz]."""
     polarization: Column | None = None
-    """Launched and analyzed state of each sample, such as VH."""
+    """Launched and analyzed polarization of each sample, such as VH."""
     azimuth: Column | None = None
-    """Direction to the right."""
+    """Azimuth of the beam, positive to the right."""
     elevation: Column | None = None
-    """Direction upwards."""
+    """Elevation of the beam, positive upwards."""
     row: Column | None = None
     """Row of the scan, counted from 0 on top."""
     column: Column | None = None
@@ -103,30 +103,32 @@ class ColumnSettings(Description):
 
 
 class ConstantSettings(Description):
-    """Constants of all samples."""
+    """Constants that apply to all samples."""
 
     frequency: Annotated[Frequency, Field(gt=0)] | None = None
     """Modulation frequency if no column has it [Hz]."""
     polarization: str | None = None
-    """Launched and analyzed state if no column has it."""
+    """Launched and analyzed polarization if no column has it."""
     scale: Annotated[float, Field(gt=0)] = 1.0
-    """Volts per unit of the columns [V]."""
+    """Volts per unit of the output columns [V]."""
     root_mean_square: bool = True
-    """Whether volts are rms, as with most lock-in amplifiers; otherwise peak."""
+    """Whether voltages are rms values, as of most lock-in amplifiers; otherwise
+    peak."""
     phase_falls_with_delay: bool = True
-    """Whether a later echo has a smaller phase, as with lock-in amplifiers."""
+    """Whether a larger delay gives a smaller phase, as with lock-in amplifiers."""
     phase_unit: Literal["rad", "mrad", "deg"] = "deg"
     """Unit of the column `phase`."""
     angle_unit: Literal["rad", "mrad", "deg"] = "deg"
     """Unit of the columns `azimuth` and `elevation`."""
     uncertainty: Annotated[Voltage, Field(gt=0)] | None = None
-    """Standard uncertainty of either output, a peak amplitude; by default from counting
-    and the phase floor of the survey [V]."""
+    """Standard uncertainty of either output, as a peak amplitude; by default from
+    counting noise and the phase floor of the survey [V]."""
     open_water: str = "open_water"
-    """Entry of the column `what` for open-water shots; all others are of the target."""
+    """Entry of the column `what` for open-water shots; all other samples are of the
+    target."""
 
     def radians(self, unit: str) -> float:
-        """Size of a unit of angle [rad]."""
+        """Conversion factor of a unit of angle [rad]."""
         return _ANGLES[unit]
 
 
@@ -166,7 +168,7 @@ class RecordingMap(Description):
 
 
 class Table:
-    """Columns by name, all of equal length."""
+    """Columns of a recording by name, all of equal length."""
 
     def __init__(
         self,
@@ -212,7 +214,7 @@ class Table:
 
 
 def read_table(path: Path, described: RecordingMap) -> Table:
-    """Read the columns that a map assigns."""
+    """Read the columns of a recording that its map assigns."""
     (table,) = table_parts(path, described, None)
     return table
 
@@ -220,7 +222,7 @@ def read_table(path: Path, described: RecordingMap) -> Table:
 def table_parts(
     path: Path, described: RecordingMap, count: int | None
 ) -> Iterator[Table]:
-    """Read the columns that a map assigns, a number of samples at a time."""
+    """Read the columns that a map assigns, in parts of a number of samples."""
     names = [name for _, name in described.columns if name is not None]
     try:
         if described.table.format == "hdf5":
@@ -265,7 +267,7 @@ def _with_single_spaces(line: str) -> str:
 def _names(
     path: Path, lines: Iterator[Line], settings: TableSettings
 ) -> tuple[list[str], list[Line]]:
-    """Column names, and the first sample if it was read with them.
+    """Column names, and the first sample's line if it was read in search of them.
 
     They stand in a line of texts, or in the last comment before the first sample.
     """
@@ -288,7 +290,7 @@ def _names(
 def _samples(
     path: Path, lines: Iterable[Line], settings: TableSettings, columns: int
 ) -> Iterator[Line]:
-    """Yield the lines of samples; refuse lines that lack columns."""
+    """Yield the lines of samples; refuse lines with too few columns."""
     for number, line in lines:
         if line.isspace() or (settings.comment and line.startswith(settings.comment)):
             continue
@@ -398,7 +400,7 @@ def _hdf5(path: Path, names: list[str], count: int | None) -> Iterator[Table]:
 
 
 def _flat(dataset: Any, begin: int, end: int) -> NDArray[Any]:
-    """Part of an array along its rows, with texts decoded."""
+    """Rows of an array from begin to end, with texts decoded."""
     if dataset.ndim == 0:
         values = np.asarray(dataset[()]).ravel()
     else:

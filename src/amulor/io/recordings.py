@@ -56,7 +56,7 @@ _PIXEL = ("row", "column")
 
 @dataclass(frozen=True, kw_only=True)
 class _Gathered:
-    """Means of samples by channel and pixel, with flags."""
+    """Means of samples by channel and pixel, with their number and flags."""
 
     signal: Complex
     mean: Floats
@@ -65,7 +65,7 @@ class _Gathered:
     flag: NDArray[np.int16]
 
     def rows(self, rows: slice) -> _Gathered:
-        """Means of some rows."""
+        """Means in a range of rows."""
         return _Gathered(**{key: v[:, :, rows] for key, v in vars(self).items()})
 
 
@@ -121,7 +121,7 @@ def read_recordings(
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """Settings, channels and shots shared by all rows of a recording."""
+    """Survey, channels and open-water shots shared by all rows of a recording."""
 
     path: Path
     survey: Survey
@@ -133,7 +133,7 @@ class Recording:
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Rows of a recording with their neighbors, before breakdowns are flagged."""
+    """Means in a band of rows and its neighbors, before outliers are flagged."""
 
     means: _Gathered
     uncertainty: Floats
@@ -147,7 +147,7 @@ class Band:
 
 
 def band_with_neighbours(survey: Survey, rows: tuple[int, int]) -> tuple[int, int]:
-    """Range of rows extended by the neighbors that breakdowns are judged against."""
+    """Range of rows, extended by the neighbors against which outliers are tested."""
     return max(rows[0] - 1, 0), min(rows[1] + 1, survey.scan.rows)
 
 
@@ -157,7 +157,7 @@ def gathered_band(
     at: tuple[NDArray[np.intp], ...],
     rows: tuple[int, int],
 ) -> Band:
-    """Means of samples in some rows.
+    """Means, uncertainties and directions of the samples in a band of rows.
 
     `samples` has all samples of `band_with_neighbours`, and no others; `at` says where
     they are: frequency, polarization, row and column of the scan.
@@ -187,7 +187,7 @@ def gathered_band(
 def cube_of(
     recording: Recording, band: Band, typical: Floats, *, mean: bool, temperature: bool
 ) -> xr.Dataset:
-    """Cube of some rows.
+    """Cube of the means in a band of rows.
 
     `typical` is the median distance of neighbors in each channel; `mean` and
     `temperature` say whether any row of the recording has them.
@@ -222,7 +222,7 @@ def cube_of(
 
 
 def marked(cube: xr.Dataset) -> dict[str, int]:
-    """Return the number of samples of a cube by marking word, without zeros."""
+    """Return the number of samples by user's flag word, without zeros."""
     flag = cube["user_sample_flag"]
     counted = {
         word.replace("_", " "): int((flag.values & mask != 0).sum())
@@ -234,7 +234,7 @@ def marked(cube: xr.Dataset) -> dict[str, int]:
 
 
 def is_measured(signal: Complex) -> NDArray[np.bool_]:
-    """Mask of samples that are numbers other than 0."""
+    """Mask of signals that were measured: finite and not 0."""
     return np.asarray((signal != 0) & ~_is_none(signal))
 
 
@@ -243,7 +243,7 @@ def _is_none(signal: Complex) -> NDArray[np.bool_]:
 
 
 def refuse_no_scan(path: Path, *, any_scan: bool) -> None:
-    """Refuse a recording of open-water shots only."""
+    """Refuse a recording that contains only open-water shots."""
     if not any_scan:
         raise FormatError(
             f"{path}: holds open-water shots and no sample of the scan; check "
@@ -320,7 +320,7 @@ def _direction(
 
 
 def _uncertainty(described: RecordingMap, survey: Survey, means: _Gathered) -> Floats:
-    """Return the standard uncertainty of either output without the phase floor [V]."""
+    """Return the noise of either output, without the phase floor [V]."""
     takes = np.maximum(means.takes, 1)
     if described.constants.uncertainty is not None:
         return described.constants.uncertainty / np.sqrt(takes)
@@ -339,7 +339,7 @@ def _uncertainty(described: RecordingMap, survey: Survey, means: _Gathered) -> F
 def _outputs(
     means: _Gathered, uncertainty: Floats, survey: Survey, described: RecordingMap
 ) -> dict[str, Floats]:
-    """Return the outputs and their errors under the names of the schema."""
+    """Return the outputs and their uncertainties as variables of a cube."""
     floor = survey.instrument.lock_in.phase_floor
     if described.constants.uncertainty is not None:
         floor = 0.0  # what is stated holds for all of it
@@ -356,7 +356,7 @@ def _outputs(
 
 
 def _breakdowns(band: Band, typical: Floats) -> NDArray[np.bool_]:
-    """Mask of isolated pixels that no mixture of their neighbors explains."""
+    """Mask of isolated outliers that no mixture of their neighbors explains."""
     signal = band.means.signal
     beside = around(signal)
     far = np.maximum(_BREAKDOWN * typical, _SURE * band.uncertainty)
@@ -373,7 +373,7 @@ def _shots(
     survey: Survey,
     described: RecordingMap,
 ) -> xr.Dataset:
-    """Open-water shots; breakdowns among them become NaN."""
+    """Open-water shots; outliers among them become NaN."""
     number = turn(channel).astype(np.intp)
     sizes = channel[0].max() + 1, channel[1].max() + 1, number.max() + 1
     at = (*channel, np.zeros_like(number), number)

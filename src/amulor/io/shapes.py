@@ -1,4 +1,4 @@
-"""Clouds and meshes of any format: columns and checks after reading, before writing."""
+"""Point clouds and meshes of any format: columns, and checks of their values."""
 
 from __future__ import annotations
 
@@ -41,28 +41,28 @@ _TAKEN = (*KNOWN, "height", "position", "faces", "colour")
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A point cloud, or a mesh."""
+    """Point cloud or mesh, as read from a file."""
 
     position: NDArray[np.float64]
     """Points or vertices, shape (n, 3) [m]."""
     scalars: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
-    """Numbers of the points, named as in `KNOWN` or as in the file."""
+    """Numeric properties of the points, named as in `KNOWN` or as in the file."""
     colour: NDArray[np.uint8] | None = None
-    """Red, green, blue of the points, shape (n, 3)."""
+    """Red, green and blue of the points, shape (n, 3)."""
     faces: NDArray[np.intp] | None = None
-    """Corners of triangles, shape (m, 3)."""
+    """Point numbers of each triangle's corners, shape (m, 3)."""
     up: Up = "z"
     """Axis that points up."""
     statements: Sequence[str] = ()
-    """Statements of the file about itself."""
+    """Description and provenance lines of the file."""
     total: int = 0
-    """Points in the file; more than in memory if it was thinned."""
+    """Number of points in the file, of which a thinned cloud has only a part."""
 
 
 def scalars_of(
     columns: Mapping[str, NDArray[Any]],
 ) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Columns as numbers under the names of `KNOWN`, and names of unused columns."""
+    """Columns as numbers, named as in `KNOWN`, and the names of unused columns."""
     plain = {
         name: name.lower().removeprefix("scalar_").partition("[")[0].strip()
         for name in columns
@@ -88,7 +88,7 @@ def scalars_of(
 
 
 def up_of(statements: Sequence[str], default: Up = "z") -> Up:
-    """Vertical axis by the header lines of a file of amulor: -y in instrument axes."""
+    """Vertical axis according to a file's header lines: -y in instrument axes."""
     for line in statements:
         if line.startswith("axes:"):
             return "-y" if "y down" in line else "z"
@@ -127,7 +127,7 @@ def checked(shape: Shape, name: str) -> Shape:
 
 
 def thinned(shape: Shape, indices: NDArray[np.intp]) -> Shape:
-    """Select some points of a cloud; its triangles are dropped."""
+    """Cloud of selected points, without triangles."""
     return Shape(
         position=shape.position[indices],
         scalars={name: values[indices] for name, values in shape.scalars.items()},
@@ -139,7 +139,7 @@ def thinned(shape: Shape, indices: NDArray[np.intp]) -> Shape:
 
 
 def spread(total: int, most: int) -> NDArray[np.intp]:
-    """Return the indices of an even random subset: one of each run of points.
+    """Return the indices of an even random subset: one out of each run of points.
 
     The rows of a scan and an even step would give lines.
     """
@@ -153,7 +153,7 @@ def spread(total: int, most: int) -> NDArray[np.intp]:
 
 
 def read_mesh(path: Path, *, unit: float) -> Shape:
-    """Read STL, OBJ, OFF or GLB; files that it names, such as textures, stay closed."""
+    """Read an STL, OBJ, OFF or GLB mesh; linked files such as textures stay closed."""
     try:
         import trimesh
     except ImportError as error:
@@ -280,7 +280,7 @@ def provenance_lines(cloud: xr.Dataset) -> list[str]:
 
 
 def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
-    """Meaning of the coordinates of a product, one statement a line."""
+    """Return the meaning of the coordinates of a product, one statement a line."""
     lines = [f"axes: {attributes.get('frame_axes', _AXES)}"]
     if attributes.get("frame", "instrument") != "instrument":
         numbers = " ".join(f"{v:.12g}" for v in attributes["frame_matrix"])
@@ -294,7 +294,7 @@ def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
 
 
 def doubtful(cloud: xr.Dataset) -> NDArray[np.bool_]:
-    """Mask of points whose range is doubtful by a flag of its own."""
+    """Mask of points with a flag that makes their range doubtful."""
     if "quality_flag" not in cloud:
         return np.zeros(cloud.sizes["point"], dtype=bool)
     flags = cloud["quality_flag"].values.astype(np.int64)

@@ -1,4 +1,4 @@
-"""Frequency response of measured slabs: light behind a slab over light without it."""
+"""Frequency response of measured slabs: light through a slab over light without it."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Slabs:
     thickness: NDArray[np.float64]
     """Thickness of each slab [m]."""
     counts: NDArray[np.float64]
-    """Counts less their background, dimensions (slab or none, bin) [1]."""
+    """Counts minus their background, dimensions (slab or none, bin) [1]."""
     background: NDArray[np.float64]
     """Background subtracted from each bin, per histogram [1]."""
 
@@ -134,7 +134,7 @@ def read_slabs(path: str | os.PathLike[str]) -> Slabs:
 
 
 def slab_response(slabs: Slabs, modulation_frequency: ArrayLike) -> xr.Dataset:
-    r"""Attenuation and delay of a modulation by slabs.
+    r"""Attenuation and delay of intensity modulation by slabs.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def mean_delay(slabs: Slabs) -> NDArray[np.float64]:
 def _ratio(
     slabs: Slabs, weight: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
-    """Signal over light, and the variances of Re and Im of its logarithm."""
+    """Frequency response of slabs, and the variances of its logarithm's Re and Im."""
     level = slabs.background[:, np.newaxis]
     bins = weight.shape[1]
     # Less one, so that at low frequencies small numbers are added and not the

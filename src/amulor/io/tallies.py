@@ -196,7 +196,7 @@ def read_tally(path: str | os.PathLike[str]) -> Tally:
 
 
 def _loaded(content: bytes, path: Path) -> xr.Dataset:
-    """Content of the file."""
+    """Content of a tally file as a dataset."""
     import h5netcdf
     import h5py
 
@@ -219,7 +219,7 @@ def _loaded(content: bytes, path: Path) -> xr.Dataset:
 
 
 def _tally(dataset: xr.Dataset, path: Path) -> Tally:
-    """Tally from the content of a file, checked as far as numbers allow."""
+    """Tally from the content of a file, with its values checked."""
     # Brings the compiled loops with it, which other readers of files do not need.
     from amulor.transport.tally import PathRecord, Tally
 

@@ -94,7 +94,7 @@ def write_text_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud part by part; the file equals that of the whole cloud."""
+    """Write a point cloud as text in parts; the file equals one written at once."""
     path = Path(path)
     comma = path.suffix.lower() == ".csv"
     mark = "," if comma else " "
@@ -206,7 +206,7 @@ def _table(path: Path, mark: str | None, skip: int, width: int) -> np.ndarray:
 
 
 def _named(names: list[str] | None, width: int, name: str) -> list[str]:
-    """Name of every column."""
+    """Name of every column, from the header or by default."""
     if width > _MOST_COLUMNS:
         raise FormatError(f"{name} has {width} columns; no point cloud has so many")
     if names is not None and {"x", "y", "z"} <= set(names) and len(names) == width:

@@ -1,4 +1,4 @@
-"""Conversion of photon histograms into the cube of an AM instrument."""
+"""Conversion of photon histograms into the cube of an AM laser radar."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _PARTS = 64
 
 
 def overlap_of(sums: Floats) -> Floats:
-    r"""Time bins of the bin-wise minimum of scenes that are probably echoes.
+    r"""Part of the scenes' bin-wise minimum that probably consists of echoes.
 
     Scenes :math:`B + E_1`, :math:`B + E_2` have the minimum
     :math:`B + \min(E_1, E_2)`: where one echo has not ended when the other begins, the
@@ -61,7 +61,7 @@ def overlap_of(sums: Floats) -> Floats:
 
 
 def _smoothed(values: Floats) -> Floats:
-    """Return the moving average over an odd number of bins, with the edge repeated."""
+    """Return a moving average over the time bins, with the edge values repeated."""
     half = values.size // _PARTS // 2
     padded = np.pad(values, half, mode="edge")
     width = 2 * half + 1
@@ -84,7 +84,7 @@ _FOAM_LICENCE = "MIT, (c) 2020 Stanford University"
 
 @dataclass(frozen=True, kw_only=True)
 class _Known:
-    """Facts of a published file that it does not contain."""
+    """Properties of a published data set that its file does not contain."""
 
     title: str
     scan_side: float | None = None
@@ -356,7 +356,7 @@ def medium_from_minimum(
 
 
 def _evenly(shots: Coefficients) -> Coefficients:
-    """Return the signals with the mean covariance of all."""
+    """Return the signals, with the covariance averaged over all of them."""
 
     def mean(part: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.broadcast_to(part.mean(axis=-1, keepdims=True), part.shape)
@@ -375,7 +375,7 @@ def _outputs(
     axis: int,
     missing: NDArray[np.bool_] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Variables of a cube, with an axis for the polarization."""
+    """Signals and uncertainties as variables of a cube, with a polarization axis."""
     volt = VOLTS_PER_COUNT
     outputs = {
         "in_phase": volt * coefficients.signal.real,
