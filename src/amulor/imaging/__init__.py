@@ -1,4 +1,4 @@
-"""From the target signal to range images, point clouds and their quality."""
+"""Range images and point clouds from the target signal, and their quality."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Error budget of a range image: terms, sum, and errors that are not known."""
+"""Error budget of a range image: error terms, their sum, and unknown errors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TYPICAL_PHASE_UNCERTAINTY = math.radians(0.5)
 def completed(
     observation: Observation, ranges: Ranges, *, fit: LateFit | None = None
 ) -> tuple[Ranges, dict[str, Any], LateFit]:
-    """Subtract late light and add all error terms; return attributes and statistics."""
+    """Subtract late light and add all error terms; also attributes and statistics."""
     slant_range = np.where(ranges.usable, ranges.slant_range, np.nan)
     light, fit = late_light(observation, slant_range, weight=ranges.weight, fit=fit)
     ranges, shared = _without_instrument(observation, ranges)
@@ -84,7 +84,7 @@ def completed(
 def _without_instrument(
     observation: Observation, ranges: Ranges
 ) -> tuple[Ranges, dict[str, Floats]]:
-    """Ranges without the instrument terms of a joint estimation, and these terms.
+    """Ranges of a joint estimation less its instrument terms, and these terms.
 
     It counts delay, index and place of the receiver in the common error of its ranges.
     """
@@ -106,7 +106,7 @@ def _without_instrument(
 
 
 def _without_late_light(observation: Observation, ranges: Ranges) -> Ranges:
-    """Ranges without the late-light term of a joint estimation.
+    """Ranges of a joint estimation, with its late-light term removed.
 
     It knows the light by its spread alone; the image knows the water, takes the delay
     off and states what is left. Few frequencies cannot show that the water has another
@@ -132,7 +132,7 @@ def _without_late_light(observation: Observation, ranges: Ranges) -> Ranges:
 
 
 def _unknown_of_water(channel: xr.Dataset) -> list[str]:
-    """Names of water-signal errors that open-water shots do not determine."""
+    """Names of the water-signal errors that open-water shots do not determine."""
     unknown = []
     drift = channel.attrs.get("open_water_drift_uncertainty")
     if drift is not None and not np.all(np.isfinite(drift)):
@@ -145,7 +145,7 @@ def _unknown_of_water(channel: xr.Dataset) -> list[str]:
 
 
 def uncertainties(ranges: Ranges) -> dict[str, Floats]:
-    """Uncertainty variables of an image."""
+    """Uncertainty variables of a range image."""
     variables = {"slant_range_uncertainty": ranges.total}
     if ranges.common is not None:
         variables["slant_range_common_uncertainty"] = ranges.common
@@ -163,9 +163,9 @@ class BudgetLine:
     uncertainty: float
     """Standard uncertainty [m]."""
     share: float
-    """Part of the combined variance [1]."""
+    """Share of the combined variance [1]."""
     samples: int | None
-    """Measurements behind a term of type A, where the image states them."""
+    """Number of samples behind a term of type A, where the image states it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +193,7 @@ class ErrorBudget:
     """Combined standard uncertainty, median over the usable pixels; NaN if not known
     [m]."""
     common: float
-    """Part of it shared by all pixels; NaN if the image does not state it [m]."""
+    """Part of the combined uncertainty shared by all pixels; NaN if not stated [m]."""
     unknown: tuple[Term, ...]
     """Unknown error terms, not included in the combined uncertainty."""
     late_echo: str
@@ -203,7 +203,8 @@ class ErrorBudget:
     calibrated: str
     """Date of the delay calibration; empty if the survey has none."""
     age: float
-    """Age of the calibration at the scan; NaN if the cube has no date [days]."""
+    """Age of the calibration at the time of the scan; NaN if the cube has no date
+    [days]."""
     error_unknown: str
     """Reason for a missing combined uncertainty of all or some pixels; else empty."""
 
@@ -309,7 +310,7 @@ _COVERAGE = ("time_coverage_start", "time_coverage_end")
 def calibration_terms(
     observation: Observation, path: Floats, slope: Floats
 ) -> dict[str, Floats]:
-    """Return the standard uncertainties of the instrument as stated by the survey.
+    """Range uncertainties from the instrument errors that the survey states.
 
     By central differences of the slant range of a fixed path: by the group index, by
     each coordinate of the receiver and by azimuth and elevation of the beams. The
@@ -340,7 +341,7 @@ def calibration_terms(
 def instrument_term(
     observation: Observation, weight: Floats, slope: Floats
 ) -> Floats | None:
-    """Return the error by phases that the instrument turns; None if there are none.
+    """Return the range error by phase errors of the instrument; None if it has none.
 
     Leakage, walk and harmonics turn each frequency by an angle of its own, of the
     stated size or of `TYPICAL_PHASE_UNCERTAINTY`, and by as much as the channels differ
@@ -372,7 +373,7 @@ def instrument_term(
 def joint_instrument_terms(
     observation: Observation, path: Floats, slope: Floats
 ) -> dict[str, Floats]:
-    """Instrument terms included in a joint estimation."""
+    """Instrument terms that a joint estimation already includes in its errors."""
     sizes = observation.joint_values(
         "delay_uncertainty_s",
         "group_index_uncertainty",

@@ -1,4 +1,4 @@
-"""Shared parts of imaging steps: noise variance, flags, phase differences."""
+"""Functions shared by imaging steps: noise variance, flags, phase differences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ROUNDED = 4 * np.finfo(float).eps
 
 
 def own_variance(image: xr.Dataset) -> Floats:
-    """Variance of slant ranges without errors shared between pixels."""
+    """Variance of slant ranges without the errors that pixels share."""
     variance: Floats = image["slant_range_uncertainty"].values ** 2
     if "slant_range_common_uncertainty" in image:
         shared = image["slant_range_common_uncertainty"].values ** 2
@@ -40,14 +40,14 @@ def own_variance(image: xr.Dataset) -> Floats:
 def with_flag(
     image: xr.Dataset, flag: QualityFlag, pixels: NDArray[np.bool_] | bool
 ) -> xr.Dataset:
-    """Range image with one more flag on some pixels."""
+    """Range image with a flag added to some pixels."""
     old = image["quality_flag"]
     new = np.where(pixels, old.values | flag, old.values).astype(np.int16)
     return image.assign(quality_flag=old.copy(data=new))
 
 
 def phase_cosines(image: xr.Dataset, distance: Floats) -> Floats:
-    """Cosines of the phase differences of distances, averaged over the frequencies."""
+    """Cosine of the phase difference of each pair of distances, frequency average."""
     group_index = float(image["geometry"].attrs["group_index"])
     frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
     turn = np.zeros((len(distance), len(distance)))

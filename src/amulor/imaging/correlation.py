@@ -1,4 +1,4 @@
-"""Uncertainty of means and differences of pixels with correlated errors."""
+"""Uncertainty of mean ranges and range differences of pixels with correlated errors."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ class RangeFigure:
     uncertainty: float
     """Standard uncertainty, shared errors included [m]."""
     random: float
-    """Part of it from noise [m]."""
+    """Part of the uncertainty from noise [m]."""
 
 
 def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
-    r"""Covariance of the slant ranges of some pixels.
+    r"""Covariance matrix of the slant ranges of selected pixels.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def _usable(image: xr.Dataset, pixels: ArrayLike) -> NDArray[np.bool_]:
 
 
 def _along_the_scan(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
-    """Correlation of the polynomial reference between pixels."""
+    """Correlation of open-water reference errors between pixels, shape (n, n)."""
     if "open_water_degree" not in image.attrs:
         return np.ones((int(which.sum()), int(which.sum())))
     degree = int(np.max(image.attrs["open_water_degree"]))

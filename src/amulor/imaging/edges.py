@@ -93,7 +93,7 @@ def mixed_pixels(
 
 
 def clear_of_both(image: xr.Dataset, *, reach: int = 2) -> Floats:
-    """Distance of pixels from the surfaces around them in standard errors.
+    """Distance of pixels from both adjacent surfaces in standard errors.
 
     Zero where they lie between none.
     """
@@ -112,7 +112,7 @@ def clear_of_both(image: xr.Dataset, *, reach: int = 2) -> Floats:
 def flag_mixed(
     image: xr.Dataset, *, significance: float = 3.5, reach: int = 2
 ) -> xr.Dataset:
-    """Range image with mixed pixels flagged.
+    """Range image with mixed pixels flagged `MIXED`.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def steps(
 
 
 def _steps(distance: Floats, variance: Floats) -> NDArray[np.bool_]:
-    """Mask of range steps between a column and the next one."""
+    """Mask of range steps between neighboring columns."""
     score = np.maximum(
         *(_step_scores(distance, variance, offset) for offset in _BESIDE)
     )
@@ -182,7 +182,7 @@ def _steps(distance: Floats, variance: Floats) -> NDArray[np.bool_]:
 
 
 def _step_scores(distance: Floats, variance: Floats, rows: int) -> Floats:
-    """Step heights to the next column over their standard errors, 0 where unknown."""
+    """Step heights to the next column over their standard uncertainty, 0 if unknown."""
     valid = np.isfinite(distance) & np.isfinite(variance)
 
     def summed(values: Floats) -> Floats:
@@ -234,7 +234,7 @@ def reached(
     pixel: tuple[int, int],
     reach: int,
 ) -> NDArray[np.bool_]:
-    """Mask of pixels within reach of a pixel without a step between.
+    """Mask of pixels within reach of a given pixel, without a range step between.
 
     The way goes along the column, then along the row, as on the page.
     """
@@ -247,7 +247,7 @@ def reached(
 
 
 def _walked(step: NDArray[np.bool_], start: int, reach: int) -> list[int]:
-    """Return the indices along a line within reach of a start, up to the next step."""
+    """Return the indices within reach of a start, without crossing a range step."""
     low = high = start
     while low > max(start - reach, 0) and not step[low - 1]:
         low -= 1
@@ -259,7 +259,7 @@ def _walked(step: NDArray[np.bool_], start: int, reach: int) -> list[int]:
 def _along_edge(
     distance: Floats, variance: Floats, axis: int
 ) -> tuple[Floats, Floats] | None:
-    """Straight lines through five pixels along an axis, and their variance.
+    """Range from a straight-line fit to five pixels along an axis, and its variance.
 
     Each line is taken at the pixel itself, in the middle of the five but at the rim;
     not a number where one is missing or the five are not on a line.
@@ -289,7 +289,7 @@ def _along_edge(
 
 
 def _between(distance: Floats, variance: Floats, axis: int, step: int) -> Floats:
-    """Distance in standard errors of pixels from the surfaces on both sides of them.
+    """Distance of pixels from the surfaces on either side of them.
 
     In standard errors, 0 where they lie between none.
     """
@@ -318,7 +318,7 @@ def _between(distance: Floats, variance: Floats, axis: int, step: int) -> Floats
 def _off_lines(
     distance: Floats, variance: Floats, axis: int, first: int
 ) -> list[Floats]:
-    """Deviation of pixels from lines through the next two and four on one side.
+    """Deviation of pixels from lines through the next two and four pixels on one side.
 
     In standard errors; not a number where a pixel is missing, or four are not straight.
     """
@@ -349,7 +349,7 @@ def _off_lines(
 
 
 def _shifted(values: Floats, axis: int, shift: int) -> Floats:
-    """Values of the neighbor a number of pixels away, NaN beyond the border."""
+    """Values of the pixel a number of rows or columns away, NaN beyond the border."""
     moved = np.full(values.shape, np.nan)
     size = values.shape[axis]
     if abs(shift) >= size:
@@ -362,5 +362,5 @@ def _shifted(values: Floats, axis: int, shift: int) -> Floats:
 
 
 def _smaller(first: Floats, second: Floats) -> Floats:
-    """Element-wise value of smaller magnitude."""
+    """Element-wise, the value of smaller magnitude."""
     return np.where(np.abs(first) < np.abs(second), first, second)

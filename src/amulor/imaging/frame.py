@@ -1,4 +1,4 @@
-"""Coordinate frames of products: the instrument's axes, z up, or the world's."""
+"""Coordinate frames of products: instrument axes, the same with z up, or the world."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Frame:
     """
 
     name: Axes
-    """Kind of frame."""
+    """Kind of axes."""
     rotation: Floats
     """Rotation from right, down, forward into the frame, shape (3, 3) [1]."""
     position: Floats
@@ -55,9 +55,9 @@ class Frame:
     crs: str = ""
     """Coordinate reference system; none if empty."""
     crs_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Offset to add for coordinates of that system [m]."""
+    """Offset to add to coordinates to obtain those of the reference system [m]."""
     pose: Pose | None = None
-    """Pose behind the frame."""
+    """Pose of the instrument from which the frame follows; None without one."""
 
     @property
     def axes(self) -> str:
@@ -66,12 +66,12 @@ class Frame:
 
     @property
     def meanings(self) -> tuple[str, str, str]:
-        """Meaning of each coordinate."""
+        """Meaning of each of the three coordinates."""
         return _TEXTS[self.name][1]
 
     @property
     def matrix(self) -> Floats:
-        """Transformation of homogeneous coordinates, shape (4, 4)."""
+        """Transformation from the instrument's axes, homogeneous, shape (4, 4)."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position
         return matrix
@@ -113,7 +113,7 @@ class Frame:
         return np.asarray(directions, dtype=float) @ self.rotation.T
 
     def shared_errors(self, points: ArrayLike) -> Floats:
-        r"""Displacement of points by each error of the pose, one vector per error.
+        r"""Displacement of points by each uncertain quantity of the pose.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class Frame:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Quantities of the pose without a stated uncertainty."""
+        """Quantities of the pose without a stated uncertainty, by name."""
         if self.pose is None:
             return ()
         uncertainties = {
@@ -215,7 +215,7 @@ def frame_of(
 
 
 def _attitude(pose: Pose) -> Floats:
-    """Right, down and forward as columns in east, north, up."""
+    """Rotation of a pose: right, down and forward as columns in east, north, up."""
     sine, cosine = np.sin(pose.heading), np.cos(pose.heading)
     level = np.array([sine, cosine, 0.0])
     up = np.array([0.0, 0.0, 1.0])
@@ -228,6 +228,6 @@ def _attitude(pose: Pose) -> Floats:
 
 
 def _surveyed_pose(image: xr.Dataset) -> Pose | None:
-    """Pose from the survey of an image, None without one."""
+    """Pose from the survey in an image, None without one."""
     survey = readable_survey(image)
     return None if survey is None else survey.pose

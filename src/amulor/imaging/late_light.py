@@ -1,4 +1,4 @@
-"""Delay of echoes by light scattered in the water, and its uncertainty."""
+"""Delay of echoes by forward-scattered light, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -41,23 +41,23 @@ class LateFit:
     """Scan-wide statistics for the estimate of late light."""
 
     depth: tuple[float, float] | None = None
-    """Least and largest distance of the echoes [m]; None where no pixel has one."""
+    """Least and largest distance of the targets [m]; None where no pixel has one."""
     span: Span | None = None
-    """Directions of the scan; None where no pixel has a range."""
+    """Range of scan directions; None where no pixel has a range."""
     in_view: bool = True
-    """Whether all echoes lie in the receiver's view."""
+    """Whether all targets lie in the receiver's field of view."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LateLight:
-    """Range error by late light, with its uncertainty."""
+    """Range error by late, forward-scattered light, with its uncertainty."""
 
     late: Floats
-    """Estimated delay, to be subtracted, shape (row, column) [m]."""
+    """Estimated range error, to be subtracted, shape (row, column) [m]."""
     uncertainty: Floats | None
-    """Standard uncertainty; None without an estimate [m]."""
+    """Standard uncertainty of the estimate; None without an estimate [m]."""
     note: str
-    """Whether it is subtracted, or the reason why not."""
+    """Statement that it is subtracted, or the reason why not."""
 
 
 def late_light(
@@ -67,7 +67,7 @@ def late_light(
     weight: Floats,
     fit: LateFit | None = None,
 ) -> tuple[LateLight, LateFit]:
-    """Delay of the echoes of one channel by late light, and the statistics used.
+    """Range error of one channel by late light, and the statistics used.
 
     The water is that of the survey, a rectangular distribution between two ends: with
     an asymmetry between the Henyey-Greenstein function and half of its delay, since
@@ -113,7 +113,7 @@ def dispersion(
     weight: Floats,
     fit: LateFit | None = None,
 ) -> tuple[tuple[Floats, Floats] | None, LateFit]:
-    """Difference of the late-light phase between frequencies.
+    """Late-light phase of each frequency relative to the mean, and its uncertainty.
 
     The higher the frequency, the less light that took many ways counts: a delay that
     differs with the frequency, which is no other distance and no other interval.
@@ -136,7 +136,7 @@ def dispersion(
 
 
 def _fit(observation: Observation, slant_range: Floats) -> LateFit:
-    """Distances and directions of the echoes; empty without any range."""
+    """Distances and directions of the targets; empty if no pixel has a range."""
     if not np.isfinite(slant_range).any():
         return LateFit()
     depth = observation.geometry.depth(slant_range)
@@ -160,7 +160,7 @@ def _delays(
     weight: Floats,
     fit: LateFit | None,
 ) -> tuple[tuple[Floats, Floats] | None, LateFit, str]:
-    """Delays as in `_between`, the statistics used, and the reason without delays."""
+    """Least and largest delay per pixel, statistics used, reason if there are none."""
     fit = _fit(observation, slant_range) if fit is None else fit
     try:
         water = water_properties(survey)
@@ -186,7 +186,7 @@ def _between(
     functions: tuple[tuple[PhaseFunction, float, float], ...],
     fit: LateFit,
 ) -> tuple[Floats, Floats]:
-    """Least and largest delay of each pixel for the water's possible properties [m].
+    """Least and largest delay per pixel over the water's possible properties [m].
 
     Of delays at all frequencies, weighted by one row or by several.
     """
@@ -240,7 +240,7 @@ def _between(
 
 
 def _spread(low: float, high: float) -> Floats:
-    """Return a few angles over a span that is extended slightly."""
+    """Return a few angles that cover a slightly extended span."""
     margin = 1e-6 + 1e-6 * (high - low)
     return np.linspace(low - margin, high + margin, _DIRECTIONS)
 
@@ -248,7 +248,7 @@ def _spread(low: float, high: float) -> Floats:
 def _phase_functions(
     water: WaterProperties,
 ) -> tuple[tuple[PhaseFunction, float, float], ...]:
-    """Possible waters: phase function, its scattering, split angle."""
+    """Possible properties of the water: phase function, scattering, split angle."""
     right = math.pi / 2
     if water.scattering == 0:
         return ((_function(_ASYMMETRIES[0]), 0.0, right),)
@@ -273,12 +273,12 @@ def _phase_functions(
 
 @lru_cache(maxsize=16)
 def _function(asymmetry: float) -> PhaseFunction:
-    """Phase function from a cache that keeps its transform."""
+    """Henyey-Greenstein function from a cache, which also keeps its transform."""
     return henyey_greenstein_function(asymmetry=asymmetry)
 
 
 def _asymmetry(moment: float, split_angle: float) -> float | None:
-    """Asymmetry for a second moment of the forward part, None without one."""
+    """Asymmetry with a given second moment of the forward part, None without one."""
     try:
         asymmetry = asymmetry_of(moment, split=split_angle)
     except SurveyError:

@@ -1,4 +1,4 @@
-"""Quality metrics of an image: flatness, step heights, contrast."""
+"""Quality metrics of a range image: flatness, step heights, contrast."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneFit:
-    """Deviation of a region from a plane.
+    """Deviation of a region of a range image from a plane.
 
     Examples
     --------
@@ -40,11 +40,11 @@ class PlaneFit:
     residual: float
     """Root mean square distance of the points from their plane [m]."""
     expected: float
-    """Expected residual from the stated uncertainties [m]."""
+    """Residual expected from the stated uncertainties [m]."""
     normal: tuple[float, float, float]
     """Unit normal, towards the instrument [1]."""
     points: int
-    """Number of points [1]."""
+    """Number of fitted points [1]."""
 
 
 @dataclass(frozen=True)
@@ -60,17 +60,17 @@ class StepHeight:
     """
 
     height: float
-    """Distance of the second plane, towards the instrument, from the first [m]."""
+    """Distance of the second plane from the first, towards the instrument [m]."""
     uncertainty: float
-    """Standard uncertainty from noise, shared reference and residual bias; NaN if the
-    error of the ranges is not known [m]."""
+    """Standard uncertainty from noise, shared open-water reference and residual bias;
+    NaN if the range errors are unknown."""
     random: float
-    """Part of it from noise [m]."""
+    """Part of the uncertainty from noise [m]."""
 
 
 @dataclass(frozen=True)
 class Contrast:
-    """Contrast of the target with its surroundings.
+    """Amplitude contrast of the target with its surroundings.
 
     Examples
     --------
@@ -273,7 +273,7 @@ def _refuse_a_line(places: Floats) -> None:
 
 
 def contrast(image: xr.Dataset, target: ArrayLike, surround: ArrayLike) -> Contrast:
-    """Contrast of a target with its surroundings.
+    """Amplitude contrast of a target with its surroundings.
 
     Parameters
     ----------

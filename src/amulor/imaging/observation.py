@@ -1,4 +1,4 @@
-"""One channel of a cube as input of ranging: phases, noise, geometry, survey."""
+"""One channel of a cube, prepared for ranging: phases, noise, geometry, survey."""
 
 from __future__ import annotations
 
@@ -61,21 +61,21 @@ def geometry_of(cube: xr.Dataset) -> Geometry:
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """One channel of a target signal, with each quantity read once.
+    """One channel of a target signal, prepared for ranging.
 
     Arrays run over (frequency, row, column), those of pixels over (row, column).
     """
 
     channel: xr.Dataset
-    """Channel dataset, source of further variables and attributes of the image."""
+    """Channel as a dataset, the source of further variables and attributes."""
     geometry: Geometry
-    """Beams, receivers and media of the pixels."""
+    """Beams, receiver positions and media of the pixels."""
     survey: Survey | None
-    """Survey; None if the cube has none that can be read."""
+    """Survey; None if the cube has no readable one."""
     most_outliers: float = ambiguity.BREAKDOWN
-    """Largest share of the frequencies of a pixel that may be discarded [1]."""
+    """Largest fraction of a pixel's frequencies that may be discarded [1]."""
     span: Span | None = None
-    """Directions of the scan; None if the channel covers it."""
+    """Directions of the whole scan; None if the channel contains all of it."""
 
     @cached_property
     def frequency(self) -> Floats:
@@ -84,7 +84,7 @@ class Observation:
 
     @cached_property
     def path_per_phase(self) -> Floats:
-        """Two-way optical path per radian of phase [m]."""
+        """Round-trip optical path per radian of phase [m]."""
         return 2 * ranging.range_per_phase(
             self.frequency[:, None, None], group_index=1.0
         )
@@ -107,35 +107,35 @@ class Observation:
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """Mask of pixels without an unusable flag."""
+        """Mask of pixels without a flag that makes them unusable."""
         return np.asarray((self.flag & UNUSABLE) == 0)
 
     @property
     def phase(self) -> Floats:
-        """Phases, 0 in unusable pixels [rad]."""
+        """Phases of the target signal, 0 in unusable pixels [rad]."""
         return np.where(self.usable, np.angle(self.signal), 0.0)
 
     @cached_property
     def sigma(self) -> Floats:
-        """Standard uncertainties of the phases, infinite if discarded [rad]."""
+        """Phase uncertainties, infinite for discarded frequencies [rad]."""
         return np.where(self._flags[1], np.inf, self._sigma("", self.usable))
 
     @property
     def own_sigma(self) -> Floats:
-        """Uncertainties of the phases without errors shared by pixels [rad]."""
+        """Phase uncertainties without the errors that pixels share [rad]."""
         shared = self.shared_sigma(self.usable)
         if shared is None:
             return self.sigma
         return np.sqrt(np.maximum(self.sigma**2 - shared**2, 0.0))
 
     def shared_sigma(self, usable: NDArray[np.bool_]) -> Floats | None:
-        """Uncertainties of the phases shared by pixels; None if not stated [rad]."""
+        """Part of the phase uncertainties shared by pixels; None if unknown [rad]."""
         if "common_covariance" not in self.channel:
             return None
         return self._sigma("common_", usable)
 
     def _sigma(self, prefix: str, usable: NDArray[np.bool_]) -> Floats:
-        """Phase uncertainty from the errors of the outputs, arbitrary if unusable."""
+        """Phase uncertainty from those of the outputs, arbitrary in unusable pixels."""
         channel, signal = self.channel, self.signal
         cross = channel["common_covariance"] if prefix else channel.amulor.covariance
         mask = np.broadcast_to(usable, signal.shape)
@@ -152,7 +152,7 @@ class Observation:
 
     @cached_property
     def shift(self) -> Floats:
-        """Phase shifts by residual water signal, NaN if unknown [rad]."""
+        """Phase shifts by the residual water signal, NaN if unknown [rad]."""
         channel = self.channel
         if "residual_in_phase" in channel:
             residual = channel["residual_in_phase"].values
@@ -163,14 +163,14 @@ class Observation:
 
     @property
     def has_late_light(self) -> bool:
-        """Whether late light is possible: a measurement, or a simulation with it."""
+        """Whether late light is possible: measured, or simulated with late light."""
         simulated = self.channel.attrs.get("late_echo")
         if simulated is None:
             return not self.channel.attrs.get("simulated", 0)
         return str(simulated) != "absent"
 
     def joint_values(self, *names: str) -> tuple[float, ...] | None:
-        """Attributes of a joint estimation; None if they are missing."""
+        """Attributes stored by a joint estimation; None if they are missing."""
         attributes = self.channel.attrs
         if "joint_slant_range" not in self.channel:
             return None
@@ -179,12 +179,12 @@ class Observation:
         return tuple(float(attributes[f"joint_{name}"]) for name in names)
 
     def with_noise(self, factor: float) -> Observation:
-        """Observation with its noise multiplied by a factor."""
+        """Observation with all phase noise multiplied by a factor."""
         return replace(self, channel=with_noise_scaled(self.channel, factor))
 
 
 def observe(channel: xr.Dataset, **options: Any) -> Observation:
-    """Observation of one channel of a target signal."""
+    """Prepare one channel of a target signal for ranging."""
     return Observation(
         channel=channel,
         geometry=geometry_of(channel),
@@ -210,7 +210,7 @@ def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
 
 
 def readable_survey(cube: xr.Dataset) -> Survey | None:
-    """Survey of a cube; None if it has none that can be read."""
+    """Survey of a cube; None if it has no readable one."""
     try:
         survey: Survey | None = cube.amulor.survey
     except SurveyError:
@@ -236,7 +236,7 @@ def noise_scale(
     path_per_phase: Floats,
     refit: Callable[[float], ambiguity.Path],
 ) -> float:
-    r"""Ratio of the observed noise of the phases to the stated one.
+    r"""Ratio of the observed noise of the phases to the stated noise.
 
     Phases at n frequencies leave n - 1 residuals a pixel when the range is taken out.
     In the difference of two neighbors everything cancels that they share: water of
@@ -254,7 +254,7 @@ def noise_scale(
 
 
 def _factor(path: ambiguity.Path, error: Floats) -> tuple[float, float]:
-    """Noise factor, and the standard error of its square.
+    """Observed over stated noise, and the standard error of its square.
 
     The factor is 1 where there is too little to tell it.
     """
@@ -289,7 +289,7 @@ def _factor(path: ambiguity.Path, error: Floats) -> tuple[float, float]:
 
 
 def with_noise_scaled(target: xr.Dataset, factor: float) -> xr.Dataset:
-    """Target signal with the noise of its samples multiplied by a factor."""
+    """Target signal with its stated noise multiplied by a factor."""
     if factor == 1:
         return target
     more = factor**2 - 1
@@ -312,7 +312,7 @@ def with_noise_scaled(target: xr.Dataset, factor: float) -> xr.Dataset:
 
 
 def _pairs(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Slices of pixels and of their next neighbors along an axis."""
+    """Slices of all pixels, and of their next neighbors along an axis."""
     first, second = [slice(None)] * 2, [slice(None)] * 2
     first[axis], second[axis] = slice(None, -1), slice(1, None)
     return (first[0], first[1]), (second[0], second[1])

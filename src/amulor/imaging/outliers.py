@@ -118,7 +118,7 @@ def outlying_pixels(
 def _outlying(
     image: xr.Dataset, significance: float, limits: tuple[float, ...] | None = None
 ) -> tuple[NDArray[np.bool_], tuple[float, ...]]:
-    """Mask of outlying pixels, and the largest chance accepted in each round [1]."""
+    """Mask of outlying pixels, and the probability limit of each round [1]."""
     if not significance > 0:
         raise ValueError(f"significance must be above 0, got {significance:g}")
     distance = image["slant_range"].values
@@ -152,7 +152,7 @@ def stand_off(image: xr.Dataset) -> Floats:
 
 
 def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.bool_]:
-    """Mask of isolated pixels, with hardly any neighbors and none at their range."""
+    """Mask of isolated pixels: few neighbors, and none at a similar range."""
     angles = [image["azimuth"].values, image["elevation"].values]
     # Azimuths are closer together the higher they are looked at.
     angles[0] = angles[0] * np.cos(angles[1])
@@ -180,7 +180,7 @@ def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.
 def _more_than_chance(
     distance: Floats, variance: Floats, flagged: NDArray[np.bool_], limit: float | None
 ) -> tuple[NDArray[np.bool_], float]:
-    """Outliers beyond the number expected by chance, and the limit."""
+    """Mask of outliers at a limited false-discovery rate, and the limit [1]."""
     stand = _standing(distance, variance, np.where(flagged, np.nan, distance))
     with np.errstate(invalid="ignore", divide="ignore"):
         score = stand.middle / np.sqrt(variance + _OF_MEDIAN * stand.spread)
@@ -207,7 +207,7 @@ def _more_than_chance(
 
 
 def _median_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
-    """Median of the surroundings of some pixels, shape (n,)."""
+    """Median of the values around selected pixels, shape (n,)."""
     padded = np.pad(values, _AROUND, constant_values=np.nan)
     size = 2 * _AROUND + 1
     around = sliding_window_view(padded, (size, size))[at].reshape(-1, size**2).T
@@ -254,7 +254,7 @@ def fitted_outliers(
     significance: float = 3.0,
     fit: tuple[float, ...] | None = None,
 ) -> tuple[xr.Dataset, tuple[float, ...]]:
-    """Range image with flagged outliers, and the limits of chance used [1]."""
+    """Range image with outliers flagged, and the probability limits used [1]."""
     image = cubes.checked(image, "range_image")
     outlying, fit = _outlying(image, significance, fit)
     image = with_flag(image, QualityFlag.OUTLIER, outlying)
@@ -263,30 +263,31 @@ def fitted_outliers(
 
 @dataclass(frozen=True, kw_only=True)
 class _Standing:
-    """Deviation of pixels from lines through their neighbors, over directions."""
+    """Deviation of pixels from lines through their neighbors, in several directions."""
 
     least: Floats
-    """Smallest deviation over the directions [m]."""
+    """Smallest magnitude of the deviations over the directions [m]."""
     middle: Floats
-    """Magnitude of their median [m]."""
+    """Magnitude of the median deviation [m]."""
     spread: Floats
-    """Median variance of the lines [m^2]."""
+    """Median variance of the fitted lines [m^2]."""
     average: Floats
-    """Mean magnitude, NaN without any [m]."""
+    """Mean magnitude of the deviations, NaN without any [m]."""
     score: Floats
-    """Smallest in standard errors, 0 if the signs differ [1]."""
+    """Smallest deviation in standard errors, 0 if the signs differ [1]."""
     unlike: Floats
-    """Largest difference from their median, in standard errors of the lines [1]."""
+    """Largest difference from the median deviation, in standard errors of the lines
+    [1]."""
     agreed: NDArray[np.bool_]
-    """Mask of pixels with deviations of equal sign."""
+    """Mask of pixels whose deviations all have the same sign."""
     directions: NDArray[np.intp]
-    """Number of directions."""
+    """Number of directions with a deviation [1]."""
     between: NDArray[np.intp]
-    """Number of directions with neighbors on both sides."""
+    """Number of directions with neighbors on both sides [1]."""
 
 
 def _standing(distance: Floats, variance: Floats, neighbours: Floats) -> _Standing:
-    """Deviation of pixels from the lines through their neighbors."""
+    """Deviation of pixels from lines through their neighbors, in several directions."""
     padded = np.pad(neighbours, _REACH, constant_values=np.nan)
     errors = np.pad(variance, _REACH, constant_values=np.nan)
     rows, columns = distance.shape

@@ -13,7 +13,7 @@ from amulor.imaging.observation import geometry_of
 
 
 def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
-    r"""Position of every usable pixel of a range image in space.
+    r"""Convert the usable pixels of a range image into points in space.
 
     Parameters
     ----------
@@ -103,6 +103,6 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
 def _common(
     image: xr.Dataset, row: NDArray[np.intp], column: NDArray[np.intp]
 ) -> dict[str, NDArray[np.float64]]:
-    """Part of the uncertainty shared by all points, if the image has it."""
+    """Part of the range uncertainty that all points share, if the image has it."""
     name = "slant_range_common_uncertainty"
     return {name: image[name].values[row, column]} if name in image else {}

@@ -34,32 +34,32 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PathFit:
-    """Scan-wide statistics for the optical paths."""
+    """Scan-wide statistics for the estimate of optical paths."""
 
     first: ambiguity.Choices
-    """Ambiguity statistics before late light is removed."""
+    """Ambiguity statistics before late light is subtracted."""
     weight: Floats
-    """Weight of each frequency, sum 1 [1]."""
+    """Weight of each frequency, of sum 1 [1]."""
     late: LateFit
-    """Late light estimated from the first paths."""
+    """Statistics of late light, from the paths before its subtraction."""
     second: ambiguity.Choices | None = None
-    """Ambiguity statistics after that; None if no late light is removed."""
+    """Ambiguity statistics after late light is subtracted; None if it is not."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RangeImageFit:
-    """Scan-wide statistics for a range image."""
+    """Scan-wide statistics from which a range image is computed."""
 
     ranges: RangesFit
-    """Frequency weights and error terms."""
+    """Statistics for slant ranges: frequency weights and error terms."""
     late: LateFit
-    """Late light in the final ranges."""
+    """Statistics for late light in the final ranges."""
     path: PathFit | None = None
-    """Optical paths; None after a joint estimation."""
+    """Statistics for optical paths; None after a joint estimation."""
     noise_scale: float = 1.0
-    """Ratio of the phase scatter to the stated noise [1]."""
+    """Ratio of the observed noise of the phases to the stated noise [1]."""
     rescaled: PathFit | None = None
-    """Optical paths with enlarged noise."""
+    """Statistics for optical paths with the noise scaled up; None if it is not."""
 
 
 def range_image(
@@ -135,7 +135,7 @@ def fitted_range_image(
     fit: RangeImageFit | None = None,
     span: Span | None = None,
 ) -> tuple[xr.Dataset, RangeImageFit]:
-    """Range image, and its statistics: `fit`, or by default those of the cube."""
+    """Range image, and the scan-wide statistics used: `fit`, or the cube's own."""
     cube = cubes.checked(cube, "target_signal")
     joint = "joint_slant_range" in cube
     if joint and polarization is None:
@@ -244,7 +244,7 @@ def image_of_path(
     *,
     interval: tuple[float, float] | None,
 ) -> xr.Dataset:
-    """Range image of optical paths."""
+    """Range image from given optical paths."""
     return _image(observation, ranges_of_path(observation, path)[0], interval=interval)[
         0
     ]
@@ -257,7 +257,7 @@ def _image(
     interval: tuple[float, float] | None,
     fit: LateFit | None = None,
 ) -> tuple[xr.Dataset, LateFit]:
-    """Range image of a channel with its error budget, and the statistics used."""
+    """Range image with error budget from given ranges, and the statistics used."""
     ranges, attributes, fit = budget.completed(observation, ranges, fit=fit)
     channel, usable = observation.channel, ranges.usable
     variables: dict[str, NDArray[Any]] = {
@@ -320,7 +320,7 @@ def _tests_of(channel: xr.Dataset) -> dict[str, NDArray[Any]]:
 
 
 def _photon_limit(observation: Observation) -> Floats:
-    """Return the range uncertainty (2) by photon noise of the target alone [m]."""
+    """Range uncertainty by photon noise of the target signal alone, Eq. (2) [m]."""
     attributes = observation.channel.attrs
     depth = float(attributes["modulation_depth"])
     amplitude = np.abs(observation.signal)

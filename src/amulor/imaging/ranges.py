@@ -21,12 +21,12 @@ _SLACK = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class RangesFit:
-    """Scan-wide statistics for slant ranges."""
+    """Scan-wide statistics for the estimate of slant ranges."""
 
     weight: Floats
-    """Weight of each frequency in the ranges of most pixels, sum 1 [1]."""
+    """Weight of each frequency in the range of a typical pixel, of sum 1 [1]."""
     has_rest: bool = False
-    """Whether part of the error belongs to none of the stored terms."""
+    """Whether part of the range error belongs to none of the stored error terms."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,23 +36,23 @@ class Ranges:
     slant_range: Floats
     """Distance from the emitter along the beam [m]."""
     path: Floats
-    """Two-way optical path [m]."""
+    """Round-trip optical path [m]."""
     slope: Floats
-    """Derivative of the slant range by the path [1]."""
+    """Derivative of the slant range with respect to the optical path [1]."""
     flag: NDArray[np.int16]
     """Quality flags."""
     weight: Floats
-    """Weight of each frequency, shape (frequencies,), sum 1 [1]."""
+    """Weight of each frequency, of sum 1, shape (frequencies,) [1]."""
     total: Floats
     """Combined standard uncertainty of the slant range [m]."""
     terms: dict[str, Floats]
     """Standard uncertainty of the slant range by error term [m]."""
     common: Floats | None
-    """Part of these shared by pixels; None if unknown [m]."""
+    """Part of the uncertainty shared by pixels; None if unknown [m]."""
     others: dict[str, Floats] = field(default_factory=dict)
     """Additional variables of the image, NaN without a range."""
     tests: dict[str, Floats] = field(default_factory=dict)
-    """Statistics behind flags."""
+    """Test statistics behind the flags."""
 
     @property
     def usable(self) -> NDArray[np.bool_]:
@@ -63,7 +63,7 @@ class Ranges:
 def ranges_of_path(
     observation: Observation, path: ambiguity.Path, *, fit: RangesFit | None = None
 ) -> tuple[Ranges, RangesFit]:
-    """Ranges of optical paths, their errors, and the statistics used."""
+    """Slant ranges from optical paths, with errors, and the statistics used."""
     frequency, channel = observation.frequency, observation.channel
     slant_range, slope = observation.geometry.slant_range_and_slope(path.length)
     settled = path.settled & np.isfinite(slant_range) & np.isfinite(slope)
@@ -123,7 +123,7 @@ def ranges_of_joint(
     interval: tuple[float, float] | None,
     fit: RangesFit | None = None,
 ) -> tuple[Ranges, RangesFit]:
-    """Ranges of a joint estimation, and the statistics used."""
+    """Slant ranges from a joint estimation, and the statistics used."""
     estimate = {
         name: observation.channel[f"joint_{name}"].values
         for name in (
@@ -181,14 +181,14 @@ def ranges_of_joint(
 def _with_unsettled(
     observation: Observation, settled: NDArray[np.bool_]
 ) -> NDArray[np.int16]:
-    """Add `AMBIGUOUS` to the flags of usable pixels without a unique range."""
+    """Quality flags, with `AMBIGUOUS` added where no unique range follows."""
     flag = observation.flag.copy()
     flag[observation.usable & ~settled] |= QualityFlag.AMBIGUOUS
     return flag
 
 
 def _tests_of(flag: NDArray[np.int16], path: ambiguity.Path) -> dict[str, Floats]:
-    """Test statistics against the interval of ambiguous pixels."""
+    """Test statistics of the choice of interval, for ambiguous pixels."""
     from scipy.special import chdtrc
 
     ambiguous = (flag & QualityFlag.AMBIGUOUS) != 0
@@ -203,7 +203,7 @@ def _tests_of(flag: NDArray[np.int16], path: ambiguity.Path) -> dict[str, Floats
 
 
 def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Floats:
-    """Weight of each frequency in the ranges of most pixels."""
+    """Weight of each frequency in the range of a typical pixel, of sum 1 [1]."""
     if not usable.any():
         return np.full(frequency.size, 1 / frequency.size)
     error = np.maximum(np.median(sigma[:, usable], axis=1), 1e-9)
@@ -214,7 +214,7 @@ def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Fl
 def _terms(
     channel: xr.Dataset, per_phase: Floats, total: Floats, together: Floats | None
 ) -> tuple[dict[str, Floats], Floats | None]:
-    """Error terms scaled to a known total, in proportion to their squares.
+    """Error terms scaled to a given total, in proportion to their variances.
 
     Terms that pixels and perhaps frequencies share divide what is `together`. Variance
     that no term explains comes second [m^2]; None where no term is stored.

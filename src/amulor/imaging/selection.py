@@ -1,4 +1,4 @@
-"""Selected pixels of a range image: doubtful ones discarded, or thinned for drawing."""
+"""Selected pixels of a range image: without doubtful ones, or thinned for drawing."""
 
 from __future__ import annotations
 
@@ -129,14 +129,14 @@ SHOWN = 250_000
 
 @dataclass(frozen=True, kw_only=True)
 class Whole:
-    """Statistics of all pixels of an image that is drawn in part."""
+    """Statistics of all pixels of a range image that is drawn thinned."""
 
     rows: int
     """Rows [1]."""
     columns: int
     """Columns [1]."""
     step: int
-    """Stride of the rows and columns drawn; 1 for all [1]."""
+    """Stride of the drawn rows and columns; 1 if all are drawn [1]."""
     usable: int
     """Pixels with a range [1]."""
     flags: dict[str, int]
@@ -148,7 +148,7 @@ class Whole:
 def thinned(
     source: tiles.Source, *, rows: int | None = None, checks: Sequence[Check] = ()
 ) -> tuple[xr.Dataset, Whole]:
-    """Evenly thinned pixels of a range image, and statistics of all pixels.
+    """Evenly thinned range image, and statistics of all its pixels.
 
     Examples
     --------
@@ -193,7 +193,7 @@ def thinned(
 
 
 def _compared(source: tiles.Source, check: Check) -> Checked:
-    """Measure a reference length in the rows around its ends."""
+    """Measure a reference length from the rows around its ends."""
     for row, column in (check.first, check.second):
         if row >= source.rows or column >= source.columns:
             raise CubeError(

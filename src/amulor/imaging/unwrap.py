@@ -147,7 +147,7 @@ def _frequency(channel: xr.Dataset, chosen: float | None) -> int:
 def _surfaces(
     usable: NDArray[np.bool_],
 ) -> list[tuple[tuple[slice, slice], NDArray[np.bool_]]]:
-    """Return the connected parts of the usable pixels: bounding box and mask."""
+    """Return connected regions of usable pixels, each as bounding box and mask."""
     from scipy import ndimage
 
     label, _ = ndimage.label(usable)
@@ -156,7 +156,7 @@ def _surfaces(
 
 
 def _unwrapped(phase: Floats, surface: NDArray[np.bool_]) -> Floats:
-    """Continuous phase of one connected surface [rad]."""
+    """Unwrapped phase of one connected region [rad]."""
     try:
         from skimage.restoration import unwrap_phase
     except ImportError:

@@ -29,17 +29,17 @@ _STRAIGHT = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """Quantity measured in a range image."""
+    """Quantity measured in a range image, with its uncertainty."""
 
     value: float
-    """Value in its unit."""
+    """Measured value in its unit."""
     uncertainty: float
-    """Standard uncertainty with shared errors; NaN if the error of the ranges is not
-    known."""
+    """Standard uncertainty, errors shared by pixels included; NaN if the range errors
+    are unknown."""
     random: float
-    """Part of it from noise of single pixels."""
+    """Part of the uncertainty from the noise of single pixels."""
     unit: str
-    """m, m2 or rad."""
+    """Unit: m, m2 or rad."""
     pixels: int
     """Number of pixels used [1]."""
 
@@ -47,7 +47,7 @@ class Measurement:
 def distance(
     image: xr.Dataset, first: Pixel, second: Pixel, *, reach: int = 0
 ) -> Measurement:
-    r"""Straight distance of two points.
+    r"""Straight-line distance between two points.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def height(
     axis: ArrayLike = (0.0, -1.0, 0.0),
     reach: int = 0,
 ) -> Measurement:
-    """Distance of a point beyond another along an axis.
+    """Height of one point above another along an axis.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def angle(
 
 
 def area(image: xr.Dataset, corners: Sequence[Pixel], *, reach: int = 0) -> Measurement:
-    r"""Area of a polygon.
+    r"""Area of a polygon with pixels as its corners.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def area(image: xr.Dataset, corners: Sequence[Pixel], *, reach: int = 0) -> Meas
 def _picked(
     image: xr.Dataset, pixels: Sequence[Pixel], reach: int
 ) -> tuple[Points, Floats]:
-    """Pixels used, and their weight in each point."""
+    """Pixels that a measurement uses, and their weights in each point."""
     if reach < 0:
         raise ValueError(f"reach must be at least 0 pixels, got {reach}")
     usable = np.isfinite(image["slant_range"].values)
@@ -299,7 +299,7 @@ def _picked(
 
 
 def _single_pixel(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
-    """Single pixel, if the image has it."""
+    """Row and column of a single pixel, checked to be in the image."""
     shape = image["slant_range"].shape
     if not (0 <= row < shape[0] and 0 <= column < shape[1]):
         raise CubeError(
@@ -312,7 +312,7 @@ def _single_pixel(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
 def _measured(
     picked: Points, weight: Floats, value: float, gradient: Floats, *, unit: str
 ) -> Measurement:
-    """Measurement with the uncertainty propagated from its gradient at the points."""
+    """Measurement, its uncertainty propagated by the gradient at the points."""
     along = np.einsum("kx,ix,ki->i", gradient, picked.direction, weight)
     variance = float(along @ picked.covariance @ along)
     # A pixel that two points have in common is one and the same noise.
@@ -351,11 +351,11 @@ class Check(Description):
     name: Annotated[str, Field(min_length=1, max_length=100)]
     """Name, such as "scale bar A-B"."""
     kind: Literal["distance", "relief"] = "distance"
-    """Straight distance, or height of the second point towards the instrument."""
+    """Straight-line distance, or height of the second point towards the instrument."""
     first: tuple[_Number, _Number]
-    """Row and column of one end."""
+    """Row and column of the first end."""
     second: tuple[_Number, _Number]
-    """Row and column of the other."""
+    """Row and column of the second end."""
     reach: Annotated[int, Field(ge=0, le=20)] = 0
     """Pixels averaged around each end in every direction [1]."""
     expected: Length
@@ -387,7 +387,8 @@ class Checked:
     expanded: float
     """Expanded uncertainty of the deviation, k = 2 [m]."""
     verdict: Verdict
-    """Pass, fail, or undecided where the uncertainty is too large or not known."""
+    """Verdict: pass, fail, or undecided where the uncertainty is too large or
+    unknown."""
 
 
 def read_checks(path: str | Path) -> tuple[Check, ...]:
@@ -433,7 +434,7 @@ def read_checks(path: str | Path) -> tuple[Check, ...]:
 
 
 def compared(image: xr.Dataset, check: Check) -> Checked:
-    r"""Measure a reference length.
+    r"""Measure a reference length and compare it with its reference value.
 
     Parameters
     ----------

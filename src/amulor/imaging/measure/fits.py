@@ -33,30 +33,29 @@ _GRAZING = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """Fitted shape in space."""
+    """Shape fitted to pixels of a range image, with its uncertainty."""
 
     kind: str
-    """Kind: plane, circle, sphere or cylinder."""
+    """Kind of shape: plane, circle, sphere or cylinder."""
     values: dict[str, float]
     """Parameters: lengths [m], components of unit vectors [1]."""
     uncertainties: dict[str, float]
-    """Standard uncertainty of each parameter with shared errors; NaN if the error of
-    the ranges is not known."""
+    """Standard uncertainty of each parameter, errors shared by pixels included; NaN if
+    the range errors are unknown."""
     residual: float
-    """Root mean square distance of the points from the shape [m]."""
+    """Root mean square distance of the points from the fitted shape [m]."""
     misfit: float
     """Chi-square per degree of freedom, about 1 if the shape is right. Where it is
-    larger than chance makes it, the noise in the uncertainties is enlarged by it
-    [1]."""
+    significantly larger, the noise in the uncertainties is enlarged by it [1]."""
     pixels: int
     """Number of fitted pixels [1]."""
     doubt: str = ""
-    """Reason why the values must not be used, empty if they may: residuals exceed
-    their errors, or the pixels do not constrain the radius."""
+    """Reason not to use the values, empty if there is none: residuals exceed their
+    errors, or the pixels do not constrain the radius."""
 
 
 def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
-    """Fit a plane.
+    """Fit a plane to a region of a range image.
 
     Parameters
     ----------
@@ -178,7 +177,7 @@ def circle(image: xr.Dataset, region: ArrayLike) -> Fit:
 
 
 def sphere(image: xr.Dataset, region: ArrayLike) -> Fit:
-    """Fit a sphere.
+    """Fit a sphere to a region of a range image.
 
     Parameters
     ----------
@@ -218,7 +217,7 @@ def sphere(image: xr.Dataset, region: ArrayLike) -> Fit:
 
 
 def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
-    """Fit a cylinder.
+    """Fit a cylinder to a region of a range image.
 
     Parameters
     ----------
@@ -294,7 +293,7 @@ class _Bent:
         self.middle, self.back, self.across, self.slopes = _flat(points)
 
     def placed(self, values: Floats) -> tuple[Floats, Floats]:
-        """Point of the surface and the normal there."""
+        """Point of the surface for given parameters, and the normal there."""
         vector = self.back - values[:2] @ self.across
         normal = vector / np.linalg.norm(vector)
         return self.middle + values[2] * normal, normal
@@ -311,7 +310,7 @@ class _Bent:
     def _gradient(
         self, values: Floats, position: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Positions and normals behind the distance and its gradient."""
+        """Offsets from the surface point, its normal, and gradients of the distance."""
         at, normal = self.placed(values)
         away = position - at
         if len(values) > 4:
@@ -321,13 +320,13 @@ class _Bent:
         return away, normal, outward
 
     def apart(self, values: Floats, position: Floats) -> Floats:
-        """Distances from the surface [m]."""
+        """Distances of positions from the surface [m]."""
         away, normal, outward = self._gradient(values, position)
         square = values[3] * (away**2).sum(axis=1) + 2 * away @ normal
         return np.asarray(square / (np.linalg.norm(outward, axis=1) + 1))[None]
 
     def ranges(self, values: Floats, position: Floats) -> Floats:
-        """Distances along the beams, limited where these graze the surface.
+        """Distances from the surface along the beams, limited at grazing incidence.
 
         On the far side they count more, since no beam gets there: otherwise a surface
         along the beams would explain any noise.
@@ -339,7 +338,7 @@ class _Bent:
         return np.asarray(self.apart(values, position) / cosine)
 
     def start(self, turn: float | None = None) -> Floats:
-        """Start values: plane through the points, bent by least squares."""
+        """Start parameters: plane through the points, curvature by least squares."""
         slopes = self.slopes
         flat = np.array(
             [slopes[0], slopes[1], 0.0, 0.0, *([] if turn is None else [turn])]
@@ -418,7 +417,7 @@ def _fitted(
     *,
     displayed: _Residuals | None = None,
 ) -> Fit:
-    r"""Shape nearest to points, with its uncertainty.
+    r"""Least-squares fit of a shape to points, with its uncertainty.
 
     With weights of the noise, :math:`G = (J^T W J)^{-1} J^T W S` takes errors of ranges
     to those of parameters, S being how residuals change with ranges; the covariance is
@@ -489,7 +488,7 @@ def _doubt(
     values: dict[str, float],
     uncertainties: dict[str, float],
 ) -> str:
-    """Reason why a fit must not be used, empty if it may."""
+    """Reason not to use the values of a fit, empty if there is none."""
     # Pixels of a rim are picked by hand: their scatter is in the uncertainty.
     if kind != "circle" and misfit > max(chance, _MISFIT):
         return (
@@ -520,7 +519,7 @@ def _slope(
 
 
 def _along(residuals: _Residuals, values: Floats, points: Points) -> Floats:
-    """Return the derivative of residuals by the range of their point."""
+    """Return the derivative of each residual with respect to its point's range."""
     step = 1e-6
     more = residuals(values, points.position + step * points.direction)
     less = residuals(values, points.position - step * points.direction)

@@ -21,16 +21,17 @@ Numbers = NDArray[np.intp]
 
 @dataclass(frozen=True, kw_only=True)
 class Points:
-    """Points in space with errors along their beams."""
+    """Points in space, with range errors along their beams."""
 
     position: Floats
-    """Right, down, forward, shape (n, 3) [m]."""
+    """Coordinates (right, down, forward), shape (n, 3) [m]."""
     direction: Floats
     """Displacement of each point per unit of range, shape (n, 3) [1]."""
     covariance: Floats
     """Covariance of the slant ranges, shape (n, n) [m^2]."""
     noise: Floats
-    """Part of its diagonal not shared by pixels, shape (n,) [m^2]."""
+    """Part of the covariance's diagonal from noise of single pixels, shape (n,)
+    [m^2]."""
 
 
 def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
@@ -94,7 +95,7 @@ def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
 
 
 def _only(image: xr.Dataset, row: Numbers, column: Numbers) -> xr.Dataset:
-    """Directions of some pixels as an image of one row."""
+    """Beam origins and directions of some pixels, as an image of one row."""
     names = ("origin_x", "origin_y", "origin_z", "azimuth", "elevation")
     return xr.Dataset(
         coords={
@@ -118,7 +119,7 @@ def _reason(image: xr.Dataset, row: int, column: int) -> str:
 def reference_basis(
     azimuth: ArrayLike, elevation: ArrayLike, *, degree: int
 ) -> dict[str, Any]:
-    r"""Basis in which errors of a polynomial reference are correlated.
+    r"""Polynomial basis from which correlated open-water reference errors follow.
 
     Parameters
     ----------

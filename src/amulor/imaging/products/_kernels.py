@@ -1,4 +1,4 @@
-"""Compiled loop that rasterizes triangles, with the nearest on top."""
+"""Compiled loop that rasterizes triangles and keeps the one nearest to the viewer."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from amulor._compiled import numba
 
 @numba.njit(cache=True)
 def draw(corners: Any, triangles: Any, height: Any, owner: Any, weight: Any) -> None:
-    """Fill height, owner and weight of the cells whose center a triangle covers.
+    """Fill height, triangle number and vertex weights of the covered cells.
 
     `corners` are vertices in columns, rows and height; `owner` gets the number of the
     triangle, `weight` the shares of its first two vertices.

@@ -1,4 +1,4 @@
-"""Deviation of a scan from a model or an earlier scan, with its significance."""
+"""Deviation of a scan from a reference, a model or an earlier scan."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Deviation:
     uncertainty: Floats
     """Combined standard uncertainty, including an earlier scan's, shape (n,) [m]."""
     own: Floats
-    """Part of it from noise of single pixels [m]."""
+    """Part of the uncertainty from noise of single pixels [m]."""
     significant: NDArray[np.bool_]
     """Mask of significant deviations, shape (n,)."""
     surface: Surface
@@ -40,7 +40,7 @@ class Deviation:
     mean_uncertainty: float
     """Standard uncertainty of the mean, including shared errors [m]."""
     spread: float
-    """Root mean square about the mean [m]."""
+    """Root mean square deviation about the mean [m]."""
 
     @property
     def compared(self) -> int:
@@ -147,7 +147,7 @@ def deviation(
 def _met(
     surface: Surface, vertices: Floats, faces: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Mask of vertices whose beam hits the reference, and the triangle."""
+    """Numbers of vertices whose beam hits the reference, and of the triangles hit."""
     caster = RayCaster(vertices[faces])
     place, ahead = surface.position, surface.direction
     # Of surfaces before and behind the measured point the one that is next to it.
@@ -170,14 +170,14 @@ def _met(
 
 
 def _poses(frame: Frame, reference: Frame | None) -> tuple[Frame, ...]:
-    """Frames whose pose errors enter the comparison of a scan and its reference."""
+    """Frames whose pose errors enter the comparison of a scan with its reference."""
     if reference is None:
         return (frame,)
     return () if reference.pose == frame.pose else (frame, reference)
 
 
 def _before(surface: Surface) -> Floats:
-    """Distance of a beam's start, at the instrument, from its point [m]."""
+    """Distance from the start of each beam, at the instrument, to its point [m]."""
     away = surface.position - surface.frame.position
     return np.asarray(np.linalg.norm(away, axis=1))
 
@@ -227,7 +227,7 @@ def _result(
 
 
 def _significant(value: Floats, sigma: Floats) -> NDArray[np.bool_]:
-    """Mask of nonzero values at a limited false-discovery rate."""
+    """Mask of significantly nonzero values, at a limited false-discovery rate."""
     with np.errstate(divide="ignore", invalid="ignore"):
         chance = 2 * ndtr(-np.abs(value) / sigma)
     chance = np.where(np.isfinite(chance), chance, 1.0)

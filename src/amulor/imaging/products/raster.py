@@ -1,4 +1,4 @@
-"""Orthographic rasters of a surface: height, uncertainty, brightness."""
+"""Orthographic rasters of a surface: height, uncertainty, amplitude."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ _AT_ONCE = 2_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Raster:
-    """Cells of equal size over a drawing plane, upper row first."""
+    """Raster with cells of equal size over a drawing plane, upper row first."""
 
     height: Floats
-    """Height towards the viewer from the frame's origin, NaN without surface, shape
+    """Height towards the viewer above the frame's origin, NaN without surface, shape
     (rows, columns) [m]."""
     uncertainty: Floats
-    """Combined standard uncertainty of the height at its place, including stated errors
-    of the pose [m]."""
+    """Combined standard uncertainty of the height, including stated errors of the pose
+    [m]."""
     own: Floats
-    """Part of it from noise of the pixels of a cell [m]."""
+    """Part of the uncertainty from noise of the pixels in a cell [m]."""
     amplitude: Floats
     """Mean amplitude of the target signal [V]."""
     cell: float
     """Cell size [m]."""
     left: float
-    """Coordinate of the left edge [m]."""
+    """Coordinate of the left edge of the raster [m]."""
     top: float
-    """Coordinate of the upper edge [m]."""
+    """Coordinate of the upper edge of the raster [m]."""
     plane: Plane
     """Drawing plane."""
     surface: Surface
-    """Surface behind the raster."""
+    """Surface that the raster was computed from."""
     layers: dict[str, Floats]
-    """Means of additional values of the vertices."""
+    """Means of additional vertex values over each cell, by name."""
 
     @property
     def columns(self) -> Floats:
@@ -166,7 +166,7 @@ def raster(
 
 
 def gains(surface: Surface, towards: Floats) -> Floats:
-    """Displacement of the surface along an axis per unit of range."""
+    """Displacement of vertices along an axis per unit of slant range."""
     along = surface.direction @ towards
     across = np.einsum("ij,ij->i", surface.direction, surface.normal)
     facing = surface.normal @ towards
@@ -184,7 +184,7 @@ def _averaged(
     parts: int,
     layers: list[Floats],
 ) -> tuple[Floats, list[Floats]]:
-    """Height, noise, shared error and amplitude of cells, and additional layers."""
+    """Height, noise, shared error and amplitude of the cells, and additional layers."""
     owner, weight = ownership
     rows, columns = owner.shape[0] // parts, owner.shape[1] // parts
     gain = gains(surface, plane.axes[2])
@@ -230,7 +230,7 @@ def _averaged(
 def _combined(
     surface: Surface, plane: Plane, cells: Floats, left: float, top: float, cell: float
 ) -> Floats:
-    """Return the combined uncertainty of heights including the pose."""
+    """Return the combined uncertainty of cell heights, pose errors included [m]."""
     variance = cells[1] ** 2 + cells[2] ** 2
     if surface.frame.pose is None:
         return np.asarray(np.sqrt(variance))
@@ -265,9 +265,9 @@ class Contour:
     """Contour line at one height."""
 
     level: float
-    """Height towards the viewer from the frame's origin [m]."""
+    """Height of the line towards the viewer, above the frame's origin [m]."""
     points: Floats
-    """Coordinates right and up along the line, shape (n, 2) [m]."""
+    """Coordinates to the right and upwards along the line, shape (n, 2) [m]."""
     uncertainty: float
     """Median standard uncertainty of the height along the line [m]."""
 
@@ -350,7 +350,7 @@ def contours(raster: Raster, *, interval: float) -> list[Contour]:
 
 
 def _is_significant(raster: Raster, points: Floats) -> bool:
-    """Whether the height difference across a line is significant."""
+    """Whether the height difference across a contour line is significant."""
     step = np.gradient(points, axis=0)
     length = np.linalg.norm(step, axis=1, keepdims=True)
     unit = step / np.where(length > 0, length, 1.0)
@@ -372,14 +372,14 @@ def _is_significant(raster: Raster, points: Floats) -> bool:
 
 
 def _cells(raster: Raster, points: Floats) -> NDArray[np.intp]:
-    """Row and column of the cells that contain points."""
+    """Row and column of the raster cells that contain points."""
     column = np.floor((points[:, 0] - raster.left) / raster.cell)
     row = np.floor((raster.top - points[:, 1]) / raster.cell)
     return np.stack([row, column], axis=1).astype(np.intp)
 
 
 def _along(raster: Raster, points: Floats) -> float:
-    """Median height uncertainty of the cells crossed by a line."""
+    """Median height uncertainty of the cells that a contour line crosses."""
     row, column = _cells(raster, points).T
     rows, columns = raster.height.shape
     sigma = raster.uncertainty[row.clip(0, rows - 1), column.clip(0, columns - 1)]

@@ -1,4 +1,4 @@
-"""Sections of a surface along a line, with uncertainty."""
+"""Sections of a surface along a line of a drawing, with uncertainty."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """Section of a surface with a plane; each piece is a line without gaps."""
+    """Section through a surface, in pieces of continuous line."""
 
     along: Floats
-    """Distance from the start of the line, shape (n,) [m]."""
+    """Distance from the start of the section line, shape (n,) [m]."""
     height: Floats
-    """Towards the viewer from the frame's origin, shape (n,) [m]."""
+    """Height towards the viewer above the frame's origin, shape (n,) [m]."""
     uncertainty: Floats
-    """Combined standard uncertainty across the profile, shape (n,) [m]."""
+    """Combined standard uncertainty, perpendicular to the profile, shape (n,) [m]."""
     own: Floats
-    """Part of it from noise of single pixels [m]."""
+    """Part of the uncertainty from noise of single pixels [m]."""
     piece: NDArray[np.intp]
-    """Piece number of each point, shape (n,) [1]."""
+    """Number of the piece that each point belongs to, shape (n,) [1]."""
     start: tuple[float, float]
-    """Start of the line, right and up in the drawing [m]."""
+    """Start of the section line, right and up in the drawing [m]."""
     end: tuple[float, float]
-    """End of the line [m]."""
+    """End of the section line [m]."""
     plane: Plane
     """Drawing plane."""
     surface: Surface
-    """Surface behind the section."""
+    """Surface that was cut."""
 
 
 def section(
     surface: Surface, plane: Plane, *, start: ArrayLike, end: ArrayLike
 ) -> Section:
-    r"""Cut a surface along a line of a drawing.
+    r"""Cut a surface along a line of a drawing, perpendicular to its plane.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def section(
 def _crossed(
     triangles: NDArray[np.intp], side: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Triangle sides crossed by the cut, and the pairs joined by a triangle.
+    """Triangle edges that the section crosses, and pairs of them in one triangle.
 
     A vertex on the cut counts as beyond it, so that every crossed triangle has two.
     """
@@ -150,7 +150,7 @@ def _crossed(
 def _with_ends(
     values: Floats, neighbours: NDArray[np.intp], length: float
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """Points and joints including the two ends of the line."""
+    """Section points and their connections, with both ends of the line added."""
     points, joints, many = [values], [neighbours], values.shape[1]
     for end in (0.0, length):
         before, after = values[0][neighbours].T
@@ -168,7 +168,7 @@ def _with_ends(
 def _pieces(
     neighbours: NDArray[np.intp], inside: NDArray[np.bool_], distance: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Points ordered along lines without gaps, and the number of each line."""
+    """Section points ordered along continuous pieces, and the piece number of each."""
     joined: dict[int, list[int]] = {}
     for first, second in neighbours.tolist():
         if inside[first] and inside[second]:
@@ -200,7 +200,7 @@ def _pieces(
 
 
 def _gain(surface: Surface, across: Floats) -> Floats:
-    """Displacement of the profile across itself per unit of range [1]."""
+    """Displacement of the profile, perpendicular to itself, per unit of range [1]."""
     normal = surface.normal
     towards = np.einsum("ij,ij->i", surface.direction, normal)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -211,7 +211,7 @@ def _gain(surface: Surface, across: Floats) -> Floats:
 def _pose_errors(
     surface: Surface, points: Floats, plane: Plane, along: Floats
 ) -> Floats:
-    """Variance of section points by the pose, within the cut [m^2]."""
+    """Variance of section points by pose errors, within the section plane [m^2]."""
     shifts = surface.frame.shared_errors(points) @ plane.axes.T
     return np.asarray(
         ((shifts[..., :2] @ along) ** 2 + shifts[..., 2] ** 2).sum(axis=0)

@@ -1,4 +1,4 @@
-"""Surface of a range image, and the plane of a drawing: elevation or plan."""
+"""Surface of a range image as triangles, and the drawing plane: elevation or plan."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Plane:
     """Axes of a drawing within a frame."""
 
     side: Side
-    """Side from which it is viewed."""
+    """Side from which the drawing is viewed."""
     axes: Floats
-    """Unit vectors right, up and towards the viewer as rows, shape (3, 3) [1]."""
+    """Unit vectors right, up and towards the viewer, as rows, shape (3, 3) [1]."""
     names: tuple[str, str, str]
-    """Names of the three coordinates of a drawing."""
+    """Names of the three coordinates of the drawing."""
 
 
 def plane_of(frame: Frame, side: Side = "front") -> Plane:
@@ -91,7 +91,7 @@ _SMOOTHED = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """Usable pixels as vertices, connected by triangles."""
+    """Surface of a range image: usable pixels as vertices of triangles."""
 
     position: Floats
     """Vertex positions in the frame, shape (n, 3) [m]."""
@@ -101,25 +101,25 @@ class Surface:
     """Unit normals towards the instrument, averaged over neighbors; NaN for a vertex
     without triangle, shape (n, 3) [1]."""
     own: Floats
-    """Standard uncertainty of the range from noise of single pixels, shape (n,) [m]."""
+    """Standard uncertainty of the range from noise of the pixel, shape (n,) [m]."""
     shared: Floats
-    """Standard uncertainty of the range shared by pixels, shape (n,) [m]."""
+    """Standard uncertainty of the range that pixels share, shape (n,) [m]."""
     amplitude: Floats
     """Amplitude of the target signal, shape (n,) [V]."""
     pixel: NDArray[np.intp]
-    """Number of the pixel, row by row, shape (n,) [1]."""
+    """Number of each vertex's pixel, counted row by row, shape (n,) [1]."""
     triangles: NDArray[np.intp]
     """Vertex numbers, counter-clockwise seen from the instrument, shape (m, 3)."""
     shape: tuple[int, int]
     """Rows and columns of the scan."""
     frame: Frame
-    """Frame of the positions."""
+    """Coordinate frame of the positions."""
     attributes: dict[str, object]
     """Attributes of the range image."""
 
     @property
     def spacing(self) -> float:
-        """Median distance of neighboring vertices [m]."""
+        """Median distance between neighboring vertices [m]."""
         corner = self.position[self.triangles]
         sides = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=-1)
         # The longest side is the diagonal between pixels.
@@ -132,7 +132,7 @@ def surface(
     frame: Frame | None = None,
     steepest: float = STEEPEST,
 ) -> Surface:
-    r"""Surface through the pixels of a range image.
+    r"""Connect the pixels of a range image into a triangulated surface.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def _triangles(
     variance: Floats,
     steepness: float,
 ) -> NDArray[np.intp]:
-    """Triangles of pixels: squares of four, divided along a diagonal."""
+    """Triangles between neighboring pixels: each square of four is split in two."""
     numbers = np.arange(usable.size).reshape(usable.shape)
     a, b = numbers[:-1, :-1], numbers[:-1, 1:]
     c, d = numbers[1:, :-1], numbers[1:, 1:]
@@ -259,7 +259,7 @@ def _triangles(
 def _facing(
     triangles: NDArray[np.intp], place: Floats, direction: Floats
 ) -> NDArray[np.intp]:
-    """Triangles oriented counter-clockwise as seen from the instrument."""
+    """Triangles with vertices ordered counter-clockwise, seen from the instrument."""
     corner = place.reshape(-1, 3)[triangles]
     area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     away = np.einsum("ij,ij->i", area, direction.reshape(-1, 3)[triangles[:, 0]]) > 0
