@@ -1,4 +1,4 @@
-"""Check of a site file: files, pixels of targets, ties between scans."""
+"""Check of a site file: files, pixels of targets, connections between scans."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NEAR = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """Findings about a site file."""
+    """Errors and notes from the check of a site file."""
 
     mistakes: tuple[str, ...]
     """Errors that must be corrected, one line each."""
@@ -36,11 +36,11 @@ class Findings:
     shapes: dict[str, tuple[int, int]]
     """Rows and columns of each scan that could be read."""
     levels: dict[str, str]
-    """Processing level of each of these scans."""
+    """Processing level of each scan that could be read."""
 
 
 def check(site: Site) -> Findings:
-    """Check a site for mistakes."""
+    """Check the files, targets and connections of a site for mistakes."""
     mistakes: list[str] = []
     remarks: list[str] = []
     shapes: dict[str, tuple[int, int]] = {}
@@ -113,7 +113,7 @@ def _scan_findings(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[st
 
 
 def _points(image: xr.Dataset) -> NDArray[np.float64]:
-    """Return usable points of a range image in the axes of the instrument [m]."""
+    """Return the usable points of a range image in instrument axes [m]."""
     beam = geometry_of(image).beam
     distance = image["slant_range"].values
     valid = ((image["quality_flag"].values & UNUSABLE) == 0) & (distance > 0)
@@ -125,7 +125,7 @@ def _points(image: xr.Dataset) -> NDArray[np.float64]:
 def _places_without_range(
     site: Site, scan: SiteScan, cube: xr.Dataset
 ) -> Iterator[str]:
-    """Yield places of targets that are not in a scan, or hold no range."""
+    """Yield a line for each target pixel outside its scan or without a range."""
     rows, columns = cube.sizes.get("row", 0), cube.sizes.get("column", 0)
     for target in site.target:
         if isinstance(target, ScaleBar):
@@ -154,7 +154,7 @@ def _places_without_range(
 
 
 def _untied_scans(site: Site) -> Iterator[str]:
-    """Yield scans without a start pose that too few targets tie to the others."""
+    """Yield a line for each scan that too few targets connect to the others."""
     placed = {scan.name for scan in site.scan if scan.start is not None}
     controlled = {scan.target for scan in site.control}
     if not placed and len(controlled) < _ENOUGH:
@@ -185,7 +185,7 @@ def _untied_scans(site: Site) -> Iterator[str]:
 
 
 def _targets_in(site: Site, scan: SiteScan) -> set[str]:
-    """Return the targets that tie a scan to others, by name."""
+    """Return the names of the targets by which a scan is connected to others."""
     names = set()
     for target in site.target:
         if isinstance(target, ScaleBar):
@@ -197,7 +197,7 @@ def _targets_in(site: Site, scan: SiteScan) -> set[str]:
 
 
 def _without_use(site: Site) -> Iterator[str]:
-    """Yield targets and epochs without use."""
+    """Yield a line for each target and visit that nothing uses."""
     controlled = {item.target for item in site.control}
     barred = {
         end for item in site.target if isinstance(item, ScaleBar) for end in item.ends

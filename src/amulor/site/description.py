@@ -1,4 +1,4 @@
-"""The site file: scans, visits, targets and control points, read and checked."""
+"""Description of a site in its file: scans, visits, targets and control points."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _Sigma = Annotated[Length, Field(gt=0, le=1000)]
 
 
 class SiteFrame(Description):
-    """Frame of all scans: x east, y north, z up."""
+    """Local frame of all scans: x east, y north, z up."""
 
     crs: ReferenceSystem = ""
     """Reference system that the local frame belongs to: a projected one in metres, such
@@ -40,16 +40,16 @@ class SiteFrame(Description):
 
 
 class Epoch(Description):
-    """One visit to the site."""
+    """Visit to the site."""
 
     name: Name
     """Name of the visit, used by scans."""
     date: datetime.date | None = None
-    """Day of the visit; not known if left out."""
+    """Day of the visit; unknown if left out."""
 
 
 class StartPose(Description):
-    """Approximate pose of an instrument."""
+    """Approximate pose of an instrument, from which registration starts."""
 
     position: Position
     """Origin of the instrument's axes (east, north, up), in the frame of the site
@@ -59,7 +59,7 @@ class StartPose(Description):
     pitch: Annotated[Angle, Field(ge=-math.pi / 2, le=math.pi / 2)] = 0.0
     """Elevation of the forward axis above the horizon [rad]."""
     roll: Annotated[Angle, Field(ge=-math.pi, le=math.pi)] = 0.0
-    """Turn about the forward axis, right side down [rad]."""
+    """Rotation about the forward axis, right side down [rad]."""
     position_uncertainty: _Sigma
     """Standard uncertainty of each coordinate of the position [m]."""
     heading_uncertainty: Annotated[Angle, Field(gt=0, le=1)]
@@ -68,12 +68,12 @@ class StartPose(Description):
     """Standard uncertainty of pitch and of roll [rad]."""
 
     def as_pose(self) -> Pose:
-        """Return this pose as that of a survey."""
+        """Return the start pose in the form of a survey's pose."""
         return Pose.model_validate(self.model_dump())
 
 
 def _installed(method: str) -> str:
-    """Refuse a rejection method that is not installed."""
+    """Return a rejection method; ValueError if it is not installed."""
     installed = _plugins.names(_plugins.REJECTION)
     if method not in installed:
         raise ValueError(
@@ -93,13 +93,13 @@ class Processing(Description):
     method: Annotated[
         str, AfterValidator(_installed), Field(json_schema_extra=_list_methods)
     ]
-    """Rejection method, as of `amulor reject --method`."""
+    """Rejection method, named as in `amulor reject --method`."""
     polarization: str | None = None
-    """Channel to take, such as "VV"; needed if there are several."""
+    """Polarization channel to use, such as "VV"; needed if there are several."""
     nearest: Annotated[Length, Field(ge=0)] | None = None
-    """Nearest possible slant range; with `farthest` [m]."""
+    """Nearest possible slant range; needs `farthest` [m]."""
     farthest: Annotated[Length, Field(gt=0)] | None = None
-    """Farthest possible slant range; with `nearest` [m]."""
+    """Farthest possible slant range; needs `nearest` [m]."""
 
     @model_validator(mode="after")
     def _both_ends(self) -> Self:
@@ -112,12 +112,12 @@ class Processing(Description):
 
 
 def _unknown_as_none(value: Any) -> Any:
-    """Take "unknown" for a pose that is left out."""
+    """Return None for the text "unknown", which stands for an omitted start pose."""
     return None if value == "unknown" else value
 
 
 class SiteScan(Description):
-    """One scan of the site."""
+    """Scan of the site."""
 
     name: Name
     """Unique name of the scan, used by targets and results."""
@@ -125,24 +125,24 @@ class SiteScan(Description):
     """Range image (netCDF), or a cube of samples or of the target signal with
     `processing`; relative to the site file."""
     epoch: Name
-    """Name of the visit in which it was made."""
+    """Name of the visit in which the scan was made."""
     start: Annotated[StartPose | None, BeforeValidator(_unknown_as_none)] = None
     """Approximate pose of the instrument, with uncertainties; "unknown" if it follows
     from targets in other scans, or from control points."""
     water: Path | None = None
-    """Survey file that states the water; that of the scan itself if left out. Scans of
-    one water share the error of its group index."""
+    """Survey file that states the water; that of the scan itself if left out. Scans
+    with equal water share the error of its group index."""
     instrument: Name = "instrument"
     """Name of the instrument; scans of one instrument and one epoch share the errors of
     its delay and its geometry."""
     drift: Annotated[Length, Field(ge=0)] = 0.0
-    """Standard uncertainty of a slow drift of its ranges: half of the change from the
+    """Standard uncertainty of a slow drift of the ranges: half of the change from the
     first to the last row [m]."""
     processing: Processing | None = None
     """Processing of a cube into a range image; not needed for a range image."""
     simulated_from: Path | None = None
-    """Survey that the file is simulated from by `amulor run`, for rehearsals; the file
-    need not be there then."""
+    """Survey from which `amulor run` simulates the file, for rehearsals; the file need
+    not exist then."""
     seed: Annotated[Count, Field(ge=0)] = 1
     """Seed of that simulation [1]."""
 
@@ -153,7 +153,7 @@ class Place(Description):
     scan: Name
     """Name of the scan."""
     row: Annotated[Count, Field(ge=0)]
-    """Row of a pixel on the target, near its middle, counted from 0 [1]."""
+    """Row of a pixel on the target, near its center, counted from 0 [1]."""
     column: Annotated[Count, Field(ge=0)]
     """Column of the pixel, counted from 0 [1]."""
 
@@ -162,14 +162,14 @@ class _Seen(Description):
     name: Name
     """Unique name of the target, used by control points, scale bars and results."""
     places: Annotated[tuple[Place, ...], Field(min_length=1)]
-    """Pixels of the target in scans."""
+    """Pixels of the target in the scans that show it."""
     moved: bool = False
-    """Whether it was set up anew at each epoch, so that it joins the scans of one
-    epoch only."""
+    """Whether the target was set up anew at each visit, so that it connects only the
+    scans of one visit."""
 
 
 class SphereTarget(_Seen):
-    """A sphere, which ties scans by its center."""
+    """Sphere, which connects scans by its center."""
 
     kind: Literal["sphere"]
     """Kind of the target."""
@@ -180,7 +180,7 @@ class SphereTarget(_Seen):
 
 
 class DiscTarget(_Seen):
-    """A flat round disc in front of nothing near; its middle counts."""
+    """Flat round disc with no surface close behind it; its center connects scans."""
 
     kind: Literal["disc"]
     """Kind of the target."""
@@ -191,34 +191,34 @@ class DiscTarget(_Seen):
 
 
 class CheckerboardTarget(_Seen):
-    """A board of four fields, dark and bright; the point where they meet counts."""
+    """Checkerboard of four fields, which connects scans by its central corner."""
 
     kind: Literal["checkerboard"]
     """Kind of the target."""
     width: Annotated[Length, Field(gt=0, le=10)]
-    """Side of the whole board [m]."""
+    """Side length of the whole board [m]."""
 
 
 class PointTarget(_Seen):
-    """A point that is recognized in several scans, such as a corner of a stone."""
+    """Point that is recognized in several scans, such as a corner of a stone."""
 
     kind: Literal["point"]
     """Kind of the target."""
     picking_uncertainty: _Sigma
-    """Standard uncertainty across the beam with which the pixel was picked [m]."""
+    """Standard uncertainty of the picked point across the beam [m]."""
 
 
 class ScaleBar(Description):
-    """A known distance between two other targets."""
+    """Scale bar: known distance between the centers of two other targets."""
 
     kind: Literal["scale-bar"]
     """Kind of the target."""
     name: Name
     """Unique name of the scale bar, used by results."""
     ends: tuple[Name, Name]
-    """Names of the two targets at its ends."""
+    """Names of the targets at both ends."""
     length: Annotated[Length, Field(gt=0, le=1000)]
-    """Distance of their centres [m]."""
+    """Distance between the targets' centers [m]."""
     length_uncertainty: _Sigma
     """Standard uncertainty of the length [m]."""
 
@@ -236,27 +236,28 @@ SiteTarget = Annotated[
 
 
 class Control(Description):
-    """Control point: a target whose position in the site is known from elsewhere."""
+    """Control point: target whose position in the site is known by another survey."""
 
     target: Name
     """Name of the target."""
     position: Position
-    """Its centre (east, north, up) in the frame of the site [m]."""
+    """Position of the target's center (east, north, up) in the frame of the site
+    [m]."""
     uncertainty: tuple[_Sigma, _Sigma, _Sigma] | _Sigma
-    """Standard uncertainty of each coordinate, one for all or one each [m]."""
+    """Standard uncertainty of each coordinate: one number for all, or one each [m]."""
 
 
 class Registration(Description):
     """Settings of the registration."""
 
     overlap: Annotated[Fraction, Field(gt=0, le=1)] = 0.1
-    """Two scans are compared with each other if at least this part of the pixels of one
-    falls on the other [1]."""
+    """Two scans are compared if at least this fraction of the pixels of one falls on
+    the other [1]."""
     voxel: Annotated[Length, Field(gt=0, le=1)] | None = None
     """Spacing of points in the first, rough alignment; twice the spacing of the
     pixels if left out [m]."""
     window: Annotated[Count, Field(ge=3, le=21)] = 7
-    """Pixels across the window in which a surface is taken for smooth; odd [1]."""
+    """Width in pixels of the window in which a surface must be smooth; odd [1]."""
 
     @model_validator(mode="after")
     def _odd(self) -> Self:
@@ -266,39 +267,39 @@ class Registration(Description):
 
 
 class Comparison(Description):
-    """Settings of the comparison of epochs."""
+    """Settings of the comparison of visits."""
 
     spacing: Annotated[Length, Field(gt=0, le=10)] | None = None
-    """Distance of the points at which change is looked for; twice the spacing of the
-    pixels if left out [m]."""
+    """Distance between neighboring points at which change is tested; twice the spacing
+    of the pixels if left out [m]."""
     radius: Annotated[Length, Field(gt=0, le=10)] | None = None
-    """Radius of the cylinder whose points are taken together; one and a half times
-    `spacing` if left out [m]."""
+    """Radius of the cylinder whose points are averaged; one and a half times `spacing`
+    if left out [m]."""
     reach: Annotated[Length, Field(gt=0, le=10)] = 0.2
-    """Largest change that is looked for, along the normal [m]."""
+    """Largest change that is detected, along the normal [m]."""
     false_alarms: Annotated[Fraction, Field(gt=0, lt=0.5)] = 0.05
-    """Share of the points called significant that may be so by chance [1]."""
+    """Largest expected fraction of false alarms among the significant points [1]."""
 
 
 class Site(Description):
-    """Scans of one place, and all that ties them to each other and to the world."""
+    """Scans of a place, with the targets and poses that connect them."""
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
-    """Name of the site, the title of all results."""
+    """Name of the site, used as the title of all results."""
     frame: SiteFrame = SiteFrame()
     """Frame of all scans."""
     epoch: Annotated[tuple[Epoch, ...], Field(min_length=1)]
-    """Visits, in the order of time."""
+    """Visits in chronological order."""
     scan: Annotated[tuple[SiteScan, ...], Field(min_length=1)]
-    """Scans."""
+    """Scans of all visits."""
     target: tuple[SiteTarget, ...] = ()
-    """Targets that were set up, or points that are recognized."""
+    """Targets that were set up, and points that are recognized."""
     control: tuple[Control, ...] = ()
-    """Targets with known positions."""
+    """Control points: targets with known positions."""
     registration: Registration = Registration()
     """Settings of the registration."""
     comparison: Comparison = Comparison()
-    """Settings of the comparison of epochs."""
+    """Settings of the comparison of visits."""
 
     @model_validator(mode="after")
     def _names_hold(self) -> Self:
@@ -329,7 +330,7 @@ class Site(Description):
         return tuple(scan for scan in self.scan if scan.epoch == epoch)
 
     def _with_paths(self, folder: Path, *, where: str) -> Self:
-        """Return the site with absolute paths; raise if files are missing."""
+        """Return the site with absolute paths; raise an error if files are missing."""
         lacking = []
         scans = []
         for number, scan in enumerate(self.scan):
@@ -352,7 +353,7 @@ class Site(Description):
 
 
 def _contradictions(site: Site) -> Iterator[str]:
-    """Yield contradictions between the names in a site file."""
+    """Yield a line for each inconsistent name or number in a site file."""
     scans = [item.name for item in site.scan]
     targets = [item.name for item in site.target]
     epochs = [item.name for item in site.epoch]

@@ -19,12 +19,12 @@ WHAT_TO_DO = (
 
 
 def range_image_of(scan: SiteScan) -> xr.Dataset:
-    """Return the range image of a scan, edges and outliers marked."""
+    """Return the range image of a scan, with mixed pixels and outliers flagged."""
     return as_image(io.read_cube(scan.file), processing=scan.processing, name=scan.name)
 
 
 def check_level(level: str, *, processed: bool, name: str) -> None:
-    """Refuse a file that is no range image, and does not become one."""
+    """Refuse a file that neither is a range image nor can be processed into one."""
     if level == "range_image":
         return
     if level not in ("samples", "target_signal"):
@@ -40,7 +40,7 @@ def check_level(level: str, *, processed: bool, name: str) -> None:
 
 
 def options_of(processing: Processing | None) -> dict[str, Any]:
-    """Return method, channel and interval of the processing of a scan."""
+    """Return method, channel and interval that a scan's processing states."""
     if processing is None:
         return {"method": None, "polarization": None, "interval": None}
     near, far = processing.nearest, processing.farthest
@@ -54,7 +54,7 @@ def options_of(processing: Processing | None) -> dict[str, Any]:
 def as_image(
     cube: xr.Dataset, *, processing: Processing | None, name: str
 ) -> xr.Dataset:
-    """Return the range image of a cube of any level; raise if its error is unknown."""
+    """Return a range image from a cube of any level; refuse one with unknown errors."""
     level = str(cube.attrs.get("level", ""))
     check_level(level, processed=processing is not None, name=name)
     try:

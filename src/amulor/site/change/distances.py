@@ -1,4 +1,4 @@
-"""Distances between two epochs along normals (M3C2), with their uncertainty."""
+"""Distances between surfaces of two visits along normals (M3C2), with uncertainty."""
 
 from __future__ import annotations
 
@@ -47,36 +47,38 @@ _ALIKE = 0.6
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """Change at points of the first epoch's surface."""
+    """Change between two visits at points of the first visit's surface."""
 
     epochs: tuple[str, str]
     """Names of the visits."""
     position: Floats
-    """Points of comparison in the site, shape (n, 3) [m]."""
+    """Points at which the visits are compared, in the site's frame, shape (n, 3)
+    [m]."""
     normal: Floats
-    """Normals of the surface at the points, shape (n, 3) [1]."""
+    """Normals of the first visit's surface at the points, shape (n, 3) [1]."""
     value: Floats
-    """Distance of the second epoch from the first along the normal; NaN where either
-    was not seen, shape (n,) [m]."""
+    """Distance of the second visit's surface from the first one's along the normal; NaN
+    where either was not measured, shape (n,) [m]."""
     uncertainty: Floats
-    """Combined standard uncertainty [m]."""
+    """Combined standard uncertainty of the distance [m]."""
     own: Floats
-    """Uncertainty by noise and roughness, independent from point to point [m]."""
+    """Part of the uncertainty from noise and roughness, independent between points
+    [m]."""
     shared: Floats
-    """Effect of one standard deviation of each independent error of poses, delay, index
-    and references on the distance, shape (n, m) [m]."""
+    """Change of the distance by one standard deviation of each independent error of
+    poses, delay, index and open-water references, shape (n, m) [m]."""
     significant: Flags
-    """True where the change is significant."""
+    """Mask of points with significant change."""
     chance: Floats
-    """Probability of so large a distance by chance [1]."""
+    """Probability of so large a distance without a change [1]."""
     area: Floats
-    """Area of the cell around each point, shape (n,) [m^2]."""
+    """Area of the surface that each point represents, shape (n,) [m^2]."""
     spacing: float
-    """Spacing of the points [m]."""
+    """Distance between neighboring points of comparison [m]."""
     radius: float
-    """Radius of the cylinders whose points are averaged [m]."""
+    """Radius of the cylinders in which measured points are averaged [m]."""
     false_alarms: float
-    """Share of the significant points that may be so by chance [1]."""
+    """Expected fraction of false alarms among the significant points [1]."""
 
 
 def change(
@@ -162,7 +164,7 @@ def change(
 
 
 def _nothing_common(names: tuple[str, str]) -> CubeError:
-    """Return the exception for two visits without a common surface."""
+    """Return the error for two visits that share no surface."""
     return CubeError(
         f"{names[0]} and {names[1]} see no surface together; look at the start poses "
         "with amulor site check, or set comparison.reach or comparison.radius larger"
@@ -172,7 +174,7 @@ def _nothing_common(names: tuple[str, str]) -> CubeError:
 def _cores(
     cloud: Merged, at: NDArray[np.intp], spacing: float, radius: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return one point for each cell of a surface, its normal and area.
+    """Return one comparison point for each cell of a surface, its normal and area.
 
     Cells are squares across the axis that the normal is nearest to; layers along that
     axis are surfaces of their own.
@@ -220,7 +222,7 @@ class _Means:
     registration: Registration
 
     def onto(self, names: list[str]) -> Floats:
-        """Return the derivatives in the order of other names."""
+        """Return the derivatives in the order of the given unknowns."""
         width = {"pose": 6, "point": 3, "error": 1}
 
         def size(name: str) -> int:
@@ -300,7 +302,7 @@ def _in_cylinders(
     radius: float,
     reach: float,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
-    """Return which cylinder holds which point, how far off its middle, and along it.
+    """Return pairs of cylinder and point inside, offset, and distance along it.
 
     Some cylinders at a time: the spheres around them hold many more points.
     """
@@ -360,7 +362,7 @@ def _patches(
     weight: Floats,
     radius: float,
 ) -> _Patches:
-    """Return the heights of curved patches through points, and their errors.
+    """Return the heights of curved surfaces fitted to cylinders of points, with errors.
 
     Of second degree, so that two epochs that sample a slope or a bend in other places
     have the same height. Points that scatter more than their noise follow no such
@@ -423,28 +425,28 @@ _TOGETHER = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """Region of significant change."""
+    """Connected region of significant change."""
 
     members: NDArray[np.intp]
-    """Numbers of the significant points."""
+    """Numbers of its significant points in the comparison."""
     centre: Floats
-    """Middle, shape (3,) [m]."""
+    """Center of the points, shape (3,) [m]."""
     reach: float
-    """Largest distance of a point from the middle [m]."""
+    """Largest distance of a point from the center [m]."""
     area: float
-    """Surface [m^2]."""
+    """Area of the changed surface [m^2]."""
     mean: float
-    """Mean change along the normals, by area [m]."""
+    """Area-weighted mean change along the normals [m]."""
     mean_uncertainty: float
-    """Its standard uncertainty [m]."""
+    """Standard uncertainty of the mean [m]."""
     largest: float
-    """Change of the largest size [m]."""
+    """Change of largest magnitude [m]."""
     volume: float
-    """Volume added less volume removed, with the rim around the points [m^3]."""
+    """Volume added minus volume removed, including the rim around the points [m^3]."""
     volume_uncertainty: float
-    """Its standard uncertainty [m^3]."""
+    """Standard uncertainty of the volume [m^3]."""
     lost: float
-    """Area among the points and in the rim that could not be compared [m^2]."""
+    """Area within the region and its rim that could not be compared [m^2]."""
 
 
 def regions(change: Change) -> tuple[Region, ...]:
@@ -466,7 +468,7 @@ def regions(change: Change) -> tuple[Region, ...]:
 
 
 def region_of(change: Change, members: NDArray[np.intp]) -> Region:
-    """Return area, change and volume of some points of a comparison.
+    """Return area, mean change and volume of selected points of a comparison.
 
     At the rim a change is below its error, place by place, but not as a whole: the
     volume is summed over all places up to a cylinder and a half from the points.
@@ -504,7 +506,7 @@ def region_of(change: Change, members: NDArray[np.intp]) -> Region:
 
 
 def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the integral of change over some points, and its uncertainty [m^3]."""
+    """Return the volume integral of change over points, and its uncertainty [m^3]."""
     place, area = change.position[members], change.area[members]
     # Cylinders closer than their width hold the same points.
     near = cKDTree(place).query_pairs(2 * change.radius, output_type="ndarray")
@@ -520,7 +522,7 @@ def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -> None:
-    """Write a comparison as CSV, a row for each place where both epochs were seen."""
+    """Write a comparison of visits as CSV, one row per point measured in both."""
     compared = np.isfinite(change.value)
     columns = [
         *(change.position[compared].T),

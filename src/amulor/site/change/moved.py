@@ -30,43 +30,45 @@ _STEPS = 12
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """The rigid motion of an object from the first epoch to the second."""
+    """Rigid motion of an object from the first visit to the second."""
 
     centre: Floats
-    """Middle of its visible points in the first epoch, or the place next to it on an
-    axis about which its shape tells no turn, in the site, shape (3,) [m]."""
+    """Reference point of the motion in the site: center of the visible points, or the
+    point next to it on an axis about which the shape cannot show a rotation, shape (3,)
+    [m]."""
     shift: Floats
-    """Shift of the object there: east, north, up [m]."""
+    """Translation of the reference point: east, north, up [m]."""
     turn: Floats
-    """Rotation vector about these axes [rad]."""
+    """Rotation vector about the axes east, north, up [rad]."""
     covariance: Floats
-    """Covariance of shift and turn, poses and shared errors included, shape (6, 6)."""
+    """Covariance of translation and rotation, including poses and shared errors, shape
+    (6, 6)."""
     loose: tuple[Floats, ...]
-    """Directions (shift, turn) that its shape does not tell, such as the turn of a
-    body about its own axis; the motion along them counts as none."""
+    """Motions (translation, rotation) that the object's shape does not constrain, such
+    as the rotation of a body about its own axis; they are set to zero."""
     points: int
     """Number of points that constrain the motion [1]."""
     misfit: float
-    """Scatter of the points over what is stated [1]."""
+    """Scatter of the points over their stated noise [1]."""
 
     @property
     def distance(self) -> float:
-        """Length of the shift [m]."""
+        """Length of the translation [m]."""
         return float(np.linalg.norm(self.shift))
 
     @property
     def distance_uncertainty(self) -> float:
-        """Standard uncertainty of it [m]."""
+        """Standard uncertainty of the distance [m]."""
         return _along(self.shift, self.covariance[:3, :3])
 
     @property
     def angle(self) -> float:
-        """Angle of the turn [rad]."""
+        """Angle of the rotation [rad]."""
         return float(np.linalg.norm(self.turn))
 
     @property
     def angle_uncertainty(self) -> float:
-        """Standard uncertainty of it [rad]."""
+        """Standard uncertainty of the angle [rad]."""
         return _along(self.turn, self.covariance[3:, 3:])
 
 
@@ -77,7 +79,7 @@ def _along(vector: Floats, covariance: Floats) -> float:
 
 
 def bodies(places: Sequence[Region]) -> tuple[tuple[int, ...], ...]:
-    """Group regions that one body may have caused.
+    """Group regions of change that the motion of one body may have caused.
 
     Where it lay the surface is lower, where it lies it is higher: two regions that
     reach each other.
@@ -101,7 +103,7 @@ def bodies(places: Sequence[Region]) -> tuple[tuple[int, ...], ...]:
 
 
 def around(places: Sequence[Region]) -> tuple[Floats, float]:
-    """Return the middle of regions, and how far they reach from there [m]."""
+    """Return the center of regions, and their extent from it [m]."""
     area = np.array([region.area for region in places])
     centres = np.array([region.centre for region in places])
     middle = np.asarray(area @ centres / area.sum())
@@ -121,7 +123,7 @@ def motion_of(
     centre: Floats,
     reach: float,
 ) -> Motion | None:
-    """Fit the rigid motion of the object at a place.
+    """Fit the rigid motion of an object between two visits.
 
     The object is what stands above the ground around it, a plane through the surfaces
     from its reach to one and a half of it. Its points in the second epoch are fitted to
@@ -189,7 +191,7 @@ def _object(
     centre: Floats,
     reach: float,
 ) -> Flags | None:
-    """Return the pixels of a scan that stand above the ground around a place."""
+    """Return the pixels of a scan that lie above the ground around a place."""
     place = registration.poses[name].place(corrected(surface, registration.errors))
     away = np.linalg.norm((place - centre)[..., :2], axis=-1)
     with np.errstate(invalid="ignore"):
@@ -215,14 +217,14 @@ def _object(
 
 
 def _to_middle(pair: Pair, middle: Floats) -> Floats:
-    """Return the matrix from a motion at one place to that at the pivot of a pair."""
+    """Return the matrix that converts a motion at a point to a pair's pivot."""
     carried = np.eye(6)
     carried[:3, 3:] = -cross_matrix(pair.pivot - middle)
     return carried
 
 
 def _held(pairs: list[Pair], middle: Floats) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return the projector onto the motions that all pairs constrain, and free ones.
+    """Return the projector onto the motions that the pairs constrain, and free motions.
 
     What one pair does not hold another one may, and each of them by itself would leave
     out another turn of a round body.
@@ -328,7 +330,7 @@ def _result(
 
 
 def _best_place(covariance: Floats) -> Floats:
-    """Return the offset from the middle at which the shift varies least.
+    """Return the offset at which the translation has the least variance [m].
 
     The shift at d is t + w x d; d is such that its mean square error is least.
     """

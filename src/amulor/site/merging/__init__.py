@@ -1,1 +1,1 @@
-"""One cloud of all scans, with the covariance of each point, and its files."""
+"""Merged point cloud of all scans, with the covariance of each point."""

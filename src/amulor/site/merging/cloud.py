@@ -1,4 +1,4 @@
-"""Merged cloud of a site: covariances of points, confirmation by other scans."""
+"""Merged point cloud of a site: covariance of points, confirmation by other scans."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def seen_by_others(
     point: Floats,
     sigma: Floats,
 ) -> tuple[Counts, Counts]:
-    """Count the other scans that confirm points of a scan, and see through them."""
+    """Count the other scans that confirm each point, and those that see through it."""
     confirmed = np.zeros(len(point), dtype=np.int16)
     through = np.zeros(len(point), dtype=np.int16)
     for peer, surface in surfaces.items():
@@ -74,33 +74,35 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Merged:
-    """Points of all scans in the frame of the site."""
+    """Merged point cloud of all scans in the frame of the site."""
 
     position: Floats
     """East, north and up of each point, shape (n, 3) [m]."""
     covariance: Floats
-    """Covariance of each point, with shared errors and pose, shape (n, 3, 3) [m^2]."""
+    """Covariance of each point, including shared errors and pose, shape (n, 3, 3)
+    [m^2]."""
     own: Floats
-    """Standard uncertainty of the range by noise of the pixel, shape (n,) [m]."""
+    """Standard uncertainty of the range from noise of the pixel, shape (n,) [m]."""
     beam: Floats
     """Direction of the beam of each point, shape (n, 3) [1]."""
     normal: Floats
-    """Normals towards the instrument; NaN where not smooth, shape (n, 3) [1]."""
+    """Unit normals towards the instrument; NaN off smooth surfaces, shape (n, 3)
+    [1]."""
     intensity: Floats
     """Amplitude of the target signal, shape (n,) [V]."""
     scan: NDArray[np.int16]
-    """Number of the scan in the site file, counted from 0, shape (n,)."""
+    """Number of the point's scan in the site file, counted from 0, shape (n,)."""
     pixel: NDArray[np.intp]
-    """Number of the pixel, row by row, shape (n,)."""
+    """Number of the point's pixel, counted row by row, shape (n,)."""
     flag: NDArray[np.int16]
     """Quality flags of the range image, shape (n,)."""
     confirmed: NDArray[np.int16]
-    """Other scans of the epoch that see a surface at the place, shape (n,) [1]."""
+    """Number of other scans of the visit that confirm the point, shape (n,) [1]."""
     moving: Flags
-    """Points that other scans of the epoch see through: no part of the site."""
+    """Mask of points that other scans of the visit see through: moving objects."""
     share: Floats
-    """Weight of a point among those of other scans at its place, which add up to 1 with
-    its own scan's, shape (n,) [1]."""
+    """Weight of a point among all points at its place, where the weights of the scans
+    have the sum 1, shape (n,) [1]."""
     site: Site
     """Description of the site."""
 
@@ -116,7 +118,7 @@ class Merged:
 
 
 def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
-    """Return the points of a scan less its shared errors as they are estimated."""
+    """Return the points of a scan, corrected by its estimated shared errors."""
     estimates = np.array([errors.get(key, 0.0) for key in surface.shared.keys])
     off = np.tensordot(estimates, surface.shared.shapes, axes=1)
     distance = surface.distance - off
@@ -124,14 +126,14 @@ def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
 
 
 def unknowns_of(scan: str, surface: ScanSurface) -> tuple[str, ...]:
-    """Return the names of the unknowns that the points of a scan depend on."""
+    """Return the names of the adjusted unknowns on which a scan's points depend."""
     return (f"pose {scan}", *(f"error {key}" for key in surface.shared.keys))
 
 
 def by_unknowns(
     surface: ScanSurface, pose: ScanPose, position: Floats, pixel: NDArray[np.intp]
 ) -> Floats:
-    """Return the derivatives of points by pose and shared errors of their scan."""
+    """Return the derivatives of a scan's points by its pose and shared errors."""
     arm = position - pose.position
     beam = pose.turn(surface.direction.reshape(-1, 3)[pixel])
     shapes = surface.shared.shapes.reshape(len(surface.shared.keys), -1)[:, pixel]
@@ -151,7 +153,7 @@ def merge(
     surfaces: Mapping[str, ScanSurface],
     images: Mapping[str, xr.Dataset],
 ) -> Merged:
-    r"""Merge all scans of a site.
+    r"""Merge all scans of a site into one point cloud.
 
     :math:`C_i = \sigma_i^2 d d^T + J_i \Sigma J_i^T` with the beam d, the pixel's own
     noise and the derivatives J by pose and shared errors, whose covariance
@@ -211,7 +213,7 @@ def _shares(
     sigma: NDArray[np.generic],
     moving: NDArray[np.generic],
 ) -> Floats:
-    """Return weights of points among those of the same epoch at the same place."""
+    """Return the weights of points among those of the same visit and place."""
     epochs = np.array([[e.name for e in site.epoch].index(s.epoch) for s in site.scan])
     share = np.ones(len(position))
     precision = 1 / np.maximum(np.asarray(sigma, dtype=float), 1e-9) ** 2

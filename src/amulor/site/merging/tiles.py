@@ -1,4 +1,4 @@
-"""LAZ tiles of a merged cloud, all with one offset."""
+"""Square LAZ tiles of a merged point cloud, all with the same coordinate offset."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def write_tiles(
     epoch: str | None = None,
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write a merged cloud as square LAZ tiles.
+    """Write a merged point cloud as square LAZ tiles.
 
     LAS 1.4, point format 6, steps of 1e-5 m from one offset, the same for all tiles and
     epochs: that of the site's reference system, or whole metres near its middle.

@@ -1,1 +1,1 @@
-"""Poses of all scans of a site in one frame, with their covariance."""
+"""Registration: poses of all scans of a site in one frame, with their covariance."""

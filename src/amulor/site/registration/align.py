@@ -1,4 +1,4 @@
-"""Alignment of scans: rough poses one by one, then a fit of all with covariance."""
+"""Alignment of scans: rough poses scan by scan, then a joint fit with covariance."""
 
 from __future__ import annotations
 
@@ -50,42 +50,43 @@ _ANYWHERE, _ANYHOW = 100.0, 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Disagreement:
-    """A pair of scans that all others contradict."""
+    """Pair of scans whose comparison contradicts all other observations."""
 
     scans: tuple[str, str]
     """Names of the scans."""
     shift: float
-    """Shift of one of them that the pair by itself would cause [m]."""
+    """Translation of one scan that the pair alone would cause [m]."""
     turn: float
-    """Turn that it would cause [rad]."""
+    """Rotation of one scan that the pair alone would cause [rad]."""
     score: float
     """Chi-square over its degrees of freedom; about 1 by chance [1]."""
     trust: float
-    """Weight of the pair [1]."""
+    """Reduced weight of the pair in the fit [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Alignment:
-    """Poses of scans with the covariance of all."""
+    """Poses of all scans from a joint fit, with their joint covariance."""
 
     state: State
-    """Poses, targets and shared errors."""
+    """Estimated poses, target positions and shared errors."""
     covariance: Floats
     """Covariance of all unknowns, in the order of `layout`."""
     layout: Layout
-    """Places of the unknowns."""
+    """Positions of the unknowns in the covariance."""
     pairs: tuple[Pair, ...]
-    """Comparisons of scans."""
+    """Compared pairs of scans."""
     trust: tuple[float, ...]
-    """Weight of each of them, 1 unless it disagrees."""
+    """Weight of each pair, 1 unless it disagrees [1]."""
     disagreements: tuple[Disagreement, ...]
-    """Pairs that all others contradict."""
+    """Pairs of scans that contradict all other observations."""
     steps: int
-    """Number of steps, the largest allowed one if the fit did not settle [1]."""
+    """Number of iterations; the largest allowed number if the fit did not converge
+    [1]."""
     settled: bool
-    """Whether the last step was small."""
+    """Whether the fit converged: its last step was small."""
     patterns: tuple[PatternTest, ...]
-    """Tests of errors over rows, columns, range and angle."""
+    """Tests for systematic errors over rows, columns, range and angle of incidence."""
 
 
 def align(
@@ -97,7 +98,7 @@ def align(
     guess: Mapping[str, ScanPose] | None = None,
     visits: Mapping[str, str] | None = None,
 ) -> Alignment:
-    """Align all scans of a site; patterns are tested between scans of one visit."""
+    """Align all scans of a site, and test for systematic errors within visits."""
     poses = _rough_poses(surfaces, ties, voxel=voxel, guess=guess or {})
     names = list(surfaces)
     start = dict(ties.start)
@@ -186,7 +187,7 @@ def _rough_poses(
     voxel: float | None,
     guess: Mapping[str, ScanPose],
 ) -> dict[str, ScanPose]:
-    """Return rough poses, good to a part of the spacing, scan by scan."""
+    """Return rough poses, accurate to a fraction of the point spacing, scan by scan."""
     starts = {name: start.pose for name, start in ties.start.items()} | dict(guess)
     if ties.fixed is not None:
         starts.setdefault(ties.fixed, ScanPose(np.eye(3), np.zeros(3)))
@@ -242,7 +243,7 @@ def _rough_pose(
     voxel: float,
     spacing: float,
 ) -> ScanPose:
-    """Return the pose that brings a scan onto others, the best of several attempts.
+    """Return the pose that best aligns a scan with others, from several attempts.
 
     Alignment may end at another object of the same shape. Attempts differ in their
     start and in how far points are matched; the best leaves the least distance in the
@@ -272,7 +273,7 @@ def _rough_pose(
 
 
 def _further_guesses(start: KnownPose, least: float, cloud: Floats) -> list[ScanPose]:
-    """Return further first guesses around a start pose worse than a few pixels."""
+    """Return more initial poses if the start pose is uncertain by several pixels."""
     away = float(np.linalg.norm(cloud.mean(axis=0)))
     starts = []
     turn = float(np.sqrt(start.covariance[5, 5]))
@@ -291,7 +292,7 @@ def _further_guesses(start: KnownPose, least: float, cloud: Floats) -> list[Scan
 
 
 def _misfit(placed: Floats, others: Floats, tree: cKDTree, spacing: float) -> float:
-    """Return the distance of points from planes of others: 0 on them, 1 apart [1]."""
+    """Return the misfit of points to planes of others: 0 aligned, 1 far apart [1]."""
     away, near = tree.query(placed, k=8, distance_upper_bound=4 * spacing)
     met = np.isfinite(away).all(axis=1)
     if not met.any():
@@ -305,7 +306,7 @@ def _misfit(placed: Floats, others: Floats, tree: cKDTree, spacing: float) -> fl
 
 
 def squared_pull(pose: ScanPose, start: KnownPose) -> float:
-    """Return the chi-square of a pose against its start pose, of six numbers."""
+    """Return the chi-square of a pose against its start pose, 6 degrees of freedom."""
     off = departure(pose, start.pose)
     return float(off @ np.linalg.solve(start.covariance, off))
 
@@ -313,7 +314,7 @@ def squared_pull(pose: ScanPose, start: KnownPose) -> float:
 def _best_started(
     ties: Ties, guess: Mapping[str, ScanPose], names: Sequence[str]
 ) -> str:
-    """Return the scan with the best start pose."""
+    """Return the name of the scan with the most accurate start pose."""
     started = [name for name in names if name in ties.start]
     if not started:
         return next(iter(guess), names[0])
@@ -323,7 +324,7 @@ def _best_started(
 
 
 def _first_positions(ties: Ties, poses: Mapping[str, ScanPose]) -> dict[str, Floats]:
-    """Return first positions of targets."""
+    """Return initial positions of the targets in the site's frame."""
     points: dict[str, Floats] = {}
     for centre in ties.centres:
         place = poses[centre.scan].place(centre.position)
@@ -339,7 +340,7 @@ def _neighbours(
     trees: Mapping[str, cKDTree],
     overlap: float,
 ) -> list[tuple[str, str]]:
-    """Return the pairs of scans that see the same surface, the finer one second."""
+    """Return the pairs of scans that overlap, with the finer scan second."""
     names = list(surfaces)
     overlaps = []
     for number, first in enumerate(names):
@@ -363,7 +364,7 @@ def _neighbours(
 def _refuse_islands(
     names: Sequence[str], overlaps: Sequence[tuple[str, str]], ties: Ties
 ) -> None:
-    """Raise if a scan has no tie."""
+    """Raise `CubeError` if a scan has no overlap, no target and no start pose."""
     scans_of: dict[str, set[str]] = {}
     for centre in ties.centres:
         scans_of.setdefault(centre.target, set()).add(centre.scan)
@@ -388,7 +389,7 @@ def _pairs(
     gate: float | None,
     before: Sequence[Pair],
 ) -> list[Pair]:
-    """Return the comparisons of scans, only with points that counted before, if any."""
+    """Return the comparisons of overlapping scans, limited to points used before."""
     among = {(p.source, p.target): p.source_pixel[p.weight > 0] for p in before}
     comparisons = (
         compared(
@@ -408,7 +409,7 @@ def _pairs(
 def _pair_weights(
     pairs: Sequence[Pair], state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[list[float], tuple[Disagreement, ...]]:
-    """Return the weights of pairs, and those that all others contradict."""
+    """Return the weights of pairs, and the pairs that disagree with all others."""
     trust, against = [], []
     for pair in pairs:
         change, spread = network.innovation(pair, state, surfaces)

@@ -1,4 +1,4 @@
-"""Constrained directions of a motion, and points of bodies that moved."""
+"""Constrained directions of a rigid motion, and points of moved bodies."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ HELD = 6.0
 
 
 def mean_lever(lever: Floats, weight: Floats) -> float:
-    """Return the root mean square distance of points from a place [m]."""
+    """Return the root mean square distance of points from a reference point [m]."""
     return float(np.sqrt(np.average((lever**2).sum(axis=1), weights=weight + 1e-300)))
 
 
 def held_directions(
     matrix: Floats, *, unsure: float, length: float
 ) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return the projector onto directions that surfaces constrain, and free ones.
+    """Return the projector onto motions that the surfaces constrain, and free motions.
 
     Noise of normals in both scans makes products whose mean is zero; a direction is
     held if its sum stands out of their scatter.
@@ -58,42 +58,44 @@ _FEWEST = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Points:
-    """Points of one scan beside the patches of another; see `pair.Pair`."""
+    """Points of one scan compared with surface patches of another; see `pair.Pair`."""
 
     smooth: Flags
     """Pixels of the source on smooth surfaces, shape (row, column)."""
     pixel: Numbers
-    """Numbers of the source's pixels, shape (n,)."""
+    """Numbers of the points' pixels in the source scan, shape (n,)."""
     lever: Floats
-    """Places relative to the pivot, shape (n, 3) [m]."""
+    """Positions of the points relative to the pivot, shape (n, 3) [m]."""
     distance: Floats
-    """With the shared errors as they are estimated so far, shape (n,) [m]."""
+    """Distances from the patches, including estimated shared errors, shape (n,) [m]."""
     corrected: Floats
-    """Part of the distance by shared errors, shape (n,) [m]."""
+    """Part of the distance that the shared errors contribute, shape (n,) [m]."""
     variance: Floats
     """Variance of the distance by noise of source and target, shape (2, n) [m^2]."""
     by_target: Floats
-    """Derivatives with the normals of the target, shape (n, 6 + k)."""
+    """Derivatives of the distance, computed with the target's normals, shape (n, 6 +
+    k)."""
     by_source: Floats
-    """The same with the normals of the source."""
+    """Derivatives of the distance, computed with the source's normals, shape (n, 6 +
+    k)."""
     noise: Floats
-    """Noise of a distance by that of the source's pixel, shape (n,) [m]."""
+    """Noise of a distance from noise of the source's pixel, shape (n,) [m]."""
     window: sparse.csr_matrix
-    """Noise of a distance by that of the target's pixels, shape (n, pixels) [m]."""
+    """Noise of a distance from noise of the target's pixels, shape (n, pixels) [m]."""
     tilt: Floats
-    """Squares of derivatives by the noise of normals, shape (n,)."""
+    """Squared noise of the derivatives from noise of surface normals, shape (n,)."""
     together: float
-    """Number of neighbors that share this noise [1]."""
+    """Number of neighboring points with the same noise of surface normals [1]."""
 
     def unsure(self, weight: Floats) -> float:
-        """Return the scatter by noise of normals of sums of products of derivatives."""
+        """Return the scatter of the normal matrix by noise of surface normals."""
         return float(np.sqrt(self.together * ((self.tilt * weight) ** 2).sum()))
 
 
 def moved_bodies(
     points: Points, weight: Floats, near: Flags, *, misfit: float
 ) -> Flags:
-    r"""Return the points of bodies that moved against all else in the pair.
+    r"""Return a mask of the points of bodies that moved relative to the scene.
 
     The part of a body that stands off least passes for noise, pulls the scans along,
     and hides the motion; so a body counts as a whole. It moved if much of it stands
@@ -131,7 +133,7 @@ def moved_bodies(
 
 @dataclass(frozen=True)
 class _Sum:
-    """Sums over some points, with their noise."""
+    """Normal equations of some points, with their noise."""
 
     matrix: Floats
     gradient: Floats
@@ -143,7 +145,7 @@ class _Sum:
 def _sum(
     points: Points, weight: Floats, at: Flags, columns: Numbers | None = None
 ) -> _Sum:
-    """Return the sums over some points; the noise of patches in some pixels."""
+    """Return the normal equations of some points, with noise of selected pixels."""
     z = points.by_source[at, :6] * weight[at, None]
     window = points.window[at]
     if columns is not None:
@@ -166,7 +168,7 @@ def _chance(
     body: Flags,
     misfit: float,
 ) -> float:
-    """Return the chance of such an offset for a body that did not move."""
+    """Return the probability of such an offset for a body that did not move."""
     rest = remaining & ~body
     if int(body.sum()) < _FEWEST or int(rest.sum()) < 2 * _FEWEST:
         return 1.0
@@ -212,18 +214,18 @@ _MOVED = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class Counted:
-    """Weights of points, and the points of moved bodies."""
+    """Weights of the compared points, and the points of moved bodies."""
 
     weight: Floats
-    """One over the variance, 0 where left out, shape (n,) [1/m^2]."""
+    """Inverse variance of the distance, 0 for discarded points, shape (n,) [1/m^2]."""
     misfit: float
-    """Scatter of the distances over what is stated; at least 1 [1]."""
+    """Scatter of the distances over their stated noise; at least 1 [1]."""
     moved: Numbers
-    """Pixels of the source that moved against the rest."""
+    """Numbers of the source's pixels on moved bodies."""
 
 
 def counted(points: Points, good: Flags, gate: float | None) -> Counted:
-    """Return weights without points of other surfaces, and the scatter over noise."""
+    """Return weights that discard other surfaces, and the scatter over the noise."""
     sigma = np.sqrt(points.variance.sum(axis=0))
     score = points.distance / sigma
     middle = np.median(score[good])
@@ -249,7 +251,7 @@ def counted(points: Points, good: Flags, gate: float | None) -> Counted:
 def _offset_together(
     points: Points, score: Floats, good: Flags, misfit: float
 ) -> Flags:
-    """Return points that stand off together with their neighbors: moved things."""
+    """Return a mask of points that deviate together with their neighbors."""
     variance = points.variance
     row, column = np.divmod(points.pixel, points.smooth.shape[1])
     steps = [

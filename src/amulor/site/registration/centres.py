@@ -1,4 +1,4 @@
-"""Centres of targets in a scan: spheres, discs, checkerboards, picked points."""
+"""Centers of targets in a scan: spheres, discs, checkerboards, picked points."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _NEAR = 4.0
 def centre_of(
     target: Seen, surface: ScanSurface, image: xr.Dataset, row: int, column: int
 ) -> tuple[Centre, Flags]:
-    """Return the centre of a target in a scan, and the pixels that lie on it.
+    """Return the center of a target in a scan, and the mask of its pixels.
 
     Ranges are compared along their beams with those of the shape, so that noise does
     not pull a sphere towards the instrument. The uncertainty of a radius moves the
@@ -81,7 +81,7 @@ def _centre(
     pixels: Flags,
     others: dict[str, Floats] | None = None,
 ) -> Centre:
-    """Return a centre; `gain` has its derivatives by the ranges of `pixels`, (3, n)."""
+    """Return a center with covariance, from its derivatives `gain` by the ranges."""
     shapes = surface.shared.shapes[:, pixels]
     shared = {
         key: np.asarray(gain @ shape)
@@ -145,7 +145,7 @@ def _sphere(
 def _plane(
     surface: ScanSurface, middle: Floats, radius: float, target: Seen
 ) -> tuple[Flags, Floats, Floats]:
-    """Return the pixels of a plane patch, its inverse-range vector and covariance.
+    """Return the pixels of a plane, its inverse-range vector and the covariance.
 
     The plane is m . p = 1; the inverse range along a beam from the origin is m . d.
     """
@@ -216,7 +216,7 @@ def _disc(
 
 
 def _area(surface: ScanSurface, unit: Floats) -> Floats:
-    """Return the area of a plane that each pixel covers [m^2]."""
+    """Return the area that each pixel covers on a plane [m^2]."""
     steps = [np.gradient(surface.direction, axis=axis) for axis in (0, 1)]
     solid = np.linalg.norm(np.cross(steps[0], steps[1]), axis=-1)
     facing = np.abs(surface.direction @ unit)

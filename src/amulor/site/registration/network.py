@@ -1,4 +1,4 @@
-"""Joint adjustment of poses, targets and shared errors: steps and covariance."""
+"""Joint adjustment of poses, targets and shared errors: iterations and covariance."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Centre:
     scan: str
     """Name of the scan."""
     position: Floats
-    """Center in the axes of the instrument, shape (3,) [m]."""
+    """Center in instrument axes, shape (3,) [m]."""
     covariance: Floats
-    """Covariance by its noise, shape (3, 3) [m^2]."""
+    """Covariance of the center by noise of its pixels, shape (3, 3) [m^2]."""
     shared: dict[str, Floats]
-    """Shift by one standard deviation of each shared error, shape (3,) [m]."""
+    """Displacement by one standard deviation of each shared error, shape (3,) [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,12 +40,12 @@ class KnownPose:
     pose: ScanPose
     """Start pose."""
     covariance: Floats
-    """Covariance of shift and turn, shape (6, 6)."""
+    """Covariance of translation and rotation, shape (6, 6)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class KnownPoint:
-    """Control point."""
+    """Control point: known position of a target."""
 
     position: Floats
     """Position in the site, shape (3,) [m]."""
@@ -55,14 +55,14 @@ class KnownPoint:
 
 @dataclass(frozen=True, kw_only=True)
 class KnownDistance:
-    """A scale bar."""
+    """Scale bar: known distance between two targets."""
 
     ends: tuple[str, str]
-    """Names of two targets."""
+    """Names of the two targets."""
     length: float
-    """Their distance [m]."""
+    """Distance between the targets [m]."""
     sigma: float
-    """Its standard uncertainty [m]."""
+    """Standard uncertainty of the distance [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,29 +72,30 @@ class Ties:
     start: Mapping[str, KnownPose]
     """Start poses by scan."""
     centres: Sequence[Centre] = ()
-    """Targets in scans."""
+    """Measured centers of targets."""
     control: Mapping[str, KnownPoint] = field(default_factory=dict)
     """Control points by target."""
     bars: Sequence[KnownDistance] = ()
-    """Known distances."""
+    """Scale bars between targets."""
     fixed: str | None = None
-    """Scan whose axes are those of the site, if nothing ties it to the world."""
+    """Scan whose axes define those of the site; None if start poses or control
+    points do."""
 
 
 @dataclass
 class State:
-    """Current estimates."""
+    """Current estimates of all unknowns of the adjustment."""
 
     poses: dict[str, ScanPose]
     """Poses by scan."""
     points: dict[str, Floats]
-    """Positions by target, in the site [m]."""
+    """Positions of targets in the site's frame, by name [m]."""
     errors: dict[str, float]
-    """Shared errors by key, in standard deviations [1]."""
+    """Shared errors by key, in units of their standard deviation [1]."""
 
 
 class Layout:
-    """Places of the unknowns in the vector of all."""
+    """Positions of the unknowns in the vector of the adjustment."""
 
     def __init__(self, state: State, fixed: str | None) -> None:
         self.at: dict[tuple[str, str], slice] = {}
@@ -111,7 +112,7 @@ class Layout:
         self.size = size
 
     def columns(self, kind: str, names: Sequence[str], width: int) -> Numbers:
-        """Return the places of some unknowns, -1 for what is fixed."""
+        """Return the positions of some unknowns in the vector, -1 for fixed ones."""
         places = [
             np.arange(self.at[kind, name].start, self.at[kind, name].stop)
             if (kind, name) in self.at
@@ -122,7 +123,7 @@ class Layout:
 
 
 class System:
-    """Normal equations, summed over observations."""
+    """Normal equations of the adjustment, summed over observations."""
 
     def __init__(self, size: int) -> None:
         self.matrix = np.zeros((size, size))
@@ -131,34 +132,34 @@ class System:
         self.scatter = np.zeros((size, size))
 
     def add(self, at: Numbers, matrix: Floats, gradient: Floats) -> None:
-        """Add a matrix and a gradient of some unknowns; -1 stands for a fixed one."""
+        """Add the matrix and gradient of an observation; -1 marks fixed unknowns."""
         free = at >= 0
         at = at[free]
         self.matrix[np.ix_(at, at)] += matrix[np.ix_(free, free)]
         np.add.at(self.gradient, at, gradient[free])
 
     def add_prior(self, at: Numbers, matrix: Floats, gradient: Floats) -> None:
-        """Add an observation whose information is the variance of its gradient."""
+        """Add an observation with its own noise, as information and as variance."""
         self.add(at, matrix, gradient)
         free = at >= 0
         self.scatter[np.ix_(at[free], at[free])] += matrix[np.ix_(free, free)]
 
     def project(self, projection: Floats) -> None:
-        """Remove the free directions from what was added so far."""
+        """Remove the free directions from the equations added so far."""
         self.matrix = projection.T @ self.matrix @ projection
         self.gradient = projection.T @ self.gradient
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """Result of a Gauss-Newton step."""
+    """Result of a Gauss-Newton iteration."""
 
     state: State
-    """Estimates after the step."""
+    """Estimates after the iteration."""
     score: float
-    """Chi-square of the whole step by its information matrix [1]."""
+    """Chi-square of the full step with respect to the information matrix [1]."""
     free: int
-    """Number of directions that the surfaces leave free [1]."""
+    """Number of directions that the surfaces do not constrain [1]."""
 
 
 def step(
@@ -171,7 +172,7 @@ def step(
     free: int = 0,
     part: float = 1.0,
 ) -> Step:
-    """Take a part of one step; at least `free` directions count as free."""
+    """Take a fraction of a Gauss-Newton step, with at least `free` free directions."""
     layout = Layout(state, ties.fixed)
     projection, free = projector(state, pairs, trust, layout, free)
     system = system_of(state, pairs, ties, trust, layout, projection, steady=steady)
@@ -203,7 +204,7 @@ def covariance(
     *,
     free: int = 0,
 ) -> tuple[Floats, Layout]:
-    r"""Return the covariance of all estimates.
+    r"""Return the covariance of all estimates of the adjustment.
 
     :math:`A^{-1} B A^{-T}` with the derivative A of the gradient and its variance B.
     The noise of each pixel is followed into the gradient, through every point, patch
@@ -231,7 +232,7 @@ def system_of(
     *,
     steady: bool = False,
 ) -> System:
-    """Return the normal equations of surfaces, start poses, targets and bars."""
+    """Return the normal equations of surfaces, start poses, targets and scale bars."""
     system = System(layout.size)
     for pair, weight in zip(pairs, trust, strict=True):
         at, spread = pair_unknowns(pair, state, layout)
@@ -266,7 +267,7 @@ def system_of(
 
 
 def pair_unknowns(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
-    """Return the unknowns of a pair, and the derivatives of its numbers by them."""
+    """Return the positions of a pair's unknowns, and its derivatives by them."""
     poses = [state.poses[name] for name in (pair.source, pair.target)]
     relative = np.zeros((6, 12))
     for number, (pose, sign) in enumerate(zip(poses, (1.0, -1.0), strict=True)):
@@ -293,7 +294,7 @@ def projector(
     layout: Layout,
     least: int,
 ) -> tuple[Floats, int]:
-    """Return the projector onto the directions that the surfaces of a site constrain.
+    """Return the projector onto the directions that the surfaces constrain.
 
     Directions of all poses at once: a direction that one pair leaves free may be
     constrained by another one, and pairs must not disagree about a free one.
@@ -328,7 +329,7 @@ def projector(
 
 
 def _add_centre(system: System, centre: Centre, state: State, layout: Layout) -> None:
-    """Add the center of a target in one scan."""
+    """Add the observed center of a target to the normal equations."""
     off, row, at = centre_derivatives(centre, state, layout)
     rotation = state.poses[centre.scan].rotation
     weight = np.linalg.inv(rotation @ centre.covariance @ rotation.T)
@@ -338,7 +339,7 @@ def _add_centre(system: System, centre: Centre, state: State, layout: Layout) ->
 def centre_derivatives(
     centre: Centre, state: State, layout: Layout
 ) -> tuple[Floats, Floats, Numbers]:
-    """Return the residual of a target in a scan, its derivatives and their places."""
+    """Return the residual of a target's center, its derivatives and their positions."""
     pose = state.poses[centre.scan]
     arm = pose.turn(centre.position)
     shifts = [pose.turn(shift) for shift in centre.shared.values()]
@@ -371,7 +372,7 @@ def _noise_variance(
     trust: Sequence[float],
     layout: Layout,
 ) -> Floats:
-    """Return the variance of the gradient by the noise of the pixels of one scan."""
+    """Return the covariance of the gradient by pixel noise of one scan."""
     parts: list[tuple[Pair, float]] = [
         (pair, weight)
         for pair, weight in zip(pairs, trust, strict=True)
@@ -407,7 +408,7 @@ def _noise_variance(
 def innovation(
     pair: Pair, state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Floats, Floats]:
-    """Return the motion of the source that a pair alone causes, with covariance."""
+    """Return the motion of the source that a pair alone would cause, and covariance."""
     x, z = (rows[:, :6] @ pair.held for rows in (pair.by_target, pair.by_source))
     weighted = z * pair.weight[:, None]
     back = np.linalg.pinv(weighted.T @ x, rcond=1e-10)

@@ -1,4 +1,4 @@
-"""Two scans of one surface: distances of the points of one from the patches of another.
+"""Comparison of two scans: distances of points of one from patches of the other.
 
 Normals are noisy, and noise in both factors of a sum of squares adds up: a flat sea
 bed would look as if it held a scan sideways, and a site would shrink, since a smaller
@@ -40,43 +40,47 @@ class Pair:
     target: str
     """Scan whose patches they are compared with."""
     keys: tuple[str, ...]
-    """Keys of the shared errors of both."""
+    """Keys of the shared errors of both scans."""
     pivot: Floats
-    """Middle of the points in the site, shape (3,) [m]."""
+    """Center of the points in the site's frame, shape (3,) [m]."""
     place: Floats
-    """The points in the site, shape (n, 3) [m]."""
+    """Points in the site's frame, shape (n, 3) [m]."""
     distance: Floats
-    """Distances along the beams of the target, shape (n,) [m]."""
+    """Distances of points from patches along the target's beams, shape (n,) [m]."""
     weight: Floats
-    """One over the variance, 0 where left out, shape (n,) [1/m^2]."""
+    """Inverse variance of the distance, 0 for discarded points, shape (n,) [1/m^2]."""
     by_target: Floats
-    """Derivatives of the distance, with the normals of the target: by a shift of the
-    source at the pivot, a turn about it, and the shared errors, shape (n, 6 + k)."""
+    """Derivatives of the distance, computed with the target's normals: by translation
+    of the source at the pivot, rotation about it, and shared errors, shape (n, 6 +
+    k)."""
     by_source: Floats
-    """Derivatives with the normals of the source."""
+    """Derivatives of the distance, computed with the source's normals, shape (n, 6 +
+    k)."""
     along: Floats
-    """Derivative of the distance by the range of the source's pixel, shape (n,)."""
+    """Derivative of the distance by the slant range of the source's pixel, shape
+    (n,)."""
     source_pixel: Numbers
     """Numbers of the source's pixels, shape (n,)."""
     target_pixel: Numbers
     """Numbers of the target's pixels, shape (n,)."""
     window: sparse.csr_matrix
-    """Derivative by the ranges of the target's pixels, shape (n, pixels), negative."""
+    """Derivatives of the distance by the ranges of the target's pixels, negative, shape
+    (n, pixels)."""
     misfit: float
-    """Scatter of the distances over what is stated; at least 1 [1]."""
+    """Scatter of the distances over their stated noise; at least 1 [1]."""
     held: Floats
-    """Projector onto the directions that the surfaces constrain, shape (6, 6)."""
+    """Projector onto the motions that the surfaces constrain, shape (6, 6)."""
     loose: tuple[Floats, ...]
-    """Free directions (shift [m], turn [rad])."""
+    """Motions (translation [m], rotation [rad]) that the surfaces do not constrain."""
     unsure: float
-    """Scatter by noise of normals of sums of products of derivatives, with turns
-    scaled by the mean distance from the pivot [1/m^2]."""
+    """Scatter of the normal matrix by noise of surface normals, with rotations scaled
+    by the mean distance from the pivot [1/m^2]."""
     moved: Numbers
-    """Pixels of the source on another object or a moved one."""
+    """Pixels of the source on another or a moved object."""
 
     @property
     def mean_square(self) -> Floats:
-        """Mean square of the shifts of the points by a motion, shape (6, 6)."""
+        """Mean square displacement of points as a quadratic form, shape (6, 6)."""
         lever = self.place - self.pivot
         rows = np.zeros((len(lever), 3, 6))
         rows[..., :3], rows[..., 3:] = np.eye(3), -cross_matrix(lever)
@@ -86,7 +90,7 @@ class Pair:
 
     @property
     def used(self) -> int:
-        """Number of points with a weight."""
+        """Number of points with nonzero weight."""
         return int((self.weight > 0).sum())
 
 
@@ -100,7 +104,7 @@ def compared(
     tree: cKDTree | None = None,
     among: Numbers | None = None,
 ) -> Pair | None:
-    r"""Compare the points of one scan with the patches of another.
+    r"""Compare the points of one scan with the surface patches of another.
 
     A point p of the source lies on a beam of the target, between its pixels; there the
     patch has the range :math:`\hat\rho`, and the distance is :math:`e = \rho_p -
@@ -227,7 +231,7 @@ def tree_of(surface: ScanSurface) -> cKDTree:
 
 
 def _chosen(source: ScanSurface) -> Numbers:
-    """Return smooth pixels, evenly thinned if there are many."""
+    """Return the smooth pixels of a scan, evenly thinned if they are many."""
     row, column = np.nonzero(source.smooth)
     step = int(np.ceil(np.sqrt(len(row) / MOST_POINTS)))
     if step > 1:
@@ -238,7 +242,7 @@ def _chosen(source: ScanSurface) -> Numbers:
 
 @dataclass(frozen=True)
 class OnGrid:
-    """Points on the grid of a scan."""
+    """Points in the pixel coordinates of a scan."""
 
     pixel: Numbers
     off: Floats
@@ -247,7 +251,7 @@ class OnGrid:
     inside: NDArray[np.bool_]
 
     def of(self, selected: NDArray[np.bool_]) -> OnGrid:
-        """Return some of them."""
+        """Return selected points."""
         return OnGrid(
             self.pixel[selected],
             self.off[selected],
@@ -258,7 +262,7 @@ class OnGrid:
 
 
 def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
-    """Return pixels, offsets and distances of points on the grid of a scan."""
+    """Return pixel, offset from it and distance from the patch of each point."""
     shape = target.smooth.shape
     origin, direction = target.origin.reshape(-1, 3), target.direction.reshape(-1, 3)
     slopes = target.steps.reshape(2, 2, -1, 3)
@@ -294,13 +298,13 @@ def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
 
 
 def _terms(target: ScanSurface, off: Floats) -> Floats:
-    """Return the terms of a patch between pixels, shape (term, n)."""
+    """Return the polynomial terms of patches at pixel offsets, shape (term, n)."""
     row, column = off.T
     return np.array([row**i * column**j for i, j in target.powers])
 
 
 def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
-    """Return the derivatives of the range of a patch by those of its pixels."""
+    """Return the derivatives of a patch's range by the ranges of its pixels."""
     size = target.kernels.shape[1]
     half = size // 2
     shape = target.smooth.shape
@@ -338,7 +342,7 @@ def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
 
 
 def _tilt(target: ScanSurface, at: OnGrid, normal: Floats) -> Floats:
-    """Return the squares of derivatives by the noise of normals."""
+    """Return the squared noise of the derivatives from noise of surface normals."""
     # Of the slope of a patch, per pixel across it, as an angle of the surface.
     angle = target.slope * target.own.ravel()[at.pixel] / target.spacing
     along = np.abs(_dot(normal, at.direction))

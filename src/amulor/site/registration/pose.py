@@ -1,4 +1,4 @@
-"""Pose of a scan: rotation, position, and small changes of them."""
+"""Pose of a scan: rotation, position, and small changes."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScanPose:
-    """Transformation from the axes of an instrument to those of the site."""
+    """Transformation from the axes of an instrument to the frame of the site."""
 
     rotation: Floats
-    """From right, down, forward to east, north, up, shape (3, 3) [1]."""
+    """Rotation from right, down, forward to east, north, up, shape (3, 3) [1]."""
     position: Floats
-    """Origin of the instrument's axes, shape (3,) [m]."""
+    """Origin of the instrument's axes in the site, shape (3,) [m]."""
 
     def place(self, points: ArrayLike) -> Floats:
-        """Return points of the instrument's axes in the site, shape (..., 3) [m]."""
+        """Transform points from instrument axes to the site, shape (..., 3) [m]."""
         return np.asarray(points, dtype=float) @ self.rotation.T + self.position
 
     def back(self, points: ArrayLike) -> Floats:
-        """Return points of the site in the instrument's axes, shape (..., 3) [m]."""
+        """Transform points from the site to instrument axes, shape (..., 3) [m]."""
         away = np.asarray(points, dtype=float) - self.position
         return np.asarray(away @ self.rotation)
 
     def turn(self, directions: ArrayLike) -> Floats:
-        """Return directions of the instrument's axes in the site, (..., 3) [1]."""
+        """Rotate directions from instrument axes to the site, shape (..., 3) [1]."""
         return np.asarray(np.asarray(directions, dtype=float) @ self.rotation.T)
 
     def changed(self, step: Floats) -> ScanPose:
-        """Return the pose after a shift [m] and a turn [rad] in the axes of the site.
+        """Return the pose after a translation [m] and rotation [rad] in site axes.
 
         The six numbers are east, north, up of either; the turn is about `position`.
         """
@@ -48,26 +48,26 @@ class ScanPose:
 
     @property
     def matrix(self) -> Floats:
-        """The transformation of homogeneous coordinates, shape (4, 4)."""
+        """Transformation of homogeneous coordinates, shape (4, 4)."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position
         return matrix
 
 
 def departure(pose: ScanPose, start: ScanPose) -> Floats:
-    """Return shift [m] and turn [rad] from a start pose, east, north, up of either."""
+    """Return translation [m] and rotation [rad] from a start pose, in site axes."""
     turn = Rotation.from_matrix(pose.rotation @ start.rotation.T).as_rotvec()
     return np.concatenate([pose.position - start.position, turn])
 
 
 def start_pose(start: StartPose) -> ScanPose:
-    """Return a stated start pose."""
+    """Return the pose that a site file states as a start pose."""
     frame = frame_of(xr.Dataset(), axes="pose", pose=start.as_pose())
     return ScanPose(frame.rotation, frame.position)
 
 
 def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
-    """Return the covariance of a stated start pose."""
+    """Return the covariance of a start pose from its stated uncertainties."""
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = start.position_uncertainty**2 * np.eye(3)
     heading = np.array([0.0, 0.0, 1.0])
@@ -81,7 +81,7 @@ def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
 
 
 def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
-    """Return the pose that takes points nearest to others, by least squares [m]."""
+    """Return the pose that maps points onto others with the least squared distance."""
     middle, other_middle = from_points.mean(axis=0), to_points.mean(axis=0)
     turn, _ = Rotation.align_vectors(to_points - other_middle, from_points - middle)
     rotation = turn.as_matrix()
@@ -89,7 +89,7 @@ def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
 
 
 def cross_matrix(vectors: Floats) -> Floats:
-    """Return the matrices that take the cross product with vectors from the left."""
+    """Return the matrices of the cross product with vectors on the left."""
     zero = np.zeros(vectors.shape[:-1])
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.stack(
@@ -117,7 +117,7 @@ def aligned(
     voxel: float,
     reach: float,
 ) -> ScanPose:
-    """Return a pose that brings points onto others.
+    """Return a pose that aligns points with others, from a start pose.
 
     Planes to planes, from coarse voxels to fine ones. Its sum of squares
     is no information matrix (errors 40 to 85 times too small), so that nothing but the

@@ -1,4 +1,4 @@
-"""Registration of a site: files in, poses with their covariance out."""
+"""Registration of a site: from range images to poses with covariance."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def surface_of(site: Site, scan: SiteScan, image: xr.Dataset) -> ScanSurface:
 
 
 def _water_in(image: xr.Dataset) -> str:
-    """Return a key of the water of an image, a digest of its survey's water section."""
+    """Return a key for an image's water: the digest of its survey's water section."""
     attributes = image.attrs
     text = str(attributes.get("survey", ""))
     at = text.find("[water]")
@@ -99,7 +99,7 @@ def register(
     surfaces: Mapping[str, ScanSurface] | None = None,
     images: Mapping[str, xr.Dataset] | None = None,
 ) -> Registration:
-    """Bring all scans of a site into one frame."""
+    """Register all scans of a site in one frame."""
     if surfaces is None or images is None:
         with part(0.0, 0.3):
             surfaces, images = surfaces_of(site)
@@ -145,7 +145,7 @@ def register(
 def _centres(
     site: Site, surfaces: Mapping[str, ScanSurface], images: Mapping[str, xr.Dataset]
 ) -> tuple[tuple[Centre, ...], dict[str, ScanSurface]]:
-    """Return targets in scans, and the scans without the pixels of targets."""
+    """Return the target centers in scans, and the scans without pixels of targets."""
     centres = []
     remaining = dict(surfaces)
     for target in site.target:
@@ -174,7 +174,7 @@ def _guessed(
     control: Mapping[str, KnownPoint],
     fixed: str | None,
 ) -> dict[str, ScanPose]:
-    """Return poses from targets for scans without a start pose."""
+    """Return poses, from targets, of scans without a start pose."""
     places = {name: item.position for name, item in control.items()}
     poses = {name: item.pose for name, item in start.items()}
     if fixed is not None:
@@ -261,7 +261,7 @@ def _result(
 
 
 def _contradictions(alignment: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
-    """Return contradicted starts, shared errors, ties and patterns, worst first."""
+    """Return contradicted poses, shared errors, ties and patterns, worst first."""
     contradicting = []
     for name, start in ties.start.items():
         pose = alignment.state.poses.get(name)
@@ -317,7 +317,7 @@ def _contradictions(alignment: Alignment, ties: Ties) -> tuple[Contradiction, ..
 
 
 def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:
-    """Yield a line for each visit and group of scans without a tie to the others."""
+    """Yield a line for each visit or group of scans without a tie to others."""
     visit = {scan.name: scan.epoch for scan in site.scan}
     tied = [(pair.source, pair.target) for pair in alignment.pairs]
     tied += [
@@ -345,7 +345,7 @@ def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:
 
 
 def _groups(names: list[str], tied: list[tuple[str, str]]) -> list[list[str]]:
-    """Return the groups of scans that ties connect, the largest first."""
+    """Return the connected groups of scans, the largest first."""
     number = {name: at for at, name in enumerate(names)}
     for _ in names:
         for pair in tied:
@@ -361,7 +361,7 @@ def _groups(names: list[str], tied: list[tuple[str, str]]) -> list[list[str]]:
 def _weak_directions(
     result: Registration, ties: Ties, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Weakness, ...]:
-    """Return directions of poses that only the start poses constrain.
+    """Return the directions of poses that only the start poses constrain.
 
     A start pose that is good to a part of a pixel, as of a surveyed station, is enough.
 
@@ -413,6 +413,6 @@ def _weak_directions(
 
 
 def _relative_to_prior(covariance: Floats, prior: Floats) -> Floats:
-    """Return a covariance in units of the prior one."""
+    """Return a covariance normalized by the prior covariance."""
     inverse = np.linalg.inv(np.linalg.cholesky(prior))
     return np.asarray(inverse @ covariance @ inverse.T)

@@ -32,28 +32,30 @@ _TURNS = ("about east", "about north", "about up")
 
 @dataclass(frozen=True, kw_only=True)
 class Reliability:
-    """Reliability of one number that was stated or measured."""
+    """Reliability of one coordinate or angle of an observation (W. Baarda)."""
 
     observation: str
-    """Kind and name, such as "start a2", "control S1" or "bar S1 S2"."""
+    """Kind and name of the observation, such as "start a2", "control S1" or "bar S1
+    S2"."""
     part: str
-    """Coordinate, or axis of the angle."""
+    """Name of the coordinate, or axis of the rotation."""
     residual: float
-    """Adjusted less stated value [m, rad, 1]."""
+    """Adjusted minus stated value [m, rad, 1]."""
     uncertainty: float
     """Stated standard uncertainty [m, rad, 1]."""
     redundancy: float
-    """Part of an error that shows in the residual, 0 to 1 [1]."""
+    """Fraction of an error that appears in the residual, 0 to 1 [1]."""
     score: float
-    """Standardized residual w; 0 where nothing checks the number [1]."""
+    """Standardized residual w; 0 if no other observation checks the value [1]."""
     detectable: float | None
-    """Minimal detectable error, None where nothing checks the number [m, rad, 1]."""
+    """Minimal detectable error; None if no other observation checks the value [m, rad,
+    1]."""
 
 
 def reliabilities(
     state: State, covariance: Floats, layout: Layout, ties: Ties
 ) -> tuple[Reliability, ...]:
-    """Return the reliability of all numbers that tie scans, but of their surfaces."""
+    """Return the reliability of start poses, targets, control points and scale bars."""
     lines: list[Reliability] = []
     for name, parts, residual, prior, columns, rows in _observations(
         state, layout, ties
@@ -84,7 +86,7 @@ def reliabilities(
 def _observations(
     state: State, layout: Layout, ties: Ties
 ) -> Iterator[tuple[str, tuple[str, ...], Floats, Floats, NDArray[np.intp], Floats]]:
-    """Yield name, parts, residual, covariance, unknowns and derivatives of each."""
+    """Yield each observation: name, parts, residual, covariance and derivatives."""
     for name, start in ties.start.items():
         residual = departure(state.poses[name], start.pose)
         columns = layout.columns("pose", [name], 6)

@@ -1,4 +1,4 @@
-"""Registration of a site: poses with their covariance, and its file."""
+"""Result of a registration: poses with their covariance, and the JSON file."""
 
 from __future__ import annotations
 
@@ -25,19 +25,20 @@ KIND = "amulor site registration 1"
 
 @dataclass(frozen=True, kw_only=True)
 class Weakness:
-    """Direction of a pose that only the start pose constrains."""
+    """Direction of a pose that nothing but its start pose constrains."""
 
     scan: str
     """Name of the scan."""
     shift: tuple[float, float, float]
-    """East, north, up of the direction, for one standard deviation [m]."""
+    """Translation (east, north, up) along the direction, for one standard deviation
+    [m]."""
     turn: tuple[float, float, float]
-    """Turn about these axes [rad]."""
+    """Rotation about the axes east, north, up [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """Stated value that the scans contradict."""
+    """Stated value that the scans contradict, with the size of the contradiction."""
 
     scan: str
     """Name of the scan; empty for an error that several share."""
@@ -45,16 +46,18 @@ class Contradiction:
     """Key of the shared error, of a pattern of a scan, or of a control point or scale
     bar; empty for a start pose."""
     shift: float
-    """Distance of the pose from its start pose, or size of a pattern [m]."""
+    """Distance of the adjusted position from the start pose, or size of a pattern
+    [m]."""
     turn: float
-    """Angle from it [rad]."""
+    """Angle of the adjusted attitude from the start pose [rad]."""
     stated_shift: float
-    """Stated uncertainty of the start's position, of all three axes together; standard
-    uncertainty of a pattern's size [m]."""
+    """Stated uncertainty of the start position, root sum of squares of three axes; of a
+    pattern, the standard uncertainty of its size [m]."""
     stated_turn: float
-    """Stated uncertainty of its attitude, of all three axes together [rad]."""
+    """Stated uncertainty of the start attitude, root sum of squares of three axes
+    [rad]."""
     score: float
-    """Chi-square against what is stated, over its degrees of freedom [1]."""
+    """Chi-square against the stated uncertainty, over its degrees of freedom [1]."""
 
     @property
     def sentence(self) -> str:
@@ -93,44 +96,45 @@ class Contradiction:
 
 @dataclass(frozen=True, kw_only=True)
 class Registration:
-    """Poses of all scans of a site."""
+    """Registration of a site: poses of all scans with their covariance."""
 
     site: str
     """Name of the site."""
     poses: dict[str, ScanPose]
     """Poses by scan."""
     points: dict[str, Floats]
-    """Targets in the site, by name [m]."""
+    """Positions of targets in the site, by name [m]."""
     errors: dict[str, float]
-    """Shared errors as they are estimated, in standard deviations [1]."""
+    """Estimated shared errors by key, in units of their standard deviation [1]."""
     places: dict[str, tuple[int, int]]
-    """First and last place, exclusive, of each unknown in the covariance, by "pose
-    NAME", "point NAME" and "error KEY"."""
+    """First and last index, the last excluded, of each unknown in the covariance, by
+    "pose NAME", "point NAME" and "error KEY"."""
     covariance: Floats
-    """Covariance of all unknowns."""
+    """Joint covariance of all unknowns."""
     pairs: tuple[dict[str, Any], ...]
-    """Compared scans with the figures of their comparison."""
+    """Compared pairs of scans, with the statistics of each comparison."""
     disagreements: tuple[dict[str, Any], ...]
-    """Pairs of scans that all others contradict."""
+    """Pairs of scans that contradict all other observations."""
     weaknesses: tuple[Weakness, ...]
-    """Directions that only start poses constrain."""
+    """Directions of poses that only the start poses constrain."""
     contradictions: tuple[Contradiction, ...]
-    """Start poses and shared errors that the result contradicts; with any, the poses
-    are not good."""
+    """Contradicted start poses, shared errors, ties and patterns; if there are any, the
+    poses are not valid."""
     remarks: tuple[str, ...]
-    """Visits and scans that meet no other."""
+    """Visits and scans that nothing connects to the others."""
     settled: bool
-    """Whether the last step was small."""
+    """Whether the fit converged: its last step was small."""
     fixed: str = ""
-    """Scan whose axes are those of the site, where nothing ties it to the world."""
+    """Scan whose axes define those of the site, if neither start poses nor
+    control points do."""
     patterns: tuple[PatternTest, ...] = ()
-    """Tests of errors of each scan over rows, columns, range and angle."""
+    """Tests for systematic errors of each scan over rows, columns, range and angle."""
     reliability: tuple[Reliability, ...] = ()
     """Redundancy and minimal detectable error of start poses, targets, control points
     and scale bars."""
 
     def covariance_of(self, *names: str) -> Floats:
-        """Return the covariance of some unknowns, as named in `places`."""
+        """Return the joint covariance of some unknowns, named as in `places`."""
         width = {"pose": 6, "point": 3, "error": 1}
         at = np.concatenate(
             [
@@ -147,7 +151,7 @@ class Registration:
 
 
 def relative_covariance(result: Registration, name: str, reference: str) -> Floats:
-    """Return the covariance of a pose against that of another scan."""
+    """Return the covariance of a pose relative to that of another scan."""
     both = result.covariance_of(f"pose {name}", f"pose {reference}")
     arm = result.poses[name].position - result.poses[reference].position
     carried = np.eye(6)
@@ -157,7 +161,7 @@ def relative_covariance(result: Registration, name: str, reference: str) -> Floa
 
 
 def plan_ellipse(covariance: Floats) -> dict[str, float]:
-    """Return the standard ellipse of a position in plan: half axes and azimuth.
+    """Return the standard error ellipse of a position in plan: semi-axes and azimuth.
 
     The azimuth is that of the long axis, clockwise from north.
     """
@@ -173,7 +177,7 @@ def plan_ellipse(covariance: Floats) -> dict[str, float]:
 def write_registration(
     result: Registration, path: str | Path, *, overwrite: bool = False
 ) -> None:
-    """Write a registration as JSON."""
+    """Write the result of a registration as JSON."""
     content = {
         "kind": KIND,
         "software": f"amulor {provenance.software_versions()['amulor']}",
@@ -214,7 +218,7 @@ def write_registration(
 
 
 def read_registration(path: str | Path) -> Registration:
-    """Read the registration of a site."""
+    """Read the result of a registration from JSON."""
     try:
         content = json.loads(Path(path).read_text("utf-8"))
     except OSError as error:
@@ -242,7 +246,7 @@ def read_registration(path: str | Path) -> Registration:
 
 
 def _digest_of(content: dict[str, Any]) -> str:
-    """Return the digest of the content of a file, independent of order and spaces."""
+    """Return a digest of a file's content, independent of order and white space."""
     return provenance.digest(json.dumps(content, sort_keys=True).encode())
 
 

@@ -1,4 +1,4 @@
-"""Test of start poses: swapped axes, radians called degrees, heights."""
+"""Test of start poses for swapped axes, degrees taken for radians, and heights."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _CELL, _CELLS = 0.25, 6
 
 @dataclass(frozen=True, kw_only=True)
 class StartFindings:
-    """Findings about the start poses of a site."""
+    """Errors and notes from the test of a site's start poses."""
 
     mistakes: tuple[str, ...]
-    """Start poses that another convention explains better."""
+    """Start poses under which another convention gives a larger overlap."""
     remarks: tuple[str, ...]
-    """Visits and scans that meet no other."""
+    """Visits and scans that do not overlap with any other."""
 
 
 def _swapped_up(start: StartPose) -> dict[str, object]:
@@ -93,7 +93,7 @@ _READINGS: tuple[tuple[str, Callable[[StartPose], dict[str, object]]], ...] = (
 
 
 def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
-    """Compare the overlap of scans by start poses in several conventions."""
+    """Test whether scans overlap better if start poses follow another convention."""
     starts = {
         scan.name: scan.start
         for scan in site.scan
@@ -174,13 +174,13 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
 def _placed(
     start: StartPose, cloud: Floats, changed: Mapping[str, object] | None = None
 ) -> cKDTree:
-    """Return the search tree of points placed by a start pose."""
+    """Return a search tree of a scan's points, transformed by its start pose."""
     pose = start_pose(start.model_copy(update=dict(changed or {})))
     return cKDTree(pose.place(cloud))
 
 
 def _gate(start: StartPose, cloud: Floats) -> float:
-    """Return the largest error of points by the stated error of a start pose [m]."""
+    """Return the largest displacement of points by the start pose's uncertainty [m]."""
     away = float(np.median(np.linalg.norm(cloud, axis=1)))
     turn = max(start.heading_uncertainty, start.level_uncertainty)
     size = 3 * math.hypot(start.position_uncertainty, away * turn)
@@ -216,7 +216,7 @@ def _share(
     placed: Mapping[str, cKDTree],
     gates: Mapping[str, float],
 ) -> float:
-    """Return the part of the points of a scan near points of others [1]."""
+    """Return the fraction of a scan's points that lie near points of others [1]."""
     points = placed[name].data
     met = np.zeros(len(points), dtype=bool)
     for peer in others:
@@ -229,7 +229,7 @@ def _share(
 def _height_in_words(
     scans: list[str], others: list[str], placed: Mapping[str, cKDTree]
 ) -> str:
-    """Return the height of scans above others in common cells of the plan, in words."""
+    """Return the height of scans above others in common cells of the plan, as text."""
     heights = []
     for names in (scans, others):
         points = np.concatenate([placed[name].data for name in names])

@@ -1,4 +1,4 @@
-"""Surface of a scan: patches, normals, and the errors that its pixels share."""
+"""Surface of a scan: smooth patches, normals, and errors shared by pixels."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ _POWER = {"delay": 0.0, "geometry": 0.0, "group_index": 1.0, "late_echo": 2.0}
 
 @dataclass(frozen=True, kw_only=True)
 class Shared:
-    """Errors of slant ranges that pixels share: each shape times a normal number."""
+    """Errors of slant ranges that pixels share: shapes times random factors."""
 
     keys: tuple[str, ...]
-    """Name of the factor of each shape; scans with one key share the factor."""
+    """Name of each shape's factor; scans with an equal key share the factor."""
     shapes: Floats
     """Effect of one standard deviation on each range, shape (k, row, column); 0 where
     there is no range [m]."""
     growth: Floats
-    """Derivatives of the shapes by the range of their pixel [1]."""
+    """Derivatives of the shapes by the slant range of their pixel [1]."""
 
 
 def shared_errors(
     image: xr.Dataset, *, scan: str, instrument: str, water: str, drift: float = 0.0
 ) -> Shared:
-    r"""Return the errors that the pixels of a scan share.
+    r"""Return the errors of slant ranges that the pixels of a scan share.
 
     A cosine of the difference of two phases is :math:`\cos a \cos b + \sin a \sin b`,
     so the correlations of reference and water are sums of products of shapes: those of
@@ -101,7 +101,7 @@ def _filled(values: Floats, measured: NDArray[np.bool_]) -> Floats:
 
 
 def _turns(image: xr.Dataset, distance: Floats) -> list[tuple[Floats, Floats]]:
-    """Return the two parts of the phase at each frequency, and their slopes [1, 1/m].
+    """Return cosine and sine of the phase at each frequency, and their slopes [1, 1/m].
 
     The squares of the parts add up to 1.
     """
@@ -120,7 +120,7 @@ def _turns(image: xr.Dataset, distance: Floats) -> list[tuple[Floats, Floats]]:
 
 
 def _basis(image: xr.Dataset) -> list[Floats]:
-    """Return the parts of the reference's polynomial, whose squares add up to 1."""
+    """Return parts of the open-water reference's polynomial, squares of sum 1."""
     shape = image["slant_range"].shape
     if "open_water_degree" not in image.attrs:
         return [np.ones(shape)]
@@ -141,7 +141,7 @@ def _basis(image: xr.Dataset) -> list[Floats]:
 def _principal(
     shapes: list[tuple[Floats, Floats]],
 ) -> list[tuple[Floats, Floats]]:
-    """Return the principal axes of shapes, strongest first, with their slopes."""
+    """Return the principal components of shapes, strongest first, with their slopes."""
     if not shapes:
         return []
     flat, slopes = (
@@ -170,51 +170,53 @@ _FEWEST = 50
 
 @dataclass(frozen=True, kw_only=True)
 class ScanSurface:
-    """A scan in its own axes (right, down, forward), on its grid of pixels."""
+    """Surface of a scan in instrument axes (right, down, forward), pixel by pixel."""
 
     name: str
     """Name of the scan."""
     usable: Flags
-    """Pixels with a good range, shape (row, column)."""
+    """Mask of pixels with a good range, shape (row, column)."""
     smooth: Flags
-    """Pixels whose whole window lies on one smooth surface."""
+    """Mask of pixels whose whole window lies on one smooth surface."""
     origin: Floats
-    """Origins of slant ranges, shape (row, column, 3) [m]."""
+    """Origins of the beams, shape (row, column, 3) [m]."""
     direction: Floats
-    """Directions of beams, shape (row, column, 3) [1]."""
+    """Directions of the beams, shape (row, column, 3) [1]."""
     steps: Floats
     """Differences of origin and direction by a row and by a column, shape (2, 2, row,
     column, 3) [m, 1]."""
     distance: Floats
-    """Slant range, not a number where there is none [m]."""
+    """Slant ranges, NaN where there is none [m]."""
     own: Floats
-    """Standard uncertainty independent of other pixels [m]."""
+    """Standard uncertainty of the range that is independent of other pixels [m]."""
     shared: Shared
-    """Errors that pixels share."""
+    """Errors of the range that pixels share."""
     patch: Floats
-    """Polynomial of inverse range in each window, shape (term, row, column), of the
-    terms of `powers` [1/m]."""
+    """Polynomial of inverse range in the window of each pixel, with the terms of
+    `powers`, shape (term, row, column) [1/m]."""
     powers: Numbers
     """Powers of row and column in each term of a patch, shape (term, 2) [1]."""
     apart: Floats
-    """Place of a pixel by its neighbors in the window, shape (row, column, 3) [m]."""
+    """Position of a pixel from its neighbors in the window, shape (row, column, 3)
+    [m]."""
     kernels: Floats
-    """Weights of the fit of patches, shape (term, window, window) [1]."""
+    """Weights of the least-squares fit of patches, shape (term, window, window) [1]."""
     slope: float
-    """Noise of a slope that makes the normals, over that of a pixel [1]."""
+    """Noise of a patch's slope over that of a pixel's range [1]."""
     normal: Floats
-    """Towards the instrument, not a number where not smooth, (row, column, 3) [1]."""
+    """Unit normals towards the instrument, NaN if not smooth, shape (row, column, 3)
+    [1]."""
     attributes: dict[str, object]
     """Attributes of the range image."""
 
     @property
     def position(self) -> Floats:
-        """Points, shape (row, column, 3) [m]."""
+        """Points in instrument axes, shape (row, column, 3) [m]."""
         return np.asarray(self.origin + self.distance[..., None] * self.direction)
 
     @property
     def spacing(self) -> float:
-        """Median distance of neighbouring points of smooth patches [m]."""
+        """Median distance between neighboring points of smooth patches [m]."""
         step = np.linalg.norm(np.diff(self.position, axis=1), axis=-1)
         lengths = step[self.smooth[:, 1:] & self.smooth[:, :-1]]
         return float(np.median(lengths)) if lengths.size else float("nan")
@@ -223,7 +225,7 @@ class ScanSurface:
 def scan_surface(
     image: xr.Dataset, *, name: str, shared: Shared, window: int = 7
 ) -> ScanSurface:
-    r"""Return the surface of a range image.
+    r"""Compute the surface of a range image: patches, normals, shared errors.
 
     The inverse range of a plane is linear in the direction of the beam, so patches have
     no error by the angle of incidence. Those of second degree (Savitzky and Golay)
@@ -295,7 +297,7 @@ def _powers(degree: int) -> Numbers:
 
 
 def _kernels(window: int, powers: Numbers) -> Floats:
-    """Return the weights of a fit of a polynomial in a square window."""
+    """Return the weights of a least-squares polynomial in a square window."""
     half = window // 2
     row, column = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
     design = np.stack([(row**i * column**j).ravel() for i, j in powers], axis=1)
@@ -310,7 +312,7 @@ def _is_smooth(
     complete: NDArray[np.uint8],
     window: int,
 ) -> Flags:
-    """Return windows whose residuals are as small as noise, or as those of most."""
+    """Return a mask of windows with residuals near noise or near the usual ones."""
     count = window**2
     half = window // 2
     place = np.arange(-half, half + 1).astype(float)
@@ -339,7 +341,7 @@ def _is_smooth(
 def _normals(
     steps: Floats, direction: Floats, patch: Floats, reach: Floats, smooth: Flags
 ) -> Floats:
-    """Return unit normals of the patches, towards the instrument."""
+    """Return the unit normals of the patches, towards the instrument."""
     ahead, turn = steps
     with np.errstate(divide="ignore", invalid="ignore"):
         slopes = [-patch[1] * reach**2, -patch[2] * reach**2]
@@ -355,7 +357,7 @@ def _normals(
 
 
 def _steps(values: Floats, axis: int) -> Floats:
-    """Return the differences of a grid from pixel to pixel."""
+    """Return the gradient of values on a grid, per pixel."""
     if values.shape[axis] < 2:
         return np.zeros_like(values)
     return np.asarray(np.gradient(values, axis=axis))
