@@ -1,4 +1,4 @@
-"""Simulation: from a survey to the cube that its instrument would record."""
+"""Simulation of a survey: the measurement cube that its instrument would record."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Water signal of a survey against modulation frequency, by each model."""
+"""Water signal of a survey against modulation frequency, by each forward model."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from amulor.survey.view import view
 def diffusion_response(
     survey: Survey, modulation_frequency: ArrayLike
 ) -> NDArray[np.complex128]:
-    """Return the open-water signal at the middle of the scan, form of the paper.
+    """Return the open-water signal at the middle of the scan by the diffusion model.
 
     (46) of Ricci et al. 2010, as rebuilt.
     """
@@ -28,7 +28,7 @@ def diffusion_response(
 def small_angle_response(
     survey: Survey, modulation_frequency: ArrayLike
 ) -> NDArray[np.complex128]:
-    """Return the open-water signal at the middle of the scan, small-angle model.
+    """Return the open-water signal at the middle of the scan by the small-angle model.
 
     (29) of Ricci et al. 2010, as rebuilt, with the whole phase function: keeps the
     unscattered light and the shape of the forward peak.
@@ -39,7 +39,7 @@ def small_angle_response(
 def closure_response(
     survey: Survey, modulation_frequency: ArrayLike
 ) -> NDArray[np.complex128]:
-    """Return the open-water signal at the middle of the scan, closure.
+    """Return the open-water signal at the middle of the scan by the closure model.
 
     `amulor.optics.small_angle_closure`, the fast form of (29) of Ricci et al. 2010, as
     rebuilt.
@@ -50,7 +50,7 @@ def closure_response(
 def _response(
     survey: Survey, modulation_frequency: ArrayLike, model: SignalModel
 ) -> NDArray[np.complex128]:
-    """Return the response of the beam in the middle of the scan."""
+    """Return the open-water signal of the scan's middle beam by a forward model."""
     water = water_properties(survey)
     beam = view(survey, np.array(survey.scan.azimuth), np.array(survey.scan.elevation))
     end = survey.water.column_end

@@ -32,7 +32,7 @@ _AT_ONCE = 2**20
 
 @dataclass(kw_only=True)
 class _Plane:
-    """Random numbers of one plane of (row, column), drawn up to some number."""
+    """Random numbers of one plane of (row, column), with the number drawn so far."""
 
     start: np.random.Generator
     now: np.random.Generator
@@ -40,7 +40,7 @@ class _Plane:
 
 
 class RowNoise:
-    """Random numbers of the rows of a scan, in the order of the whole scan."""
+    """Random numbers of some rows, equal to those drawn for the whole scan."""
 
     def __init__(
         self,
@@ -63,16 +63,16 @@ class RowNoise:
             self._planes.append(planes)
 
     def rows(self, begin: int, end: int) -> RowNoise:
-        """Return itself, set to some rows."""
+        """Return this generator, set to a range of rows."""
         self._rows, self._next = slice(begin, end), 0
         return self
 
     def standard_normal(self, size: tuple[int, ...], /) -> Floats:
-        """Return normal numbers; see `amulor.simulation.lock_in.Noise`."""
+        """Return standard normal deviates; see `amulor.simulation.lock_in.Noise`."""
         return self._numbers("standard_normal", size)
 
     def gamma(self, shape: float, scale: float, /, size: tuple[int, ...]) -> Floats:
-        """Return gamma-distributed numbers; see `amulor.simulation.lock_in.Noise`."""
+        """Return gamma deviates; see `amulor.simulation.lock_in.Noise`."""
         if shape != self._gamma:
             raise RuntimeError(f"gamma({shape:g}) is asked for, not {self._gamma:g}")
         return self._numbers("gamma", size, scale)
@@ -105,7 +105,7 @@ class RowNoise:
         return out
 
     def _skip(self, rng: np.random.Generator, method: str, count: int) -> None:
-        """Draw numbers and discard them."""
+        """Advance a generator by drawing and discarding numbers."""
         unwanted: Floats = np.empty(min(count, _AT_ONCE))
         for first in range(0, count, _AT_ONCE):
             part = unwanted[: min(count - first, _AT_ONCE)]
@@ -116,7 +116,7 @@ class RowNoise:
 
 
 class SimulatedRows:
-    """Rows of a scan, simulated on demand.
+    """Cube of a scan, simulated on demand in tiles of rows.
 
     The tiles equal those of `amulor.simulate`, bit for bit. The noise has the same
     random numbers, and the table of the light of the water is fitted once.
@@ -150,7 +150,7 @@ class SimulatedRows:
 
     @property
     def head(self) -> xr.Dataset:
-        """All that does not run over the rows."""
+        """Part of the cube that does not depend on the row."""
         if self._head is None:
             self._head = tiles.InMemory(self.tile(0, 1)).head
         return self._head
@@ -166,7 +166,7 @@ class SimulatedRows:
         return self._scan.columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows."""
+        """Return the cube of a range of rows."""
         setting = self._setting
         directions = scan_directions(setting.setup.survey, rows=slice(begin, end))
         noise = self._noise.rows(begin, end)
@@ -177,7 +177,7 @@ class SimulatedRows:
         return measurement.joined(samples, self._shots, truth)
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of some rows."""
+        """Return azimuth and elevation of a range of rows."""
         rows = slice(begin, end)
         azimuth, elevation, _ = scan_directions(self._setting.setup.survey, rows=rows)
         dimensions = ("row", "column")
@@ -190,4 +190,4 @@ class SimulatedRows:
 
 
 def _nobody(step: str, share: float) -> None:
-    """Discard the progress of a tile; its file has a progress bar."""
+    """Ignore the progress of a tile, since the whole file has a progress bar."""

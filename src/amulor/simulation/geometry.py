@@ -18,10 +18,10 @@ from amulor.survey.view import View, medium_of, view
 
 @dataclass(frozen=True)
 class Setup:
-    """Instrument, water and targets of a survey, each number computed once."""
+    """Instrument, water and targets of a survey, with derived quantities cached."""
 
     survey: Survey
-    """The survey."""
+    """Survey that is simulated."""
 
     @cached_property
     def water(self) -> WaterProperties:
@@ -30,17 +30,17 @@ class Setup:
 
     @cached_property
     def medium(self) -> rays.Medium:
-        """Indices of the water, and the window."""
+        """Indices of the water, and the window if there is one."""
         return medium_of(self.survey)
 
     @cached_property
     def scene(self) -> Scene:
-        """The targets."""
+        """Targets as triangles."""
         return Scene(self.survey.targets)
 
     @cached_property
     def full_rate(self) -> float:
-        """Photoelectron rate if all launched light came back [1/s]."""
+        """Photoelectron rate if all launched light returned [1/s]."""
         return counting.full_rate(self.survey)
 
     @cached_property
@@ -50,7 +50,7 @@ class Setup:
 
     @cached_property
     def volt_per_power(self) -> float:
-        """Peak amplitude at the lock-in if all launched light came back [V]."""
+        """Peak amplitude at the lock-in if all launched light returned [V]."""
         instrument = self.survey.instrument
         return (
             instrument.modulation_depth
@@ -61,38 +61,39 @@ class Setup:
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """A scan against a scene, arrays over (row, column)."""
+    """Geometry of a scan and its targets, arrays over (row, column)."""
 
     azimuth: Floats
-    """Direction of the beam to the right [rad]."""
+    """Azimuth of the beam, positive to the right [rad]."""
     elevation: Floats
-    """Direction of the beam upwards [rad]."""
+    """Elevation of the beam, positive upwards [rad]."""
     time: Floats
-    """Time since the start of the scan at which a pixel begins [s]."""
+    """Time from the start of the scan to the start of a pixel [s]."""
     view: View
     """View of the receiver for each beam."""
     target: NDArray[np.intp]
-    """Number of the target in the beam, -1 for none."""
+    """Number of the target that the beam hits, -1 for none."""
     slant_range: Floats
     """Distance from the emitter along the beam, infinite without a target [m]."""
     depth: Floats
     """Length of the beam in the water, infinite without a target [m]."""
     optical_path: Floats
-    """Group index times length, out and back; 0 without a target [m]."""
+    """Round-trip optical path, 0 without a target [m]."""
     return_path: Floats
-    """Water on the way back to the receiver, infinite without a target [m]."""
+    """Path length in water from the target to the receiver, infinite without a target
+    [m]."""
     cosine: Floats
-    """Cosine between the surface's normal and the receiver, times the visible share of
-    the aperture [1]."""
+    """Cosine of the angle between surface normal and receiver, times the visible share
+    of the aperture [1]."""
     brightness: Floats
-    """Radiance towards the receiver over that of Lambert's law with the target's
-    reflectance: BRDF and texture [1]."""
+    """Radiance towards the receiver over that of a Lambertian surface with the target's
+    reflectance, from BRDF and texture [1]."""
 
 
 def trace(
     setup: Setup, *, directions: tuple[Floats, Floats, Floats] | None = None
 ) -> Geometry:
-    """Follow every beam of a scan to its target.
+    """Trace every beam of a scan to its target.
 
     Another surface between the target and the receiver hides the echo in part: seven
     points stand for the receiver's aperture. With a window, that way is taken as
@@ -146,7 +147,7 @@ def trace(
 def _brightness(
     survey: Survey, scene: Scene, hits: Hits, beam: rays.Beam, receiver: Floats
 ) -> Floats:
-    """Return the radiance towards the receiver over that of Lambert's law."""
+    """Return the radiance towards the receiver over that of a Lambertian surface."""
     bright = scene.texture(hits)
     ray = -beam.direction.reshape(-1, 3)
     for number, target in enumerate(survey.targets):

@@ -1,4 +1,4 @@
-"""Errors of a real instrument in simulated samples, in the order of the signal chain.
+"""Simulation of instrument errors in the order of the signal chain.
 
 Formulas, signs and typical sizes: docs/theory/instrument-errors.md. Random numbers come
 from generators of their own, one for each row, so that samples without errors keep
@@ -39,10 +39,10 @@ _CONJUGATE = (3, 7)
 
 @dataclass(frozen=True, kw_only=True)
 class Chain:
-    """Signal chain of an instrument with errors."""
+    """Signal chain of an instrument with the errors that its survey states."""
 
     setup: Setup
-    """Setup with the errors."""
+    """Setup of the survey with its errors."""
     errors: InstrumentErrors
     """Errors of the instrument."""
     entropy: int
@@ -50,7 +50,7 @@ class Chain:
 
     @classmethod
     def of(cls, setup: Setup, rng: np.random.Generator | int) -> Chain | None:
-        """Return the chain of a setup, None without errors; `rng` is not advanced."""
+        """Return a setup's signal chain, None without errors; `rng` is not advanced."""
         errors = setup.survey.instrument.errors
         if errors is None:
             return None
@@ -71,7 +71,7 @@ class Chain:
 
     @property
     def light_setup(self) -> Setup:
-        """Setup at all frequencies whose light reaches the outputs."""
+        """Setup at all frequencies that reach the outputs, harmonics included."""
         if self.errors.clock is None and self.errors.harmonic is None:
             return self.setup
         return Setup(
@@ -89,7 +89,7 @@ class Chain:
         return np.unique(np.concatenate([frequencies, harmonic.order * frequencies]))
 
     def fundamental(self, light: Light) -> Light:
-        """Return the part of light at the modulation frequencies."""
+        """Return the light at the modulation frequencies, without harmonics."""
         return self._at(light, self.frequencies)
 
     def _at(self, light: Light, frequency: Floats) -> Light:
@@ -102,7 +102,7 @@ class Chain:
         )
 
     def pointed(self, directions: Directions) -> Directions:
-        """Return the true directions of beams for their recorded directions."""
+        """Return the true beam directions for recorded directions."""
         pointing = self.errors.pointing
         if pointing is None:
             return directions
@@ -137,7 +137,7 @@ class Chain:
     def scan_samples(
         self, target: Light, water: Light, time: Floats, *, rng: lock_in.Noise
     ) -> lock_in.Samples:
-        """Draw the samples of rows of the scan that begin at given times."""
+        """Draw the samples of scan rows whose pixels begin at given times."""
         rows = self._rows(time)
         shape = (2, *self._plane, self.survey.scan.columns)
         return self._samples(
@@ -187,7 +187,7 @@ class Chain:
 
     @property
     def _duration(self) -> float:
-        """Time from the first sample to the last [s]."""
+        """Time between the first and the last sample [s]."""
         scan = self.survey.scan
         plan = scan.open_water
         shots = 0 if plan is None else plan.rows * plan.columns * plan.repeats
@@ -206,7 +206,7 @@ class Chain:
         *,
         axis: int = 1,
     ) -> Floats:
-        """Return normal numbers of rows, each of a shape, stacked along an axis."""
+        """Return reproducible normal deviates of each row, stacked along an axis."""
         generators = [
             np.random.default_rng([self.entropy, purpose, int(row)]) for row in rows
         ]
@@ -215,7 +215,7 @@ class Chain:
         )
 
     def _course(self, time: Floats) -> Floats:
-        """Return the share of a drift at given times [1]."""
+        """Return the fraction of the total drift that is reached at given times [1]."""
         drift = self.errors.drift
         settling = None if drift is None else drift.settling_time
         if settling is None:
@@ -256,7 +256,7 @@ class Chain:
         return replace(samples, signal=self._demodulated(signal, time, white))
 
     def _detected(self, light: Light, *, part: Part) -> Light:
-        """Return the light with leakage, after losses and late pulses of a counter."""
+        """Return the detected light, with leakage, dead time and after-pulses."""
         leakage, counter = self.errors.optical_leakage, self.errors.counting
         axes = [1] * (light.mean.ndim - 2)
         turn = 2j * np.pi * self.frequencies.reshape(-1, 1, *axes)
@@ -277,7 +277,7 @@ class Chain:
         return _scaled(light, modulated=live**2 * after, mean=live * (1 + late))
 
     def _passed(self, leakage: OpticalLeakage) -> Floats:
-        """Return the share of leaking light behind each analyzer [1]."""
+        """Return the fraction of leaking light that passes each analyzer [1]."""
         polarized = 1 - leakage.depolarization
         state = matrix((polarized, polarized, polarized))
         return np.array(
@@ -315,7 +315,7 @@ class Chain:
         return signal
 
     def _demodulated(self, signal: Complex, time: Floats, white: _Draw) -> Complex:
-        """Return the outputs of the demodulator."""
+        """Return the demodulator's outputs for its input signal."""
         scale, outputs = self.errors.scale_change, self.errors.demodulator
         noise = self.errors.noise
         if scale is not None:
@@ -341,7 +341,7 @@ class Chain:
         return signal
 
     def _pink(self, time: Floats) -> Floats:
-        """Return noise of variance 1 at times, (2, frequency, channel, *times).
+        """Return pink noise of variance 1 at times, (2, frequency, channel, *times).
 
         A sum of tones of equal power whose frequencies are even in the logarithm.
         """

@@ -1,4 +1,4 @@
-"""Light of target and water at the detector, and the samples of the lock-in."""
+"""Light of target and water at the detector, and lock-in samples of it."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from amulor.survey.view import View
 
 @dataclass(frozen=True)
 class Light:
-    """Received power, dimensions (modulation_frequency, polarization, pixels...)."""
+    """Received over launched power, dimensions (frequency, polarization, pixels...)."""
 
     modulated: NDArray[np.complex128]
-    """Power per launched power at each modulation frequency [1]."""
+    """Received over launched power at each modulation frequency, complex [1]."""
     mean: NDArray[np.float64]
-    """Power per launched power without modulation [1]."""
+    """Received over launched power without modulation [1]."""
     variance: NDArray[np.float64] | float = 0.0
-    """Variance of the modulated power by errors of the model, sum of real and imaginary
-    part [1]."""
+    """Variance of `modulated` from errors of the forward model, sum of real and
+    imaginary part [1]."""
 
     def __add__(self, other: Light) -> Light:
-        """Return the sum of both."""
+        """Return the sum of the light from two sources."""
         return Light(
             self.modulated + other.modulated,
             self.mean + other.mean,
@@ -48,7 +48,7 @@ class Light:
 def target_light(
     setup: Setup, geometry: Geometry, *, model: SignalModel = DEFAULT_MODEL
 ) -> Light:
-    """Return the light that the targets send back."""
+    """Return the received light of the targets."""
     survey = setup.survey
     met = geometry.target >= 0
     reflectance = np.zeros(met.shape)
@@ -83,7 +83,7 @@ def water_light(
     end: NDArray[np.float64] | None = None,
     model: SignalModel = DEFAULT_MODEL,
 ) -> Light:
-    """Return the light that the water scatters back."""
+    """Return the received light that the water scatters back."""
     frequency, stop = _column_axes(setup.survey, view, end)
     # The model counts the delay from where the water begins.
     turn = np.exp(2j * np.pi * frequency * view.optical_offset / speed_of_light)
@@ -97,7 +97,7 @@ def water_light(
 
 
 def _model_arguments(setup: Setup, view: View) -> dict[str, Any]:
-    """Return the arguments that echo and column of a model have in common."""
+    """Return the arguments common to the echo and column methods of a model."""
     return {"survey": setup.survey, "water": setup.water, "view": view}
 
 
@@ -109,7 +109,7 @@ def fitted(
     end: NDArray[np.float64],
     farthest: float,
 ) -> SignalModel:
-    """Return a model with its fit to all water columns of a scan."""
+    """Return a forward model fitted to all water columns of a scan."""
     frequency, stop = _column_axes(setup.survey, view, end)
     return model.fit(
         frequency, end=stop, farthest=farthest, **_model_arguments(setup, view)
@@ -119,14 +119,14 @@ def fitted(
 def _column_axes(
     survey: Survey, view: View, end: NDArray[np.float64] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the frequencies with axes for a view, and the ends of the columns [m]."""
+    """Return frequencies shaped to broadcast over beams, and the column ends [m]."""
     far = np.inf if survey.water.column_end is None else survey.water.column_end
     stop = np.minimum(np.inf if end is None else end, far)
     return _frequencies(survey).reshape(-1, 1, *[1] * view.tilt.ndim), stop
 
 
 def _frequencies(survey: Survey) -> NDArray[np.float64]:
-    """Return zero, for the mean light, then the modulation frequencies [Hz]."""
+    """Return 0 Hz, for the mean light, and the modulation frequencies [Hz]."""
     return np.array([0.0, *survey.instrument.modulation_frequencies])
 
 
@@ -140,7 +140,7 @@ def _light(
 
 
 def _fractions(survey: Survey, mueller_matrix: Any) -> NDArray[np.float64]:
-    """Return the fraction of the light behind each analyzer [1]."""
+    """Return the fraction of the light that passes each analyzer [1]."""
     pairs = survey.instrument.polarizations
     reduced = matrix(mueller_matrix)
     return np.array([float(mueller.detected_fraction(reduced, pair=p)) for p in pairs])
@@ -151,38 +151,38 @@ class Samples:
     """Lock-in outputs with their stated uncertainty, all of one shape."""
 
     signal: NDArray[np.complex128]
-    """Peak amplitude of the modulation, in phase + 1j * quadrature [V]."""
+    """Signal as a peak amplitude, in phase + 1j * quadrature [V]."""
     in_phase_variance: NDArray[np.float64]
     """Variance of the in-phase output [V^2]."""
     quadrature_variance: NDArray[np.float64]
     """Variance of the quadrature output [V^2]."""
     covariance: NDArray[np.float64]
-    """Covariance of the two [V^2]."""
+    """Covariance of in-phase and quadrature output [V^2]."""
     saturated: NDArray[np.int8]
-    """1 where the mean output left the linear range [1]."""
+    """Whether the mean output exceeds the linear range: 1 if so, else 0 [1]."""
 
 
 def expected_signal(setup: Setup, light: Light) -> NDArray[np.complex128]:
-    """Return the noiseless lock-in output of received light [V]."""
+    """Return the noiseless lock-in signal of received light [V]."""
     return setup.volt_per_power * light.modulated
 
 
 class Noise(Protocol):
-    """Random generator of a simulation, of all rows or of some rows at a time."""
+    """Interface of random generators, for a whole scan or some of its rows."""
 
     def standard_normal(self, size: tuple[int, ...], /) -> NDArray[np.float64]:
-        """Return normal numbers."""
+        """Return standard normal deviates."""
         ...
 
     def gamma(
         self, shape: float, scale: float, /, size: tuple[int, ...]
     ) -> NDArray[np.float64]:
-        """Return numbers of the gamma distribution."""
+        """Return deviates of the gamma distribution."""
         ...
 
 
 def draws(survey: Survey) -> list[tuple[str, int]]:
-    """Return the distributions and numbers of planes that `sample` draws, in order."""
+    """Return the distributions that `sample` draws from, with numbers of planes."""
     analysers = len(survey.instrument.polarizations)
     planes = len(survey.instrument.modulation_frequencies) * analysers
     speckled = survey.instrument.receiver.speckle_cells is not None
@@ -201,7 +201,7 @@ def sample(
     rng: Noise,
     detect: Callable[[Light], Light] | None = None,
 ) -> Samples:
-    """Draw the lock-in samples of target and water light together.
+    """Draw lock-in samples of the sum of target and water light.
 
     A sample is the mean of the lock-in output over the dwell, after five time
     constants of settling. Counting noise spreads both outputs alike; the phase floor
@@ -249,7 +249,7 @@ def sample(
 
 
 def _speckled(survey: Survey, target: Light, *, rng: Noise) -> Light:
-    """Return the target's light with the speckle of each pixel and analyzer.
+    """Return the target's light with speckle, drawn for each pixel and analyzer.
 
     A still scene has one pattern for all modulation frequencies.
     """

@@ -1,4 +1,4 @@
-"""Simulation of a survey: the cube that its instrument would record."""
+"""Simulation of a survey: the measurement cube that its instrument would record."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def simulate(
     rng: np.random.Generator | int,
     model: SignalModel = DEFAULT_MODEL,
 ) -> xr.Dataset:
-    """Simulate a survey, the open-water shots included.
+    """Simulate the scan and the open-water shots of a survey.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def simulate(
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """Inputs of a simulation that all rows share."""
+    """Inputs of a simulation, shared by all rows of the scan."""
 
     setup: geometry_of.Setup
     """Instrument, water and targets."""
@@ -108,7 +108,7 @@ class Setting:
     light_setup: geometry_of.Setup
     """Setup at the frequencies whose light is computed."""
     geometry: dict[str, Any]
-    """Positions and indices that a cube states."""
+    """Positions and indices of the instrument, as cube attributes."""
     attributes: dict[str, Any]
     """Attributes of the cube."""
 
@@ -116,7 +116,7 @@ class Setting:
     def of(
         cls, survey: Survey, *, rng: np.random.Generator | int, model: SignalModel
     ) -> Setting:
-        """Return the setting of a survey; see `simulate`."""
+        """Return the inputs for the simulation of a survey; see `simulate`."""
         setup = geometry_of.Setup(survey)
         chain = Chain.of(setup, rng)
         seed = int(rng) if isinstance(rng, numbers.Integral) else None
@@ -144,7 +144,7 @@ class Setting:
 
 
 def fit(setting: Setting) -> SignalModel:
-    """Return the model with its fit to all pixels of a scan.
+    """Return the forward model, fitted to all pixels of a scan if it needs a fit.
 
     The fit uses all pixels of a scan of up to `tiles.SAMPLE` pixels, else as many that
     are spread over the scan from edge to edge.
@@ -172,7 +172,7 @@ def fit(setting: Setting) -> SignalModel:
 
 
 def _spread(rows: int, columns: int) -> dict[str, NDArray[np.intp]]:
-    """Return a sample of rows and columns, with the first and last of both."""
+    """Return evenly spaced rows and columns, including the first and the last."""
     high = min(rows, max(int(tiles.SAMPLE**0.5), tiles.SAMPLE // columns))
     wide = min(columns, tiles.SAMPLE // high)
     return {
@@ -184,7 +184,7 @@ def _spread(rows: int, columns: int) -> dict[str, NDArray[np.intp]]:
 def _light(
     setting: Setting, directions: tuple[Floats, Floats, Floats], *, model: SignalModel
 ) -> tuple[geometry_of.Geometry, lock_in.Light, lock_in.Light]:
-    """Return the geometry of beams, and the light of targets and water."""
+    """Return the geometry of beams, and their light of targets and water."""
     setup = setting.light_setup
     tell("following the beams to the targets", 0.0)
     geometry = geometry_of.trace(setting.setup, directions=directions)
@@ -206,7 +206,7 @@ def measured(
     model: SignalModel,
     noise: lock_in.Noise,
 ) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the samples and the truth of some rows of a scan."""
+    """Return samples and true values of a range of rows."""
     setup, chain = setting.setup, setting.chain
     instrument = setup.survey.instrument
     azimuth, elevation, time = directions
@@ -239,7 +239,7 @@ def measured(
 def joined(
     samples: xr.Dataset, shots: xr.Dataset | None, truth: xr.Dataset
 ) -> xr.Dataset:
-    """Return samples, shots if there are any, and truth as one cube."""
+    """Return samples, open-water shots and true values as one cube."""
     if shots is not None:
         samples = cube.attach(samples, shots, "open_water")
     return cube.note(cube.attach(samples, truth, "truth"), "simulate")
@@ -256,7 +256,7 @@ def _outputs(samples: lock_in.Samples) -> dict[str, NDArray[Any]]:
 
 
 def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | None:
-    """Return the open-water shots of a scan, if its survey plans some."""
+    """Return the open-water shots of a scan; None if its survey plans none."""
     survey = setting.setup.survey
     if survey.scan.open_water is None:
         return None

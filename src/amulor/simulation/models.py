@@ -33,7 +33,7 @@ Error = NDArray[np.float64]
 
 
 class SignalModel(Protocol):
-    """Interface of forward models: responses before any polarizer.
+    """Interface of forward models: optical responses before any polarizer.
 
     Examples
     --------
@@ -59,12 +59,12 @@ class SignalModel(Protocol):
 
     @property
     def title(self) -> str:
-        """Name of the model in the attributes of a cube."""
+        """Name of the model for cube attributes."""
         ...
 
     @property
     def late_echo(self) -> str:
-        """Whether scattered light arrives later, "present" or "absent"."""
+        """Whether scattered light arrives late: "present" or "absent"."""
         ...
 
     def echo(
@@ -76,7 +76,7 @@ class SignalModel(Protocol):
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received over launched power from the surfaces in the beams [1].
+        """Return received over launched power of light from the targets [1].
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class SignalModel(Protocol):
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received over launched power from the water in front of `end` [1].
+        """Return received over launched power of the water in front of `end` [1].
 
         Parameters
         ----------
@@ -134,7 +134,7 @@ class SignalModel(Protocol):
 
 @runtime_checkable
 class FittedModel(Protocol):
-    """Interface of forward models with a fit to all columns of a scan, such as a table.
+    """Interface of forward models that are fitted to a scan, for example by a table.
 
     It is a `SignalModel`, too. A model that wraps another must call its `fit`; else
     a scan by rows differs from the whole scan by the error of such a table.
@@ -150,7 +150,7 @@ class FittedModel(Protocol):
         end: Any,
         farthest: float,
     ) -> SignalModel:
-        """Return the model fitted to a scan.
+        """Return the model fitted to all water columns of a scan.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class FittedModel(Protocol):
 
 @runtime_checkable
 class UncertainModel(Protocol):
-    """Interface of forward models with standard errors, otherwise as `SignalModel`."""
+    """Interface of forward models that also give standard errors."""
 
     def echo_with_error(
         self,
@@ -180,7 +180,7 @@ class UncertainModel(Protocol):
         view: View,
         surface: dict[str, Any],
     ) -> tuple[Complex, Error]:
-        """Return `echo` and its standard error, real and imaginary part together."""
+        """Return `echo` with its standard error, real and imaginary part combined."""
         ...
 
     def column_with_error(
@@ -192,13 +192,13 @@ class UncertainModel(Protocol):
         view: View,
         end: Any,
     ) -> tuple[Complex, Error]:
-        """Return `column` and its standard error."""
+        """Return `column` with its standard error, composed like that of `echo`."""
         ...
 
 
 @dataclass(frozen=True)
 class DiffusionModel:
-    """Diffusion form (43), (46) of Ricci et al. 2010, as rebuilt.
+    """Diffusion model (43), (46) of Ricci et al. 2010, as rebuilt.
 
     Takes b_f, b_d and the second moment of the water, and spreads all light alike, what
     was never scattered included. With a split angle of 90 degrees its cut-off is some
@@ -212,9 +212,9 @@ class DiffusionModel:
     """
 
     title: str = "small-angle diffusion model, the paper's form"
-    """Name of the model in the attributes of a cube."""
+    """Name of the model for cube attributes."""
     late_echo: str = "absent"
-    """All light takes the straight way."""
+    """"absent": all light is assumed to take the straight path."""
 
     def echo(
         self,
@@ -225,7 +225,7 @@ class DiffusionModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received over launched power from surfaces; see `SignalModel`."""
+        """Return received over launched power of the targets; see `SignalModel`."""
         _refuse_for_diffusion(survey, water)
         return target_echo.target_response(
             modulation_frequency, **surface, **kernel_arguments(survey, water, view)
@@ -240,7 +240,7 @@ class DiffusionModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received over launched power from the water; see `SignalModel`."""
+        """Return received over launched power of the water; see `SignalModel`."""
         _refuse_for_diffusion(survey, water)
         return small_angle_diffusion.water_response(
             modulation_frequency,
@@ -253,7 +253,7 @@ class DiffusionModel:
 
 @dataclass(frozen=True)
 class SmallAngleModel:
-    """Small-angle form (29) of Ricci et al. 2010, as rebuilt: the default.
+    """Small-angle model (29) of Ricci et al. 2010, as rebuilt: the default.
 
     Takes the whole phase function of the water, and keeps the light that was not
     scattered. Within some percent of photons. Half a millisecond for each pixel.
@@ -266,12 +266,12 @@ class SmallAngleModel:
     """
 
     title: str = "small-angle model with the whole phase function"
-    """Name of the model in the attributes of a cube."""
+    """Name of the model for cube attributes."""
     late_echo: str = "absent"
-    """All light takes the straight way."""
+    """"absent": all light is assumed to take the straight path."""
     shared_light: SharedLight | None = None
-    """Table of scattered light for all columns of a scan, from `fit`; by default one
-    for each call."""
+    """Table of scattered light for all columns of a scan, created by `fit`; by default
+    each call creates its own."""
 
     def fit(
         self,
@@ -283,7 +283,7 @@ class SmallAngleModel:
         end: Any,
         farthest: float,
     ) -> SmallAngleModel:
-        """Return the model with the scattered light of a scan; see `FittedModel`."""
+        """Return the model with a table of scattered light; see `FittedModel`."""
         if has_sharp_receiver(survey):
             return self
         shared_light = gaussian_receiver.fit(
@@ -305,7 +305,7 @@ class SmallAngleModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received over launched power from surfaces; see `SignalModel`."""
+        """Return received over launched power of the targets; see `SignalModel`."""
         echo = (
             target_echo.sharp_receiver_target_response
             if has_sharp_receiver(survey)
@@ -326,7 +326,7 @@ class SmallAngleModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received over launched power from the water; see `SignalModel`."""
+        """Return received over launched power of the water; see `SignalModel`."""
         column = (
             sharp_receiver.water_response
             if has_sharp_receiver(survey)
@@ -343,7 +343,7 @@ class SmallAngleModel:
 
 @dataclass(frozen=True)
 class ClosureModel:
-    """Closure of the small-angle form (29), for grids of many instruments.
+    """Closure model: fast approximation of the small-angle model (29).
 
     Takes the whole phase function, as `SmallAngleModel` does, and puts one Gaussian for
     the light of each depth. Where it holds, the cut-off is at most 30 % higher than
@@ -358,9 +358,9 @@ class ClosureModel:
     """
 
     title: str = "closure of the small-angle model"
-    """Name of the model in the attributes of a cube."""
+    """Name of the model for cube attributes."""
     late_echo: str = "absent"
-    """All light takes the straight way."""
+    """"absent": all light is assumed to take the straight path."""
 
     def echo(
         self,
@@ -371,7 +371,7 @@ class ClosureModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received over launched power from surfaces; see `SignalModel`."""
+        """Return received over launched power of the targets; see `SignalModel`."""
         return target_echo.closure_target_response(
             modulation_frequency,
             **surface,
@@ -387,7 +387,7 @@ class ClosureModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received over launched power from the water; see `SignalModel`."""
+        """Return received over launched power of the water; see `SignalModel`."""
         return small_angle_closure.water_response(
             modulation_frequency,
             backscatter_vsf=water.backscatter_vsf,

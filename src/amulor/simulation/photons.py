@@ -1,4 +1,4 @@
-"""Photon transport as a forward model: a few places, interpolated to all beams."""
+"""Photon transport as a forward model: a few beams, interpolated to all others."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Axis:
-    """Nodes along one quantity."""
+    """Interpolation nodes along one quantity."""
 
     nodes: Floats
 
     def weights(self, value: Floats) -> Floats:
-        """Return the Lagrange polynomials of the nodes at values, shape (n, nodes)."""
+        """Return Lagrange weights of the nodes at given values, shape (n, nodes)."""
         apart = self.nodes[:, None] - self.nodes
         out = np.ones((value.size, self.nodes.size))
         for i, j in itertools.permutations(range(self.nodes.size), 2):
@@ -63,18 +63,18 @@ class Axis:
 
 @dataclass(frozen=True)
 class Grid:
-    """All combinations of the nodes of some axes."""
+    """Interpolation grid: all combinations of the nodes of its axes."""
 
     axes: tuple[Axis, ...]
 
     @property
     def places(self) -> Floats:
-        """The combinations, shape (places, axes)."""
+        """Grid points, shape (places, axes)."""
         nodes = np.meshgrid(*(axis.nodes for axis in self.axes), indexing="ij")
         return np.stack([values.ravel() for values in nodes], axis=1)
 
     def weights(self, points: Floats) -> Floats:
-        """Return the weights of the grid's places at other places, (n, places) [1]."""
+        """Return interpolation weights of the grid points, shape (n, places) [1]."""
         out = np.ones((len(points), 1))
         for axis, values in zip(self.axes, points.T, strict=True):
             part = axis.weights(np.ascontiguousarray(values))
@@ -82,7 +82,7 @@ class Grid:
         return out
 
     def between(self, count: int) -> Floats:
-        """Return places between the nodes, for a check, shape (count, axes)."""
+        """Return test points between the nodes, shape (count, axes)."""
         places = []
         for number in range(count):
             place = []
@@ -100,7 +100,7 @@ class Grid:
 def grid_of(
     values: Floats, *, smallest: Floats, largest_count: NDArray[np.intp]
 ) -> Grid:
-    """Return a grid that spans given places."""
+    """Return an interpolation grid that spans the given points."""
     axes = []
     for low, high, small, limit in zip(
         values.min(axis=0), values.max(axis=0), smallest, largest_count, strict=True
@@ -117,25 +117,27 @@ def grid_of(
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """View of the receiver for a beam, and the end of the beam."""
+    """Beam for photon transport: receiver geometry, and the surface that ends it."""
 
     baseline: float
-    """Distance of receiver and beam where the depth is zero [m]."""
+    """Distance between receiver and beam at depth zero [m]."""
     tilt: float
-    """Inclination of the beam against the receiver's axis, along the baseline [rad]."""
+    """Inclination of the beam relative to the receiver's axis, along the baseline
+    [rad]."""
     cross_tilt: float
-    """The inclination across the baseline [rad]."""
+    """Inclination of the beam relative to the receiver's axis, across the baseline
+    [rad]."""
     standoff: float
-    """Air and glass before the water, as a depth of water [m]."""
+    """Optical equivalent of air and glass before the water, as a depth of water [m]."""
     depth: float
-    """Depth of the surface along the beam; infinite in open water [m]."""
+    """Depth of the target surface along the beam; infinite in open water [m]."""
     reflectance: float
-    """Reflectance of the surface [1]."""
+    """Reflectance of the target surface [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """Water, receiver and beam of a survey, for all places."""
+    """Water, receiver and beam widths of a survey, common to all beams."""
 
     absorption: float
     """Absorption coefficient [1/m]."""
@@ -146,9 +148,9 @@ class Setting:
     group_index: float
     """Group index of the water [1]."""
     receiver_radius: float
-    """1/e radius of the aperture [m]."""
+    """1/e half-width of the aperture [m]."""
     acceptance_angle: float
-    """1/e semi-angle of the receiver in the water [rad]."""
+    """1/e half-width of the receiver's field of view, in the water [rad]."""
     beam_radius: float = 0.0
     """1/e half-width of the beam at its start [m]."""
     beam_divergence: float = 0.0
@@ -157,16 +159,16 @@ class Setting:
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """Received per launched light at each frequency, with standard errors."""
+    """Received over launched power at each frequency, with standard errors."""
 
     water: Complex
-    """Light that met water only, shape (n,) [1]."""
+    """Received over launched power of light that met only water, shape (n,) [1]."""
     water_error: Floats
-    """Its standard error, real and imaginary part together [1]."""
+    """Standard error of `water`, root sum of squares of both parts [1]."""
     target: Complex
-    """Light that met the surface, scattered on its way or not [1]."""
+    """Received over launched power of light that met the target, shape (n,) [1]."""
     target_error: Floats
-    """Its standard error [1]."""
+    """Standard error of `target`, root sum of squares of both parts [1]."""
 
 
 def follow(
@@ -179,7 +181,7 @@ def follow(
     seed: int,
     progress: Callable[[Progress], None] | None = None,
 ) -> Light:
-    """Return the light of photons at one place."""
+    """Simulate photons of one beam, and return the received light."""
     tally = run(
         setting,
         place,
@@ -207,7 +209,7 @@ def run(
     seed: int,
     progress: Callable[[Progress], None] | None = None,
 ) -> Tally:
-    """Simulate photons at one place."""
+    """Simulate photons of one beam, and return the tally."""
     layer = Layer(
         absorption=setting.absorption,
         scattering=setting.scattering,
@@ -267,14 +269,14 @@ def ends(place: Place) -> tuple[Floats, Floats, Floats]:
 
 
 def way(place: Place) -> float:
-    """Return the distance to the surface and back to the middle of the aperture [m]."""
+    """Return the path length to the surface and back to the aperture's center [m]."""
     _, _, point = ends(place)
     return_length = np.linalg.norm(point - np.array([place.baseline, 0.0, 0.0]))
     return place.depth + float(return_length) - place.standoff
 
 
 def _error(covariance: Floats) -> Floats:
-    """Return the root of the summed variances of real and imaginary part."""
+    """Return the standard error, root sum of squares of real and imaginary part."""
     return np.asarray(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)))
 
 
@@ -288,19 +290,19 @@ _CHECKS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Factor:
-    """Ratio of photon transport to the small-angle form, with its errors."""
+    """Ratio of photon transport to the small-angle model, interpolated over beams."""
 
     grid: Grid
-    """Places of photon transport: baseline, tilt, squared cross tilt, depth."""
+    """Beams of photon transport: baseline, tilt, squared cross tilt, depth."""
     value: Complex
-    """Ratios, shape (frequencies, places) [1]."""
+    """Ratio at each frequency and grid point, shape (frequencies, places) [1]."""
     error: Floats
-    """Their standard errors [1]."""
+    """Standard error of each ratio [1]."""
     between: Floats
     """Standard error of the interpolation, shape (frequencies,) [1]."""
 
     def at(self, points: Floats) -> tuple[Complex, Floats]:
-        """Return the ratio at places and its standard error, (frequencies, n)."""
+        """Return the ratio for beams and its standard error, shape (frequencies, n)."""
         weight = self.grid.weights(points)
         variance = (self.error**2) @ (weight**2).T
         return self.value @ weight.T, np.sqrt(variance + self.between[:, None] ** 2)
@@ -308,7 +310,7 @@ class Factor:
 
 @dataclass(frozen=True, kw_only=True)
 class PhotonModel:
-    """Photon transport with all orders of scattering: the reference, slow.
+    """Photon transport with all orders of scattering: slow reference model.
 
     Photons are followed for a few beams and depths of the survey. Between these the
     ratio of what they bring to the small-angle form (29) is interpolated, a smooth
@@ -325,26 +327,27 @@ class PhotonModel:
     """
 
     relative_error: float = 0.005
-    """Standard error of all light at one place without modulation [1]."""
+    """Relative standard error of all received light of one beam, without modulation
+    [1]."""
     histories: int = 2_000_000
-    """Most photons for one place; the first check of the error comes after an eighth
+    """Largest number of photons for one beam; the error is first tested after an eighth
     of them."""
     seed: int = 1
-    """Seed of the photons."""
+    """Seed of the photons' random numbers."""
     progress: Callable[[str, float], None] | None = field(
         default=None, compare=False, repr=False
     )
-    """Callback with the current step and the share of the work done before it."""
+    """Callback with the current step and the fraction of the work done before it."""
     title: str = "photon transport, all orders of scattering"
-    """What a cube says it was made with."""
+    """Name of the model for cube attributes."""
     late_echo: str = "present"
-    """Whether the light scattered on its way comes later."""
+    """"present": scattered light arrives late."""
     _known: dict[Any, Any] = field(
         default_factory=dict, init=False, compare=False, repr=False
     )
 
     def __post_init__(self) -> None:
-        """Refuse impossible values."""
+        """Validate the fields of the model."""
         if not 0 < self.relative_error < 1:
             raise ValueError(
                 f"relative_error must be above 0 and below 1, got {self.relative_error}"
@@ -359,7 +362,7 @@ class PhotonModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received per launched power from surfaces; see `SignalModel`."""
+        """Return received over launched power of the targets; see `SignalModel`."""
         return self.echo_with_error(
             modulation_frequency, survey=survey, water=water, view=view, surface=surface
         )[0]
@@ -373,7 +376,7 @@ class PhotonModel:
         view: View,
         surface: dict[str, Any],
     ) -> tuple[Complex, Error]:
-        """Return the response and its standard error; see `UncertainModel`."""
+        """Return `echo` with its standard error; see `UncertainModel`."""
         plain = SmallAngleModel().echo(
             modulation_frequency, survey=survey, water=water, view=view, surface=surface
         )
@@ -398,7 +401,7 @@ class PhotonModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received per launched power from the water; see `SignalModel`."""
+        """Return received over launched power of the water; see `SignalModel`."""
         return self.column_with_error(
             modulation_frequency, survey=survey, water=water, view=view, end=end
         )[0]
@@ -412,7 +415,7 @@ class PhotonModel:
         view: View,
         end: Any,
     ) -> tuple[Complex, Error]:
-        """Return the response and its standard error; see `UncertainModel`."""
+        """Return `column` with its standard error; see `UncertainModel`."""
         shape = view.tilt.shape
         axes = (-1,) + (1,) * (modulation_frequency.ndim - 1)
         frequency = modulation_frequency.ravel()
@@ -454,7 +457,7 @@ class PhotonModel:
         reflectance: float,
         light: str,
     ) -> Factor:
-        """Return the ratio to the small-angle form for some beams."""
+        """Return the ratio of photon transport to the small-angle model."""
         setting = _setting(survey, water, view)
         standoff = float(view.standoff.flat[0])
         bounded = bool(np.isfinite(points[:, 3]).all())
@@ -510,7 +513,7 @@ class PhotonModel:
         frequency: Floats,
         count: tuple[int, int],
     ) -> Light:
-        """Return the light of a place, simulated once."""
+        """Return the light of one beam, simulated once and then cached."""
         key = (setting, place, tuple(frequency))
         if key not in self._known:
             self._known[key] = follow(
@@ -526,7 +529,7 @@ class PhotonModel:
         return light
 
     def _reported(self, count: tuple[int, int]) -> Callable[[Progress], None]:
-        """Return a callback for the progress of photons at one place of several."""
+        """Return a progress callback for the photons of one beam among several."""
         tell = _progress.tell if self.progress is None else self.progress
         number, places = count
 
@@ -546,7 +549,7 @@ def _apply(
     value: Complex,
     error: Floats,
 ) -> None:
-    """Multiply the light of some beams by ratios, and set its error."""
+    """Multiply the small-angle light of some beams by ratios, and set its error."""
     between = [1] * (value.ndim - 1 - selected.ndim)
     ratio, standard_error = factor
     error[..., selected] = abs(value[..., selected]) * standard_error.reshape(
@@ -563,12 +566,12 @@ def _places(view: View, depth: Any) -> Floats:
 
 
 def _brightness(survey: Survey) -> float:
-    """Return the reflectance of the first target, the end of the water."""
+    """Return the reflectance of the first target, 0 without targets."""
     return float(survey.targets[0].reflectance) if survey.targets else 0.0
 
 
 def _setting(survey: Survey, water: WaterProperties, view: View) -> Setting:
-    """Return water and receiver of a survey for photons."""
+    """Return water, receiver and beam widths of a survey, for photon transport."""
     refuse_layers(water, model="the photon model")
     refuse_beam_and_edges(survey, model="the photon model")
     return Setting(
@@ -589,7 +592,7 @@ def _small_angle(
     frequency: Floats,
     light: str,
 ) -> Complex:
-    """Return the response of the small-angle form at a place."""
+    """Return the light of a beam by the small-angle model."""
     beam_view = View(
         baseline=np.array([place.baseline]),
         transmission=np.ones(1),

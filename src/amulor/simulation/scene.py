@@ -1,4 +1,4 @@
-"""Targets as triangles: mesh files, textures, ray casting."""
+"""Targets of a survey as triangles: mesh files, textures, ray casting."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CHANNELS = {"red": [0], "green": [1], "blue": [2], "mean": [0, 1, 2]}
 
 
 def load(target: Mesh) -> Any:
-    """Read a mesh file."""
+    """Read the mesh file of a target."""
     try:
         import trimesh
     except ImportError:
@@ -56,7 +56,7 @@ def load(target: Mesh) -> Any:
 
 
 def solid(corners: Floats) -> NDArray[np.bool_]:
-    """Return the mask of triangles with an area."""
+    """Return a mask of triangles with nonzero area."""
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     has_area: NDArray[np.bool_] = np.linalg.norm(across, axis=1) > 0
     return has_area
@@ -85,7 +85,7 @@ def barycentric(corners: Floats, point: Floats) -> Floats:
 
 
 class Texture:
-    """Brightness of a mesh, from the colors of its vertices or from an image."""
+    """Texture of a mesh: brightness from vertex colors or an image."""
 
     def __init__(self, target: Mesh) -> None:
         self._channel = _CHANNELS[target.texture_channel or "mean"]
@@ -114,7 +114,7 @@ class Texture:
             )
 
     def __call__(self, triangle: NDArray[np.intp], share: Floats) -> Floats:
-        """Return the brightness of points."""
+        """Return the brightness of points on triangles."""
         corners = np.asarray(self._values)[self._faces[triangle]]
         value = np.einsum("nc,nck->nk", share, corners)
         if self._image is not None:
@@ -135,10 +135,10 @@ _ACROSS = 50.0
 
 @dataclass(frozen=True, kw_only=True)
 class Hits:
-    """First hits of rays in the scene; `target` is -1 for a miss."""
+    """First hits of rays on the targets; `target` is -1 for a miss."""
 
     target: NDArray[np.intp]
-    """Number of the first target, -1 for none."""
+    """Number of the target hit first, -1 for none."""
     distance: NDArray[np.float64]
     """Distance along the ray, infinite for a miss [m]."""
     point: NDArray[np.float64]
@@ -146,11 +146,11 @@ class Hits:
     normal: NDArray[np.float64]
     """Unit normal of the surface, towards the start of the ray, last axis (3,) [1]."""
     triangle: NDArray[np.intp]
-    """Number of the triangle of the scene, -1 for none."""
+    """Number of the triangle hit, -1 for none."""
 
 
 class Scene:
-    """All targets as one set of triangles."""
+    """Scene: all targets of a survey as one set of triangles."""
 
     def __init__(self, targets: tuple[Plate | Staircase | Disc | Mesh, ...]) -> None:
         pieces = [triangles(target) for target in targets]
@@ -164,7 +164,7 @@ class Scene:
         self._caster = RayCaster(self._corners)
 
     def cast(self, start: NDArray[Any], direction: NDArray[Any]) -> Hits:
-        """Find the first surface that each ray meets."""
+        """Return the first surface that each ray hits."""
         count = len(start)
         target = np.full(count, -1)
         met = np.full(count, -1)
@@ -218,7 +218,7 @@ class Scene:
     def visible_fraction(
         self, hits: Hits, aperture: NDArray[Any], weight: NDArray[Any]
     ) -> NDArray[np.float64]:
-        """Return the share of the receiver's aperture that sees each hit [1]."""
+        """Return the fraction of the aperture that is visible from each hit [1]."""
         fraction = np.zeros(len(hits.target))
         met = np.flatnonzero(hits.target >= 0)
         start, triangle = hits.point[met], hits.triangle[met]
@@ -248,7 +248,7 @@ def aperture_points(
 
 
 def triangles(target: Plate | Staircase | Disc | Mesh) -> NDArray[np.float64]:
-    """Return the triangles of a target in the scene."""
+    """Return the triangles of a target in the axes of the instrument."""
     from scipy.spatial.transform import Rotation
 
     shape = {Plate: _plate, Staircase: _staircase, Disc: _disc, Mesh: _mesh}[
@@ -262,7 +262,7 @@ def triangles(target: Plate | Staircase | Disc | Mesh) -> NDArray[np.float64]:
 def _rectangle(
     left: float, right: float, height: float, forward: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Return two triangles between two upright edges at given forward positions."""
+    """Return two triangles of a rectangle between edges at given forward positions."""
     top, bottom = -height / 2, height / 2
     a = (left, top, forward[0])
     b = (right, top, forward[1])
@@ -293,7 +293,7 @@ def _staircase(target: Staircase) -> NDArray[np.float64]:
 
 
 def _disc(target: Disc) -> NDArray[np.float64]:
-    """Return the triangles of a disc: a fine net without its holes, bent."""
+    """Return a fine triangle mesh of a disc, with its holes and its curvature."""
     from scipy.spatial import Delaunay
 
     outer = target.diameter / 2

@@ -1,4 +1,4 @@
-"""Light of a survey: noiseless for simulated devices, and expected of a scan."""
+"""Expected light of a survey: for simulated devices, and statistics of a scan."""
 
 from __future__ import annotations
 
@@ -19,25 +19,26 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class LightByDirection:
-    """Noiseless light in known directions, without the detector's dark counts."""
+    """Noiseless light in given directions, without the detector's dark counts."""
 
     azimuth: Floats
-    """Direction of each place to the right, shape (place,) [rad]."""
+    """Azimuth of each direction, positive to the right, shape (place,) [rad]."""
     elevation: Floats
-    """Direction of each place upwards, shape (place,) [rad]."""
+    """Elevation of each direction, positive upwards, shape (place,) [rad]."""
     target: NDArray[np.complex128]
-    """Peak signal of the target, shape (frequency, polarization, place) [V]."""
+    """Peak amplitude of the target signal, shape (frequency, polarization, place)
+    [V]."""
     water: NDArray[np.complex128]
-    """Peak signal of the water, of the same shape [V]."""
+    """Peak amplitude of the water signal, of equal shape [V]."""
     target_rate: Floats
-    """Photoelectrons by the target's light, of the same shape [1/s]."""
+    """Photoelectron rate of the target's light, of equal shape [1/s]."""
     water_rate: Floats
-    """Photoelectrons by the water's light, of the same shape [1/s]."""
+    """Photoelectron rate of the water's light, of equal shape [1/s]."""
 
 
 @dataclass(frozen=True)
 class SceneLight:
-    """Noiseless light of a survey with its targets in the water, and without.
+    """Noiseless light of a survey, with its targets in the water and without them.
 
     Examples
     --------
@@ -155,7 +156,7 @@ _BEAMS = 25
 
 @dataclass(frozen=True, kw_only=True)
 class Expectation:
-    """Expected samples of a scan; NaN where no beam meets a target.
+    """Statistics expected of a scan's samples; NaN where no beam hits a target.
 
     Examples
     --------
@@ -173,21 +174,21 @@ class Expectation:
     """
 
     hit: float
-    """Share of the beams that meet a target [1]."""
+    """Fraction of the beams that hit a target [1]."""
     hit_each: tuple[float, ...]
-    """Share of the beams that meet each target of the survey [1]."""
+    """Fraction of the beams that hit each target of the survey [1]."""
     saturated: float
-    """Share of the samples that overload the detector [1]."""
+    """Fraction of the samples that saturate the detector [1]."""
     signal_to_noise: Floats
-    """Median echo over its standard uncertainty, (modulation_frequency, polarization)
-    [1]."""
+    """Median of the target signal over its standard uncertainty, shape
+    (modulation_frequency, polarization) [1]."""
     water_to_echo: Floats
-    """Median of the water in front of the target over the echo, of the same shape
-    [1]."""
+    """Median of the water signal in front of the target over the target signal, of
+    equal shape [1]."""
 
 
 def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expectation:
-    """Estimate the samples of a scan from a few of its beams.
+    """Estimate statistics of a scan's samples from a few of its beams.
 
     Parameters
     ----------
@@ -258,7 +259,7 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
 
 
 def _median(values: Floats, met: NDArray[np.bool_]) -> Floats:
-    """Return the median over the beams that meet a target."""
+    """Return the median over the beams that hit a target."""
     if not met.any():
         return np.full(values.shape[:2], np.nan)
     return np.asarray(np.median(values[:, :, met], axis=-1))
