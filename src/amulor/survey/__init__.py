@@ -1,4 +1,4 @@
-"""Survey files: water, targets, instrument and scan in TOML, strictly checked."""
+"""Survey files in TOML: water, targets, instrument and scan, strictly validated."""
 
 from amulor.survey.calibration import Calibration
 from amulor.survey.instrument import (

@@ -1,4 +1,4 @@
-"""Uncertainties of the instrument's delay and geometry, and of the water's index."""
+"""Calibration uncertainties: the instrument's delay and geometry, water's index."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def integration_time(survey: Survey) -> float:
 
 
 def full_rate(survey: Survey) -> float:
-    """Return the rate of photoelectrons if all launched light came back [1/s]."""
+    """Return the photoelectron rate if all launched light returned [1/s]."""
     instrument, detector = survey.instrument, survey.instrument.detector
     return float(
         detection.photoelectron_rate(
@@ -32,7 +32,7 @@ def full_rate(survey: Survey) -> float:
 
 
 def background_rate(survey: Survey) -> NDArray[np.float64]:
-    """Return the rate of photoelectrons by daylight, behind each analyzer [1/s]."""
+    """Return the photoelectron rate of daylight behind each analyzer [1/s]."""
     instrument, light = survey.instrument, survey.daylight
     pairs = instrument.polarizations
     if light is None:
@@ -58,7 +58,7 @@ def background_rate(survey: Survey) -> NDArray[np.float64]:
 def counting_variance(
     survey: Survey, *, rate: ArrayLike, integration_time: float
 ) -> NDArray[np.float64]:
-    """Return the variance of either output by photon counting [V^2]."""
+    """Return the variance of either lock-in output from photon counting [V^2]."""
     detector = survey.instrument.detector
     return np.asarray(
         detector.volt_per_photoelectron_rate**2
@@ -72,7 +72,7 @@ def counting_variance(
 
 
 def photon_noise_volt(survey: Survey) -> float:
-    """Return the voltage V in the counting variance V A / m of an amplitude A [V]."""
+    """Return the voltage V of the counting variance V A / m at amplitude A [V]."""
     volt = survey.instrument.detector.volt_per_photoelectron_rate
     time = integration_time(survey)
     return float(detection.photon_noise(time, volt_per_photoelectron_rate=volt))

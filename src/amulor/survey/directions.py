@@ -1,4 +1,4 @@
-"""Directions of pixels and open-water shots; largest scan in memory."""
+"""Directions of pixels and open-water shots, and the limit of scans in memory."""
 
 from __future__ import annotations
 

@@ -16,15 +16,15 @@ _Described = TypeVar("_Described", bound=Description)
 
 @runtime_checkable
 class NamesFile(Protocol):
-    """Description with the name of a file."""
+    """Interface of survey sections that refer to a file."""
 
     def settled(self, folder: Path, *, where: str) -> Any:
-        """Return a copy for use in another folder."""
+        """Return a copy with full paths, or with the content of its files."""
         ...
 
 
 def settled(description: _Described, folder: Path, *, where: str) -> _Described:
-    """Return a description with the full paths or the content of its files."""
+    """Return a survey section with full paths, or with the content of its files."""
     copy = _settled(description, folder, where=f"{where}: ", path="")
     return copy  # type: ignore[no-any-return]
 
@@ -62,7 +62,7 @@ _SIZE_LIMIT = 1_000_000
 
 
 def columns(path: Path, *, count: int, where: str) -> list[list[float]]:
-    """Return the columns of a table of numbers."""
+    """Return the columns of a text file of numbers."""
     needed = f"needed is a text of {count} columns of numbers"
     try:
         if path.stat().st_size > _SIZE_LIMIT:
@@ -99,7 +99,7 @@ def columns(path: Path, *, count: int, where: str) -> list[list[float]]:
 
 
 def validated(model: type[_Model], content: Any, *, where: str) -> _Model:
-    """Return a description made of a table; errors are one line each."""
+    """Validate a table as a survey section; errors are one line each."""
     try:
         return model.model_validate(content)
     except ValidationError as error:

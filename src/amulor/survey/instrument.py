@@ -59,7 +59,7 @@ PolarizationPair = Annotated[str, Field(pattern=f"^({stokes.PAIR_PATTERN})$")]
 
 
 class Emitter(Description):
-    """Start of the beam, and its direction at scan angles of zero.
+    """Emitter: start of the beam, and its direction at scan angles of zero.
 
     Examples
     --------
@@ -73,7 +73,7 @@ class Emitter(Description):
     """
 
     position: Position = (0.0, 0.0, 0.0)
-    """Start of the beam (right, down, forward) [m]."""
+    """Position of the beam's start (right, down, forward) [m]."""
     beam_radius: Annotated[Length, Field(ge=0, le=0.5)] | None = None
     """1/e half-width of the Gaussian beam at its start; by default a thin beam [m]."""
     beam_divergence: Annotated[Angle, Field(ge=0, le=0.2)] | None = None
@@ -100,9 +100,11 @@ class Receiver(Description):
     position: Position
     """Center of the aperture (right, down, forward) [m]."""
     azimuth: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
-    """Direction of the axis to the right, at the middle of the scan [rad]."""
+    """Azimuth of the receiver's axis at the middle of the scan, positive to the right
+    [rad]."""
     elevation: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
-    """Direction of the axis upwards, at the middle of the scan [rad]."""
+    """Elevation of the receiver's axis at the middle of the scan, positive upwards
+    [rad]."""
     radius: Annotated[Length, Field(gt=0)]
     """1/e half-width R of the aperture, whose area is pi R^2 [m]."""
     acceptance: Annotated[Angle, Field(gt=0, le=0.5)]
@@ -134,7 +136,7 @@ class Detector(Description):
     excess_noise_factor: Annotated[float, Field(ge=1)] = 1.2
     """Factor by which the multiplication increases the shot-noise power [1]."""
     dark_rate: Annotated[Frequency, Field(ge=0)] = 0.0
-    """Counts per second without light [Hz]."""
+    """Rate of dark counts, which occur without light [Hz]."""
     volt_per_photoelectron_rate: Annotated[float, Field(gt=0)] = 8.0e-12
     """Output voltage per rate of photoelectrons; 8e-12 is a gain of 1e6 into 50 ohm [V
     s]."""
@@ -143,7 +145,7 @@ class Detector(Description):
 
 
 class LockIn(Description):
-    """The lock-in amplifier.
+    """Lock-in amplifier: time constant and phase floor.
 
     Examples
     --------
@@ -153,13 +155,13 @@ class LockIn(Description):
     """
 
     time_constant: Annotated[Time, Field(gt=0)] = 0.01
-    """Time constant of its one-pole output filter [s]."""
+    """Time constant of the one-pole output filter [s]."""
     phase_floor: Annotated[Angle, Field(ge=0, le=1)] = 0.0
     """Random phase error of one sample, independent of the amount of light [rad]."""
 
 
 class Window(Description):
-    """Flat window across the view, with the instrument in air behind it.
+    """Flat window between the instrument, which is in air, and the water.
 
     Examples
     --------
@@ -171,7 +173,7 @@ class Window(Description):
     """
 
     distance: Annotated[Length, Field(gt=0)]
-    """Forward coordinate of the near face [m]."""
+    """Forward coordinate of the window's face in air [m]."""
     thickness: Annotated[Length, Field(ge=0)]
     """Thickness of the pane [m]."""
     refractive_index: Annotated[float, Field(ge=1, le=2.5)] = 1.47
@@ -184,7 +186,7 @@ class Window(Description):
 
 
 class Instrument(Description):
-    """Amplitude-modulated laser radar.
+    """Amplitude-modulated laser radar: laser, modulation, receiver and lock-in.
 
     Examples
     --------
@@ -221,11 +223,11 @@ class Instrument(Description):
     window: Window | None = None
     """Window between instrument and water; none by default."""
     phase_uncertainty: Annotated[Angle, Field(ge=0, le=0.5)] | None = None
-    """Standard uncertainty of the phase of each modulation frequency by leakage, walk
-    with the amplitude and harmonics. If left out 0.5 degrees count, as of typical
-    instruments; 0 is an instrument without such errors [rad]."""
+    """Standard uncertainty of the phase at each modulation frequency from leakage,
+    amplitude-dependent phase and harmonics. If left out, 0.5 degrees are assumed, as of
+    typical instruments; 0 is an instrument without such errors [rad]."""
     errors: InstrumentErrors | None = None
-    """Errors of the instrument in simulated samples; none by default."""
+    """Instrument errors that simulated samples contain; none by default."""
 
     @model_validator(mode="after")
     def _lists_are_in_order(self) -> Self:

@@ -1,4 +1,4 @@
-"""Errors of a real instrument, for simulated samples.
+"""Instrument errors that simulated samples contain, each with its parameters.
 
 No method that evaluates a scan reads them: they are what a user does not know.
 """
@@ -21,7 +21,7 @@ _Delay = Annotated[Time, Field(ge=-1e-3, le=1e-3)]
 
 
 class Pointing(Description):
-    """True directions of the beams that differ from those recorded."""
+    """Pointing error: true beam directions that differ from those recorded."""
 
     jitter: Annotated[Angle, Field(ge=0, le=0.5)] = 0.0
     """Standard deviation of azimuth and of elevation from pixel to pixel [rad]."""
@@ -31,14 +31,14 @@ class Pointing(Description):
 
 
 class Clock(Description):
-    """Modulation frequencies that differ from those recorded."""
+    """Clock error: true modulation frequencies that differ from those recorded."""
 
     frequency_error: Annotated[Fraction, Field(ge=-0.1, le=0.1)]
     """True frequency divided by recorded frequency, minus 1 [1]."""
 
 
 class Harmonic(Description):
-    """Harmonic of the modulated light in the output of the fundamental.
+    """Harmonic of the modulated light that appears in the output of the fundamental.
 
     Its phasor is the complex conjugate for the orders 3 and 7, as with four samples a
     period.
@@ -52,20 +52,20 @@ class Harmonic(Description):
 
 
 class OpticalLeakage(Description):
-    """Light that reaches the detector without leaving the instrument."""
+    """Optical leakage: light that reaches the detector within the instrument."""
 
     fraction: _Share
     """Leaking power before the analyzer, divided by the launched power [1]."""
     delay: _Delay = 0.0
-    """Delay against the modulation of the launched light [s]."""
+    """Delay of the leaking light relative to the launched modulation [s]."""
     depolarization: _Share = 0.0
     """0 for leaking light that keeps its polarization, 1 for unpolarized light [1]."""
     part: Part = "all"
-    """Affected samples."""
+    """Samples that are affected: of the scan, of open-water shots, or both."""
 
 
 class Counting(Description):
-    """Losses and late pulses of a photon-counting detector."""
+    """Dead time and after-pulses of a photon-counting detector."""
 
     dead_time: Annotated[Time, Field(ge=0, le=1e-3)] = 0.0
     """Time after each count in which the detector does not count [s]. Photons in this
@@ -77,7 +77,7 @@ class Counting(Description):
 
 
 class Compression(Description):
-    """Gain that falls in proportion to the amplitude."""
+    """Gain compression: gain that falls linearly with the amplitude."""
 
     fraction: _Share
     """Relative loss of gain at the amplitude `amplitude` [1]. The gain never falls
@@ -87,16 +87,16 @@ class Compression(Description):
 
 
 class Walk(Description):
-    """Phase that depends on the amplitude."""
+    """Amplitude-dependent phase error (walk)."""
 
     phase_per_decade: _Phase
-    """Phase per factor of ten of the amplitude [rad]."""
+    """Phase error per factor of ten in amplitude [rad]."""
     amplitude: Annotated[Voltage, Field(gt=0, le=1e4)]
     """Amplitude at which the phase error is zero [V]."""
 
 
 class Reflection(Description):
-    """Echo of the signal in a cable."""
+    """Cable reflection: delayed echo of the signal."""
 
     coefficient: Annotated[Fraction, Field(ge=-1, le=1)]
     """Product of the reflection coefficients of both ends [1]."""
@@ -106,23 +106,23 @@ class Reflection(Description):
 
 
 class Crosstalk(Description):
-    """Electrical crosstalk of the modulation to the receiver's electronics."""
+    """Electrical crosstalk of the modulation into the receiver electronics."""
 
     amplitude: _Volts | tuple[_Volts, ...]
     """Amplitude in the output, the same for all modulation frequencies or one value for
     each [V]."""
     phase: _Phase = 0.0
-    """Phase at frequency zero [rad]."""
+    """Phase of the crosstalk at frequency zero [rad]."""
     delay: _Delay = 0.0
     """Delay; it adds a phase proportional to the frequency [s]."""
     change: _Change = 0.0
     """Relative change of the amplitude from the first to the last sample [1]."""
     part: Part = "all"
-    """Affected samples."""
+    """Samples that are affected: of the scan, of open-water shots, or both."""
 
 
 class Drift(Description):
-    """Changes from the first sample to the last, linear in time or exponential."""
+    """Drift from the first to the last sample, linear or exponential in time."""
 
     phase: _Phase = 0.0
     """Change of the phase, equal for all frequencies [rad]."""
@@ -138,12 +138,12 @@ class Drift(Description):
 
 
 class ScaleChange(Description):
-    """Error of an input range of the demodulator, above a threshold."""
+    """Error of the demodulator when it changes its input range at a threshold."""
 
     above: _Volts
-    """Amplitude above which the demodulator uses another range [V]."""
+    """Amplitude above which the demodulator uses the other range [V]."""
     phase: _Phase = 0.0
-    """Phase of the other range [rad]."""
+    """Phase error of the other range [rad]."""
     gain: _Change = 0.0
     """Gain of the other range over that of the normal range, minus 1 [1]."""
 
@@ -165,7 +165,7 @@ class Demodulator(Description):
 
 
 class OutputNoise(Description):
-    """Noise of both outputs beyond their stated uncertainty."""
+    """Output noise in excess of the stated uncertainty."""
 
     white: _Volts = 0.0
     """Standard deviation of white noise, which is independent from sample to sample
@@ -194,29 +194,29 @@ class InstrumentErrors(Description):
     """
 
     pointing: Pointing | None = None
-    """Directions of the beams."""
+    """Errors of the beam directions."""
     clock: Clock | None = None
-    """Frequency of the modulation."""
+    """Error of the modulation frequencies."""
     drift: Drift | None = None
     """Drift of power and modulation depth (of the light), and of phase and delay (after
     the crosstalk is added)."""
     optical_leakage: OpticalLeakage | None = None
-    """Light within the instrument."""
+    """Light that leaks within the instrument."""
     counting: Counting | None = None
     """Dead time and after-pulses."""
     harmonic: Harmonic | None = None
     """Harmonic in the output of the fundamental."""
     compression: Compression | None = None
-    """Gain against amplitude."""
+    """Gain that depends on the amplitude."""
     walk: Walk | None = None
-    """Phase against amplitude."""
+    """Phase that depends on the amplitude."""
     reflection: Reflection | None = None
-    """Reflections in a cable."""
+    """Reflection in a cable."""
     crosstalk: Crosstalk | None = None
-    """Electrical leakage."""
+    """Electrical crosstalk."""
     scale_change: ScaleChange | None = None
-    """Ranges of the demodulator."""
+    """Change between input ranges of the demodulator."""
     demodulator: Demodulator | None = None
-    """Offsets, gain and angle of the outputs."""
+    """Offsets, gain and angle of the demodulator's outputs."""
     noise: OutputNoise | None = None
-    """Noise beyond the stated uncertainty."""
+    """Noise in excess of the stated uncertainty."""

@@ -17,19 +17,19 @@ __all__ = ["LIMITS", "Limit", "beyond"]
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """Limits of a number."""
+    """Limits of a number in a survey file."""
 
     quantity: str
     """Physical quantity, a key of `amulor.units.SI_UNITS`."""
     least: float | None = None
-    """Smallest value that is allowed, its size for coordinates [SI]."""
+    """Smallest allowed value, of coordinates the smallest magnitude [SI]."""
     most: float
-    """Largest value that is allowed, its size for coordinates [SI]."""
+    """Largest allowed value, of coordinates the largest magnitude [SI]."""
     reason: str
     """Reason of the limits."""
 
     def broken(self, value: float) -> str:
-        """Return the error message of a value, empty for a valid one."""
+        """Return the error message for a value; empty if the value is valid."""
         if abs(value) > self.most:
             word, end = "at most", self.most
         elif self.least is not None and abs(value) < self.least:
@@ -119,7 +119,7 @@ LIMITS: Mapping[str, Limit] = {
 
 
 def beyond(content: Any) -> Iterator[tuple[str, str]]:
-    """Yield the numbers of a survey beyond the limits of an instrument."""
+    """Yield path and error message of survey numbers outside their limits."""
     for path, limit in LIMITS.items():
         for path_of_value, value in _at(content, path.split("."), ""):
             message = limit.broken(value)
@@ -128,7 +128,7 @@ def beyond(content: Any) -> Iterator[tuple[str, str]]:
 
 
 def _at(content: Any, path: list[str], parent: str) -> Iterator[tuple[str, float]]:
-    """Yield the full paths and numbers that match a path."""
+    """Yield full path and value of each number that matches a path pattern."""
     if content is None:
         return
     if not path:

@@ -1,4 +1,4 @@
-"""Mueller matrices in a survey: three diagonal numbers, all sixteen, or a name."""
+"""Mueller matrices in surveys: three diagonal numbers, all sixteen, or a name."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SURFACES: dict[str, tuple[float, float, float]] = {
 
 
 def keeping(m22: float) -> tuple[float, float, float]:
-    """Return (m22, m33, m44) straight backwards for randomly oriented particles."""
+    """Return (m22, m33, m44) at 180 degrees for randomly oriented particles."""
     return m22, -m22, 1.0 - 2.0 * m22
 
 
@@ -51,7 +51,7 @@ def matrix(description: Any) -> NDArray[np.float64]:
 
 
 def _named(description: Any) -> Any:
-    """Refuse a name without a published matrix."""
+    """Return a Mueller matrix; ValueError for a name without published values."""
     if isinstance(description, str) and description not in SURFACES:
         raise ValueError(
             f"found {description!r}, for which no published Mueller matrix is known "

@@ -1,4 +1,4 @@
-"""Optical properties of the water: indices, split scattering, backscatter."""
+"""Optical properties of the water: indices, forward and diffuse part, backscatter."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ class WaterProperties:
     absorption: float
     """Absorption coefficient a [1/m]."""
     scattering: float
-    """Scattering coefficient b, forward and diffuse [1/m]."""
+    """Scattering coefficient b, of forward and diffuse part together [1/m]."""
     forward_scattering: float
-    """Scattering below the split angle, b_f [1/m]."""
+    """Forward scattering coefficient b_f, below the split angle [1/m]."""
     diffuse_scattering: float
-    """Scattering beyond the split angle, b_d [1/m]."""
+    """Diffuse scattering coefficient b_d, beyond the split angle [1/m]."""
     second_moment: float
-    """Mean square angle of the forward part [rad^2]."""
+    """Mean square scattering angle of the forward part [rad^2]."""
     backscatter_vsf: float
     """Volume scattering function at 180 degrees [1/(m sr)]."""
     refractive_index: float
@@ -53,18 +53,19 @@ class WaterProperties:
     group_index: float
     """Group index [1]."""
     split_angle: float = math.pi / 2
-    """Angle between the forward and the diffuse part [rad]."""
+    """Scattering angle between the forward and the diffuse part [rad]."""
     phase_function: PhaseFunction | None = None
-    """The whole phase function; None where the survey states moments only."""
+    """Phase function over all angles; None where the survey states only moments."""
     layers: tuple[LayerOptics, ...] = ()
-    """Layers across the forward axis; empty for uniform water. The numbers above are
-    then those of the first one."""
+    """Layers across the forward axis; empty for uniform water. With layers, the
+    coefficients above are those of the first layer."""
     source: str = ""
-    """Where the coefficients come from."""
+    """Source of the coefficients."""
     backscatter_mueller: Any = (1.0, -1.0, -1.0)
-    """Reduced Mueller matrix straight backwards, in a form of survey files [1]."""
+    """Reduced Mueller matrix at 180 degrees, in a form of survey files [1]."""
     depolarization_known: bool = True
-    """False where polarization counts as kept for lack of data."""
+    """Whether depolarization is known; if not, polarization is assumed to be
+    preserved."""
 
     @property
     def reduced_attenuation(self) -> float:
@@ -78,7 +79,7 @@ class WaterProperties:
 
 
 def water_properties(survey: Survey) -> WaterProperties:
-    """Return the optical numbers of a survey's water at its wavelength.
+    """Return the optical properties of a survey's water at its wavelength.
 
     Parameters
     ----------
@@ -144,7 +145,7 @@ _POLARIZATION_KEPT = (1.0, -1.0, -1.0)
 
 
 def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
-    """Return a survey whose water is stated by its coefficients and moments."""
+    """Return a survey with its water restated by coefficients and moments."""
     water = survey.water
     if isinstance(water, Water):
         changed = water.model_copy(
@@ -186,7 +187,7 @@ def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
 
 @lru_cache(maxsize=8)
 def _tabulated(function: PhaseFunction) -> Tabulated:
-    """Return a phase function as a survey states one, the same each time."""
+    """Return a phase function as a table for a survey; equal input gives one object."""
     angle = np.concatenate(
         [np.geomspace(_INNERMOST, _WIDE, _HEAD)[:-1], np.linspace(_WIDE, np.pi, _REST)]
     )
@@ -199,7 +200,7 @@ def _tabulated(function: PhaseFunction) -> Tabulated:
 
 
 def indices(survey: Survey) -> tuple[float, float]:
-    """Return phase and group index of the water, stated or of its state."""
+    """Return phase and group index of the water, stated or from its state."""
     water, wavelength = survey.water, survey.instrument.wavelength
     state = state_of(water)
     phase_index, group_index = water.refractive_index, water.group_index
@@ -256,7 +257,7 @@ _POINTS = 41
 
 
 def _spread(survey: Survey, spans: Mapping[str, tuple[float, float]]) -> float:
-    """Return the root mean square change of the index over spans of the state [1]."""
+    """Return the root mean square change of the group index over spans of state [1]."""
     state = state_of(survey.water)
     if not spans:
         return 0.0
@@ -271,7 +272,7 @@ def _spread(survey: Survey, spans: Mapping[str, tuple[float, float]]) -> float:
 
 
 def _slope(survey: Survey, name: str) -> float:
-    """Return the derivative of the index by temperature or salinity."""
+    """Return the derivative of the group index by temperature or salinity."""
     state = state_of(survey.water)
     highest = {"temperature": 30.0, "salinity": 43.0}[name]
     # One-sided at the ends of what the formula holds for.
@@ -286,7 +287,7 @@ def _slope(survey: Survey, name: str) -> float:
 
 
 def _moments(survey: Survey, optics: WaterOptics) -> tuple[float, float, float]:
-    """Return forward fraction, second moment and value at 180 degrees."""
+    """Return forward fraction, second moment and phase function at 180 degrees."""
     water, split = survey.water, survey.water.split_angle
     forward = moment = backwards = asymmetry = None
     if isinstance(water, Water):

@@ -1,4 +1,4 @@
-"""Field types of survey files: SI floats, written as text with a unit."""
+"""Field types of survey files: text with a unit, converted to SI floats."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from amulor import units
 
 
 class Description(BaseModel):
-    """Base of all descriptions: frozen, strict about fields, documented."""
+    """Base class of all survey sections: frozen, strict about fields, documented."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -44,7 +44,7 @@ class Description(BaseModel):
     def model_copy(
         self, *, update: Mapping[str, Any] | None = None, deep: bool = False
     ) -> Self:
-        """Return a copy, validated as a new description where fields are changed."""
+        """Return a copy with changed fields, validated again."""
         copy = super().model_copy(deep=deep)
         if not update:
             return copy
@@ -166,7 +166,7 @@ Fraction = Annotated[float, _read("fraction"), _finite]
 
 
 def _whole_number(value: Any) -> Any:
-    """Refuse true and false, which count as 1 and 0 in Python."""
+    """Return a whole number; ValueError for true, false and huge numbers."""
     if isinstance(value, bool):
         raise ValueError(f"found {str(value).lower()}; needed is a whole number")
     if isinstance(value, int) and abs(value) > _LARGEST_COUNT:

@@ -1,4 +1,4 @@
-"""Scan and pose of the instrument, and reference systems of coordinates."""
+"""Scan and pose of the instrument, and coordinate reference systems."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NEEDED = 'state a projected system in metres, such as "EPSG:32632", or a name'
 
 
 def epsg_code(text: str) -> int | None:
-    """Return the EPSG number in a text; None for a name."""
+    """Return the EPSG number in the name of a reference system; None without one."""
     if not re.match(r"\s*(epsg\b|\d+\s*$)", text, flags=re.IGNORECASE):
         return None
     match = re.fullmatch(r"\s*epsg:(\d{4,5})\s*", text, flags=re.IGNORECASE)
@@ -38,7 +38,7 @@ def epsg_code(text: str) -> int | None:
 
 
 def projected_code(text: str) -> int | None:
-    """Return the number of a projected system in meters; None for a name."""
+    """Return the EPSG number of a projected system in meters; None for a name."""
     code = epsg_code(text)
     if code is None:
         return None
@@ -68,7 +68,7 @@ def projected_code(text: str) -> int | None:
 
 
 def _checked(text: str) -> str:
-    """Return the text of a valid system; checks without pyproj are limited."""
+    """Return the name of a reference system; full validation needs pyproj."""
     # What writes coordinates in the system asks for pyproj.
     with contextlib.suppress(MissingExtraError):
         projected_code(text)
@@ -111,7 +111,7 @@ class OpenWater(Description):
 
 
 class Scan(Description):
-    """Rectangular grid of directions.
+    """Scan over a rectangular grid of directions.
 
     Examples
     --------
@@ -128,13 +128,13 @@ class Scan(Description):
     """
 
     columns: Annotated[Count, Field(ge=1, le=20_000)]
-    """Pixels along a row [1]."""
+    """Number of pixels along a row [1]."""
     rows: Annotated[Count, Field(ge=1, le=20_000)]
     """Rows of pixels; the first row is at the top [1]."""
     azimuth_span: Annotated[Angle, Field(ge=0, lt=math.pi)]
-    """Angle between the first and the last column [rad]."""
+    """Azimuth difference between the first and the last column [rad]."""
     elevation_span: Annotated[Angle, Field(ge=0, lt=math.pi)]
-    """Angle between the first and the last row [rad]."""
+    """Elevation difference between the first and the last row [rad]."""
     azimuth: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
     """Azimuth of the middle of the scan, to the right [rad]."""
     elevation: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
@@ -192,7 +192,7 @@ class Pose(Description):
 
 
 class _PoseFile(Description):
-    """File with a pose only."""
+    """Content of a file that has only a pose."""
 
     pose: Pose
     """Position and attitude of the instrument."""

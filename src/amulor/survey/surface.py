@@ -1,4 +1,4 @@
-"""Reflection of target surfaces: Lambert, Oren-Nayar, or a table."""
+"""Reflection by target surfaces: Lambert, Oren-Nayar, or a table."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _Slant = Annotated[Angle, Field(ge=0, le=math.pi / 2)]
 
 
 class Lambertian(Description):
-    """Matte surface, equally bright from all directions.
+    """Lambertian surface: matte, equally bright from all directions.
 
     Examples
     --------
@@ -38,7 +38,7 @@ class Lambertian(Description):
 
 
 class OrenNayar(Description):
-    """Rough matte surface, with facets that follow Lambert's law.
+    """Oren-Nayar surface: rough and matte, with Lambertian facets.
 
     Examples
     --------
@@ -122,7 +122,7 @@ class TabulatedSurface(Description):
         return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
-        """Return a copy that holds the table of its file."""
+        """Return a copy that contains the table of its file."""
         if self.file is None:
             return self
         columns = files.columns(folder / self.file, count=4, where=where)
@@ -148,7 +148,7 @@ class TabulatedSurface(Description):
 def _largest_reflectance(
     incidence: Any, leaving: Any, azimuth: Any, values: Any
 ) -> float:
-    """Return the largest reflected share of light over the angles of a table [1]."""
+    """Return the largest reflectance over the angles of incidence of a table [1]."""
     slant, turn = np.asarray(leaving), np.asarray(azimuth)
     table = np.reshape(values, (len(incidence), slant.size, turn.size))
     around = (
@@ -178,7 +178,7 @@ def brightness(
     leaving: Floats,
     azimuth: Floats,
 ) -> Floats:
-    """Return the BRDF of a surface over that of Lambert's law [1]."""
+    """Return the BRDF of a surface over that of a Lambertian surface [1]."""
     if isinstance(surface, OrenNayar):
         ratio = reflection.oren_nayar(
             incidence=incidence,

@@ -37,13 +37,13 @@ class Survey(Description):
     name: Annotated[str, Field(min_length=1, max_length=200)]
     """Title of the survey and of all its products."""
     water: WaterStated
-    """The water."""
+    """Water of the survey."""
     targets: tuple[Target, ...] = ()
     """Objects in the water. A beam that hits no object measures water only."""
     instrument: Instrument
-    """The instrument."""
+    """Instrument of the survey."""
     scan: Scan
-    """The scan."""
+    """Scan of the survey."""
     calibration: Calibration | None = None
     """Uncertainties of delay, geometry and refractive index; unknown by default."""
     daylight: Daylight | None = None
@@ -110,7 +110,7 @@ class Survey(Description):
 
     @classmethod
     def preset(cls, name: str) -> Self:
-        """Return the survey of a published instrument that ships with amulor.
+        """Return the survey of a published instrument that is part of amulor.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class Survey(Description):
         return files.settled(survey, folder or Path(), where=name)
 
     def with_(self, changes: Mapping[str, Any]) -> Self:
-        """Return the survey with some fields changed, validated like a file.
+        """Return the survey with changed fields, validated like a file.
 
         Parameters
         ----------
@@ -218,7 +218,7 @@ class Survey(Description):
 
 
 def _without_none(content: Any) -> Any:
-    """Leave out fields that are None, so that messages call them missing."""
+    """Return content without fields that are None, which messages then call missing."""
     if isinstance(content, dict):
         return {
             key: _without_none(item)
@@ -254,7 +254,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def changed(content: Any, changes: Mapping[str, Any], *, name: str) -> Any:
-    """Return the content of a description with some values changed.
+    """Return the content of a survey file with some values changed.
 
     Examples
     --------
@@ -289,7 +289,7 @@ def changed(content: Any, changes: Mapping[str, Any], *, name: str) -> Any:
 
 
 def _at(table: Any, part: str, *, path: str, name: str) -> Any:
-    """Return the entry of a table or list at one part of a path."""
+    """Return the entry of a table or list for one part of a path."""
     if isinstance(table, dict):
         return table.get(part)
     if not part.isdigit() or int(part) >= len(table):
@@ -301,7 +301,7 @@ def _at(table: Any, part: str, *, path: str, name: str) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return copies of tables and lists, as in a file."""
+    """Return tables and lists as plain copies, as in a file."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

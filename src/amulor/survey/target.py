@@ -35,7 +35,7 @@ class _Target(Description):
     reflectance: Annotated[Fraction, Field(gt=0, le=1)]
     """Diffuse reflectance of the surface [1]."""
     mueller: ReducedMueller = PAINTED_METAL
-    """Reduced Mueller matrix of the surface straight backwards, or "painted-metal",
+    """Reduced Mueller matrix of the surface at 180 degrees, or "painted-metal",
     "smooth-metal" or "ideal-depolarizer" [1]."""
     surface: SurfaceStated | None = None
     """Distribution of the reflected light over directions; Lambert's law by default."""
@@ -96,11 +96,11 @@ class Staircase(_Target):
     ]
     """Height of each step towards the instrument, left to right [m]."""
     height: Annotated[Length, Field(gt=0)]
-    """Extent of all treads downwards [m]."""
+    """Extent of the treads downwards [m]."""
 
 
 class Disc(_Target):
-    """Round plate with holes, bent or flat.
+    """Disc with holes, flat or curved.
 
     Examples
     --------
@@ -127,9 +127,9 @@ class Disc(_Target):
     hole_count: Annotated[Count, Field(ge=0, le=100)] = 0
     """Number of small holes, evenly spaced around the middle [1]."""
     hole_diameter: Annotated[Length, Field(ge=0)] = 0.0
-    """Diameter of the small holes [m]."""
+    """Diameter of each small hole [m]."""
     hole_circle: Annotated[Length, Field(ge=0)] = 0.0
-    """Diameter of the circle through the centers of the small holes [m]."""
+    """Diameter of the circle on which the small holes lie [m]."""
     curvature_radius: Annotated[Length, Field(gt=0)] | None = None
     """Radius of curvature of a disc bent about a vertical axis; flat by default [m].
     The middle of a bent disc is nearest to the instrument."""

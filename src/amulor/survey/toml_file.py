@@ -1,4 +1,4 @@
-"""Reading of TOML files, and messages about errors in them."""
+"""Reading of TOML files, and messages for errors in them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def lines(
     name: str,
     what: str = "a survey",
 ) -> list[str]:
-    """Return the errors of the validator, one line each."""
+    """Return the validation errors of a file, one line each."""
     problems = error.errors()
     above = {
         problem["loc"][:end]
@@ -111,7 +111,7 @@ _NEEDED = {
 
 
 def _location(loc: tuple[Any, ...], content: Any) -> list[Any]:
-    """Drop the parts of a location that name a choice of type, not a field."""
+    """Return the location of an error, without parts that name a choice of type."""
     location: list[Any] = []
     value = content
     for position, part in enumerate(loc):
@@ -126,7 +126,7 @@ def _location(loc: tuple[Any, ...], content: Any) -> list[Any]:
 
 
 def _at(location: list[Any], content: Any) -> Any:
-    """Return the value of the file at a location; None if it has none."""
+    """Return the value in a file at a location; None if there is none."""
     value = content
     for part in location:
         try:
@@ -137,7 +137,7 @@ def _at(location: list[Any], content: Any) -> Any:
 
 
 def _bound(value: Any, limit: float) -> str:
-    """Return a limit in the unit of the value in the file."""
+    """Return a limit as text, in the unit of the value in the file."""
     if isinstance(value, str):
         return units.write_like(limit, value)
     return f"{limit:g} in SI units" if isinstance(value, float) else f"{limit:g}"
@@ -154,7 +154,7 @@ def _value_text(location: list[Any], content: Any) -> str:
 def _table(
     location: list[Any], content: Any, model: type[BaseModel]
 ) -> type[BaseModel]:
-    """Return the description class of a table of the file."""
+    """Return the model class of a table in a file."""
     value = content
     annotation: Any = model
     for part in location:
@@ -173,7 +173,7 @@ def _table(
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield all description classes in an annotation, at any depth."""
+    """Yield all model classes in a type annotation, at any depth."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
@@ -181,7 +181,7 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _is_of_kind(table: Any, model: type[BaseModel]) -> bool:
-    """Return whether a table of the file matches a class, by its `kind`."""
+    """Return whether a table of a file matches a model class, by its `kind`."""
     field = model.model_fields.get("kind")
     if field is None or not isinstance(table, dict):
         return True
@@ -191,7 +191,7 @@ def _is_of_kind(table: Any, model: type[BaseModel]) -> bool:
 
 
 def _kinds(model: type[BaseModel]) -> list[str]:
-    """Return the values of `kind` of a description class."""
+    """Return the values of `kind` that a model class allows."""
 
     def texts(annotation: Any) -> Iterator[str]:
         for part in get_args(annotation):
@@ -222,7 +222,7 @@ def _needed(location: list[Any], content: Any, model: type[BaseModel]) -> str:
 
 
 def _description(location: list[Any], content: Any, model: type[BaseModel]) -> str:
-    """Return the docstring of a field, or of the field of a key or an item."""
+    """Return the docstring of the field at a location, or of its parent."""
     for end in range(len(location) - 1, -1, -1):
         fields = _table(location[:end], content, model).model_fields
         if location[end] in fields:
@@ -255,7 +255,7 @@ def described(
     what: str,
     error: type[AmulorError],
 ) -> Model:
-    """Return the description in the text of a TOML file."""
+    """Parse and validate a TOML text as a model."""
     content = _content(text, name=name, what=what, error=error)
     try:
         model_of_text = model.model_validate(content, context={"from_text": True})
@@ -272,7 +272,7 @@ def described(
 def _content(
     text: str, *, name: str, what: str, error: type[AmulorError]
 ) -> dict[str, Any]:
-    """Parse a TOML text; raise if it is nested beyond any description."""
+    """Parse a TOML text; raise an error if it is nested too deeply."""
     deep = f"{name}: is nested deeper than {_DEEPEST} levels, and no part of {what} is"
     for line in text.splitlines():
         # Thousands of dotted keys would take the parser minutes.
@@ -308,7 +308,7 @@ _DEEPEST, _DOTS = 20, 100
 
 
 def _paths(content: Any) -> Iterator[Path]:
-    """Yield the names of all files in a description."""
+    """Yield the names of all files to which a survey refers."""
     if isinstance(content, Path):
         yield content
     elif isinstance(content, dict | list | tuple):

@@ -1,4 +1,4 @@
-"""View of the receiver for the beams of a survey, the input of the signal models."""
+"""View of the receiver for the beams of a survey, as input of the signal models."""
 
 from __future__ import annotations
 
@@ -23,25 +23,26 @@ class View:
     """Geometry of receiver and beams, arrays over the beams."""
 
     baseline: Floats
-    """Distance of receiver and beam at depth zero [m]."""
+    """Distance between receiver and beam at depth zero [m]."""
     tilt: Floats
-    """Inclination of the beam against the receiver's axis, along the baseline: decrease
-    of their distance per length of the beam [rad]."""
+    """Inclination of the beam relative to the receiver's axis, along the baseline:
+    decrease of their distance per length of the beam [rad]."""
     cross_tilt: Floats
-    """The inclination across the baseline [rad]."""
+    """Inclination of the beam relative to the receiver's axis, across the baseline
+    [rad]."""
     standoff: Floats
-    """Air and glass before the water, as a depth of water [m]."""
+    """Optical equivalent of air and glass before the water, as a depth of water [m]."""
     optical_offset: Floats
-    """Group index times length, out and back, at depth zero [m]."""
+    """Round-trip optical path at depth zero [m]."""
     acceptance: float
     """1/e half-width of the field of view, in the water [rad]."""
     transmission: Floats
-    """Transmission of the faces of a window, out and back; 1 without reflection losses
+    """Transmission of the window's faces for both passes; 1 without reflection losses
     [1]."""
 
 
 def medium_of(survey: Survey) -> rays.Medium:
-    """Return the media that the light of a survey crosses."""
+    """Return the media through which the light of a survey passes."""
     window = survey.instrument.window
     phase_index, group_index = indices(survey)
     if window is None:
@@ -57,7 +58,7 @@ def medium_of(survey: Survey) -> rays.Medium:
 
 
 def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
-    """Return the standoff of the receiver as a depth of water, and its acceptance."""
+    """Return the receiver's standoff, as a depth of water [m], and acceptance [rad]."""
     receiver = survey.instrument.receiver
     if medium.window_distance is None:
         return 0.0, receiver.acceptance
@@ -136,7 +137,7 @@ def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
 def _transmission(
     survey: Survey, medium: rays.Medium, launched: Floats, axis: Floats
 ) -> Floats:
-    """Return the transmission of two faces, out and back along the receiver's axis [1].
+    """Return the transmission of the window for launched and received light [1].
 
     Of light that was reflected twice within the pane nothing is counted: less than a
     thousandth.
@@ -164,7 +165,7 @@ def _transmission(
 def kernel_arguments(
     survey: Survey, water: WaterProperties, view: View
 ) -> dict[str, Any]:
-    """Return the arguments of target and water signal from a survey."""
+    """Return the arguments that the functions for target and water signal take."""
     return {
         "absorption": water.absorption,
         "forward_scattering": water.forward_scattering,
@@ -180,7 +181,7 @@ def kernel_arguments(
 
 
 def beam_arguments(survey: Survey, water: WaterProperties) -> dict[str, float]:
-    """Return radius and divergence of the beam, if stated."""
+    """Return radius and divergence of the beam as arguments, if stated."""
     emitter = survey.instrument.emitter
     arguments = {}
     if emitter.beam_radius:
@@ -194,7 +195,7 @@ def beam_arguments(survey: Survey, water: WaterProperties) -> dict[str, float]:
 def widths_together(
     survey: Survey, water: WaterProperties, acceptance: float
 ) -> tuple[float, float]:
-    """Return radius [m] and semi-angle [rad] of receiver and beam combined."""
+    """Return the combined radius [m] and semi-angle [rad] of receiver and beam."""
     beam = beam_arguments(survey, water)
     return (
         float(np.hypot(survey.instrument.receiver.radius, beam.get("beam_radius", 0))),
@@ -208,7 +209,7 @@ def has_sharp_receiver(survey: Survey) -> bool:
 
 
 def refuse_layers(water: WaterProperties, *, model: str) -> None:
-    """Refuse layered water in a model of uniform water."""
+    """Refuse layered water for a model that assumes uniform water."""
     if water.layers:
         raise SurveyError(
             f"water.layers: {model} knows uniform water only; `amulor backscatter "
@@ -217,7 +218,7 @@ def refuse_layers(water: WaterProperties, *, model: str) -> None:
 
 
 def refuse_beam_and_edges(survey: Survey, *, model: str) -> None:
-    """Refuse beam widths and sharp edges in a model without them."""
+    """Refuse beam widths and sharp edges for a model without them."""
     emitter = survey.instrument.emitter
     unsupported = [
         name
@@ -236,7 +237,7 @@ def refuse_beam_and_edges(survey: Survey, *, model: str) -> None:
 
 
 def geometry_attributes(survey: Survey) -> dict[str, Any]:
-    """Return indices, window and positions of the instrument, for a cube."""
+    """Return indices, window and positions of the instrument, as cube attributes."""
     medium = medium_of(survey)
     attributes: dict[str, Any] = {
         "group_index": medium.group_index,

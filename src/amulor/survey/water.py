@@ -1,4 +1,4 @@
-"""Water by its coefficients, and the fields of all descriptions of water."""
+"""Water stated by its coefficients, and the fields common to all kinds of water."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
 class WaterState(Description):
-    """Fields of all descriptions of water."""
+    """Fields common to all kinds of water."""
 
     split_angle: Annotated[Angle, Field(gt=0, le=math.pi)] = math.pi / 2
     """Scattering below this angle counts as forward, scattering beyond it as diffuse
@@ -56,8 +56,8 @@ class WaterState(Description):
     """Distance at which the open water ends (far wall of a tank); unlimited by default
     [m]."""
     signal_fluctuation: Annotated[Fraction, Field(ge=0, lt=1)] = 0.0
-    """Relative random change of the water signal from sample to sample (drifting
-    clouds of particles) [1]."""
+    """Relative standard deviation of the water signal between samples, as by drifting
+    clouds of particles [1]."""
 
 
 #: Salinity and temperature of waters that do not state them [1, degC].
@@ -65,7 +65,7 @@ SALINITIES, TEMPERATURES = (0.0, 40.0), (0.0, 30.0)
 
 
 def state_of(water: WaterState) -> dict[str, float]:
-    """Return temperature and salinity of a water, stated or by default."""
+    """Return temperature and salinity of the water, stated or by default."""
     stated = {"temperature": water.temperature, "salinity": water.salinity}
     spans = {"temperature": TEMPERATURES, "salinity": SALINITIES}
     return {
@@ -101,11 +101,13 @@ class Water(WaterState):
     asymmetry: Annotated[float, Field(gt=-1, lt=1)] | None = None
     """Mean cosine g of a Henyey-Greenstein phase function [1]."""
     forward_fraction: Annotated[Fraction, Field(ge=0, le=1)] | None = None
-    """Fraction of the scattering below the split angle, if known [1]."""
+    """Fraction of the scattering below the split angle; by default from the asymmetry
+    [1]."""
     second_moment: Annotated[AngleSquared, Field(ge=0)] | None = None
-    """Mean square angle of the forward part, if known [rad^2]."""
+    """Mean square scattering angle of the forward part; by default from the asymmetry
+    [rad^2]."""
     phase_function_at_180: Annotated[PerSteradian, Field(ge=0)] | None = None
-    """Phase function straight backwards, if known [1/sr]."""
+    """Phase function at 180 degrees; by default from the asymmetry [1/sr]."""
     phase_function: PhaseFunctionStated | None = None
     """Phase function, instead of asymmetry or moments."""
 
@@ -166,7 +168,7 @@ _ORDER = (
 
 
 def refuse_clear(absorption: float, scattering: float) -> None:
-    """Refuse water without any attenuation."""
+    """Refuse water without any absorption or scattering."""
     if absorption + scattering <= 0:
         raise ValueError(
             "absorption and scattering are both 0 1/m; even the clearest water "

@@ -1,4 +1,4 @@
-"""Instruments from public sources, as survey files with their citations."""
+"""Presets: published instruments as survey files, with citations."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ _BASES = ("published", "deduced", "assumed")
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """Published instrument, as a survey."""
+    """Published instrument as a survey file with its citation."""
 
     name: str
     """Name for `Survey.preset`."""
     title: str
     """Title of the instrument."""
     source: str
-    """Authors, journal, year."""
+    """Citation of the source: authors, journal, year."""
     doi: str
     """Digital object identifier of the source."""
     use: str
     """Purpose of the instrument."""
     counts: dict[str, int]
-    """Numbers of published, deduced and assumed statements."""
+    """Number of values that are published, deduced and assumed."""
     text: str
-    """The survey file, with a remark on each line."""
+    """Text of the survey file, with a comment on each line."""
 
 
 def names() -> list[str]:

@@ -1,4 +1,4 @@
-"""Kinds of water whose coefficients follow from other statements."""
+"""Kinds of water whose coefficients follow from a type, a station or ingredients."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
 class JerlovWater(WaterState):
-    """Jerlov's types of sea water.
+    """Sea water of a Jerlov type.
 
     Examples
     --------
@@ -35,7 +35,7 @@ class JerlovWater(WaterState):
     kind: Literal["jerlov"]
     """Kind of water."""
     type: Literal["I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C"]
-    """Type: I to III in the open ocean, 1C to 9C at coasts."""
+    """Jerlov type: I to III in the open ocean, 1C to 9C at coasts."""
     source: Literal["solonenko-mobley-2015", "williamson-hollins-2022"]
     """Source of absorption and scattering: a model fitted to diffuse attenuation
     (Solonenko and Mobley), or averages of measurements (Williamson and Hollins, types
@@ -46,7 +46,7 @@ class JerlovWater(WaterState):
 
 
 class PetzoldWater(WaterState):
-    """Water of a station where Petzold measured volume scattering functions.
+    """Water of a station at which Petzold measured volume scattering functions.
 
     Examples
     --------
@@ -74,7 +74,7 @@ class PetzoldWater(WaterState):
         "NUC 2040",
         "NUC 2240",
     ]
-    """Clear ocean (AUTEC), coast (HAOCE) or San Diego Harbor (NUC)."""
+    """Station: clear ocean (AUTEC), coast (HAOCE) or San Diego Harbor (NUC)."""
     absorption: Annotated[PerMetre, Field(ge=0)] | None = None
     """Absorption coefficient; by default the measured value, for wavelengths from 510
     to 550 nm [1/m]."""
@@ -104,7 +104,7 @@ class PureWater(WaterState):
 
 
 class Case1Water(WaterState):
-    """Open ocean, with optical properties from its chlorophyll.
+    """Open-ocean (case-1) water, with optical properties from its chlorophyll.
 
     Examples
     --------
@@ -127,7 +127,7 @@ class Case1Water(WaterState):
 
 
 class MilkWater(WaterState):
-    """Pure water with milk.
+    """Milk in pure water, by fat content and volume.
 
     Examples
     --------
@@ -168,7 +168,7 @@ class MilkWater(WaterState):
 
 
 class SphereWater(WaterState):
-    """Pure water with spheres of one size, by Mie scattering.
+    """Spheres of one size in pure water, by Mie scattering.
 
     Examples
     --------
@@ -232,7 +232,7 @@ class WaterLayer(Description):
     scattering: Annotated[PerMetre, Field(ge=0)]
     """Scattering coefficient b [1/m]."""
     phase_function: PhaseFunctionStated
-    """Phase function."""
+    """Phase function of the layer."""
 
     @model_validator(mode="after")
     def _water_attenuates(self) -> Self:
@@ -241,7 +241,7 @@ class WaterLayer(Description):
 
 
 class LayeredWater(WaterState):
-    """Layers of water, for photons in open water only.
+    """Layers of water, for photon transport in open water only.
 
     Examples
     --------
@@ -278,7 +278,7 @@ class LayeredWater(WaterState):
 
 
 def _kind(description: Any) -> Any:
-    """Return the kind of a water; water without a kind states coefficients."""
+    """Return the kind of a water; water without a kind is stated by coefficients."""
     if isinstance(description, dict):
         return description.get("kind") or "coefficients"
     return getattr(description, "kind", None) or "coefficients"

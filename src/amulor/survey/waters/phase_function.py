@@ -1,4 +1,4 @@
-"""Phase functions in a survey: by name and parameters, or as a table."""
+"""Phase functions in surveys: by name and parameters, or as a table."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class TwoTerm(Description):
     kind: Literal["two-term"]
     """Kind of phase function."""
     forward_asymmetry: _Asymmetry
-    """Mean cosine of the first term [1]."""
+    """Mean cosine of the scattering angle of the first term [1]."""
     backward_asymmetry: _Asymmetry
     """Mean cosine of the second term, usually negative [1]."""
     forward_weight: Annotated[Fraction, Field(ge=0, le=1)]
@@ -102,7 +102,7 @@ class FournierForand(Description):
     relative_index: Annotated[float, Field(gt=1, le=1.5)] | None = None
     """Refractive index of the particles over that of the water [1]."""
     slope: Annotated[float, Field(gt=3, lt=5)] | None = None
-    """Slope of the size distribution [1]."""
+    """Exponent of the hyperbolic size distribution [1]."""
     backscatter_fraction: Annotated[Fraction, Field(ge=3e-4, le=0.2)] | None = None
     """Backscattering over scattering, instead of index and slope [1]. Index and slope
     then follow from the relation of Mobley et al. 2002."""
@@ -156,7 +156,7 @@ class Petzold(Description):
         "NUC 2240",
     ]
     """Station: clear ocean (AUTEC), coast (HAOCE), San Diego Harbor (NUC), or the
-    average particle of Mobley et al. 1993, without the water."""
+    average particle of Mobley et al. 1993, without scattering by water molecules."""
 
     def function(self) -> PhaseFunction:
         """Return the phase function."""
@@ -236,7 +236,7 @@ class Tabulated(Description):
         return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
-        """Return a copy that holds the table of its file."""
+        """Return a copy that contains the table of its file."""
         if self.file is None:
             return self
         columns = files.columns(folder / self.file, count=2, where=where)
@@ -268,5 +268,5 @@ PhaseFunctionStated = Annotated[
 
 @lru_cache(maxsize=64)
 def phase_function(description: PhaseFunctionStated) -> PhaseFunction:
-    """Return the phase function of a survey, cached by its description."""
+    """Return the phase function that a survey states, cached."""
     return description.function()

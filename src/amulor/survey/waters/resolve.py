@@ -1,4 +1,4 @@
-"""Coefficients and phase function of any kind of water."""
+"""Optical coefficients and phase function of any kind of water in a survey."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _SKIM = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class LayerOptics:
-    """Coefficients and phase function of a layer of water."""
+    """Absorption, scattering and phase function of a layer of water."""
 
     thickness: float
     """Thickness along the forward axis, infinite for the last one [m]."""
@@ -46,32 +46,32 @@ class LayerOptics:
     scattering: float
     """Scattering coefficient b [1/m]."""
     phase_function: PhaseFunction
-    """Phase function."""
+    """Phase function of the layer."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WaterOptics:
-    """Coefficients and phase function of a water."""
+    """Absorption, scattering and phase function of a water."""
 
     absorption: float
     """Absorption coefficient a [1/m]."""
     scattering: float
     """Scattering coefficient b [1/m]."""
     phase_function: PhaseFunction | None
-    """Phase function; None if moments only are stated."""
+    """Phase function; None if only moments are stated."""
     source: str
-    """Source of the numbers."""
+    """Source of coefficients and phase function."""
     mueller: tuple[float, float, float] | None = None
-    """Mueller matrix straight backwards, (m22, m33, m44); None if unknown [1]."""
+    """Mueller matrix at 180 degrees, (m22, m33, m44); None if unknown [1]."""
     layers: tuple[LayerOptics, ...] = ()
-    """Layers, if the water has any; the coefficients are those of the first."""
+    """Layers, if the water has any; its coefficients are those of the first layer."""
 
 
 @lru_cache(maxsize=64)
 def resolved(
     water: WaterStated, *, wavelength: float, refractive_index: float
 ) -> WaterOptics:
-    """Return coefficients and phase function of a water, cached."""
+    """Return absorption, scattering and phase function of a water, cached."""
     try:
         return _resolved(water, wavelength, refractive_index)
     except ValueError as error:
@@ -297,7 +297,7 @@ def _in_pure_water(
     source: str,
     whole_absorption: float | None = None,
 ) -> WaterOptics:
-    """Return the sum of particles and pure water."""
+    """Return the optical properties of particles in pure water."""
     molecules = _molecules(water, wavelength)
     if whole_absorption is None:
         whole_absorption = _absorption(water, wavelength) + absorption

@@ -1,4 +1,4 @@
-"""Phase function of any water over all angles, and arguments of small-angle models."""
+"""Phase function of any water over all angles, as input of small-angle models."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def phase_function_of(water: Water | WaterProperties) -> PhaseFunction:
 def whole_function_arguments(
     survey: Survey, water: WaterProperties, view: View
 ) -> dict[str, Any]:
-    """Return the arguments of target and water signal in the small-angle model.
+    """Return the arguments that the functions of the small-angle model take.
 
     Water that states moments only gets the phase function that
     `phase_function_of` makes of them. Water that
@@ -112,7 +112,7 @@ def whole_function_arguments(
 
 @lru_cache(maxsize=8)
 def whole_phase_function(water: WaterProperties) -> PhaseFunction:
-    """Return the phase function of a water, cached."""
+    """Return the phase function of a water over all angles, cached."""
     if water.phase_function is None and water.backscatter_vsf == 0:
         # What small angles need is the forward part, which has a curve to join on to.
         water = replace(water, backscatter_vsf=_DARK * water.scattering)
@@ -121,7 +121,7 @@ def whole_phase_function(water: WaterProperties) -> PhaseFunction:
 
 @lru_cache(maxsize=1)
 def _no_scattering() -> dict[str, Any]:
-    """Return a phase function for water without scattering."""
+    """Return the arguments for water without scattering: isotropic phase function."""
     return {"phase_function": isotropic(), "split_angle": np.pi / 2}
 
 
@@ -129,7 +129,7 @@ def _no_scattering() -> dict[str, Any]:
 def _joined(
     moment: float, fraction: float, backwards: float, *, split: float
 ) -> PhaseFunction:
-    """Return a phase function with three given moments."""
+    """Return a phase function with given moment, forward fraction and backscatter."""
     from scipy.optimize import brentq
 
     g = asymmetry_of(moment, split=split)
@@ -185,7 +185,7 @@ def _joined(
 
 @lru_cache(maxsize=32)
 def asymmetry_of(moment: float, *, split: float) -> float:
-    """Return the asymmetry with a second moment below a split angle."""
+    """Return the asymmetry with a given second moment below a split angle."""
     from scipy.optimize import brentq
 
     def excess(g: float) -> float:
