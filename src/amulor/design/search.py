@@ -253,7 +253,7 @@ class SearchResult:
     """Number of candidates evaluated."""
 
     def all_scores(self) -> Score:
-        """Scores of all evaluated candidates, at their worst distance."""
+        """Scores of the best candidates, joined, at their worst distance."""
         return Score.joined([_worst(candidate.score) for candidate in self.best])
 
 
