@@ -1,1 +1,1 @@
-"""Target and water estimated together, by maximum likelihood."""
+"""Joint method: maximum-likelihood estimation of target and water together."""

@@ -1,4 +1,4 @@
-"""The target-signal cube that holds the results of the joint estimation."""
+"""Target-signal cube with the results of the joint estimation."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def typical_of(
     shared: Shared,
     instrument: Instrument,
 ) -> tuple[float, float]:
-    """Spread that delays echoes [rad^2/m], and uncertainty of the instrument [m]."""
+    """Return the spread that delays echoes [rad^2/m], and the instrument error [m]."""
     detected = result.detected
     typical = float(np.median(result.depth[detected])) if detected.any() else 0.0
     late_spread = shared.shape.spread
@@ -89,7 +89,7 @@ def typical_of(
 def echo_departs(
     geometry: Geometry, result: Result, shared: Shared, instrument: Instrument
 ) -> bool:
-    """Return whether a departing echo flags most of the pixels."""
+    """Return whether a departure of the echo from the model flags most pixels."""
     if (
         shared.evidence <= DECISIVE
         or shared.water_departs
@@ -107,7 +107,7 @@ def echo_departs(
 def _departure(
     result: Result, slope: Floats, variance: Floats, limit: float
 ) -> tuple[Floats, Floats]:
-    """Return the shifts of slant ranges by departures, and limits of the flag [m]."""
+    """Return range shifts by departures from the model, and their flag limits [m]."""
     deviation = 1 / np.sqrt(result.estimates.information)
     sigma = np.hypot(deviation, np.sqrt(result.shared_variance))
     departure = slope * result.departure
@@ -125,7 +125,7 @@ def _variance_of(
 
 
 def cube_of(rows: Observation, scan: Scan, result: Result) -> xr.Dataset:
-    """Target-signal cube of some rows or of a part of them."""
+    """Return the target-signal cube of some rows, or of a part of them."""
     frame, shared = scan.frame, scan.shared
     rows_columns = rows.azimuth.shape
     signal, covariance = rows.signal, rows.covariance

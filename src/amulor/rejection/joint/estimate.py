@@ -61,7 +61,7 @@ _SHARED_TAKES = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
-    """Parameters that the estimates of all pixels use."""
+    """Shared parameters, interval and times for the estimates of all pixels."""
 
     scan: Scan
     """View of the receiver and shared parameters."""
@@ -158,7 +158,7 @@ def common_of(
 
 
 def of_rows(tile: xr.Dataset, common: Common, first: int = 0) -> xr.Dataset:
-    """Target signal of some rows of a scan."""
+    """Return the target signal of some rows of a scan."""
     rows, columns = tile["azimuth"].shape
     wide = min(columns, _AT_ONCE)
     high = max(1, _AT_ONCE // wide)
@@ -208,7 +208,7 @@ def _sampled(
     clock: Clock,
     interval: tuple[float, float] | None,
 ) -> tuple[Pixels, Geometry]:
-    """Pixels of a sample of the scan, and their geometry."""
+    """Return pixels sampled over the scan, and their geometry."""
     parts, directions = [], []
     for begin, end in scan.bands:
         index = sample - begin * scan.columns
@@ -252,7 +252,7 @@ def _extent_of(scan: ScanObservation) -> _Extent:
 
 
 def _joined(parts: list[Pixels]) -> Pixels:
-    """Pixels of several tiles together."""
+    """Concatenate the pixels of several tiles."""
     if len(parts) == 1:
         return parts[0]
     joined = {
@@ -268,7 +268,7 @@ def _joined(parts: list[Pixels]) -> Pixels:
 
 
 def _fit(source: tiles.Source, **options: Any) -> tiles.OfRows:
-    """Fit the shared parameters; return the estimate of any rows of the scan."""
+    """Fit the shared parameters; return a function that estimates rows of the scan."""
     common = prepared(source, **options)
     return lambda rows, first: of_rows(rows, common, first)
 

@@ -1,4 +1,4 @@
-"""Water signal and its derivatives at the paths of pixels, from tables."""
+"""Normal equations of the joint fit: water signal and derivatives from tables."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Complex = NDArray[np.complex128]
 def water_at(
     pixels: Pixels, path: Floats, table: Table, phase_per_path: Floats
 ) -> tuple[Floats, Complex, Complex]:
-    """Return depth [m], water signal of unit strength, and its slope in the path."""
+    """Return depth [m], water signal of unit strength, and its path derivative."""
     count, frequencies = len(pixels), phase_per_path.size
     out = Signals(
         np.empty(count),
@@ -44,7 +44,7 @@ def water_at(
 
 
 def foreground(pixels: Pixels, table: Table, phase_per_path: Floats) -> Complex:
-    """Return the signal of light from in front of all targets."""
+    """Return the signal of the light from in front of all targets."""
     level = times(coefficients(pixels, table), table.level[:, None])[:, 0]
     turn: Complex = np.exp(1j * pixels.offset[:, None] * phase_per_path)
     return level[:, None] * turn
@@ -53,7 +53,7 @@ def foreground(pixels: Pixels, table: Table, phase_per_path: Floats) -> Complex:
 def all_changes(
     pixels: Pixels, depth: Floats, water: Complex, table: Table, phase_per_path: Floats
 ) -> Complex:
-    """Return the derivatives of the water signal by its shape and by its drift."""
+    """Return the derivatives of the water signal by its shape and drift parameters."""
     changes = shape_changes(pixels, depth, table, phase_per_path)
     if not pixels.trends.shape[1]:
         return changes
@@ -64,7 +64,7 @@ def all_changes(
 def shape_changes(
     pixels: Pixels, depth: Floats, table: Table, phase_per_path: Floats
 ) -> Complex:
-    """Return the derivatives of the water signal with respect to its shape."""
+    """Return the derivatives of the water signal by its shape parameters."""
     shape = (len(pixels), len(table.change), phase_per_path.size)
     out = np.empty(shape, dtype=complex)
     spread(
@@ -91,10 +91,10 @@ class Normal:
     square: float
     """Sum of squared errors in units of their standard deviation [1]."""
     freedom: int
-    """Outputs that count, less the parameters of single pixels."""
+    """Usable outputs less the parameters of single pixels."""
 
     def __add__(self, other: Normal) -> Normal:
-        """Return the normal equations of both groups of samples."""
+        """Return the sum of the normal equations of two groups of samples."""
         return Normal(
             matrix=self.matrix + other.matrix,
             vector=self.vector + other.vector,
@@ -126,7 +126,7 @@ class Fitted:
 
 @dataclass(frozen=True, kw_only=True)
 class Modelled:
-    """Parts of the model at the paths of some pixels."""
+    """Parts of the signal model of some pixels, at their optical paths."""
 
     water: Complex
     """Water signal of unit strength, (pixel, frequency) [1]."""
@@ -147,7 +147,7 @@ class Modelled:
 def modelled(
     state: Shared, fitted: Fitted, *, transfer: Complex, phase_per_path: Floats
 ) -> Modelled:
-    """Return the parts of the model, and the residual."""
+    """Return the parts of the signal model, and the residuals of the samples."""
     pixels = fitted.pixels
     depth, water, slope = water_at(pixels, fitted.path, state.table, phase_per_path)
     front = foreground(pixels, state.table, phase_per_path)
@@ -180,7 +180,7 @@ def normal_equations(
     transfer: Complex,
     phase_per_path: Floats,
 ) -> Normal:
-    """Return the normal equations of the first parameters about a state."""
+    """Return the normal equations of the first `used` parameters at a state."""
     pixels = fitted.pixels
     parts = modelled(state, fitted, transfer=transfer, phase_per_path=phase_per_path)
     deviation = None

@@ -1,4 +1,4 @@
-"""Overlap of the receiver's view with the light: geometry, shape, scattered light."""
+"""Overlap of receiver view and light: geometry, shape, scattered light."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Directions:
         return nodes[0].ravel(), nodes[1].ravel()
 
     def interpolation(self, azimuth: Floats, elevation: Floats) -> Floats:
-        """Return the weights of the nodes in some directions, (direction, node) [1]."""
+        """Return the interpolation weights of the nodes, (direction, node) [1]."""
         parts = [
             _lagrange(node, place)
             for node, place in ((self.azimuth, azimuth), (self.elevation, elevation))
@@ -170,7 +170,7 @@ class Shape:
         return COEFFICIENTS + len(self.turn) + len(self.knots)
 
     def moved(self, step: Floats) -> Shape:
-        """Return the shape after a step in logarithms, turn and correction."""
+        """Return the shape after a step of its parameters."""
         loss, spread, forward = np.exp(step[:COEFFICIENTS])
         smooth = COEFFICIENTS + len(self.turn)
         return Shape(
@@ -328,7 +328,7 @@ def _frequencies(aside: float) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=8)
 def _lost(function: PhaseFunction, split_angle: float) -> Floats:
-    """Return the logarithm of 1 less the mean transform up to x, at steps of ln x."""
+    """Return the logarithm of the mean scattered fraction up to x, at steps of ln x."""
     count = int(np.ceil(np.log(_HIGHEST / _LOWEST) * _CELLS)) + 1
     edge = _LOWEST * np.exp(np.arange(count) / _CELLS)
     node, weight = legendre.leggauss(2)
@@ -497,7 +497,7 @@ class Frame:
         return offset
 
     def late_spread(self, depth: float, spread: float, error: float) -> float:
-        """Return the spread whose mean detour is twice the delay of an echo [rad^2/m].
+        """Return the spread whose mean detour is twice the echo delay [rad^2/m].
 
         In the middle of the scan, by `optics.late_echo`, for water of the survey's
         phase function with a given spread, of some relative error: the mean of it and
@@ -525,7 +525,7 @@ class Frame:
         return late_spread if np.isfinite(late_spread) else spread
 
     def nothing_left(self, shape: Shape) -> float:
-        """Return the depth beyond which only a trace of the water signal arises [m]."""
+        """Return the depth beyond which the water signal is negligible [m]."""
         depth = np.geomspace(1e-2, 2e3, 1500)
         light = self.overlap(depth, shape).max(axis=0)
         remaining = np.cumsum((light * depth)[::-1])[::-1]
@@ -578,7 +578,7 @@ SMALLEST_STRENGTH = 1e-100
 
 
 def unseen_beam() -> CubeError:
-    """Return the error of a receiver that sees no light from any depth."""
+    """Return the exception for a receiver that sees no light from any depth."""
     return CubeError(
         "the receiver does not see the beam at any depth, so there is no water "
         "signal to estimate; check position and axis of the receiver in the survey of "
@@ -587,7 +587,7 @@ def unseen_beam() -> CubeError:
 
 
 def frame_of(scan: Observation, azimuth: Floats, elevation: Floats) -> Frame:
-    """Frame of a scan whose survey describes the receiver."""
+    """Return the frame of a scan whose survey describes the receiver."""
     if scan.survey is None:
         raise CubeError(
             "the cube has no attribute 'survey', from which the geometry of the "

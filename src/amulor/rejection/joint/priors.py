@@ -55,7 +55,7 @@ class Instrument:
         direction: float,
         late_echo: float,
     ) -> Instrument:
-        """Return uncertainties that are finite and not below zero."""
+        """Return the uncertainties, checked to be finite and not negative."""
         uncertainties = {
             "delay_uncertainty": delay,
             "group_index_uncertainty": group_index,
@@ -79,7 +79,7 @@ class Instrument:
 
 
 def late_echo(depth: Floats, spread: float) -> Floats:
-    r"""Return the range error if all light were scattered [m].
+    r"""Return the range error for light that is entirely forward-scattered [m].
 
     A path that is inclined by small angles of mean square :math:`\sigma^2 z` at the
     depth z is longer by :math:`\int \theta^2 / 2 \, dz = \sigma^2 z^2 / 4`. Unscattered
@@ -180,7 +180,7 @@ def trends_of(
 
 
 def drifted(pixels: Pixels, trend: Floats) -> Pixels:
-    """Return pixels with the strength of the water at their time."""
+    """Return pixels whose interpolation includes the drift of the water."""
     if not len(trend):
         return replace(pixels, trends=pixels.trends[:, :0])
     if not np.any(trend):
@@ -360,23 +360,23 @@ class Layout:
 
     @property
     def strength(self) -> slice:
-        """Strengths of the channels."""
+        """Positions of the strengths of the channels."""
         return slice(0, self.channels)
 
     @property
     def shape(self) -> slice:
-        """Logarithms of k' and spread, the turn, the correction, then the drift."""
+        """Positions of ln k', ln spread, turn, correction, then drift."""
         return slice(self.channels, self.trend.stop)
 
     @property
     def trend(self) -> slice:
-        """Drift of the strength."""
+        """Positions of the drift of the strength."""
         begin = self.rigid + self.knots
         return slice(begin, begin + self.trends)
 
     @property
     def turn(self) -> slice:
-        """Direction of the receiver against the stated one."""
+        """Positions of the receiver direction relative to the stated one."""
         return slice(self.parametric.stop, self.rigid)
 
     @property
@@ -386,12 +386,12 @@ class Layout:
 
     @property
     def parametric(self) -> slice:
-        """Strengths, k' and spread."""
+        """Positions of strengths, k' and spread."""
         return slice(0, self.channels + COEFFICIENTS)
 
     @property
     def blocks(self) -> tuple[slice, slice, slice]:
-        """Correction, departure of the water, departure of the echo."""
+        """Positions of the correction, and of the departures of water and echo."""
         a = self.rigid
         b = self.trend.stop
         c = b + 2 * self.channels * self.frequencies
@@ -404,19 +404,19 @@ class Layout:
 
     @property
     def doubt(self) -> slice:
-        """Departure of the shots from the water of the scan, and their strength."""
+        """Positions of the departure of the shots and of their strength."""
         begin = self.blocks[2].stop
         count = 2 * self.channels * self.frequencies + 1 if self.doubts else 0
         return slice(begin, begin + count)
 
 
 def whitened(weights: Floats, values: Complex) -> Floats:
-    """Return values in units of their errors, (pixel, channel, outputs)."""
+    """Return values over their errors, (pixel, channel, outputs)."""
     return whitened_columns(weights, values[..., None]).reshape(*values.shape[:2], -1)
 
 
 def whitened_columns(weights: Floats, values: Complex) -> Floats:
-    """Return columns in units of the errors, (pixel, outputs, column)."""
+    """Return columns over the errors, (pixel, outputs, column)."""
     xx, xy, yy = (weights[..., k, :, None] for k in range(3))
     root = np.sqrt(xx)
     slant = np.divide(xy, root, out=np.zeros_like(root), where=root > 0)
@@ -440,7 +440,7 @@ def inverse_of(matrix: Floats) -> Floats:
 
 
 def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Floats]:
-    """Return the precision of the priors, and a state less their centers."""
+    """Return the precision of the priors, and the state relative to their centers."""
     precision, origin = np.zeros(layout.size), np.zeros(layout.size)
     at = layout.shape.start
     shape = state.shape

@@ -70,17 +70,17 @@ class Problem:
         self.deepest = deepest
 
     def part(self, index: NDArray[np.intp], *, shots: bool = True) -> Problem:
-        """Return the problem with some of the pixels, with or without the shots."""
+        """Return a copy with some of the pixels, with or without the shots."""
         targets = self.targets.part(index)
         chosen = self.shots if shots else None
         return Problem(self.frame, targets, chosen, self.transfer, self.deepest)
 
     def of(self, targets: Pixels) -> Problem:
-        """Return the problem with other pixels."""
+        """Return a copy with other pixels."""
         return Problem(self.frame, targets, self.shots, self.transfer, self.deepest)
 
     def with_shots(self, shots: Pixels) -> Problem:
-        """Return the problem with other shots."""
+        """Return a copy with other shots."""
         return Problem(self.frame, self.targets, shots, self.transfer, self.deepest)
 
     def cost(self, state: Shared) -> float:
@@ -231,7 +231,7 @@ class Problem:
     def normal(
         self, state: Shared, estimates: Estimates, layout: Layout, used: int
     ) -> Normal:
-        """Return the normal equations of the first parameters about a state."""
+        """Return the normal equations of the first `used` parameters at a state."""
         total = Normal.zero(used)
         for group in self.groups(state, estimates):
             total = total + normal_equations(
@@ -247,7 +247,7 @@ class Problem:
     def scatter(
         self, state: Shared, estimates: Estimates, *, neighbours: bool = True
     ) -> Scatter:
-        """Return the noise scale and the fluctuation that explain the scatter."""
+        """Estimate noise scale and fluctuation from the scatter between pixels."""
         return scatter_of(
             state,
             self.groups(state, estimates),
@@ -259,7 +259,7 @@ class Problem:
     def scattered(
         self, state: Shared, paths: Floats | None = None, *, neighbours: bool = True
     ) -> tuple[Shared, Estimates]:
-        """Return a state with new noise scale and fluctuation, and its estimates.
+        """Return the state with updated noise and fluctuation, and its estimates.
 
         `paths` are the start of the search; by default all paths are searched.
         """

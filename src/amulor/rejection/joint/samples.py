@@ -29,7 +29,7 @@ _SAME_PLACE = 1e-4
 def shot_directions(
     middle: tuple[float, float], shots: Observation | None
 ) -> tuple[Floats, Floats]:
-    """Directions of the open-water shots; the middle of the scan by default [rad]."""
+    """Return the directions of the shots; the middle of the scan if unknown [rad]."""
     if shots is None:
         return np.zeros(0), np.zeros(0)
     azimuth, elevation = (
@@ -42,7 +42,7 @@ def shot_directions(
 def shot_pixels(
     frame: Frame, shots: Observation | None, directions: tuple[Floats, Floats]
 ) -> Pixels | None:
-    """Open-water shots as samples of the likelihood."""
+    """Return the open-water shots as samples of the likelihood."""
     if shots is None:
         return None
     count = shots.signal.shape[-1]
@@ -53,7 +53,7 @@ def shot_pixels(
 
 
 def open_water_samples(scan: Observation, *, no_target: bool) -> tuple[Frame, Pixels]:
-    """Frame and samples of open water: the shots, or the scan without a target."""
+    """Return frame and samples of open water: the shots, or a scan without a target."""
     if not no_target:
         middle = float(scan.azimuth.mean()), float(scan.elevation.mean())
         directions = shot_directions(middle, scan.shots)
@@ -100,7 +100,7 @@ def refuse_other_windows(origin_z: Floats, frame: Frame) -> None:
 
 
 def refuse_errors_of_zero(errors: Covariance, usable: NDArray[np.bool_]) -> None:
-    """Refuse samples that have no weight."""
+    """Refuse samples whose stated error is zero."""
     determinant = errors.in_phase * errors.quadrature - errors.cross**2
     if np.any(usable & ~(determinant > 0)):
         raise CubeError(
@@ -129,7 +129,7 @@ class Pixels:
     covariance: Covariance
     """Stated errors [V^2]."""
     usable: NDArray[np.bool_]
-    """Samples that count."""
+    """Usable samples."""
     interpolation: Floats
     """Weights of the nodes, from `Directions.interpolation`, (pixel, node) [1]."""
     offset: Floats

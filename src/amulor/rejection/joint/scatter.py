@@ -41,7 +41,7 @@ def is_detected(estimates: Estimates) -> NDArray[np.bool_]:
 
 
 def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
-    """Return the mask of pixels that are no outliers, such as edges, fish and bubbles.
+    """Return the mask of pixels without outliers such as edges, fish and bubbles.
 
     The reference is the median misfit: a model that is wrong for all pixels makes none
     of them an outlier.
@@ -77,7 +77,7 @@ def _misfit(estimates: Estimates) -> tuple[Floats, NDArray[np.intp]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """Scatter between pixels beyond the stated errors."""
+    """Scatter between pixels: noise scale and fluctuation of the water."""
 
     noise_scale: float
     """Factor on the stated errors, 1 or more [1]."""
@@ -93,7 +93,7 @@ def scatter_of(
     phase_per_path: Floats,
     neighbours: bool = True,
 ) -> Scatter:
-    r"""Return the noise scale and the fluctuation that explain the scatter.
+    r"""Estimate noise scale and water fluctuation from the scatter between pixels.
 
     Restricted maximum likelihood of :math:`s^2 C + \phi^2 w w^T` over the scale s and
     the fluctuation :math:`\phi`, with the stated covariance C and the water signal w,
@@ -153,7 +153,7 @@ class _Residuals:
     derivatives: Complex
     """Derivatives by amplitudes and path, (pixel, channel, frequency, parameter)."""
     freedom: int
-    """Outputs that count, less the parameters of single pixels."""
+    """Usable outputs less the parameters of single pixels."""
     neighbours: bool
     """Whether only differences between neighbors count as random."""
 

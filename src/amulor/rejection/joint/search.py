@@ -202,7 +202,7 @@ def may_be_two(estimates: Estimates, detected: Bools, left_out: Bools) -> Bools:
 def are_two(
     pair: Pair, single: Estimates, cleaned: Estimates, number_left_out: NDArray[np.intp]
 ) -> Bools:
-    """Return the mask of pixels that see two surfaces, not spoiled samples or one."""
+    """Return the mask of pixels that favor two surfaces over one or over outliers."""
     from scipy.stats import chi2
 
     channels = single.amplitude.shape[1]
@@ -218,7 +218,7 @@ def are_two(
 def _pair(
     pixels: Pixels, path: Floats, shared: Shared, transfer: Complex, rate: Floats
 ) -> Pair:
-    """Return the best of all starts, for one block of pixels."""
+    """Return the best of all fits of two surfaces, for one block of pixels."""
     best = Pair(np.full(len(path), np.inf), path.copy(), path.copy())
     if not len(pixels):
         return best

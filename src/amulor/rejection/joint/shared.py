@@ -1,4 +1,4 @@
-"""Fit of the parameters that all pixels share, from a coarse grid of shapes on."""
+"""Fit of the parameters that all pixels share, started from a grid of shapes."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def start(
     transfer: Complex,
     deepest: float,
 ) -> tuple[Shape, Floats]:
-    """Find a start of the fit: shape and strengths of the water signal."""
+    """Find starting values of the fit: shape and strengths of the water signal."""
     lowest, best = np.inf, None
     if shots is None:
         index = np.linspace(0, len(targets) - 1, min(_STARTERS, len(targets)))
@@ -119,7 +119,7 @@ class InitialFit:
 
 
 def begin(problem: Problem, turn_width: float, *, by_shots: bool) -> InitialFit:
-    """Fit the coefficients without departures, to pixels that are no outliers."""
+    """Fit the shared parameters without model departures, outliers excluded."""
     state = first(problem, turn_width, by_shots=by_shots)
     index = np.arange(len(problem.targets))
     sample = index[np.linspace(0, len(index) - 1, min(_FIRST, len(index))).astype(int)]
@@ -137,7 +137,7 @@ def begin(problem: Problem, turn_width: float, *, by_shots: bool) -> InitialFit:
 
 
 def is_mostly_water(water: Problem, turn_width: float) -> bool:
-    """Return whether samples are mostly water, by a fit to some of them."""
+    """Return whether a fit of water explains most of the power of some samples."""
     assert water.shots is not None
     count = len(water.shots)
     index = np.unique(np.linspace(0, count - 1, min(_LOOK, count)).astype(np.intp))
@@ -154,7 +154,7 @@ def is_mostly_water(water: Problem, turn_width: float) -> bool:
 
 
 def first(problem: Problem, turn_width: float, *, by_shots: bool) -> Shared:
-    """Return the start of the fit, without departures."""
+    """Return the starting values of all shared parameters, without departures."""
     chosen = problem.shots if by_shots else None
     shape, strength = start(
         problem.frame, problem.targets, chosen, transfer=problem.transfer,

@@ -1,4 +1,4 @@
-"""Tables of the water signal against its end, for every direction of a scan."""
+"""Tables of the water signal against the depth of its end, by direction."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Table:
 
     @cached_property
     def arrays(self) -> WaterTable:
-        """The water signal as compiled loops take it."""
+        """Table of the water signal in the form of the compiled loops."""
         return WaterTable(self.step, to_pairs(self.value), to_pairs(self.slope))
 
 

@@ -53,7 +53,7 @@ class WaterFit:
     strength_uncertainty: tuple[float, ...]
     """Its standard uncertainty [V]."""
     depth_of_maximum: float
-    """Depth z_max that sends back most [m]."""
+    """Depth z_max with the largest overlap [m]."""
     depth_of_maximum_uncertainty: float
     """Its standard uncertainty [m]."""
     cut_off: float
@@ -301,7 +301,7 @@ def _propagated(
 
 
 def _depth_of_maximum(frame: Frame, shape: Shape) -> float:
-    """Return the depth of the largest overlap, between nodes by a parabola [m]."""
+    """Return the depth of the maximum overlap, by parabolic interpolation [m]."""
     depth = np.linspace(0, min(frame.nothing_left(shape), frame.end), _DEPTHS)
     light = frame.middle(depth, shape)
     k = int(np.clip(np.argmax(light), 1, _DEPTHS - 2))
@@ -312,7 +312,7 @@ def _depth_of_maximum(frame: Frame, shape: Shape) -> float:
 
 
 def _responses(frame: Frame, shape: Shape, frequency: Floats) -> Floats:
-    """Return the modulus of the water signal in the middle of the scan."""
+    """Return the amplitude of the water signal in the middle of the scan."""
     depth = np.linspace(0, min(frame.nothing_left(shape), frame.end), _DEPTHS)
     light = frame.middle(depth, shape)
     light[[0, -1]] /= 2
@@ -322,13 +322,13 @@ def _responses(frame: Frame, shape: Shape, frequency: Floats) -> Floats:
 
 
 def _level(frame: Frame, shape: Shape, frequency: float) -> float:
-    """Return the response at a frequency over that at zero [1]."""
+    """Return the ratio of the response at a frequency to that at zero [1]."""
     at_zero, response = _responses(frame, shape, np.array([0.0, frequency]))
     return float(response / at_zero)
 
 
 def _cut_off(frame: Frame, shape: Shape) -> float:
-    """Return where the response falls to half its power [Hz]."""
+    """Return the frequency at which the response falls to half its power [Hz]."""
     far = min(frame.nothing_left(shape), frame.end)
     # Not beyond what the steps of depth resolve.
     highest = speed_of_light / frame.medium.group_index / (16 * far / _DEPTHS)

@@ -32,7 +32,7 @@ class WaterTable(NamedTuple):
 
 
 class Echo(NamedTuple):
-    """Echo H(f) exp(i k p) of a target of amplitude 1: phase per path and transfer."""
+    """Echo H(f) exp(i k p) of a target of amplitude 1: phase per path, transfer."""
 
     phase_per_path: Array
     """k = 2 pi f / c_0, (frequency,) [rad/m]."""
@@ -59,13 +59,13 @@ class Model(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Samples of many pixels."""
+    """Samples of many pixels and their weights."""
 
     signal: Array
     """Samples, (pixel, channel, 2, frequency) [V]."""
     weight: Array
-    """Inverse covariance (in phase, both, quadrature); 0 where a sample does not
-    count, (pixel, channel, 3, frequency) [1/V^2]."""
+    """Inverse covariance (in phase, both, quadrature); 0 for unusable samples, (pixel,
+    channel, 3, frequency) [1/V^2]."""
 
 
 class Places(NamedTuple):
@@ -144,13 +144,13 @@ class Candidates(NamedTuple):
     level: Array
     """Misfit on the grid; infinite where there is no candidate [1]."""
     cost: Array
-    """Misfit at the minimum itself; infinite where that is not one [1]."""
+    """Misfit at the minimum; infinite if the refined path is not a minimum [1]."""
     width: Array
     """Standard deviation of the path there [m]."""
 
 
 class Solutions(NamedTuple):
-    """Results of the search, arrays over the pixels; see `search.Estimates`."""
+    """Output arrays of the search over the pixels; see `search.Estimates`."""
 
     path: Array
     amplitude: Array
@@ -170,7 +170,7 @@ class Solutions(NamedTuple):
 
 
 class Signals(NamedTuple):
-    """Water signal at one path for each pixel, to be filled in."""
+    """Output arrays for the water signal at one path of each pixel."""
 
     depth: Array
     """Depth where the water ends, (pixel,) [m]."""
@@ -181,7 +181,7 @@ class Signals(NamedTuple):
 
 
 class Derivatives(NamedTuple):
-    """The model of each pixel and its derivatives; complex but for the weights."""
+    """Residual and model derivatives of each pixel, complex except the weights."""
 
     residual: Array
     """Samples less the model, (pixel, channel, frequency) [V]."""
@@ -254,7 +254,7 @@ class WaterModel(NamedTuple):
 
 
 class Covariances(NamedTuple):
-    """Covariance of the two outputs, to be filled in, (pixel, channel, frequency)."""
+    """Output arrays for the covariance of samples, (pixel, channel, frequency)."""
 
     in_phase: Array
     quadrature: Array

@@ -24,7 +24,7 @@ LANES = {"reassoc", "contract"}
 
 
 def inner(**options: Any) -> Callable[[_Function], _Function]:
-    """Compile a function that compiled ones call alone.
+    """Compile a function that only compiled functions call.
 
     Without the entries for Python and C, which take a fifth of the time of compilation,
     and without a test for zero before every division, which ends a thread that has
@@ -55,7 +55,7 @@ _Result = TypeVar("_Result")
 
 
 class _Here(threading.local):
-    """State of the calling thread."""
+    """Thread-local flag: whether the thread runs a part of a loop."""
 
     is_part = False
 
@@ -64,7 +64,7 @@ _here = _Here()
 
 
 class _Turns:
-    """Limit on the parts that run at a time, over all callers.
+    """Limit on the number of parts that run at the same time, over all callers.
 
     Callers on several threads, as the tasks of a cluster are, share the processors
     instead of multiplying them.
@@ -135,7 +135,7 @@ def spread(
 def each(
     function: Callable[[_Item], _Result], items: Iterable[_Item]
 ) -> Iterator[_Result]:
-    """Return the results of a function on items in order, several at a time.
+    """Apply a function to items in parallel threads; yield the results in order.
 
     What it calls takes no threads of its own: they have all been given out.
     """

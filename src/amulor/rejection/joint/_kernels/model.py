@@ -32,7 +32,7 @@ _FIRST, _SECOND, _THIRD = (
 
 @inner(forceinline=True, fastmath={"contract"})
 def fill_turn(path: float, phase_per_path: Array, turn: Array) -> None:
-    """Fill in exp(i k p), (real and imaginary, frequency), to a unit in the last place.
+    """Compute the phasor exp(i k p) of a path, to a unit in the last place.
 
     By polynomials on a quarter turn, without a branch, so that all frequencies are done
     in parallel lanes. Compiled because the cosine and sine of the mathematical library,
@@ -68,7 +68,7 @@ def fill_turn(path: float, phase_per_path: Array, turn: Array) -> None:
 
 @inner(forceinline=True)
 def depth_of(path: float, limits: Limits) -> tuple[float, float]:
-    """Return the depth z of a path p, and dz/dp, from a table that is finer in front.
+    """Return the depth z of a path p, and dz/dp, from the table of a pixel.
 
     Linear between the nodes at p_j = shortest + (longest - shortest) (j / (J - 1))^2.
     Compiled because every step of the search starts with it.
@@ -89,7 +89,7 @@ def depth_of(path: float, limits: Limits) -> tuple[float, float]:
 def water_to(
     depth: float, table: WaterTable, coefficient: Array, water: Array, change: Array
 ) -> None:
-    """Fill in W(z) and dW/dz, Hermite's cubic between the nodes of the table.
+    """Compute the water signal W(z) and dW/dz by cubic Hermite interpolation.
 
     The integral (29) of docs/theory/water-signal.md up to z, in units of its strength.
     Compiled because every step of the search takes it, at all frequencies.
@@ -126,7 +126,7 @@ def water_to(
 
 @inner(fastmath=LANES, forceinline=True)
 def turn_by(signal: Array, turn: Array) -> None:
-    """Multiply (real, imaginary) pairs by those of unit phasors, in place."""
+    """Multiply signals by unit phasors in place, both as (real, imaginary) pairs."""
     for f in range(signal.shape[1]):
         a, b = signal[0, f], signal[1, f]
         signal[0, f] = a * turn[0, f] - b * turn[1, f]
@@ -135,7 +135,7 @@ def turn_by(signal: Array, turn: Array) -> None:
 
 @inner(fastmath=LANES, forceinline=True)
 def water_at_node(node: int, table: WaterTable, pixel: Pixel, water: Array) -> None:
-    """Fill in W at a node of the table."""
+    """Compute the water signal of a pixel at a node of the table."""
     coefficient, value = pixel.coefficient, table.value
     water[:] = 0
     for r in range(coefficient.size):
@@ -154,7 +154,7 @@ def nearest_node(depth: float, table: WaterTable) -> int:
 
 @inner(forceinline=True)
 def fill_phasor(path: float, echo: Echo, out: Array) -> None:
-    """Fill in H(f) exp(i k p)."""
+    """Compute the echo H(f) exp(i k p) at one path."""
     transfer = echo.transfer
     fill_turn(path, echo.phase_per_path, out)
     for f in range(transfer.shape[1]):
@@ -165,7 +165,7 @@ def fill_phasor(path: float, echo: Echo, out: Array) -> None:
 
 @numba.njit(cache=True, error_model="numpy")
 def fill_phasors(path: Array, echo: Echo, out: Array) -> None:
-    """Fill in H(f) exp(i k p) for many paths, (path, 2, frequency)."""
+    """Compute the echo H(f) exp(i k p) at many paths, (path, 2, frequency)."""
     for j in range(path.size):
         fill_phasor(path[j], echo, out[j])
 
@@ -174,7 +174,7 @@ def fill_phasors(path: Array, echo: Echo, out: Array) -> None:
 def pixel_of(
     samples: Samples, places: Places, n: int, phase_per_path: Array, turn: Array
 ) -> Pixel:
-    """Return one of many pixels; `turn` is filled in and becomes part of it."""
+    """Return the data of pixel n; `turn` is overwritten and becomes part of it."""
     fill_turn(places.offset[n], phase_per_path, turn)
     limits = Limits(places.shortest[n], places.longest[n], places.depths[n])
     return Pixel(
@@ -184,7 +184,7 @@ def pixel_of(
 
 @inner()
 def workspace_of(channels: int, frequencies: int) -> Workspace:
-    """Return memory for the model of one pixel."""
+    """Allocate the memory for the model of one pixel."""
     return Workspace(
         np.empty((2, frequencies)),
         np.empty((2, frequencies)),
@@ -204,7 +204,7 @@ def misfit(
     phasor: Array,
     amplitude: Array,
 ) -> float:
-    """Return chi-square with the best amplitudes A_c, which are filled in.
+    """Return chi-square at the best amplitudes A_c, and write these to `amplitude`.
 
     A_c >= 0 by linear least squares in each channel, so that chi-square depends on the
     path alone (profile likelihood). Compiled because it is half of all work.
@@ -233,7 +233,7 @@ def misfit(
 def misfit_at(
     path: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float]:
-    """Return chi-square at a path, and dz/dp; fill in the model and the amplitudes.
+    """Return chi-square at a path, and dz/dp; update the model and the amplitudes.
 
     Compiled because every step of the search and of the profile calls it.
     """
@@ -251,7 +251,7 @@ def misfit_at(
 def descent(
     rate: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float]:
-    """Return half the downhill slope of chi-square in the path p, and its curvature.
+    """Return half the negative derivative of chi-square by the path, and its curvature.
 
     Gauss and Newton's curvature, the Hessian without second derivatives of the model,
     of which the amplitudes above zero are eliminated (Schur complement). `rate` is
@@ -306,7 +306,7 @@ def water_at(
     phase_per_path: Array,
     signals: Signals,
 ) -> None:
-    """Fill in depth, W and dW/dp at one path for each of some pixels.
+    """Compute depth, water signal W and dW/dp at one path for each of some pixels.
 
     An infinite path means open water. Compiled as the search is, so that both use the
     same table in the same way.
@@ -338,7 +338,7 @@ def interpolate(
     table: Array,
     out: Array,
 ) -> None:
-    """Fill in columns of water up to given depths, linear between the nodes.
+    """Interpolate columns of water linearly at given depths.
 
     `table` runs over (parameter, component, node, frequency), `out` over (pixel,
     parameter, frequency): the derivatives of W with respect to its shape, (real,
@@ -371,7 +371,7 @@ def integrate(
     count: int,
     out: Array,
 ) -> None:
-    """Fill in running sums of profile times phasor, a node every `order` points.
+    """Compute running sums of profile times phasor, one node every `order` points.
 
     The integral (29) of docs/theory/water-signal.md up to every node of depth, by
     Gauss's rule; the node after number `count` holds the sum of everything. Compiled
@@ -395,7 +395,7 @@ def integrate(
 
 @inner(forceinline=True)
 def _lost(place: float, table: Array) -> float:
-    """Return the logarithm of lost light, interpolated in its table.
+    """Return the logarithm of the scattered fraction, interpolated in its table.
 
     Cubic through four nodes; a line beyond the first ones and the last.
     """
@@ -417,7 +417,7 @@ def _lost(place: float, table: Array) -> float:
 def series(
     thickness: Array, place: Array, shift: float, lost: Array, rule: Array, out: Array
 ) -> None:
-    """Fill out, (depth, term), with the series of the scattered light over the offset.
+    """Compute the Chebyshev series of scattered light over the offset, (depth, term).
 
     The integral (29) of docs/theory/water-signal.md over the spatial frequency, whose
     J0 and weights are in `rule`, (depth, term, frequency). Compiled since every table
@@ -439,7 +439,7 @@ def series(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, fastmath=LANES)
 def along(place: Array, terms: Array, out: Array) -> None:
-    """Fill out, (direction, depth), with Chebyshev series at places from -1 to 1.
+    """Evaluate Chebyshev series at places from -1 to 1, (direction, depth).
 
     Clenshaw's recurrence. Compiled for the same reason.
     """
@@ -455,7 +455,7 @@ def along(place: Array, terms: Array, out: Array) -> None:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, fastmath=LANES)
 def between(values: Array, place: Array, out: Array) -> None:
-    """Fill out, (direction, place), with values between nodes, (direction, node).
+    """Interpolate values between nodes, (direction, node), at places.
 
     Cubic through four nodes. Compiled for the same reason.
     """

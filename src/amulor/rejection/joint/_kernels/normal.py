@@ -23,7 +23,7 @@ from amulor.rejection.joint._kernels.compiled import LANES, inner
 def _fill_columns(
     n: int, c: int, f: int, model: WaterModel, real: Array, imaginary: Array
 ) -> None:
-    """Fill in the derivatives of the water signal of one sample.
+    """Compute the derivatives of the water signal of one sample.
 
     By the strength, the shape and the departure, real and imaginary.
     """
@@ -41,7 +41,7 @@ def _fill_columns(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, fastmath=LANES)
 def common(begin: int, end: int, model: WaterModel, out: Covariances) -> None:
-    """Fill in the covariance of the estimated water signal, which pixels share.
+    """Compute the covariance of the estimated water signal, which pixels share.
 
     J C J' of each sample, with the derivatives J of s W + s d V and the covariance C of
     their parameters. Compiled because numpy would keep J of all samples.
@@ -88,16 +88,16 @@ class _Own(NamedTuple):
     """Normal equations of the amplitudes and, last, the path of one pixel."""
 
     gram: Array
-    """Their information, (own, own), the lower triangle."""
+    """Information of amplitudes and path, (own, own), the lower triangle."""
     mixed: Array
-    """With the shared parameters, (own, parameter)."""
+    """Information between these and the shared parameters, (own, parameter)."""
     vector: Array
     """Half the downhill slope, (own,)."""
 
 
 @inner(forceinline=True)
 def _root(weight: Array, n: int, c: int, f: int) -> tuple[float, float, float]:
-    """Return Cholesky's factor of the weight of a sample: diagonal, off it, rest."""
+    """Return the Cholesky factor of the weight of a sample: (0, 0), (1, 0), (1, 1)."""
     root = math.sqrt(weight[n, c, 0, f])
     slant = weight[n, c, 1, f] / root
     return root, slant, math.sqrt(max(weight[n, c, 2, f] - slant * slant, 0.0))
@@ -112,7 +112,7 @@ def _fill_row(
     parameters: Parameters,
     row: _Row,
 ) -> None:
-    """Fill in the derivatives of a sample: one row of the Jacobian.
+    """Compute the derivatives of a sample: one row of the Jacobian.
 
     By the strength of its channel, the shape of the water signal and, where they are
     free, the departures of water and echo, real and imaginary; for open-water shots
@@ -165,7 +165,7 @@ def _add_own(
     row: _Row,
     own: _Own,
 ) -> None:
-    """Add one sample to the normal equations of its pixel.
+    """Add one sample to the normal equations of amplitudes and path of its pixel.
 
     All in units of the errors, (in phase, quadrature).
     """
@@ -278,7 +278,7 @@ def _eliminate(own: _Own, matrix: Array, vector: Array) -> float:
 def accumulate(
     begin: int, end: int, derivatives: Derivatives, parameters: Parameters, sums: Sums
 ) -> None:
-    """Add up the normal equations of some portions, single pixels eliminated.
+    """Sum the normal equations of portions of pixels, single pixels eliminated.
 
     Gauss-Newton for strength, shape and departures, with path and amplitudes of every
     pixel eliminated (Schur complement). A portion is a fixed part of the pixels with a

@@ -40,7 +40,7 @@ CANDIDATES = 6
 
 @inner()
 def _keep(path: float, level: float, candidates: Candidates) -> bool:
-    """Replace the highest minimum by a lower one."""
+    """Replace the highest candidate minimum if a new one is lower."""
     worst = 0
     for k in range(CANDIDATES):
         if candidates.level[k] > candidates.level[worst]:
@@ -68,7 +68,7 @@ def _sort(candidates: Candidates) -> None:
 def start(
     pixel: Pixel, model: Model, grid: Grid, work: Workspace, candidates: Candidates
 ) -> int:
-    """Fill in the lowest local minima of chi-square on a grid; return their number.
+    """Find the lowest local minima of chi-square on a grid; return their number.
 
     On the grid the water ends at the nearest node of its table. A minimum is the vertex
     of the parabola through three points. Compiled because all phases of a period have
@@ -108,7 +108,7 @@ def start(
 
 @inner(fastmath=LANES)
 def fill_weights(path: float, stated: Pixel, model: Model, work: Workspace) -> None:
-    """Fill in the inverse covariance of samples whose water fluctuates.
+    """Compute the inverse covariance of samples with fluctuating water.
 
     (C + d d')^-1 by Sherman and Morrison, with the stated covariance C and the
     deviation d = phi (s W + s d V) of water that ends at a path. The water up to a
@@ -216,7 +216,7 @@ _DEPENDENT = 1e-12
 def two_amplitudes(
     signal: Array, weight: Array, echo: Array, water: Array
 ) -> tuple[float, float]:
-    """Return chi-square and the strength of the water in one channel.
+    """Return chi-square and water strength of target plus water in one channel.
 
     Linear least squares on echo and water, neither below zero. Arrays are (2,
     frequency), the weight (3, frequency).
@@ -255,7 +255,7 @@ def starting_costs(
     best: Array,
     strength: Array,
 ) -> None:
-    """Fill in chi-square of each pixel with a water signal of its own strength.
+    """Compute chi-square of each pixel with a water signal of its own strength.
 
     For every path on the grid the amplitudes A_c of the target and s_c of the water are
     fitted channel by channel; `strength` holds s_c at the best path. Compiled because
@@ -366,7 +366,7 @@ def _lowest(
 
 @inner()
 def _wrong(count: int, path: float, cost: float, candidates: Candidates) -> float:
-    """Return the probability that the path lies in another minimum (Laplace)."""
+    """Return the probability that another minimum is right (Laplace approximation)."""
     total, own = 0.0, 0.0
     for k in range(count):
         if candidates.cost[k] < np.inf:
@@ -429,7 +429,7 @@ def _empty_misfit(pixel: Pixel, model: Model, work: Workspace) -> float:
 
 @inner()
 def _outputs(weight: Array) -> int:
-    """Return the number of outputs that count, two for each sample."""
+    """Return the number of usable outputs, two for each sample."""
     used = 0
     for c in range(weight.shape[0]):
         for f in range(weight.shape[2]):
@@ -494,7 +494,7 @@ def _estimate_one(
     candidates: Candidates,
     solutions: Solutions,
 ) -> None:
-    """Fill in the most likely path of one pixel: start, refine, profile.
+    """Estimate the most likely path of one pixel: start, refine, profile.
 
     The search takes the fluctuation of open water, or of water up to the path that is
     known; the result that of water up to the path that was found.
@@ -556,7 +556,7 @@ def estimate(
     known: Array,
     solutions: Solutions,
 ) -> None:
-    """Fill in the most likely path of each of some pixels.
+    """Estimate the most likely path of each of some pixels.
 
     Maximum likelihood of A_c H(f) exp(i k p) + s_c W(f, z(p)) over p and A_c >= 0, the
     formula under Notes of `amulor.rejection.joint`. Where `known` holds a path, the
