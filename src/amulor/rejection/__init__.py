@@ -1,8 +1,8 @@
-"""From samples to the signal of the target: one method a file.
+"""Rejection of the water signal: methods that estimate the target signal of samples.
 
 A method takes a cube of level `samples` and returns one of level `target_signal`;
-`compare` runs them all, `auto` the best of them. `water_fit` tells the optical
-properties of the water instead, from its open-water shots.
+`compare` runs them all, `auto` the best of them. `water_fit` estimates the
+optical properties of the water instead, from its open-water shots.
 """
 
 from amulor.rejection.combined import combined
@@ -71,5 +71,5 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """List the public names, not the modules that they come from."""
+    """List the public names, without the modules that define them."""
     return sorted(__all__)

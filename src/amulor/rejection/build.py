@@ -1,4 +1,4 @@
-"""Writes the target-signal cubes that all methods return."""
+"""Target-signal cubes: the common output of all rejection methods."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def target_cube(
     step: str,
     **attributes: Any,
 ) -> xr.Dataset:
-    """Make the cube that a rejection method returns.
+    """Build the target-signal cube that a rejection method returns.
 
     The signals and their errors have the shape of `samples`. `common` is the part of
     the errors that the pixels share, `proportional` the part that cannot make a target
-    out of nothing (see `quality.flags`), `residual` the water signal that is estimated
-    to be left in; `water_is_in` says that none was taken out. `terms` are the errors by
+    out of nothing (see `quality.flags`), `residual` the estimated residual water
+    signal; `water_is_in` says that no water was subtracted. `terms` are the errors by
     their terms, of `amulor.cube.schema.SIGNAL_TERMS`, chosen by `present_terms`;
     `tests` are statistics behind flags, of `SAMPLE_TESTS` and `PIXEL_TESTS`.
     """
@@ -104,22 +104,22 @@ def target_cube(
 
 
 def present_terms(
-    terms: Mapping[str, Covariance], known: tuple[str, ...] | None = None
+    terms: Mapping[str, Covariance], selected: tuple[str, ...] | None = None
 ) -> dict[str, Covariance]:
-    """Return the error terms of known names; those that are not zero by default."""
+    """Return the error terms with the given names; without names, the nonzero ones."""
     return {
         name: errors
         for name, errors in terms.items()
         if (
             errors.in_phase.any() or errors.quadrature.any()
-            if known is None
-            else name in known
+            if selected is None
+            else name in selected
         )
     }
 
 
 def saturated_in_any(first: xr.Dataset, channels: xr.Dataset) -> xr.Dataset:
-    """Return a channel that counts as saturated where any of several channels is."""
+    """Return the first channel, marked saturated where any of the channels is."""
     if "saturated" not in channels:
         return first
     worst = channels["saturated"].values.max(axis=1, keepdims=True)

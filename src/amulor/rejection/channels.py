@@ -1,4 +1,4 @@
-"""Polarization channels: which belong together, and their least squares."""
+"""Pairs of polarization channels, and separation of target and water by them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PARTNERS = dict(zip(CO_POLARIZED, CROSS_POLARIZED, strict=True))
 
 
 def pair_of(cube: xr.Dataset) -> tuple[str, str]:
-    """Return a co-polarized channel and its cross-polarized partner."""
+    """Return the names of a co-polarized channel and its cross-polarized partner."""
     present = cube.amulor.polarizations
     for co, cross in PARTNERS.items():
         if co in present and cross in present:
@@ -41,19 +41,21 @@ _AT_ONCE = 65_536
 
 @dataclass(frozen=True)
 class Unmixed:
-    """Target signal of every sample, and how it follows from the channels."""
+    """Target signal estimated from several channels, with covariance and gain."""
 
     target: Complex
     """Target signal, shape (...) [V]."""
     independent: Covariance
-    """Its error from the errors of the channels [V^2]."""
+    """Covariance of the target signal by independent errors of the channels [V^2]."""
     gain: Floats
-    """Change of (in phase, quadrature) with the outputs of the channels, shape
-    (2, channels, 2, ...) [1]."""
+    """Derivatives of the target's outputs (in phase, quadrature) by those of the
+    channels, shape (2, channels, 2, ...) [1]."""
 
     def error_of(self, channels: list[Covariance]) -> Covariance:
-        """Return what further errors of the channels make of the target signal."""
-        parts = [_turned(self.gain[:, c], errors) for c, errors in enumerate(channels)]
+        """Return the covariance of the target signal by errors of each channel."""
+        parts = [
+            _propagated(self.gain[:, c], errors) for c, errors in enumerate(channels)
+        ]
         total = parts[0]
         for part in parts[1:]:
             total = total + part
@@ -62,12 +64,12 @@ class Unmixed:
     def error_of_water(
         self, weights: list[Floats | float], errors: Covariance
     ) -> Covariance:
-        """Return what water that the channels share makes of the target signal."""
+        """Return the covariance of the target signal by a shared error of the water."""
         gain = sum(self.gain[:, c] * weight for c, weight in enumerate(weights))
-        return _turned(np.asarray(gain), errors)
+        return _propagated(np.asarray(gain), errors)
 
     def shift_by(self, channels: list[Complex]) -> Complex:
-        """Return by how much the target signal moves if the channels do."""
+        """Return the change of the target signal for given changes of the channels."""
         moved = np.zeros((2, *self.target.shape))
         for c, change in enumerate(channels):
             moved += self.gain[:, c, 0] * change.real + self.gain[:, c, 1] * change.imag
@@ -93,8 +95,8 @@ def unmix(
     count = signals[0].size
     flat = np.stack([signal.ravel() for signal in signals], axis=1)
     covariance = [
-        Covariance(*(np.broadcast_to(part, shape).ravel() for part in _parts(each)))
-        for each in errors
+        Covariance(*(np.broadcast_to(part, shape).ravel() for part in _parts(error)))
+        for error in errors
     ]
     prior = (
         None
@@ -114,7 +116,7 @@ def unmix(
         part = slice(first, first + _AT_ONCE)
         target[part], covariances[part], gain[part] = _solve(
             flat[part],
-            [each.part(part) for each in covariance],
+            [error.part(part) for error in covariance],
             weights[0][part],
             weights[1][part],
             None if prior is None else prior.part(part),
@@ -133,11 +135,11 @@ def _solve(
     water_weight: Floats,
     prior: Covariance | None,
 ) -> tuple[Complex, Floats, Floats]:
-    """Return target, its covariance (3 columns) and gain of some samples."""
+    """Return target signals, their covariances (3 columns) and gains."""
     count, channels = signal.shape
     blocks = np.zeros((count, channels, 2, channels, 2))
-    for c, each in enumerate(errors):
-        blocks[:, c, :, c, :] = _square(each)
+    for c, error in enumerate(errors):
+        blocks[:, c, :, c, :] = _square(error)
     columns = [target_weight]
     if prior is None:
         columns.append(water_weight)
@@ -145,14 +147,14 @@ def _solve(
         outer = water_weight[:, :, None] * water_weight[:, None, :]
         blocks += np.einsum("ncd,nij->ncidj", outer, _square(prior))
     matrix = blocks.reshape(count, 2 * channels, 2 * channels)
-    known = np.isfinite(matrix).all(axis=(1, 2))
-    good = np.asarray(known & np.isfinite(signal).all(axis=1))
+    finite = np.isfinite(matrix).all(axis=(1, 2))
+    good = np.asarray(finite & np.isfinite(signal).all(axis=1))
     # Errors of zero would make the matrix singular: far below any other they do not.
     scale = np.einsum("nii->n", matrix)
     floor = np.where(good & (scale > 0), _TINY * np.nan_to_num(scale), 1.0)
     matrix[~good] = np.eye(2 * channels)
     matrix += floor[:, None, None] * np.eye(2 * channels)
-    # What is sought: (in phase, quadrature) of the target, then of the water.
+    # Unknowns: (in phase, quadrature) of the target, then of the water.
     design = np.concatenate(
         [np.einsum("nc,ij->ncij", w, np.eye(2)) for w in columns], axis=3
     ).reshape(count, 2 * channels, 2 * len(columns))
@@ -163,9 +165,11 @@ def _solve(
     outputs = np.where(good[:, None], outputs, 0.0)
     value = np.einsum("nij,nj->ni", gain, outputs)
     target = np.where(good, value[:, 0] + 1j * value[:, 1], np.nan + 0j)
-    own = np.stack([inverse[:, 0, 0], inverse[:, 1, 1], inverse[:, 0, 1]], axis=1)
-    own[~good] = np.nan
-    return target, own, gain.reshape(count, 2, channels, 2)
+    covariance = np.stack(
+        [inverse[:, 0, 0], inverse[:, 1, 1], inverse[:, 0, 1]], axis=1
+    )
+    covariance[~good] = np.nan
+    return target, covariance, gain.reshape(count, 2, channels, 2)
 
 
 #: Smallest variance relative to the sum of all in a pixel [1].
@@ -177,13 +181,13 @@ def _parts(covariance: Covariance) -> tuple[Floats, Floats, Floats]:
 
 
 def _square(covariance: Covariance) -> Floats:
-    """Return covariances as matrices, shape (n, 2, 2)."""
+    """Return the covariances as matrices, shape (n, 2, 2)."""
     a, b, c = _parts(covariance)
     return np.stack([np.stack([a, c], axis=-1), np.stack([c, b], axis=-1)], axis=-1)
 
 
-def _turned(gain: Floats, errors: Covariance) -> Covariance:
-    """Return the covariance of a (2, 2, ...) matrix times what has the errors."""
+def _propagated(gain: Floats, errors: Covariance) -> Covariance:
+    """Return the covariance of errors after multiplication by a (2, 2, ...) matrix."""
     a, b, c = _parts(errors)
     (p, q), (r, s) = gain
     return Covariance(

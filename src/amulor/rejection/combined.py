@@ -1,4 +1,4 @@
-"""Takes open water out of each channel, then combines the channels by polarization."""
+"""Combined method: open-water subtraction, then unmixing by polarization."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _WITH_CHANNEL = (slice(None), None)
 
 @dataclass(frozen=True, kw_only=True)
 class CombinedFit:
-    """What the combined method learns from a scan."""
+    """Scan-wide parameters of the combined method."""
 
     noise_scale: float
-    """Factor of the stated errors that the scatter of the shots tells [1]."""
+    """Factor on the stated errors, from the scatter of the open-water shots [1]."""
     subtraction: SubtractionFit
-    """What the subtraction of open water learned."""
+    """Scan-wide parameters of the open-water subtraction."""
     target_ratio: ratios.Ratio | None
-    """Depolarization ratio of the targets; None if it is stated."""
+    """Depolarization ratio of the targets; None if the user states it."""
     terms: tuple[str, ...]
-    """Terms of the error that are not zero everywhere."""
+    """Names of the error terms that are not zero everywhere."""
 
 
 def _combine(
@@ -51,13 +51,13 @@ def _combine(
     fit: CombinedFit | None = None,
     span: tiles.Span | None = None,
 ) -> tuple[xr.Dataset, CombinedFit]:
-    """Combine the channels of a scan, or of rows of it with what the scan told."""
+    """Combine the channels of a scan or, with `fit`, of some of its rows."""
     cube, noise_scale = with_noise_of_shots(
         cubes.checked(cube, "samples"), None if fit is None else fit.noise_scale
     )
     _refuse_odd(target_ratio, water_change)
     co, cross = pair_of(cube)
-    left = subtract_open_water(
+    subtracted = subtract_open_water(
         cube,
         interval=interval,
         column_uncertainty=column_uncertainty,
@@ -67,9 +67,9 @@ def _combine(
     estimate = None if fit is None else fit.target_ratio
     if target_ratio is None:
         if estimate is None:
-            # The shots' own column, whatever is said of it for the rest.
+            # The column by the shots alone, whatever is stated for the rest.
             estimate = (
-                ratios.ratio_of(cube_of(cube, left)[0])
+                ratios.ratio_of(cube_of(cube, subtracted)[0])
                 if column_uncertainty is None
                 else ratios.target_ratio(cube, interval=interval)
             )
@@ -77,8 +77,8 @@ def _combine(
         target_ratio_uncertainty = estimate.uncertainty
     present = list(cube["polarization"].values)
     channel = [(slice(None), present.index(name)) for name in (co, cross)]
-    water = [left.water_signal[index] for index in channel]
-    reference = [left.reference.part(index) for index in channel]
+    water = [subtracted.water_signal[index] for index in channel]
+    reference = [subtracted.reference.part(index) for index in channel]
     water_ratio = np.divide(
         (water[1] * water[0].conj()).real,
         np.abs(water[0]) ** 2,
@@ -86,10 +86,13 @@ def _combine(
         where=np.abs(water[0]) > 0,
     )
     # What is wrong with the water is wrong in both channels, in their proportion.
-    of_water = left.of_water.part(channel[0])
+    of_water = subtracted.of_water.part(channel[0])
     solved = channels.unmix(
-        [left.target[index] for index in channel],
-        [left.own.part(index) + left.reference.part(index) for index in channel],
+        [subtracted.target[index] for index in channel],
+        [
+            subtracted.independent.part(index) + subtracted.reference.part(index)
+            for index in channel
+        ],
         target_weights=[1.0, target_ratio],
         water_weights=[1.0, water_ratio],
         water_prior=of_water + along(water[0], water_change),
@@ -98,19 +101,19 @@ def _combine(
     # A wrong ratio moves the crossed channel away from the estimate.
     slope = solved.shift_by([np.zeros_like(target), -target])
     by_ratio = along(slope, target_ratio_uncertainty)
-    both: list[Floats | float] = [1.0, water_ratio]
+    water_weights: list[Floats | float] = [1.0, water_ratio]
     of_reference = solved.error_of(reference)
-    by_water = solved.error_of_water(both, of_water)
+    by_water = solved.error_of_water(water_weights, of_water)
     common = of_reference + by_ratio + by_water
     # Put back where the distance is settled; where it is not, it is not known.
-    residual = None if left.residual is None else left.residual[channel[0]]
+    residual = None if subtracted.residual is None else subtracted.residual[channel[0]]
     # Errors turn alike, so one of each sum is what the others leave of it.
-    column = solved.error_of_water(both, left.column.part(channel[0]))
-    counting = solved.error_of([left.counting.part(at) for at in channel])
+    column = solved.error_of_water(water_weights, subtracted.column.part(channel[0]))
+    counting = solved.error_of([subtracted.counting.part(at) for at in channel])
     rest = counting + of_reference + by_water
     terms = {}
     if water_change > 0:
-        by_change = solved.error_of_water(both, along(water[0], water_change))
+        by_change = solved.error_of_water(water_weights, along(water[0], water_change))
         terms["water_model"] = by_change
         rest = rest + by_change
     terms |= {
@@ -122,9 +125,11 @@ def _combine(
         "polarization_optics": by_ratio,
     }
     terms = present_terms(terms, None if fit is None else fit.terms)
-    tests = dict(left.tests)
-    apart = tests["channel_disagreement"]
-    tests["channel_disagreement"] = np.fmax(*(apart[at] for at in channel))[:, None]
+    tests = dict(subtracted.tests)
+    disagreement = tests["channel_disagreement"]
+    tests["channel_disagreement"] = np.fmax(*(disagreement[at] for at in channel))[
+        :, None
+    ]
     first = saturated_in_any(
         cube.sel(polarization=[co]), cube.sel(polarization=[co, cross])
     )
@@ -143,18 +148,18 @@ def _combine(
         frequencies_share_errors=np.int32(0),
         target_ratio=target_ratio,
         target_ratio_uncertainty=target_ratio_uncertainty,
-        **reference_attributes(left),
+        **reference_attributes(subtracted),
     )
     # Whether there is a target was decided before a column was put back.
-    result = quality.add(result, QualityFlag.NO_TARGET, ~left.seen)
-    outlying = left.outlying[channel[0]] | left.outlying[channel[1]]
+    result = quality.add(result, QualityFlag.NO_TARGET, ~subtracted.has_target)
+    outlying = subtracted.outlying[channel[0]] | subtracted.outlying[channel[1]]
     result = quality.add(result, QualityFlag.OUTLIER, outlying[:, None])
     if water_change == 0:
         # Nothing here makes up for a reference that is doubtful.
-        result = quality.add_water_residual(result, left.cause)
+        result = quality.add_water_residual(result, subtracted.cause)
     return result, CombinedFit(
         noise_scale=noise_scale,
-        subtraction=left.fit,
+        subtraction=subtracted.fit,
         target_ratio=estimate,
         terms=tuple(terms),
     )
@@ -175,7 +180,7 @@ def combined(
     water_change: float = 0.0,
     column_uncertainty: float | None = None,
 ) -> xr.Dataset:
-    r"""Subtract open water in each channel, then unmix what is left.
+    r"""Subtract open water in each channel, then remove residual water by polarization.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Runs every method that the data allow and says which one to trust."""
+"""Comparison of the rejection methods by their errors, and the recommendation."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _INSTRUMENT = (
 
 
 class Caution(enum.StrEnum):
-    """Why a row of a comparison should not be used, or be used with care.
+    """Reason against using a row of a comparison, or for using it with care.
 
     Examples
     --------
@@ -75,7 +75,7 @@ class Caution(enum.StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What one method makes of one channel; NaN where nothing is usable.
+    """Expected errors of one method in one channel; NaN where no pixel is usable.
 
     Examples
     --------
@@ -95,8 +95,8 @@ class Row:
     polarization: str
     """Channel, empty if the method could not run."""
     bias: float
-    """Estimated shift of the slant range by water left in, root mean square [m];
-    infinite if water is in and nothing tells how much."""
+    """Estimated root-mean-square shift of the slant range by residual water [m];
+    infinite if water remains and its amount is unknown."""
     noise: float
     """Median standard uncertainty of the slant range [m]."""
     usable: float
@@ -104,24 +104,24 @@ class Row:
     flagged: float
     """Fraction of the pixels that have any flag [1]."""
     trusted: float
-    """Fraction of the pixels that have a range without a flag, whose frequencies agree
-    on it, and that have a neighbour of which that is so, too [1]."""
+    """Fraction of the pixels with a range that has no flag, on which the frequencies
+    agree, and that have a neighbor of this kind [1]."""
     caution: Caution = Caution.NONE
-    """What speaks against it; the recommendation decides by this."""
+    """Reason against this row, considered by the recommendation."""
     recommended: bool = False
-    """True for one row."""
+    """Whether this is the recommended row."""
     note: str = ""
-    """Why it is recommended, or the caution in words; for the reader only."""
+    """Reason for the recommendation, or the caution in words; for the reader only."""
 
     @property
     def error(self) -> float:
-        """Bias and noise together [m]."""
+        """Root sum of squares of bias and noise [m]."""
         return float(np.hypot(self.bias, self.noise))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """All methods side by side.
+    """Expected errors of all rejection methods, and the recommended method.
 
     Examples
     --------
@@ -140,20 +140,20 @@ class Comparison:
     """
 
     rows: tuple[Row, ...]
-    """Method by method, channel by channel, the simplest method first."""
+    """Rows by method and channel, the simplest method first."""
     method: str
     """The recommended method."""
     polarization: str
-    """Its best channel."""
+    """Best channel of the recommended method."""
     reason: str
-    """Why."""
+    """Reason for the recommendation."""
     disagreement: float = 0.0
-    """Largest difference of the ranges of another method that both errors do not
-    explain, median over the scan [m]."""
+    """Largest median difference from the ranges of another method that both errors do
+    not explain; 0 without one [m]."""
 
 
 def _repeat_distance(cube: xr.Dataset) -> float:
-    """Return the distance after which the only frequency of a cube repeats [m]."""
+    """Return the ambiguity interval of a cube with one frequency [m]."""
     return float(
         ranging.ambiguity_interval(
             float(cube["modulation_frequency"][0]),
@@ -163,7 +163,7 @@ def _repeat_distance(cube: xr.Dataset) -> float:
 
 
 def _shots_are_doubted(cube: xr.Dataset, rows: list[Row]) -> bool:
-    """Return whether a method ran, has reference measurements and trusts few pixels."""
+    """Return whether a method ran with open-water shots and trusts too few pixels."""
     ran = any(row.polarization for row in rows)
     trusted = max((row.trusted for row in rows), default=0.0)
     return ran and cube.amulor.open_water is not None and trusted < _FEW
@@ -174,13 +174,13 @@ class _Trial:
     """Result of one method in one channel."""
 
     row: Row
-    """Its row of the comparison."""
+    """Row of the comparison."""
     path: Floats | None = None
-    """Optical paths, not a number in pixels that are not trusted [m]."""
+    """Optical paths, NaN in pixels that are not trusted [m]."""
 
 
 def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
-    """Run every rejection method that the data allow and compare the outcomes.
+    """Run every applicable rejection method and compare their errors.
 
     Parameters
     ----------
@@ -216,23 +216,23 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     trials = [_Trial(row=_not_run(name, str(error))) for name, error in broken.items()]
     for number, candidate in enumerate(candidates):
         with part(number / len(candidates), (number + 1) / len(candidates)):
-            found = _rows(candidate, cube, interval)
-            doubted = _shots_are_doubted(cube, [trial.row for trial in found])
+            outcomes = _rows(candidate, cube, interval)
+            doubted = _shots_are_doubted(cube, [trial.row for trial in outcomes])
             # What is wrong with the instrument is wrong without the shots, too.
             if (
                 candidate.distrusts_open_water
                 and doubted
                 and not any(trial.row.caution is Caution.INSTRUMENT for trial in trials)
             ):
-                found += _rows(candidate.without_open_water(), cube, interval)
-        trials += found
+                outcomes += _rows(candidate.without_open_water(), cube, interval)
+        trials += outcomes
     rows = [trial.row for trial in trials]
     if any(row.caution is Caution.INSTRUMENT for row in rows):
         # The channels of the scan are wrong, too, beside the shots.
         touched = [
-            each.name
-            for each in candidates
-            if each.needs.open_water or each.needs.channel_pair
+            candidate.name
+            for candidate in candidates
+            if candidate.needs.open_water or candidate.needs.channel_pair
         ]
         rows = [
             replace(row, caution=Caution.INSTRUMENT, trusted=0.0, note=_INSTRUMENT)
@@ -283,7 +283,7 @@ def auto(
     interval: Interval = None,
     comparison: Comparison | None = None,
 ) -> xr.Dataset:
-    """Take the water signal out by the method that `compare` recommends.
+    """Remove the water signal by the method that `compare` recommends.
 
     Parameters
     ----------
@@ -347,7 +347,7 @@ def _fit_auto(
 
 
 def _of_comparison(target: xr.Dataset, comparison: Comparison) -> xr.Dataset:
-    """Return the recommended channel, with the method and the reason."""
+    """Return the recommended channel of a target signal, with method and reason."""
     attributes: dict[str, Any] = {
         "rejection_method": comparison.method,
         "rejection_reason": comparison.reason,
@@ -358,7 +358,7 @@ def _of_comparison(target: xr.Dataset, comparison: Comparison) -> xr.Dataset:
 
 
 def _rows(method: Method, cube: xr.Dataset, interval: Interval) -> list[_Trial]:
-    """Row of each channel that a method makes, or the reason why it cannot run."""
+    """Return the trials of a method, one per channel, or the reason of its refusal."""
     tell(f"trying {method.name}", 0.0)
     if method.needs.open_water is False and cube.amulor.open_water is not None:
         note = "not needed: there are open-water shots, so no water stays in"
@@ -388,9 +388,9 @@ def _not_run(name: str, reason: str) -> Row:
 
 
 def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
-    """Return what a method made of one channel."""
+    """Return errors, trusted pixels and cautions of a method in one channel."""
     is_joint = "joint_slant_range_uncertainty" in target
-    flag, left_out = flags_of_pixels(
+    flag, excluded = flags_of_pixels(
         target["quality_flag"].values[:, 0],
         most_outliers=JOINT_OUTLIERS if is_joint else ambiguity.BREAKDOWN,
     )
@@ -400,12 +400,12 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
     agree = np.zeros(usable.shape, dtype=bool)
     path = np.full(usable.shape, np.nan)
     if usable.any():
-        noises, biases, agree[usable], path[usable] = _errors(target, usable, left_out)
+        noises, biases, agree[usable], path[usable] = _errors(target, usable, excluded)
         water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
         # A few pixels of which it is not known say so by a flag, and count there.
         clear = flag[usable] == 0
-        told = biases[clear] if clear.any() else biases
-        bias = float(np.sqrt(np.mean(told**2)))
+        counted = biases[clear] if clear.any() else biases
+        bias = float(np.sqrt(np.mean(counted**2)))
         noise = float(np.median(noises)) if noises.size else float("nan")
         if water_is_in or not np.isfinite(bias):
             bias = float("inf")
@@ -417,12 +417,15 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
     if np.any(np.asarray(causes) & WaterResidualCause.INSTRUMENT):
         caution, note = Caution.INSTRUMENT, _INSTRUMENT
     if method.keeps_one_frequency and interval is not None:
-        alone = _repeat_distance(target)
-        if interval[1] - interval[0] > alone:
-            caution, note = Caution.AMBIGUOUS, f"repeats after {alone:.3g} m"
+        repeat = _repeat_distance(target)
+        if interval[1] - interval[0] > repeat:
+            caution, note = Caution.AMBIGUOUS, f"repeats after {repeat:.3g} m"
     sound = agree & (flag == 0)
-    trusted = sound & _beside(sound)
-    if any(each.any() and not (each & _beside(each)).any() for each in (usable, sound)):
+    trusted = sound & _has_neighbor(sound)
+    if any(
+        mask.any() and not (mask & _has_neighbor(mask)).any()
+        for mask in (usable, sound)
+    ):
         caution, note = Caution.LONE_PIXELS, "no pixel that it trusts has a neighbour"
     row = Row(
         method=method.name,
@@ -438,37 +441,37 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
     return _Trial(row=row, path=np.where(trusted, path, np.nan))
 
 
-def _beside(there: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the pixels that have one of those that are there beside them.
+def _has_neighbor(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the mask of pixels with at least one neighbor in a given mask.
 
-    Of a single pixel nothing beside it tells anything.
+    The pixel of a scan with a single one counts as having a neighbor.
     """
-    if there.size == 1:
-        return np.ones(there.shape, dtype=bool)
-    padded = np.pad(there.astype(int), 1)
-    rows, columns = there.shape
+    if mask.size == 1:
+        return np.ones(mask.shape, dtype=bool)
+    padded = np.pad(mask.astype(int), 1)
+    rows, columns = mask.shape
     around = sum(
         padded[down : down + rows, right : right + columns]
         for down in range(3)
         for right in range(3)
     )
-    return np.asarray(around > there)
+    return np.asarray(around > mask)
 
 
 def _errors(
-    target: xr.Dataset, usable: NDArray[np.bool_], left_out: NDArray[np.bool_]
+    target: xr.Dataset, usable: NDArray[np.bool_], excluded: NDArray[np.bool_]
 ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-    """Return what usable pixels say of themselves, without samples that are left out.
+    """Return errors of the slant ranges of usable pixels, without excluded samples.
 
     Uncertainty and estimated bias of the slant range [m], whether the frequencies
     agree, and the optical path [m].
     """
     if "joint_slant_range_uncertainty" in target:
-        own = target["joint_slant_range_uncertainty"].values[usable]
-        settled = np.isfinite(own)
+        uncertainty = target["joint_slant_range_uncertainty"].values[usable]
+        settled = np.isfinite(uncertainty)
         # What is not known of the instrument is in no other method's error.
-        known = target.attrs["joint_instrument_uncertainty_m"]
-        rest = np.sqrt(np.maximum(own[settled] ** 2 - known**2, 0.0))
+        instrument = target.attrs["joint_instrument_uncertainty_m"]
+        rest = np.sqrt(np.maximum(uncertainty[settled] ** 2 - instrument**2, 0.0))
         return rest, np.zeros(settled.shape), settled, _joint_path(target)[usable]
     signal = target.amulor.signal.values[:, 0][:, usable]
     errors = covariance_of(target).part((slice(None), 0))
@@ -482,16 +485,16 @@ def _errors(
         quadrature_variance=errors.quadrature[:, usable],
         covariance=errors.cross[:, usable],
     )
-    sigma = np.where(left_out[:, usable], np.inf, sigma)
+    sigma = np.where(excluded[:, usable], np.inf, sigma)
     weight, noise = ranging.weights_and_uncertainty(sigma)
     bias = np.zeros(noise.shape)
     if "residual_in_phase" in target:
-        left = (
+        water = (
             target["residual_in_phase"].values
             + 1j * target["residual_quadrature"].values
         )[:, 0][:, usable]
-        turned = ranging.phase_shift(signal, residual=left)
-        shift = to_range * np.where(left == 0, 0.0, turned)
+        turned = ranging.phase_shift(signal, residual=water)
+        shift = to_range * np.where(water == 0, 0.0, turned)
         bias = np.sum(weight * shift, axis=0)
     frequency = target["modulation_frequency"].values
     path = ambiguity.optical_path(
@@ -503,13 +506,13 @@ def _errors(
         longest=np.full(noise.shape, 0.999 * _repeated_path(frequency)),
     )
     # Only whether they agree: which interval is right is a matter of its limits.
-    few = (np.isfinite(sigma) & ~path.left_out).sum(axis=0) - 1
-    agree = path.strain <= chdtri(np.maximum(few, 1), _DISAGREEMENT)
-    return noise, bias, np.asarray(agree | (few < 1)), path.length
+    freedom = (np.isfinite(sigma) & ~path.left_out).sum(axis=0) - 1
+    agree = path.strain <= chdtri(np.maximum(freedom, 1), _DISAGREEMENT)
+    return noise, bias, np.asarray(agree | (freedom < 1)), path.length
 
 
 def _joint_path(target: xr.Dataset) -> Floats:
-    """Return the optical paths of a joint estimation, NaN without a survey [m]."""
+    """Return the optical paths of the joint estimation; NaN without a survey [m]."""
     distance: Floats = target["joint_slant_range"].values
     survey = target.amulor.survey
     if survey is None:
@@ -534,9 +537,9 @@ def _joint_path(target: xr.Dataset) -> Floats:
 def _disagreement(
     trials: list[_Trial], best: int, cube: xr.Dataset
 ) -> tuple[Row | None, float]:
-    """Return the method whose ranges differ most beyond both errors, and by how much.
+    """Return the method with the largest range difference beyond both errors.
 
-    The median of the differences, less whole intervals after which phases repeat [m].
+    And the median difference, less whole intervals after which phases repeat [m].
     """
     chosen = trials[best]
     group_index = float(cube["geometry"].attrs["group_index"])
@@ -551,12 +554,12 @@ def _disagreement(
             or row.caution is not Caution.NONE
         ):
             continue
-        apart = trial.path - chosen.path
-        apart = apart[np.isfinite(apart)]
-        if apart.size < _FEWEST_PIXELS:
+        differences = trial.path - chosen.path
+        differences = differences[np.isfinite(differences)]
+        if differences.size < _FEWEST_PIXELS:
             continue
-        apart -= repeat * np.round(apart / repeat)
-        difference = abs(float(np.median(apart))) / (2 * group_index)
+        differences -= repeat * np.round(differences / repeat)
+        difference = abs(float(np.median(differences))) / (2 * group_index)
         error = float(np.hypot(row.error, chosen.row.error))
         if difference > max(_DISAGREE * error, largest):
             other, largest = row, difference
@@ -564,12 +567,12 @@ def _disagreement(
 
 
 def _repeated_path(frequency: Floats) -> float:
-    """Return the optical path after which the phases repeat, out and back [m]."""
+    """Return the unambiguous round-trip optical path of the frequencies [m]."""
     return float(speed_of_light / np.min(np.append(np.diff(frequency), frequency[0])))
 
 
 def _best(rows: list[Row]) -> int | None:
-    """Return the row to recommend; None if no row has a usable pixel."""
+    """Return the index of the row to recommend; None if no row has a usable pixel."""
     wrong = (Caution.LONE_PIXELS, Caution.INSTRUMENT)
     sound = [row.caution not in wrong for row in rows]
     # Flagged pixels are no argument, unless no method has any others.
@@ -609,10 +612,10 @@ def _reason(rows: list[Row], best: int, *, has_shots: bool) -> str:
         if other.method != row.method and np.isfinite(other.error)
     ]
     if others:
-        next_one = min(others, key=lambda other: other.error)
+        second = min(others, key=lambda other: other.error)
         text += (
-            f"; {next_one.method} {next_one.polarization} "
-            f"{_length(next_one.error)} with {next_one.trusted:.0%}"
+            f"; {second.method} {second.polarization} "
+            f"{_length(second.error)} with {second.trusted:.0%}"
         )
     if 0 < row.trusted < _HARDLY_ANY:
         text += "; hardly any pixel is trusted: right only where little is in view"

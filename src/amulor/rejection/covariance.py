@@ -1,4 +1,4 @@
-"""Covariances of in-phase and quadrature outputs: read from cubes, added, turned."""
+"""Covariances of in-phase and quadrature outputs, and error propagation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Covariance:
     quadrature: Floats
     """Variance of the quadrature output."""
     cross: Floats
-    """Covariance of the two."""
+    """Covariance of in-phase and quadrature output."""
 
     def __add__(self, other: Covariance) -> Covariance:
         """Return the covariance of a sum of independent errors."""
@@ -37,7 +37,7 @@ class Covariance:
         )
 
     def without(self, other: Covariance) -> Covariance:
-        """Return the covariance less a part of it; rounding below zero is taken off."""
+        """Return the difference of covariances, with negative variances set to 0."""
         return Covariance(
             np.maximum(self.in_phase - other.in_phase, 0.0),
             np.maximum(self.quadrature - other.quadrature, 0.0),
@@ -45,13 +45,13 @@ class Covariance:
         )
 
     def scaled(self, factor: Floats | float) -> Covariance:
-        """Return the covariance of errors times the square root of a factor."""
+        """Return the covariance times a factor."""
         return Covariance(
             self.in_phase * factor, self.quadrature * factor, self.cross * factor
         )
 
     def turned(self, factor: Complex) -> Covariance:
-        """Return the covariance of errors times complex factors."""
+        """Return the covariance of errors that are multiplied by complex factors."""
         a, b = factor.real, factor.imag
         product = 2 * a * b * self.cross
         return Covariance(
@@ -61,13 +61,13 @@ class Covariance:
         )
 
     def part(self, index: Any) -> Covariance:
-        """Return the covariance of some of the outputs."""
+        """Return the covariance of the outputs at an index."""
         return Covariance(
             self.in_phase[index], self.quadrature[index], self.cross[index]
         )
 
     def mahalanobis(self, signal: Complex) -> Floats:
-        """Return the squared distance of a signal from zero in units of its error."""
+        """Return the squared Mahalanobis distance of a signal from zero [1]."""
         real, imaginary = signal.real, signal.imag
         determinant = self.in_phase * self.quadrature - self.cross**2
         product = (
@@ -84,7 +84,7 @@ class Covariance:
 
 
 def covariance_of(samples: xr.Dataset) -> Covariance:
-    """Return the stated errors of samples or shots."""
+    """Return the covariance of the stated errors of samples or shots."""
     cross = samples.get("in_phase_quadrature_covariance")
     in_phase = samples["in_phase_uncertainty"].values ** 2
     return Covariance(
@@ -95,7 +95,7 @@ def covariance_of(samples: xr.Dataset) -> Covariance:
 
 
 def common_covariance_of(target: xr.Dataset) -> Covariance:
-    """Return the part of the errors that the pixels of a target signal share."""
+    """Return the covariance of the errors that the pixels of a target signal share."""
     return Covariance(
         target["common_in_phase_uncertainty"].values ** 2,
         target["common_quadrature_uncertainty"].values ** 2,
@@ -104,7 +104,7 @@ def common_covariance_of(target: xr.Dataset) -> Covariance:
 
 
 def along(signal: Complex, size: float) -> Covariance:
-    """Return the covariance of an error that stretches a signal by a random factor."""
+    """Return the covariance of a random relative change of a signal."""
     return Covariance(
         (size * signal.real) ** 2,
         (size * signal.imag) ** 2,
@@ -121,7 +121,7 @@ _LARGEST = 2**17
 
 
 def times(rows: Floats, matrix: Floats) -> Floats:
-    """Return a product whose rows do not depend on how many of them come together.
+    """Return a matrix product whose rows do not depend on the number of rows.
 
     Libraries of linear algebra choose the order of their sums by the shape of what they
     are given; here that is always the same.
@@ -138,13 +138,13 @@ def times(rows: Floats, matrix: Floats) -> Floats:
 
 
 def isotropic(size: Floats) -> Covariance:
-    """Return the covariance of an error of a given size in any direction."""
+    """Return the covariance of an error of given size, alike in all directions."""
     half = size**2 / 2
     return Covariance(half, half, np.zeros(half.shape))
 
 
 def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
-    """Put the covariances of frequencies and channels together."""
+    """Stack the covariances of frequencies and channels into one of a given shape."""
     return Covariance(
         *(
             np.array([getattr(part, name) for part in parts]).reshape(shape)
@@ -156,7 +156,7 @@ def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
 def phase_uncertainties(
     signal: Complex, terms: Mapping[str, Covariance]
 ) -> dict[str, NDArray[np.float32]]:
-    """Return what errors make of the phase of a signal, each by itself."""
+    """Return the phase uncertainty of a signal by each error term [rad]."""
     flat = signal.reshape(-1)
     parts = {
         name: [
@@ -165,7 +165,7 @@ def phase_uncertainties(
         ]
         for name, errors in terms.items()
     }
-    found = {name: np.empty(flat.size, dtype=np.float32) for name in terms}
+    uncertainties = {name: np.empty(flat.size, dtype=np.float32) for name in terms}
     with np.errstate(divide="ignore", invalid="ignore"):
         # In blocks that stay in the cache: cubes are larger than it.
         for begin in range(0, flat.size, _BLOCK):
@@ -178,5 +178,5 @@ def phase_uncertainties(
                 variance += by[1] * outputs[1][block]
                 variance += by[2] * outputs[2][block]
                 np.sqrt(np.maximum(variance, 0.0, out=variance), out=variance)
-                found[name][block] = variance
-    return {name: error.reshape(signal.shape) for name, error in found.items()}
+                uncertainties[name][block] = variance
+    return {name: error.reshape(signal.shape) for name, error in uncertainties.items()}

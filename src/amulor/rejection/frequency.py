@@ -1,4 +1,4 @@
-"""Keeps the one modulation frequency at which the water disturbs least."""
+"""Single-frequency method: the modulation frequency with the smallest range error."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ _ROOM = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class FrequencyChoice:
-    """The best single frequency of a sweep, with all that speaks for and against it."""
+    """The best single frequency of a sweep, with figures of all frequencies."""
 
     modulation_frequency: float
-    """The choice [Hz]."""
+    """The chosen frequency [Hz]."""
     polarization: str
-    """Channel that the figures are for."""
+    """Channel for which the figures were computed."""
     cut_off: float | None
     """First-order cut-off, fitted to the open-water signal (`optics.low_pass.fit`; that
     of `WaterFit` is the half-power point) [Hz]; None if the sweep shows none."""
     reason: str
-    """Why this frequency."""
+    """Reason for the choice."""
     warnings: tuple[str, ...]
-    """What makes it, or the sweep, less useful than it may look."""
+    """Limitations of the chosen frequency or of the sweep."""
     sweep: Floats
     """All frequencies of the sweep [Hz]."""
     amplitude: Floats
-    """Amplitude of target and water together [V]."""
+    """Amplitude of the sum of target and water [V]."""
     ratio: Floats
     """Signal-to-optical-noise ratio (54) [1]."""
     contrast: Floats
@@ -57,15 +57,15 @@ class FrequencyChoice:
     noise: Floats
     """Random error of the slant range [m]."""
     shift: Floats
-    """Shift of the slant range by the water, root mean square [m]."""
+    """Root-mean-square shift of the slant range by the water [m]."""
     ambiguity_interval: Floats
-    """Slant range after which a frequency alone repeats [m]."""
+    """Ambiguity interval of each frequency alone [m]."""
     maxima: dict[str, Floats]
     """Frequencies at which amplitude, ratio and contrast are largest [Hz]."""
 
     @property
     def above_cut_off(self) -> bool | None:
-        """Whether the choice is above the cut-off; None if there is no cut-off."""
+        """Whether the chosen frequency is above the cut-off; None without a cut-off."""
         if self.cut_off is None:
             return None
         return self.modulation_frequency > self.cut_off
@@ -77,7 +77,7 @@ def choose_frequency(
     polarization: str | None = None,
     interval: tuple[float, float] | None = None,
 ) -> FrequencyChoice:
-    r"""Choose the best single frequency of a sweep, with the water left in.
+    r"""Choose the frequency of a sweep with the smallest range error, water included.
 
     Parameters
     ----------
@@ -129,18 +129,20 @@ def choose_frequency(
             "no pixel shows a target at any frequency once the water is taken out; "
             "raise power or dwell, or look for the target elsewhere"
         )
-    alone = ranging.ambiguity_interval(
+    intervals = ranging.ambiguity_interval(
         frequency, group_index=float(cube["geometry"].attrs["group_index"])
     )
     span = None if interval is None else interval[1] - interval[0]
     clear = (
-        np.ones(frequency.size, bool) if span is None else alone * (1 + _ROOM) > span
+        np.ones(frequency.size, bool)
+        if span is None
+        else intervals * (1 + _ROOM) > span
     )
     eligible = clear & np.isfinite(error)
     candidates = eligible if eligible.any() else np.isfinite(error)
     best = int(np.argmin(np.where(candidates, error, np.inf)))
     cut_off = _fitted_cut_off(cube, channel)
-    one = {
+    curves = {
         name: getattr(figures, name)[:, channel]
         for name in ("amplitude", "ratio", "contrast", "noise", "shift")
     }
@@ -148,30 +150,30 @@ def choose_frequency(
         modulation_frequency=float(frequency[best]),
         polarization=cube.amulor.polarizations[channel],
         cut_off=cut_off,
-        reason=_reason(frequency, best, one, cut_off, eligible, error, span),
-        warnings=_warnings(frequency, best, one, alone, span, eligible, clear),
+        reason=_reason(frequency, best, curves, cut_off, eligible, error, span),
+        warnings=_warnings(frequency, best, curves, intervals, span, eligible, clear),
         sweep=frequency,
-        ambiguity_interval=np.asarray(alone),
+        ambiguity_interval=np.asarray(intervals),
         maxima={
-            name: _maxima(frequency, one[name])
+            name: _maxima(frequency, curves[name])
             for name in ("amplitude", "ratio", "contrast")
         },
-        **one,
+        **curves,
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrequencyFit:
-    """What keeping one frequency learns from a scan."""
+    """Scan-wide parameters of the single-frequency method."""
 
     choice: FrequencyChoice | None
-    """The frequency; None if the user chose it."""
+    """Choice of the frequency; None if the user chose it."""
     water: WaterFit
-    """Water in front of the targets."""
+    """Scan-wide fit of the water in front of the targets."""
     cut: CutColumns | None
-    """Water that ends in a shadow; None without a survey."""
+    """Open water cut off at a depth, as in a shadow; None without a survey."""
     terms: tuple[str, ...]
-    """Terms of the error that are not zero everywhere."""
+    """Names of the error terms that are not zero everywhere."""
 
 
 def _keep(
@@ -182,7 +184,7 @@ def _keep(
     fit: FrequencyFit | None = None,
     span: tiles.Span | None = None,
 ) -> tuple[xr.Dataset, FrequencyFit]:
-    """Keep one frequency of a scan, or of rows of it with what the scan told."""
+    """Keep one frequency of a scan or, with `fit`, of some of its rows."""
     cube = cubes.checked(cube, "samples")
     warnings: tuple[str, ...] = ()
     choice = None if fit is None else fit.choice
@@ -193,10 +195,10 @@ def _keep(
         reason, warnings = choice.reason, choice.warnings
     else:
         reason = "chosen by the user"
-    there = cube["modulation_frequency"].values
-    which = np.flatnonzero(np.isclose(there, modulation_frequency, rtol=1e-9))
+    frequencies = cube["modulation_frequency"].values
+    which = np.flatnonzero(np.isclose(frequencies, modulation_frequency, rtol=1e-9))
     if len(which) == 0:
-        listed = ", ".join(f"{value / 1e6:g}" for value in there)
+        listed = ", ".join(f"{value / 1e6:g}" for value in frequencies)
         raise CubeError(
             f"the cube has no sample at {modulation_frequency / 1e6:g} MHz, but at "
             f"{listed} MHz; choose one of these"
@@ -204,26 +206,26 @@ def _keep(
     water = water_before_target(
         cube, interval=interval, fit=None if fit is None else fit.water, span=span
     )
-    one = cube.isel(modulation_frequency=which)
+    selection = cube.isel(modulation_frequency=which)
     residual = water.signal
     if water.hidden_fraction is not None:
         residual = np.where(np.isfinite(water.hidden_fraction), residual, np.nan)
     errors = covariance_of(cube) + water.fluctuation + water.common
-    signal = one.amulor.signal.values
+    signal = selection.amulor.signal.values
     terms = present_terms(
         {
-            "counting": covariance_of(one),
+            "counting": covariance_of(selection),
             "fluctuation": water.fluctuation.part(which),
             "reference": water.common.part(which),
         },
         None if fit is None else fit.terms,
     )
     # By all frequencies: one alone takes water that is cut off close by for a target.
-    seen, cut, chance = shows_target(
+    has_target, cut, chance = shows_target(
         cube, water, interval=interval, fit=None if fit is None else fit.cut
     )
     result = target_cube(
-        one,
+        selection,
         signal,
         errors.part(which),
         water_signal=np.zeros_like(signal),
@@ -236,7 +238,7 @@ def _keep(
         frequency_choice=reason,
         frequency_warnings="; ".join(warnings),
     )
-    return quality.add(result, QualityFlag.NO_TARGET, ~seen), FrequencyFit(
+    return quality.add(result, QualityFlag.NO_TARGET, ~has_target), FrequencyFit(
         choice=choice, water=water.fit, cut=cut, terms=tuple(terms)
     )
 
@@ -254,7 +256,7 @@ def frequency(
     modulation_frequency: float | None = None,
     interval: tuple[float, float] | None = None,
 ) -> xr.Dataset:
-    """Keep one modulation frequency, the best one, with the water left in.
+    """Keep only the best modulation frequency; the water signal is not subtracted.
 
     Parameters
     ----------
@@ -317,7 +319,7 @@ def _channel(cube: xr.Dataset, figures: Merit, polarization: str | None) -> int:
 
 
 def _fitted_cut_off(cube: xr.Dataset, channel: int) -> float | None:
-    """Return the first-order cut-off of the shots, None if they do not show one."""
+    """Return the first-order cut-off of the shots [Hz]; None if there is none."""
     shots = shots_of(cube)
     signal = shots.amulor.signal.values[:, channel]
     frequency = cube["modulation_frequency"].values
@@ -340,7 +342,7 @@ def _maxima(frequency: Floats, values: Floats) -> Floats:
 def _reason(
     frequency: Floats,
     best: int,
-    one: dict[str, Floats],
+    curves: dict[str, Floats],
     cut_off: float | None,
     eligible: NDArray[np.bool_],
     error: Floats,
@@ -352,8 +354,9 @@ def _reason(
         where = f"{side} the cut-off of the water signal at {cut_off / 1e6:.3g} MHz"
     text = (
         f"{frequency[best] / 1e6:.6g} MHz, {where}: the signal is "
-        f"{one['ratio'][best]:.3g} times that of the water, which shifts the range by "
-        f"{one['shift'][best] * 1e3:.3g} mm; noise {one['noise'][best] * 1e3:.3g} mm"
+        f"{curves['ratio'][best]:.3g} times that of the water, which shifts the range "
+        f"by {curves['shift'][best] * 1e3:.3g} mm; "
+        f"noise {curves['noise'][best] * 1e3:.3g} mm"
     )
     rest = np.flatnonzero(np.isfinite(error) & (np.arange(error.size) != best))
     better = [k for k in rest if error[k] < error[best] and not eligible[k]]
@@ -374,8 +377,8 @@ def _reason(
 def _warnings(
     frequency: Floats,
     best: int,
-    one: dict[str, Floats],
-    alone: Floats,
+    curves: dict[str, Floats],
+    intervals: Floats,
     span: float | None,
     eligible: NDArray[np.bool_],
     clear: NDArray[np.bool_],
@@ -385,24 +388,25 @@ def _warnings(
         warnings.append("the cube has one frequency, so there was nothing to choose")
     if span is None:
         warnings.append(
-            f"this frequency alone repeats after {alone[best]:.3g} m; state the "
+            f"this frequency alone repeats after {intervals[best]:.3g} m; state the "
             "interval that is possible if targets may be farther"
         )
     elif not clear[best]:
         warnings.append(
-            f"useless without further knowledge: it repeats after {alone[best]:.3g} m "
-            f"and the interval spans {span:.3g} m; narrow it, or record a lower one"
+            "useless without further knowledge: it repeats after "
+            f"{intervals[best]:.3g} m and the interval spans {span:.3g} m; narrow it, "
+            "or record a lower one"
         )
-    if one["noise"][best] > LARGEST_PHASE_ERROR / (2 * np.pi) * alone[best]:
+    if curves["noise"][best] > LARGEST_PHASE_ERROR / (2 * np.pi) * intervals[best]:
         warnings.append(
-            f"useless for noise: {one['noise'][best]:.3g} m is "
-            f"{one['noise'][best] / alone[best]:.0%} of the ambiguity interval; raise "
-            "power or dwell"
+            f"useless for noise: {curves['noise'][best]:.3g} m is "
+            f"{curves['noise'][best] / intervals[best]:.0%} of the ambiguity interval; "
+            "raise power or dwell"
         )
-    if one["shift"][best] > _LARGE_SHIFT * alone[best]:
+    if curves["shift"][best] > _LARGE_SHIFT * intervals[best]:
         warnings.append(
-            f"the water still shifts the range by {one['shift'][best] * 1e3:.3g} mm; "
-            "subtract open water instead"
+            "the water still shifts the range by "
+            f"{curves['shift'][best] * 1e3:.3g} mm; subtract open water instead"
         )
     at_an_end = best in (0, frequency.size - 1) and frequency.size > 1
     blocked = best + 1 < frequency.size and not eligible[best + 1]

@@ -1,4 +1,4 @@
-"""How good each frequency and channel is with the water left in."""
+"""Figures of merit of each frequency and channel, without water subtraction."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Merit:
     """
 
     amplitude: Floats
-    """Amplitude of target and water together [V]."""
+    """Amplitude of the sum of target and water [V]."""
     water_amplitude: Floats
     """Amplitude of the water in front of the target [V]."""
     ratio: Floats
@@ -36,13 +36,13 @@ class Merit:
     noise: Floats
     """Random error of the slant range, fluctuation of the water included [m]."""
     shift: Floats
-    """Root mean square shift of the slant range by the water left in [m]."""
+    """Root-mean-square shift of the slant range by the water [m]."""
     usable: Floats
     """Fraction of the pixels that show a target [1]."""
 
     @property
     def error(self) -> Floats:
-        """Noise and shift together [m]."""
+        """Root sum of squares of noise and shift [m]."""
         return np.hypot(self.noise, self.shift)
 
 

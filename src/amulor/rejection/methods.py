@@ -1,4 +1,4 @@
-"""The register of rejection methods: each is declared once, beside its code.
+"""Register of rejection methods, each declared beside its function.
 
 A method is a function from samples to a target signal under the decorator `method`, and
 an entry point of the group `amulor.rejection`, in amulor itself or in another package.
@@ -29,7 +29,7 @@ _Function = TypeVar("_Function", bound=Callable[..., xr.Dataset])
 
 @dataclass(frozen=True, kw_only=True)
 class Needs:
-    """Measurements that a method needs beside the samples of the target.
+    """Measurements that a method needs in addition to samples of the target.
 
     Examples
     --------
@@ -47,7 +47,7 @@ class Needs:
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A rejection method as it is declared.
+    """A rejection method: its function, requirements and fit to a scan.
 
     Examples
     --------
@@ -58,14 +58,14 @@ class Method:
     """
 
     name: str
-    """Name in every place: command line, site file, comparison, `reject`."""
+    """Name on the command line, in site files, in comparisons and for `reject`."""
     function: Callable[..., xr.Dataset]
-    """From a cube of level `samples` to one of level `target_signal`; the keyword-only
-    arguments are the options."""
+    """Function from a cube of level `samples` to one of level `target_signal`; its
+    keyword-only arguments are the options."""
     needs: Needs = Needs()
     """Measurements that it needs."""
     simplicity: int | None = None
-    """Place in a comparison, the simplest method first; None keeps it out of `auto`."""
+    """Rank in a comparison, the simplest method first; None excludes it from `auto`."""
     keeps_one_frequency: bool = False
     """Whether the result has one modulation frequency, with its short ambiguity
     interval."""
@@ -109,7 +109,7 @@ class Method:
         return self.function(cube, **self._accepted(options))
 
     def fit(self, source: tiles.Source, **options: Any) -> tiles.OfRows:
-        """Fit the method to a scan, for work by rows.
+        """Fit the method to a scan; return a function that processes its rows.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class Method:
         return lambda rows, first: of(without_drift(rows), first)
 
     def without_open_water(self) -> Method:
-        """Return the method that is not shown the open-water reference measurements.
+        """Return the method that ignores the open-water reference measurements.
 
         Returns
         -------
@@ -175,11 +175,11 @@ class Method:
         tuple of str
             Their names.
         """
-        known = {*self.options, "interval"}
+        accepted = {*self.options, "interval"}
         return tuple(
             name
             for name, value in options.items()
-            if value is not None and name not in known
+            if value is not None and name not in accepted
         )
 
     def _accepted(self, options: dict[str, Any]) -> dict[str, Any]:
@@ -200,7 +200,7 @@ _WITHOUT = " without shots"
 
 
 def _bare(cube: xr.Dataset) -> xr.Dataset:
-    """Remove the references, after the drift that they show."""
+    """Remove the open-water references, after correction of their drift."""
     return cubes.without_groups(without_drift(cube), "open_water")
 
 
@@ -322,25 +322,25 @@ def load(name: str) -> Method:
             f"there is no rejection method {name!r}; installed are {', '.join(names())}"
         )
     (entry, *_) = entries
-    found = _declared(entry)
-    return found if plain == name else found.without_open_water()
+    declared = _declared(entry)
+    return declared if plain == name else declared.without_open_water()
 
 
 def _declared(entry: metadata.EntryPoint) -> Method:
     """Load the declaration of an entry point; CubeError if its package is broken."""
     try:
-        found = entry.load().declared
+        declared = entry.load().declared
     except Exception as error:  # the program of another package
         raise CubeError(
             f"the rejection method {entry.name!r} of {entry.value} cannot be loaded: "
             f"{type(error).__name__}: {error}"
         ) from error
-    if not isinstance(found, Method) or found.name != entry.name:
+    if not isinstance(declared, Method) or declared.name != entry.name:
         raise CubeError(
             f"the entry point {entry.name!r} of the group {_plugins.REJECTION} names "
             f"{entry.value}, which is not declared as @method({entry.name!r})"
         )
-    return found
+    return declared
 
 
 def reject(
@@ -350,7 +350,7 @@ def reject(
     interval: tuple[float, float] | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Take the water signal out of samples by a method that is chosen by its name.
+    """Remove the water signal from samples by the method with a given name.
 
     Parameters
     ----------
@@ -386,16 +386,16 @@ def reject(
 
 
 def compared_methods() -> tuple[list[Method], dict[str, AmulorError]]:
-    """Return the methods that `auto` compares, the simplest first, and broken ones."""
-    found: list[Method] = []
+    """Return the methods that `auto` compares, and the load errors of broken ones."""
+    compared: list[Method] = []
     broken: dict[str, AmulorError] = {}
     # Listed once: each listing reads the metadata of all installed packages.
     entries = metadata.entry_points(group=_plugins.REJECTION)
     for name in sorted(entries.names):
         try:
-            found.append(_declared(entries[name]))
+            compared.append(_declared(entries[name]))
         except CubeError as error:
             broken[name] = error
-    found = [one for one in found if one.simplicity is not None]
-    found.sort(key=lambda one: (one.simplicity, one.name))
-    return found, broken
+    compared = [candidate for candidate in compared if candidate.simplicity is not None]
+    compared.sort(key=lambda candidate: (candidate.simplicity, candidate.name))
+    return compared, broken

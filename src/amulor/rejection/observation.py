@@ -1,4 +1,4 @@
-"""Samples of a scan as rejection needs them: each quantity read from the cube once."""
+"""Access to the samples of a scan; each quantity is read from the cube once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Observation:
     """Samples of some rows of a scan, or of its open-water shots."""
 
     cube: xr.Dataset
-    """Cube of the rows: the template of a result."""
+    """Cube of the rows, also the template of the result."""
 
     @cached_property
     def frequency(self) -> Floats:
@@ -42,7 +42,7 @@ class Observation:
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Stated errors of the samples."""
+        """Covariance of the stated errors of the samples."""
         return covariance_of(self.cube)
 
     @cached_property
@@ -123,7 +123,7 @@ class Observation:
         return str(late) != "absent"
 
     def flat(self) -> FlatSamples:
-        """Return samples over (pixel or shot, channel, frequency)."""
+        """Return the samples over (pixel or shot, channel, frequency)."""
         return FlatSamples(
             signal=_flat(self.signal),
             covariance=Covariance(*map(_flat, vars(self.covariance).values())),
@@ -132,7 +132,7 @@ class Observation:
 
 
 def _flat(values: NDArray[Any]) -> NDArray[Any]:
-    """Values over (pixel, channel, frequency)."""
+    """Return values over (pixel, channel, frequency)."""
     wide = values.reshape(*values.shape[:2], -1)
     return np.ascontiguousarray(wide.transpose(2, 1, 0))
 
@@ -144,9 +144,9 @@ class FlatSamples:
     signal: Complex
     """Samples [V]."""
     covariance: Covariance
-    """Stated errors [V^2]."""
+    """Covariance of the stated errors [V^2]."""
     usable: NDArray[np.bool_]
-    """Samples that count."""
+    """Usable samples."""
 
     def part(self, index: NDArray[np.intp]) -> FlatSamples:
         """Return the samples of some pixels."""
@@ -159,19 +159,19 @@ class FlatSamples:
 
 @dataclass(frozen=True, kw_only=True)
 class ScanObservation:
-    """A whole scan: its facts, and its samples row by row."""
+    """A whole scan: its metadata, and its samples tile by tile."""
 
     source: tiles.Source
     """Rows of the cube."""
 
     @cached_property
     def head(self) -> Observation:
-        """Facts of the scan: frequencies, survey, shots."""
+        """Frequencies, survey and shots of the scan."""
         return Observation(cube=self.source.head)
 
     @cached_property
     def bands(self) -> list[tuple[int, int]]:
-        """First row and end of each tile that the scan is read in."""
+        """First row and end row of each tile."""
         return list(tiles.bands(self.source))
 
     @property
@@ -185,10 +185,10 @@ class ScanObservation:
         return self.source.columns
 
     def tile(self, begin: int, end: int) -> Observation:
-        """Return the samples of some rows."""
+        """Return the samples of the rows from `begin` to `end`."""
         return Observation(cube=self.source.tile(begin, end))
 
 
 def observe_scan(cube: xr.Dataset) -> ScanObservation:
-    """Observe a scan that is in memory."""
+    """Return access to a scan that is in memory."""
     return ScanObservation(source=tiles.InMemory(cube))

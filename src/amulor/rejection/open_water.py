@@ -1,4 +1,4 @@
-"""Takes out the water signal that was measured without a target."""
+"""Open-water method: subtraction of the water signal measured without a target."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from amulor.rejection.subtraction import (
 
 @dataclass(frozen=True, kw_only=True)
 class OpenWaterFit:
-    """What open-water subtraction learns from a scan."""
+    """Scan-wide parameters of the open-water method."""
 
     noise_scale: float
-    """Factor of the stated errors that the scatter of the shots tells [1]."""
+    """Factor on the stated errors, from the scatter of the open-water shots [1]."""
     subtraction: SubtractionFit
-    """What the subtraction learned."""
+    """Scan-wide parameters of the open-water subtraction."""
     terms: tuple[str, ...]
-    """Terms of the error that are not zero everywhere."""
+    """Names of the error terms that are not zero everywhere."""
 
 
 def _subtract(
@@ -41,16 +41,16 @@ def _subtract(
     span: tiles.Span | None = None,
     **options: Any,
 ) -> tuple[xr.Dataset, OpenWaterFit]:
-    """Subtract open water, with options of `open_water`, from a scan or from rows."""
+    """Subtract open water from a scan or, with `fit`, from some of its rows."""
     cube, noise_scale = with_noise_of_shots(
         cubes.checked(cube, "samples"), None if fit is None else fit.noise_scale
     )
-    left = subtract_open_water(
+    subtracted = subtract_open_water(
         cube, fit=None if fit is None else fit.subtraction, span=span, **options
     )
-    result, terms = cube_of(cube, left, terms=None if fit is None else fit.terms)
+    result, terms = cube_of(cube, subtracted, terms=None if fit is None else fit.terms)
     return result, OpenWaterFit(
-        noise_scale=noise_scale, subtraction=left.fit, terms=terms
+        noise_scale=noise_scale, subtraction=subtracted.fit, terms=terms
     )
 
 
@@ -165,65 +165,67 @@ def open_water(
 
 
 def cube_of(
-    cube: xr.Dataset, left: Subtraction, *, terms: tuple[str, ...] | None = None
+    cube: xr.Dataset, subtracted: Subtraction, *, terms: tuple[str, ...] | None = None
 ) -> tuple[xr.Dataset, tuple[str, ...]]:
-    """Return what a subtraction left of samples as a cube, and its error terms."""
-    found = present_terms(
+    """Return the target-signal cube of a subtraction, and its error-term names."""
+    present = present_terms(
         {
-            "counting": left.counting,
-            "fluctuation": left.fluctuation,
-            "reference": left.reference,
-            "column": left.column,
-            "drift": left.change,
+            "counting": subtracted.counting,
+            "fluctuation": subtracted.fluctuation,
+            "reference": subtracted.reference,
+            "column": subtracted.column,
+            "drift": subtracted.change,
         },
         terms,
     )
     result = target_cube(
         cube,
-        left.target,
-        left.own + left.shared,
-        water_signal=left.water_signal,
-        residual=left.residual,
-        common=left.shared,
-        proportional=left.of_water,
-        terms=found,
-        tests=left.tests,
+        subtracted.target,
+        subtracted.independent + subtracted.shared,
+        water_signal=subtracted.water_signal,
+        residual=subtracted.residual,
+        common=subtracted.shared,
+        proportional=subtracted.of_water,
+        terms=present,
+        tests=subtracted.tests,
         step="reject, open water"
-        + (", column behind the target put back" if left.put_back else ""),
+        + (", column behind the target put back" if subtracted.put_back else ""),
         frequencies_share_errors=np.int32(0),
-        **reference_attributes(left),
+        **reference_attributes(subtracted),
     )
-    result = quality.add_water_residual(result, left.cause)
-    result = quality.add(result, QualityFlag.OUTLIER, left.outlying)
-    return quality.add(result, QualityFlag.NO_TARGET, ~left.seen), tuple(found)
+    result = quality.add_water_residual(result, subtracted.cause)
+    result = quality.add(result, QualityFlag.OUTLIER, subtracted.outlying)
+    return quality.add(result, QualityFlag.NO_TARGET, ~subtracted.has_target), tuple(
+        present
+    )
 
 
-def reference_attributes(left: Subtraction) -> dict[str, Any]:
-    """Return degree, drift, strength and turbidity of the reference, as attributes."""
-    fits, turbidity = left.water.fits, left.water.turbidity
-    told = {
+def reference_attributes(subtracted: Subtraction) -> dict[str, Any]:
+    """Return degree, drift, strength and turbidity of the open water, as attributes."""
+    fits, turbidity = subtracted.water.fits, subtracted.water.turbidity
+    attributes = {
         "open_water_degree": np.array([fit.degree for fit in fits], dtype=np.int32),
         "open_water_drift": np.array([abs(fit.drift.change) for fit in fits]),
         "open_water_drift_uncertainty": np.array(
             [abs(fit.drift.uncertainty) for fit in fits]
         ),
-        "open_water_change": left.fit.strength.change,
-        "open_water_change_uncertainty": left.fit.strength.uncertainty,
+        "open_water_change": subtracted.fit.strength.change,
+        "open_water_change_uncertainty": subtracted.fit.strength.uncertainty,
     }
-    channel_phase = left.fit.channel_phase
+    channel_phase = subtracted.fit.channel_phase
     if channel_phase is not None:
-        told["channel_phase_probability"] = channel_phase.probability
+        attributes["channel_phase_probability"] = channel_phase.probability
         if channel_phase.is_real:
-            told["channel_phase_rad"] = channel_phase.phase
-    if left.fit.disagreement:
-        limits = [pair.limit for pair in left.fit.disagreement]
+            attributes["channel_phase_rad"] = channel_phase.phase
+    if subtracted.fit.disagreement:
+        limits = [pair.limit for pair in subtracted.fit.disagreement]
         # netCDF gives an array of one number back as a number.
-        told["channel_disagreement_limit"] = (
+        attributes["channel_disagreement_limit"] = (
             np.array(limits) if len(limits) > 1 else limits[0]
         )
     if turbidity is None:
-        return told
-    return told | {
+        return attributes
+    return attributes | {
         "open_water_turbidity": turbidity.factor,
         "open_water_turbidity_uncertainty": turbidity.factor * turbidity.uncertainty,
         "open_water_misfit": turbidity.misfit,

@@ -1,4 +1,4 @@
-"""Tells target from water by polarization: water keeps it, painted targets lose it."""
+"""Polarization methods: water preserves polarization, painted targets depolarize."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from amulor.rejection.reference.shots import (
 Floats = NDArray[np.float64]
 
 
-def _kept(
+def _with_water(
     cube: xr.Dataset,
     *,
     channels: tuple[str, ...] | None = None,
@@ -46,9 +46,9 @@ def _kept(
     fit: tuple[str, ...] | None = None,
     span: tiles.Span | None = None,
 ) -> tuple[xr.Dataset, tuple[str, ...]]:
-    """Return channels with the water in them, and the terms of their error.
+    """Return channels without water rejection, and the names of their error terms.
 
-    The channels of those names that are there, of the kind `name`; by default all.
+    `channels` are the names to keep, of the kind `name`; all by default.
     """
     cube = cubes.checked(cube, "samples")
     step = "reject, nothing taken out"
@@ -77,9 +77,9 @@ def _kept(
     return target, tuple(terms)
 
 
-@method("none", fitter=partial(tiles.fit_on_sample, _kept))
+@method("none", fitter=partial(tiles.fit_on_sample, _with_water))
 def keep_water(cube: xr.Dataset) -> xr.Dataset:
-    """Pass samples on with the water signal in them, flagged as such.
+    """Return the samples as target signal, flagged as containing the water signal.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def keep_water(cube: xr.Dataset) -> xr.Dataset:
     >>> raw.amulor.level, raw.amulor.polarizations
     ('target_signal', ['VV', 'VH'])
     """
-    return _kept(cube)[0]
+    return _with_water(cube)[0]
 
 
 @method(
@@ -107,11 +107,14 @@ def keep_water(cube: xr.Dataset) -> xr.Dataset:
     needs=Needs(open_water=False),
     simplicity=0,
     fitter=partial(
-        tiles.fit_on_sample, _kept, channels=CROSS_POLARIZED, name="cross-polarized"
+        tiles.fit_on_sample,
+        _with_water,
+        channels=CROSS_POLARIZED,
+        name="cross-polarized",
     ),
 )
 def cross_polarized(cube: xr.Dataset) -> xr.Dataset:
-    """Choose the channels in which the water is dark.
+    """Keep the cross-polarized channels, in which the water is dark.
 
     Parameters
     ----------
@@ -135,17 +138,17 @@ def cross_polarized(cube: xr.Dataset) -> xr.Dataset:
     >>> rejection.cross_polarized(samples.cube("ladder")).amulor.polarizations
     ['VH']
     """
-    return _kept(cube, channels=CROSS_POLARIZED, name="cross-polarized")[0]
+    return _with_water(cube, channels=CROSS_POLARIZED, name="cross-polarized")[0]
 
 
 @method(
     "co-polarized",
     fitter=partial(
-        tiles.fit_on_sample, _kept, channels=CO_POLARIZED, name="co-polarized"
+        tiles.fit_on_sample, _with_water, channels=CO_POLARIZED, name="co-polarized"
     ),
 )
 def co_polarized(cube: xr.Dataset) -> xr.Dataset:
-    """Choose the channels in which target and water are bright.
+    """Keep the co-polarized channels, in which target and water are bright.
 
     Parameters
     ----------
@@ -168,7 +171,7 @@ def co_polarized(cube: xr.Dataset) -> xr.Dataset:
     >>> rejection.co_polarized(samples.cube("ladder")).amulor.polarizations
     ['VV']
     """
-    return _kept(cube, channels=CO_POLARIZED, name="co-polarized")[0]
+    return _with_water(cube, channels=CO_POLARIZED, name="co-polarized")[0]
 
 
 #: Ratios of target and water that are closer cannot be told apart [1].
@@ -177,26 +180,27 @@ _SMALLEST_CONTRAST = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelChoice:
-    """The channel in which the water disturbs least, with the figures of all."""
+    """The channel with the smallest range error, with figures of all channels."""
 
     polarization: str
-    """The choice."""
+    """The chosen channel."""
     reason: str
-    """Why this channel."""
+    """Reason for the choice."""
     channels: tuple[str, ...]
     """All channels of the cube."""
     ratio: Floats
     """Signal-to-optical-noise ratio (54), (modulation_frequency, channel) [1]."""
     noise: Floats
-    """Random error of the slant range, likewise [m]."""
+    """Random error of the slant range, (modulation_frequency, channel) [m]."""
     shift: Floats
-    """Shift of the slant range by the water left in, likewise [m]."""
+    """Root-mean-square shift of the slant range by the water, (modulation_frequency,
+    channel) [m]."""
 
 
 def choose_channel(
     cube: xr.Dataset, *, interval: tuple[float, float] | None = None
 ) -> ChannelChoice:
-    r"""Choose the polarization channel in which the water disturbs least.
+    r"""Choose the polarization channel with the smallest range error.
 
     Parameters
     ----------
@@ -232,20 +236,20 @@ def choose_channel(
     cube = cubes.checked(cube, "samples")
     figures = merit(cube, interval=interval)
     error = np.where(np.isfinite(figures.error), figures.error, np.inf)
-    each = error.min(axis=0)
-    if not np.isfinite(each).any():
+    lowest = error.min(axis=0)
+    if not np.isfinite(lowest).any():
         raise CubeError(
             "no pixel shows a target in any channel once the water is taken out; raise "
             "power or dwell, or look for the target elsewhere"
         )
     names = cube.amulor.polarizations
-    best = int(np.argmin(each))
+    best = int(np.argmin(lowest))
     at = error.argmin(axis=0)
     texts = [
         f"{name} {figures.ratio[k, c]:.3g} times the water, shift "
         f"{figures.shift[k, c] * 1e3:.3g} mm, noise {figures.noise[k, c] * 1e3:.3g} mm"
         for c, (name, k) in enumerate(zip(names, at, strict=True))
-        if np.isfinite(each[c])
+        if np.isfinite(lowest[c])
     ]
     kind = (
         "cross-polarized"
@@ -266,30 +270,30 @@ def choose_channel(
 
 @dataclass(frozen=True, kw_only=True)
 class PolarizationFit:
-    """What unmixing learns from a scan; None what is stated or not asked for."""
+    """Scan-wide parameters of unmixing; None if stated by the user or not needed."""
 
     noise_scale: float
-    """Factor of the stated errors that the scatter of the shots tells [1]."""
+    """Factor on the stated errors, from the scatter of the open-water shots [1]."""
     target_ratio: ratios.Ratio | None
     """Depolarization ratio of the targets."""
     water_ratio: ratios.Ratio | None
     """Depolarization ratio of the water."""
     fluctuation: FluctuationFit
-    """How the water fluctuates."""
+    """Scan-wide statistics of the water fluctuation."""
     terms: tuple[str, ...]
-    """Terms of the error that are not zero everywhere."""
+    """Names of the error terms that are not zero everywhere."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FluctuationFit:
-    """What a scan and its shots tell of how unmixed water fluctuates."""
+    """Scan-wide statistics of water fluctuations, from scan and open-water shots."""
 
     usual: Floats | None = None
-    """Median amplitude of the water over the scan [V]; None where shots tell."""
+    """Median amplitude of the water over the scan [V]; None with open-water shots."""
     water: WaterFit | None = None
-    """Water in front of the targets."""
+    """Scan-wide fit of the water in front of the targets."""
     channels: tuple[ShotsFit, ...] = ()
-    """Shots of the co-polarized and of the cross-polarized channel."""
+    """Fits of the shots of the co-polarized and of the cross-polarized channel."""
 
 
 def _unmix(
@@ -303,7 +307,7 @@ def _unmix(
     fit: PolarizationFit | None = None,
     span: tiles.Span | None = None,
 ) -> tuple[xr.Dataset, PolarizationFit]:
-    """Unmix a scan, or rows of it with what the scan told."""
+    """Unmix a scan or, with `fit`, some of its rows."""
     cube, noise_scale = with_noise_of_shots(
         cubes.checked(cube, "samples"), None if fit is None else fit.noise_scale
     )
@@ -341,7 +345,9 @@ def _unmix(
         fit=None if fit is None else fit.fluctuation,
         span=span,
     )
-    fluctuations = [each.scaled((water_ratio / contrast) ** 2) for each in both]
+    fluctuations = [
+        covariance.scaled((water_ratio / contrast) ** 2) for covariance in both
+    ]
     independent = covariance_of(second).scaled(contrast**-2) + covariance_of(
         first
     ).scaled((water_ratio / contrast) ** 2)
@@ -459,15 +465,15 @@ def _fluctuations(
     co: xr.Dataset,
     cross: xr.Dataset,
     water: NDArray[np.complex128],
-    stated: float | None,
+    relative: float | None,
     *,
     fit: FluctuationFit | None,
     span: tiles.Span | None,
 ) -> tuple[list[Covariance], FluctuationFit]:
-    """Return how the water of either channel fluctuates, as co-polarized water."""
-    if stated is not None:
+    """Return the water fluctuation of each channel, scaled to co-polarized water."""
+    if relative is not None:
         size, usual = not_smaller_than_usual(water, None if fit is None else fit.usual)
-        return 2 * [along(size, stated)], FluctuationFit(usual=usual)
+        return 2 * [along(size, relative)], FluctuationFit(usual=usual)
     if co.amulor.open_water is None:
         raise CubeError(
             "the cube has no open-water shots to tell how much the water signal "
@@ -636,7 +642,7 @@ def unmix_stokes(
             "Mueller matrices are needed to tell them apart"
         )
     # In units of what the first channel sees of the target.
-    weights = [list(seen / fractions[0][0]) for seen in fractions]
+    weights = [list(passed / fractions[0][0]) for passed in fractions]
     part = cube.sel(polarization=chosen)
     signal = part.amulor.signal.values
     errors = covariance_of(part)
@@ -670,10 +676,13 @@ def unmix_stokes(
         terms=present_terms(
             {
                 name: solved.error_of(
-                    [own.part((slice(None), c)) for c in range(len(chosen))]
+                    [covariance.part((slice(None), c)) for c in range(len(chosen))]
                 ).part((slice(None), None))
-                for name, own in (("counting", errors), ("fluctuation", fluctuation))
-                if own is not None
+                for name, covariance in (
+                    ("counting", errors),
+                    ("fluctuation", fluctuation),
+                )
+                if covariance is not None
             }
         ),
         water_signal=first.amulor.signal.values - target,

@@ -1,4 +1,4 @@
-"""Flags that tell which pixels of a target signal can be trusted."""
+"""Quality flags of the samples of a target signal."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ LARGEST_PHASE_ERROR = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Flags:
-    """Flags of samples with the numbers behind them, arrays of one shape."""
+    """Flags of samples with the statistics behind them, arrays of one shape."""
 
     flag: NDArray[np.int16]
     """Quality flags."""
     cause: NDArray[np.int8]
     """Failed tests of the water signal, of `WaterResidualCause`."""
     tests: dict[str, NDArray[np.float64]]
-    """Statistics behind them, of `amulor.cube.schema.SAMPLE_TESTS`."""
+    """Statistics behind the flags, of `amulor.cube.schema.SAMPLE_TESTS`."""
 
 
 def flags(
@@ -42,33 +42,33 @@ def flags(
     proportional: Covariance | None = None,
     water_is_in: bool = False,
 ) -> Flags:
-    """Return the quality flag of every sample, and what it rests on."""
+    """Return the quality flag of every sample, with its causes and statistics."""
     flag = np.zeros(target_signal.shape, dtype=np.int16)
     missing = ~np.isfinite(target_signal)
     if "saturated" in samples:
         flag[samples["saturated"].values != 0] |= QualityFlag.SATURATED
     # Water that is left in must not pass for a target: it counts as an error too.
-    known = np.zeros_like(target_signal) if residual is None else residual
-    left = np.nan_to_num(np.abs(known) ** 2)
+    water = np.zeros_like(target_signal) if residual is None else residual
+    power = np.nan_to_num(np.abs(water) ** 2)
     blurred = Covariance(
-        uncertainty.in_phase + left, uncertainty.quadrature + left, uncertainty.cross
+        uncertainty.in_phase + power, uncertainty.quadrature + power, uncertainty.cross
     )
     standing = blurred if proportional is None else blurred.without(proportional)
     with np.errstate(invalid="ignore", divide="ignore"):
         square = standing.mahalanobis(target_signal)
         far = square >= DETECTION_THRESHOLD**2
-    seen = far & ~missing
-    phase = phase_error(target_signal, blurred, seen)
+    detected = far & ~missing
+    phase = phase_error(target_signal, blurred, detected)
     # An error that lies along one direction can leave the strength sure and the phase
     # open.
-    seen &= phase < LARGEST_PHASE_ERROR
-    flag[~seen & ~missing] |= QualityFlag.NO_TARGET
+    detected &= phase < LARGEST_PHASE_ERROR
+    flag[~detected & ~missing] |= QualityFlag.NO_TARGET
     if water_is_in:
         flag |= QualityFlag.NO_OPEN_WATER
     ratio = {}
     if residual is not None:
         turn = phase_shift_ratio(target_signal, residual, uncertainty)
-        moved = seen & ~(turn <= 1)
+        moved = detected & ~(turn <= 1)
         flag[moved] |= QualityFlag.WATER_RESIDUAL
         ratio["residual_phase_ratio"] = np.where(moved, turn, np.nan)
     flag[missing] = QualityFlag.MISSING
@@ -85,40 +85,42 @@ def phase_shift_ratio(
     residual: NDArray[np.complex128],
     uncertainty: Covariance,
 ) -> NDArray[np.float64]:
-    """Return the phase shift by residual water over the phase error, NaN if unknown."""
-    own = phase_error(target_signal, uncertainty, np.isfinite(target_signal))
+    """Return the phase shift by residual water over the phase error; NaN if unknown."""
+    error = phase_error(target_signal, uncertainty, np.isfinite(target_signal))
     shift = np.abs(ranging.phase_shift(target_signal, residual=residual))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(residual == 0, 0.0, shift / own)
+        return np.where(residual == 0, 0.0, shift / error)
 
 
 def looks_like_water(
     samples: xr.Dataset,
-    left: NDArray[np.complex128],
+    signal: NDArray[np.complex128],
     water_signal: NDArray[np.complex128],
     uncertainty: Covariance,
 ) -> tuple[NDArray[np.bool_], dict[str, NDArray[np.float64]]]:
-    """Return where what is left of samples has the shape of the water signal, and why.
+    """Return the pixels whose signal has the shape of the water signal.
 
-    Least squares with the covariances of the samples: the multiple stands five
-    standard errors off zero and the rest is no larger than chance makes it in 1 of
-    1000 cases. A target agrees only if it has the phase and the strength of the water
-    signal at every frequency and in every channel.
+    Least squares with the covariances of the samples: the multiple of the water signal
+    differs from zero by five standard errors, and chance makes so large a residual in
+    more than 1 of 1000 cases. A target agrees only if it has the phase and the strength
+    of the water signal at every frequency and in every channel.
     """
     from scipy.special import chdtrc
 
-    use = np.isfinite(left) & np.isfinite(water_signal)
+    use = np.isfinite(signal) & np.isfinite(water_signal)
     if "saturated" in samples:
         use &= samples["saturated"].values == 0
     determinant = uncertainty.in_phase * uncertainty.quadrature - uncertainty.cross**2
     use &= determinant > 0
     count = use.sum(axis=(0, 1))
-    scale = np.divide(1.0, determinant, out=np.zeros(left.shape), where=use)
-    rest = np.where(use, left, 0)
+    scale = np.divide(1.0, determinant, out=np.zeros(signal.shape), where=use)
+    rest = np.where(use, signal, 0)
     shape = np.where(use, water_signal, 0)
-    own, cross = (_product(one, shape, uncertainty, scale) for one in (shape, rest))
+    power, cross = (
+        _product(factor, shape, uncertainty, scale) for factor in (shape, rest)
+    )
     square = _product(rest, rest, uncertainty, scale)
-    explained = np.divide(cross**2, own, out=np.zeros(own.shape), where=own > 0)
+    explained = np.divide(cross**2, power, out=np.zeros(power.shape), where=power > 0)
     misfit = np.maximum(square - explained, 0.0)
     freedom = np.maximum(2 * count - 1, 1)
     by_chance = chdtrc(freedom, misfit)
@@ -149,7 +151,7 @@ def channels_disagree(
     shown: NDArray[np.bool_] | None = None,
     fit: tuple[Disagreement, ...] | None = None,
 ) -> tuple[NDArray[np.bool_], tuple[Disagreement, ...], NDArray[np.float32]]:
-    """Return samples whose phase differs from that of another channel.
+    """Return the samples whose phase differs from that of another channel.
 
     Both samples of a pair are marked, for nothing tells which one is wrong. None are
     where more than 15 % of the samples of a pair disagree, which is no chance. Pixels
@@ -163,24 +165,24 @@ def channels_disagree(
     are by chance. Where phases scatter more than stated, their scatter is the error.
     """
     marked = np.zeros(signal.shape, dtype=bool)
-    seen = np.isfinite(signal) & (signal != 0)
-    sigma = phase_error(signal, uncertainty, seen)
-    seen &= sigma < LARGEST_PHASE_ERROR
+    detected = np.isfinite(signal) & (signal != 0)
+    sigma = phase_error(signal, uncertainty, detected)
+    detected &= sigma < LARGEST_PHASE_ERROR
     if shown is not None:
-        seen &= shown
+        detected &= shown
     limits: list[Disagreement] = []
     size = np.full(signal.shape, np.nan, dtype=np.float32)
     for first in range(signal.shape[1]):
         for second in range(first):
             pair = [first, second]
-            both = seen[:, pair].all(axis=1)
+            both = detected[:, pair].all(axis=1)
             turn = np.angle(signal[:, first] * signal[:, second].conj())
             error = np.hypot(sigma[:, first], sigma[:, second])
             away = np.where(both, turn / error, np.nan)
             limit = Disagreement.of(away) if fit is None else fit[len(limits)]
             limits.append(limit)
             marked[:, pair] |= limit.where(away)[:, None]
-            off = _off(away, limit.usual, limit.scatter).astype(np.float32)
+            off = _standardized(away, limit.usual, limit.scatter).astype(np.float32)
             size[:, pair] = np.fmax(size[:, pair], off[:, None])
     return marked, tuple(limits), size
 
@@ -195,27 +197,28 @@ _OF_MEDIAN = 1.2533
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelPhase:
-    """Phase of the target between two channels, the median of a scan.
+    """Phase difference of the target between channels, the median of a scan.
 
     All channels see one echo. Leakage, a phase that depends on the amplitude and a
     layer of other water turn the channels by different angles.
     """
 
     phase: NDArray[np.float64]
-    """Largest phase of all pairs, frequency by frequency [rad]."""
+    """Largest phase difference of all pairs of channels, at each frequency [rad]."""
     significance: NDArray[np.float64]
-    """The same over its standard uncertainty [1]."""
+    """Largest phase difference over its standard uncertainty, at each frequency [1]."""
     probability: float
-    """Probability of so large a phase by chance, in any pair at any frequency [1]."""
+    """Probability of so large a phase difference by chance, over all pairs and
+    frequencies [1]."""
 
     @property
     def is_real(self) -> bool:
-        """Whether chance does not explain it."""
+        """Whether the phase difference is significant."""
         return self.probability < _REAL_PHASE
 
     @property
     def cause(self) -> WaterResidualCause:
-        """Failed test of the scan, 0 if it is passed."""
+        """INSTRUMENT for a large and significant phase difference, else 0."""
         if self.is_real and self.phase.max() > LARGEST_CHANNEL_PHASE:
             return WaterResidualCause.INSTRUMENT
         return WaterResidualCause(0)
@@ -228,15 +231,15 @@ def channel_phase(
     *,
     shown: NDArray[np.bool_],
 ) -> ChannelPhase | None:
-    """Return the phase between channels of a target; None with one channel.
+    """Estimate the phase difference of the target between channels; None with one.
 
     Errors of the pixels average out, those that they share do not.
     """
     frequencies, channels = signal.shape[:2]
-    seen = np.isfinite(signal) & (signal != 0)
-    own = phase_error(signal, independent, seen)
-    common = phase_error(signal, shared, seen)
-    seen &= (np.hypot(own, common) < LARGEST_PHASE_ERROR) & shown
+    detected = np.isfinite(signal) & (signal != 0)
+    individual = phase_error(signal, independent, detected)
+    common = phase_error(signal, shared, detected)
+    detected &= (np.hypot(individual, common) < LARGEST_PHASE_ERROR) & shown
     phases = np.zeros(frequencies)
     significance = np.zeros(frequencies)
     tests = 0
@@ -244,12 +247,12 @@ def channel_phase(
         for first in range(channels):
             for second in range(first):
                 pair = [first, second]
-                both = seen[index, pair].all(axis=0)
+                both = detected[index, pair].all(axis=0)
                 if both.sum() < 2:
                     continue
                 turn = np.angle(signal[index, first] * signal[index, second].conj())
                 phase = abs(float(np.median(turn[both])))
-                random = np.linalg.norm(own[index, pair][:, both], axis=0)
+                random = np.linalg.norm(individual[index, pair][:, both], axis=0)
                 systematic = np.linalg.norm(common[index, pair][:, both], axis=0)
                 error = np.hypot(
                     np.median(systematic),
@@ -269,51 +272,53 @@ def channel_phase(
 
 @dataclass(frozen=True, kw_only=True)
 class Disagreement:
-    """What two channels must differ by, in standard errors, of each frequency."""
+    """Limits on the phase difference of two channels, at each frequency."""
 
     usual: NDArray[np.float64]
-    """What most pixels have in common, shape (modulation_frequency, 1, 1)."""
+    """Median phase difference in standard errors, shape (modulation_frequency, 1,
+    1)."""
     scatter: NDArray[np.float64]
-    """How far apart they are, 1 at least, of the same shape."""
+    """Scatter about the median, 1 or more, of the same shape."""
     limit: float
-    """Least difference of an outlier."""
+    """Least deviation of an outlier, in units of the scatter [1]."""
     rare: NDArray[np.bool_]
-    """Where so few pixels have it that it is one, of the same shape."""
+    """Whether outliers at a frequency are rare enough to be flagged, of the same
+    shape."""
 
     @classmethod
     def of(cls, away: NDArray[np.float64]) -> Disagreement:
-        """Return what phases say that differ by so many standard errors."""
+        """Estimate the limits from phase differences over their standard errors."""
         usual, scatter = np.zeros((len(away), 1, 1)), np.ones((len(away), 1, 1))
-        for index, each in enumerate(away):
-            there = each[np.isfinite(each)]
-            if there.size:
-                usual[index] = np.median(there)
-                spread = np.median(np.abs(there - usual[index])) / _HALF
+        for index, deviations in enumerate(away):
+            finite = deviations[np.isfinite(deviations)]
+            if finite.size:
+                usual[index] = np.median(finite)
+                spread = np.median(np.abs(finite - usual[index])) / _HALF
                 scatter[index] = max(spread, 1.0)
-        size = _off(away, usual, scatter)
+        size = _standardized(away, usual, scatter)
         far = size > _LEAST_DISAGREEMENT
         chance = largest_discovered(
             2 * ndtr(-size[far]), share=_BY_CHANCE, tests=int(np.isfinite(size).sum())
         )
         limit = min(_DISAGREE, -ndtri(chance / 2)) if chance > 0 else _DISAGREE
         often = (size >= limit).sum(axis=(1, 2), keepdims=True)
-        known = np.isfinite(size).sum(axis=(1, 2), keepdims=True)
+        counts = np.isfinite(size).sum(axis=(1, 2), keepdims=True)
         return cls(
-            usual=usual, scatter=scatter, limit=limit, rare=often <= _RARE * known
+            usual=usual, scatter=scatter, limit=limit, rare=often <= _RARE * counts
         )
 
     def where(self, away: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which of these phases disagree."""
-        size = _off(away, self.usual, self.scatter)
+        """Return the mask of phase differences that are outliers."""
+        size = _standardized(away, self.usual, self.scatter)
         return np.asarray((size >= self.limit) & self.rare)
 
 
-def _off(
+def _standardized(
     away: NDArray[np.float64],
     usual: NDArray[np.float64],
     scatter: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return how far phases are off what is usual, in units of their scatter."""
+    """Return deviations of phase differences from the median, over their scatter."""
     return np.asarray(np.abs(away - usual) / scatter)
 
 
@@ -327,42 +332,42 @@ def _product(
     uncertainty: Covariance,
     scale: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the sum of products over frequencies and channels, errors as metric."""
-    each = scale * (
+    """Return the inner product of two signals per pixel, by the inverse covariance."""
+    product = scale * (
         uncertainty.quadrature * first.real * second.real
         + uncertainty.in_phase * first.imag * second.imag
         - uncertainty.cross * (first.real * second.imag + first.imag * second.real)
     )
-    summed: NDArray[np.float64] = each.sum(axis=(0, 1))
+    summed: NDArray[np.float64] = product.sum(axis=(0, 1))
     return summed
 
 
 def add(cube: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_]) -> xr.Dataset:
-    """Return a target-signal cube with one more flag."""
+    """Return a target-signal cube with a flag added to masked samples with a target."""
     return _with_bits(cube, "quality_flag", np.where(where, flag, 0))
 
 
 def add_water_residual(cube: xr.Dataset, cause: NDArray[np.int8]) -> xr.Dataset:
-    """Return a target-signal cube flagged where the water signal failed a test."""
+    """Return a target-signal cube with failed tests of the water signal flagged."""
     with_cause = _with_bits(cube, "water_residual_cause", cause)
     return add(with_cause, QualityFlag.WATER_RESIDUAL, cause != 0)
 
 
 def _with_bits(cube: xr.Dataset, name: str, bits: NDArray[Any]) -> xr.Dataset:
-    """Return a target-signal cube with more bits where samples show a target."""
+    """Return a target-signal cube with bits added where samples show a target."""
     flag, old = cube["quality_flag"].values, cube[name]
-    seen = (flag & (QualityFlag.MISSING | QualityFlag.NO_TARGET)) == 0
-    new = np.where(seen, old.values | bits, old.values).astype(old.dtype)
+    detected = (flag & (QualityFlag.MISSING | QualityFlag.NO_TARGET)) == 0
+    new = np.where(detected, old.values | bits, old.values).astype(old.dtype)
     return cube.assign({name: old.copy(data=new)})
 
 
 def phase_error(
-    signal: NDArray[np.complex128], uncertainty: Covariance, seen: NDArray[np.bool_]
+    signal: NDArray[np.complex128], uncertainty: Covariance, detected: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Return the phase error where a signal is seen."""
+    """Return the phase uncertainty of detected signals [rad]."""
     return detection.phase_uncertainty(
-        np.where(seen & (signal != 0), signal, 1.0),
-        in_phase_variance=np.where(seen, uncertainty.in_phase, 1.0),
-        quadrature_variance=np.where(seen, uncertainty.quadrature, 1.0),
-        covariance=np.where(seen, uncertainty.cross, 0.0),
+        np.where(detected & (signal != 0), signal, 1.0),
+        in_phase_variance=np.where(detected, uncertainty.in_phase, 1.0),
+        quadrature_variance=np.where(detected, uncertainty.quadrature, 1.0),
+        covariance=np.where(detected, uncertainty.cross, 0.0),
     )

@@ -1,4 +1,4 @@
-"""Depolarization ratios of water and target, estimated from the measurement itself."""
+"""Depolarization ratios of water and targets, estimated from the measurement."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class Ratio:
     uncertainty: float
     """Its standard uncertainty; for a target, the spread over the scan included [1]."""
     source: str
-    """What it was estimated from."""
+    """Measurements from which it was estimated."""
 
 
 def possible(ratio: Ratio, *, name: str) -> float:
-    """Return a ratio, or the end of 0 to 1 that it is within its error of."""
+    """Return a ratio clipped to 0 to 1; CubeError if it is significantly outside."""
     nearest = min(max(ratio.value, 0.0), 1.0)
     # An estimate that is not a number is not possible either.
     if not abs(ratio.value - nearest) <= _BY_CHANCE * ratio.uncertainty:
@@ -178,10 +178,10 @@ def target_ratio(
     return ratio_of(open_water(cube, interval=interval))
 
 
-def ratio_of(left: xr.Dataset) -> Ratio:
-    """Estimate the depolarization ratio from what open water leaves."""
-    co, cross = pair_of(left)
-    first, second = left.sel(polarization=co), left.sel(polarization=cross)
+def ratio_of(target: xr.Dataset) -> Ratio:
+    """Estimate the targets' depolarization ratio from the signal after subtraction."""
+    co, cross = pair_of(target)
+    first, second = target.sel(polarization=co), target.sel(polarization=cross)
     flags = first["quality_flag"].values | second["quality_flag"].values
     usable = (flags & cubes.UNUSABLE) == 0
     if usable.sum() < FEWEST_SHOTS:
@@ -201,12 +201,12 @@ def ratio_of(left: xr.Dataset) -> Ratio:
     # another gain, which may be as large along it.
     across = weight * (a.conj() * b).imag
     askew = abs(float(np.sum(across))) / bottom
-    own = (a.conj() * (b - value * a)).real
-    random = np.sqrt(float(np.sum((weight * own) ** 2))) / bottom
-    each = own / np.abs(a) ** 2
+    deviation = (a.conj() * (b - value * a)).real
+    random = np.sqrt(float(np.sum((weight * deviation) ** 2))) / bottom
+    relative = deviation / np.abs(a) ** 2
     expected = (noise[1] + value**2 * noise[0]) / np.abs(a) ** 2
     strength = weight * np.abs(a) ** 2 / np.sum(weight * np.abs(a) ** 2)
-    spread = np.sqrt(max(float(np.sum(strength * (each**2 - expected))), 0.0))
+    spread = np.sqrt(max(float(np.sum(strength * (relative**2 - expected))), 0.0))
     # Chance makes a spread too; only what stands out of it belongs to the targets.
     chance = float(np.sum(strength**2 * 2 * expected**2)) ** 0.25
     spread = spread if spread > 2 * chance else 0.0
@@ -243,7 +243,7 @@ def _line(first: Complex, second: Complex) -> tuple[float, float]:
 
 
 def _weighted_mean(values: Floats, errors: Floats) -> tuple[float, float]:
-    """Return mean and uncertainty, enlarged where the values disagree."""
+    """Return the weighted mean, and its uncertainty, enlarged for discordant values."""
     if not np.all(errors > 0):
         return float(values.mean()), float(errors.max())
     weight = errors**-2.0
@@ -253,9 +253,9 @@ def _weighted_mean(values: Floats, errors: Floats) -> tuple[float, float]:
 
 
 def _mean_variance(part: xr.Dataset, usable: NDArray[np.bool_]) -> Floats:
-    """Return the mean variance of the two outputs, without what pixels share."""
-    own = covariance_of(part)
-    mean = (own.in_phase + own.quadrature)[usable] / 2
+    """Return the mean variance of both outputs, without errors that pixels share."""
+    covariance = covariance_of(part)
+    mean = (covariance.in_phase + covariance.quadrature)[usable] / 2
     noise: Floats = np.maximum(mean - _common_variance(part, usable), 0.0)
     return noise
 

@@ -1,4 +1,4 @@
-"""What subtracting open water leaves, and each of its errors."""
+"""Open-water subtraction: the target signal and each of its errors."""
 
 from __future__ import annotations
 
@@ -33,73 +33,76 @@ TOO_STRONG = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class SubtractionFit:
-    """What a scan and its shots tell before open water is subtracted."""
+    """Scan-wide parameters of the open-water subtraction."""
 
     water: WaterFit
-    """Water in front of the targets."""
+    """Scan-wide fit of the water in front of the targets."""
     cut: CutColumns | None
-    """Water that ends in a shadow; None without a survey."""
+    """Open water cut off at a depth, as in a shadow; None without a survey."""
     usual_column: Floats | None
-    """Median of the column behind the targets, over (modulation_frequency,
-    polarization) [V]; None where nothing asks for it."""
+    """Median amplitude of the water column behind the targets, over
+    (modulation_frequency, polarization) [V]; None where it is not needed."""
     strength: Strength
-    """How much stronger than the shots the water was."""
+    """Relative change of the water from the shots to the scan."""
     disagreement: tuple[quality.Disagreement, ...]
-    """What the phases of each pair of channels must differ by."""
+    """Limits on the phase difference of each pair of channels."""
     channel_phase: quality.ChannelPhase | None
-    """Phase of the target between channels; None with one channel."""
+    """Phase difference of the target between channels; None with one channel."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Subtraction:
-    """What is left of samples; arrays of their shape unless said otherwise."""
+    """Result of open-water subtraction, arrays of the shape of the samples."""
 
     target: Complex
     """Target signal [V]."""
     water_signal: Complex
-    """Water signal that was taken out [V]."""
+    """Water signal that was subtracted [V]."""
     residual: Complex | None
-    """Water signal estimated to be left in, NaN where nothing tells; None if no survey
+    """Estimated residual water signal, NaN where it is unknown; None if no survey
     describes the water [V]."""
     put_back: bool
-    """Whether the column behind the target was put back."""
+    """Whether the water column behind the target was added again."""
     counting: Covariance
-    """Stated errors of the samples [V^2]."""
+    """Covariance of the stated errors of the samples [V^2]."""
     fluctuation: Covariance
-    """Of the water from sample to sample [V^2]."""
+    """Covariance of the water fluctuation from sample to sample [V^2]."""
     reference: Covariance
-    """Of the fit of the shots; the pixels share it, the channels do not [V^2]."""
+    """Covariance by the fit of the shots; the pixels share it, the channels do not
+    [V^2]."""
     column: Covariance
-    """Of the column that was put back; pixels and channels share it [V^2]."""
+    """Covariance by the column behind the target; pixels and channels share it
+    [V^2]."""
     change: Covariance
-    """Of drift and strength of the water; pixels and channels share it [V^2]."""
-    seen: NDArray[np.bool_]
+    """Covariance by drift and strength of the water; pixels and channels share it
+    [V^2]."""
+    has_target: NDArray[np.bool_]
     """Pixels that show a target, shape (row, column)."""
     cause: NDArray[np.int8]
-    """Tests that fail where nothing tells target from water, of `WaterResidualCause`,
-    shape (row, column)."""
+    """Failed tests, of `WaterResidualCause`, where target and water are
+    indistinguishable, shape (row, column)."""
     tests: dict[str, NDArray[Any]]
-    """Statistics of these and other tests, of `PIXEL_TESTS` and `SAMPLE_TESTS`."""
+    """Statistics of the tests, of `PIXEL_TESTS` and `SAMPLE_TESTS`."""
     outlying: NDArray[np.bool_]
     """Samples whose phase differs from that of another channel."""
     water: WaterBeforeTarget
-    """What the shots and the survey say."""
+    """Water signal in front of the targets, from shots and survey."""
     fit: SubtractionFit
-    """What of it the whole scan tells."""
+    """Scan-wide parameters, for other rows of the scan."""
 
     @property
-    def own(self) -> Covariance:
-        """Errors that each sample has for itself [V^2]."""
+    def independent(self) -> Covariance:
+        """Covariance of the errors that are independent between samples [V^2]."""
         return self.counting + self.fluctuation
 
     @property
     def of_water(self) -> Covariance:
-        """Errors that pixels and channels share, in proportion to the water [V^2]."""
+        """Covariance of the water errors, which pixels and channels share [V^2]."""
         return self.column + self.change
 
     @property
     def shared(self) -> Covariance:
-        """All errors that the pixels share [V^2]."""
+        """Covariance of all errors that the pixels share [V^2]."""
         return self.reference + self.of_water
 
 
@@ -127,7 +130,7 @@ def subtract_open_water(
             span=span,
         )
     tell("where there are targets", 0.7)
-    seen, cut, chance = shows_target(
+    has_target, cut, chance = shows_target(
         cube, water, interval=interval, fit=None if fit is None else fit.cut
     )
     target, water_signal = water.difference, water.to_the_end
@@ -141,16 +144,18 @@ def subtract_open_water(
     if water.hidden_fraction is not None:
         residual = -water.hidden_fraction * water_signal
         if put_back:
-            known = np.nan_to_num(residual)
+            hidden_signal = np.nan_to_num(residual)
             if len(target) == 1:
                 if usual_column is None:
-                    usual_column = _usual_size(known)
-                ratio = _column_over_target(target - known, known, usual_column)
+                    usual_column = _usual_size(hidden_signal)
+                ratio = _column_over_target(
+                    target - hidden_signal, hidden_signal, usual_column
+                )
                 tests["column_over_target"] = ratio
                 cause[ratio > TOO_STRONG] |= WaterResidualCause.STRONG_COLUMN
-            target, water_signal = target - known, water_signal + known
+            target, water_signal = target - hidden_signal, water_signal + hidden_signal
             column = (
-                along(known, column_uncertainty or 0.0)
+                along(hidden_signal, column_uncertainty or 0.0)
                 if water.hidden_error is None
                 else water.hidden_error
             )
@@ -183,14 +188,14 @@ def subtract_open_water(
             target,
             counting + water.fluctuation,
             water.common + column + change,
-            shown=seen,
+            shown=has_target,
         )
     if channel_phase is not None:
         cause |= channel_phase.cause
     outlying, disagreement, size = quality.channels_disagree(
         target,
         errors + change,
-        shown=seen,
+        shown=has_target,
         fit=None if fit is None else fit.disagreement,
     )
     tests |= shape
@@ -206,7 +211,7 @@ def subtract_open_water(
         reference=water.common,
         column=column,
         change=change,
-        seen=seen,
+        has_target=has_target,
         cause=cause,
         tests=tests,
         outlying=outlying,
@@ -223,12 +228,13 @@ def subtract_open_water(
 
 
 def _column_over_target(target: Complex, column: Complex, usual: Floats) -> Floats:
-    """Return column over target, of which one frequency leaves either to explain both.
+    """Return the ratio of the column behind the target to the target, for each pixel.
 
-    The distance that cuts the column off comes from what subtraction left. Where the
-    column is stronger than 0.3 (30 %, `TOO_STRONG`) of the target, it is the column
+    The distance that cuts the column off comes from the signal after subtraction. With
+    one frequency, either of target and column may explain it. Where the column is
+    stronger than 0.3 (30 %, `TOO_STRONG`) of the target, it is the column
     that sets this distance, and a single frequency cannot contradict it. In a shadow
-    the column may come out short: what other pixels usually have counts as well.
+    the column may come out short: the median of the scan counts as well.
     """
     size = np.maximum(np.abs(column), usual[..., None, None])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -237,11 +243,14 @@ def _column_over_target(target: Complex, column: Complex, usual: Floats) -> Floa
 
 
 def _usual_size(column: Complex) -> Floats:
-    """Return the median size of columns that are not zero, of frequency and channel."""
+    """Return the median nonzero amplitude of columns, per frequency and channel."""
     return np.array(
         [
-            [np.median(one[one > 0]) if one.any() else 0.0 for one in each]
-            for each in np.abs(column)
+            [
+                np.median(amplitudes[amplitudes > 0]) if amplitudes.any() else 0.0
+                for amplitudes in channels
+            ]
+            for channels in np.abs(column)
         ]
     )
 

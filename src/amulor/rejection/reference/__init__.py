@@ -1,1 +1,1 @@
-"""The water signal alone: measured in open water, fitted, cut off at the target."""
+"""Reference for the water signal: open-water shots, and their cut at the target."""

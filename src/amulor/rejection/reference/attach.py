@@ -1,4 +1,4 @@
-"""Takes the open-water reference from another cube, if it fits."""
+"""Open-water reference from another cube of the same instrument and water."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def with_open_water(cube: xr.Dataset, reference: xr.Dataset) -> xr.Dataset:
 
 
 def _pixels_as_shots(reference: xr.Dataset) -> xr.Dataset:
-    """Return the pixels of a scan without a target as shots, by time if it is known."""
+    """Return the pixels of a scan without a target as shots, in order of time."""
     order = np.arange(reference["azimuth"].size)
     if "time" in reference.coords:
         order = np.argsort(reference["time"].values.ravel(), kind="stable")
@@ -95,8 +95,8 @@ def _pixels_as_shots(reference: xr.Dataset) -> xr.Dataset:
 
 def _refuse_other_frequencies(cube: xr.Dataset, reference: xr.Dataset) -> None:
     needed = cube["modulation_frequency"].values
-    there = reference["modulation_frequency"].values
-    missing = [value for value in needed if value not in there]
+    available = reference["modulation_frequency"].values
+    missing = [value for value in needed if value not in available]
     if missing:
         listed = ", ".join(f"{value / 1e6:g}" for value in missing)
         raise CubeError(
@@ -106,12 +106,12 @@ def _refuse_other_frequencies(cube: xr.Dataset, reference: xr.Dataset) -> None:
 
 
 def _refuse_other_channels(cube: xr.Dataset, reference: xr.Dataset) -> None:
-    there = set(reference.amulor.polarizations)
-    missing = [name for name in cube.amulor.polarizations if name not in there]
+    available = set(reference.amulor.polarizations)
+    missing = [name for name in cube.amulor.polarizations if name not in available]
     if missing:
         raise CubeError(
-            f"the open-water cube has the channels {', '.join(sorted(there))}, but the "
-            f"target cube has {', '.join(missing)} too; record open water in every "
+            f"the open-water cube has the channels {', '.join(sorted(available))}, but "
+            f"the target cube has {', '.join(missing)} too; record open water in every "
             "channel, or select the common ones first"
         )
 
@@ -138,10 +138,10 @@ def _refuse_other_surveys(cube: xr.Dataset, reference: xr.Dataset) -> None:
         a, b = (getattr(survey, part).model_dump() for survey in (ours, theirs))
         difference = _first_difference(a, b)
         if difference is not None:
-            name, one, other = difference
+            name, value, other = difference
             raise CubeError(
                 f"the open-water cube is of another {part}: {part}.{name} is {other} "
-                f"there, but {one} in the target cube; {remedy}"
+                f"there, but {value} in the target cube; {remedy}"
             )
 
 

@@ -1,4 +1,4 @@
-"""The water in front of the target: open water less the column behind it."""
+"""Water signal in front of the target: open water less the column behind it."""
 
 from __future__ import annotations
 
@@ -51,32 +51,32 @@ _WRONG, _BETTER = 0.02, 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class Turbidity:
-    """The survey's water as the shots correct it, and how sure that is."""
+    """Turbidity of the survey's water, estimated from the open-water shots."""
 
     survey: Survey
-    """The survey with a and b times a factor."""
+    """The survey with absorption and scattering times the factor."""
     factor: float
-    """The factor [1]."""
+    """Factor on absorption and scattering [1]."""
     uncertainty: float
-    """Standard uncertainty of its logarithm [1]."""
+    """Standard uncertainty of the logarithm of the factor [1]."""
     steeper: Survey
-    """The survey with the factor one standard uncertainty larger."""
+    """The survey with the factor increased by one standard uncertainty."""
     misfit: float
-    """Root mean square departure of the model from the open water, which chance does
-    not explain, or what could not be seen, in parts of the open water [1]."""
+    """Root-mean-square departure of the model from the open water beyond chance, with a
+    bound where few frequencies could show it, relative to the open water [1]."""
     shown: float
-    """The part of it that the shots do show [1]."""
+    """Part of the misfit that the shots do show [1]."""
     is_extreme: bool = False
-    """Whether the best factor lies at or beyond the ends of those that were tried."""
+    """Whether the best factor is at or beyond an end of the tried range."""
     paper: bool = False
-    """Whether the diffusion form of the paper is the model, and not the small-angle
+    """Whether the model is the paper's diffusion form instead of the small-angle
     form."""
 
 
 def turbidity_of(
     cube: xr.Dataset, survey: Survey, open_water: Complex, errors: Covariance
 ) -> Turbidity:
-    r"""Return the factor of a and b with which the model fits the open water best.
+    r"""Estimate the factor on absorption and scattering that fits the open water best.
 
     Open water of the survey by `model.water_signal`, times a factor for
     each channel above zero, against the shots: the phases tell how deep the light
@@ -93,10 +93,10 @@ def turbidity_of(
     def some(values: NDArray[np.generic]) -> NDArray[np.generic]:
         return values.reshape(frequencies, channels, -1)[..., directions]
 
-    seen: Complex = some(open_water)  # type: ignore[assignment]
+    measured: Complex = some(open_water)  # type: ignore[assignment]
     variance = np.asarray(some(errors.in_phase + errors.quadrature), dtype=float) / 2
     # Shots without any error still need weights.
-    floor = (1e-6 * np.abs(seen).max(initial=0.0)) ** 2 + np.finfo(float).tiny
+    floor = (1e-6 * np.abs(measured).max(initial=0.0)) ** 2 + np.finfo(float).tiny
     weight = 1 / np.maximum(variance, floor)
     places = np.stack(
         [cube[name].values.ravel()[directions] for name in ("azimuth", "elevation")]
@@ -104,13 +104,13 @@ def turbidity_of(
     frequency = cube["modulation_frequency"].values
 
     def minimum(*, paper: bool) -> tuple[float, float, float]:
-        """Return the place, value and curvature of the smallest chi-square."""
-        square = _around_the_lowest(
+        """Return index, value and curvature of the minimum of chi-square."""
+        square = _near_minimum(
             lambda factor: _chi_square(
                 model.open_water(
                     scaled(survey, factor), places, frequency, paper=paper
                 ),
-                seen,
+                measured,
                 weight,
             )
         )
@@ -118,7 +118,7 @@ def turbidity_of(
 
     step = float(np.log(_FACTORS[1] / _FACTORS[0]))
     place, lowest, curvature = minimum(paper=False)
-    power = float(np.sum(weight * np.abs(seen) ** 2))
+    power = float(np.sum(weight * np.abs(measured) ** 2))
     paper = False
     if lowest > _WRONG**2 * power:
         other = minimum(paper=True)
@@ -135,15 +135,15 @@ def turbidity_of(
         # The best factor lies beyond those that were tried.
         uncertainty = max(uncertainty, float(np.log(2.0)))
     explained = len(directions) * freedom
-    left = max(lowest - explained, 0.0) / power if power > 0 else 1.0
-    misfit = float(np.hypot(np.sqrt(left), _UNSEEN.get(frequencies, 0.0)))
+    unexplained = max(lowest - explained, 0.0) / power if power > 0 else 1.0
+    misfit = float(np.hypot(np.sqrt(unexplained), _UNSEEN.get(frequencies, 0.0)))
     return Turbidity(
         survey=scaled(survey, factor),
         factor=factor,
         uncertainty=uncertainty,
         steeper=scaled(survey, factor * float(np.exp(uncertainty))),
         misfit=min(misfit, 1.0),
-        shown=min(float(np.sqrt(left)), 1.0),
+        shown=min(float(np.sqrt(unexplained)), 1.0),
         is_extreme=is_extreme,
         paper=paper,
     )
@@ -158,39 +158,39 @@ def _spread(count: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, min(_DIRECTIONS, count)).astype(np.intp))
 
 
-def _chi_square(model: Complex, seen: Complex, weight: Floats) -> float:
-    """Return the chi-square with the best strength of each channel."""
+def _chi_square(model: Complex, measured: Complex, weight: Floats) -> float:
+    """Return chi-square of a model, with the best strength in each channel."""
     total = 0.0
-    for channel in range(seen.shape[1]):
-        own, w = seen[:, channel], weight[:, channel]
+    for channel in range(measured.shape[1]):
+        signal, w = measured[:, channel], weight[:, channel]
         power = float(np.sum(w * np.abs(model) ** 2))
-        product = float(np.sum(w * (model.conj() * own).real))
+        product = float(np.sum(w * (model.conj() * signal).real))
         strength = max(product / power, 0.0) if power > 0 else 0.0
-        total += float(np.sum(w * np.abs(own - strength * model) ** 2))
+        total += float(np.sum(w * np.abs(signal - strength * model) ** 2))
     return total
 
 
-def _around_the_lowest(chi_square: Callable[[float], float]) -> Floats:
-    """Return chi-squares of `_FACTORS` at and beside the lowest, infinite elsewhere.
+def _near_minimum(chi_square: Callable[[float], float]) -> Floats:
+    """Return chi-squares of `_FACTORS` near their minimum, infinite elsewhere.
 
     Each sixth factor first, then halfway, then neighbours until none is lower.
     """
-    found = np.full(len(_FACTORS), np.inf)
+    values = np.full(len(_FACTORS), np.inf)
     last = len(_FACTORS) - 1
     waiting = set(range(0, last + 1, _COARSE))
     while waiting:
         for k in waiting:
-            found[k] = chi_square(float(_FACTORS[k]))
-        known = np.isfinite(found).sum() > last // _COARSE + 1
-        best = int(np.clip(found.argmin(), 1, last - 1))
-        reach = 1 if known else _COARSE // 2
+            values[k] = chi_square(float(_FACTORS[k]))
+        is_fine = np.isfinite(values).sum() > last // _COARSE + 1
+        best = int(np.clip(values.argmin(), 1, last - 1))
+        reach = 1 if is_fine else _COARSE // 2
         around = {max(best - reach, 0), best, min(best + reach, last)}
-        waiting = {k for k in around if np.isinf(found[k])}
-    return found
+        waiting = {k for k in around if np.isinf(values[k])}
+    return values
 
 
 def _minimum(square: Floats) -> tuple[float, float, float]:
-    """Return place, value and second difference of a minimum among even nodes."""
+    """Return index, value and second difference of a minimum, by a parabola."""
     k = int(np.clip(np.argmin(square), 1, len(square) - 2))
     before, middle, after = square[k - 1 : k + 2]
     curvature = float(before - 2 * middle + after)
@@ -203,59 +203,60 @@ def _minimum(square: Floats) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class WaterFit:
-    """What a scan and its shots tell of the water in front of the targets."""
+    """Scan-wide fit of the water in front of the targets."""
 
     shots: ShotsFit
     """Interpolation of the shots over the scan."""
-    told: Turbidity | None
-    """What the shots tell of the survey's water; None without a survey."""
+    estimated_turbidity: Turbidity | None
+    """Turbidity estimated from the shots; None without a survey."""
     choices: Choices | None
-    """Choices between frequencies for the optical path; None without a survey."""
+    """Frequency choices for the optical path, for all pixels; None without a survey."""
     first: tuple[Choices | None, Column] | None
-    """Choices and fractions of the first pass; None without a survey."""
+    """Frequency choices and column of the first pass; None without a survey."""
     column: Column | None
     """Fractions of the open water from behind the targets; None without a survey."""
     steeper: Column | None
-    """The same in water that is more turbid by one standard uncertainty; None where
-    the survey is taken as it stands."""
+    """Fractions in water that is more turbid by one standard uncertainty; None where
+    the survey is not corrected."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WaterBeforeTarget:
-    """Water signal of every sample, arrays of the shape of the samples."""
+    """Water signal in front of the targets, arrays of the shape of the samples."""
 
     fits: list[Reference]
-    """The fits of the shots, frequency by frequency, channel by channel."""
+    """Fits of the shots, frequency by frequency, channel by channel."""
     to_the_end: Complex
-    """Water signal of the whole column, as the shots show it [V]."""
+    """Water signal without a target, from the shots [V]."""
     difference: Complex
-    """Samples less that: the target, and the water missing behind it [V]."""
+    """Samples less `to_the_end`: target signal less the missing water behind it [V]."""
     hidden_fraction: Complex | None
-    """Fraction of `to_the_end` from behind the target; NaN where the distance is not
-    settled, None if no survey describes the water [1]."""
+    """Fraction of `to_the_end` from behind the target; NaN where the distance is
+    unknown, None if no survey describes the water [1]."""
     hidden_error: Covariance | None
-    """Error of that fraction times `to_the_end`, from what the shots tell of the
-    water, which all pixels share; None where the survey is taken as it stands [V^2]."""
+    """Covariance of the water behind the target by turbidity and model, which all
+    pixels share; None where the survey is not corrected [V^2]."""
     survey: Survey | None
-    """The survey that the fraction was computed from."""
+    """Survey from which the fraction was computed."""
     turbidity: Turbidity | None
-    """How the shots corrected it; None where it is taken as it stands."""
-    told: Turbidity | None
-    """What the shots tell of the survey's water, whether it was corrected or not."""
+    """Turbidity by which the survey was corrected; None where it is not corrected."""
+    estimated_turbidity: Turbidity | None
+    """Turbidity estimated from the shots, whether the survey is corrected or not."""
     signal: Complex
-    """Water signal up to the target, or to the end where that is not known [V]."""
+    """Water signal up to the target; without a target where its distance is unknown
+    [V]."""
     fluctuation: Covariance
-    """How `signal` fluctuates from sample to sample [V^2]."""
+    """Covariance of the fluctuation of `signal` from sample to sample [V^2]."""
     common: Covariance
-    """Error of the reference, which the pixels share [V^2]."""
+    """Covariance of the error of the reference, which the pixels share [V^2]."""
     path: NDArray[np.float64]
-    """Optical path out and back of every pixel, NaN where it is not settled [m]."""
+    """Round-trip optical path of every pixel, NaN where it is unknown [m]."""
     fit: WaterFit
-    """What of it the whole scan tells."""
+    """Scan-wide fit, for other rows of the scan."""
 
     @property
     def drift(self) -> Complex:
-        """Relative change from the first to the last shot, 0 where it may be chance."""
+        """Relative change from the first to the last shot; 0 if not significant."""
         return real_drift_of(self.fits, self.signal.shape)
 
 
@@ -280,7 +281,7 @@ def water_before_target(
     water, common = expected_at_pixels(fits, samples.shape)
     difference = subtract(samples, water)
     survey = cube.amulor.survey
-    told, turbidity, hidden, steeper = None, None, None, None
+    estimate, turbidity, hidden, steeper = None, None, None, None
     first = None if fit is None else fit.first
     choices = None if fit is None else fit.choices
     behind = None if fit is None else fit.column
@@ -288,11 +289,11 @@ def water_before_target(
     path = np.full(samples.shape[2:], np.nan)
     if survey is not None:
         tell("turbidity that the shots tell", 0.2)
-        told = None if fit is None else fit.told
-        if told is None:
-            told = turbidity_of(cube, survey, water, common)
+        estimate = None if fit is None else fit.estimated_turbidity
+        if estimate is None:
+            estimate = turbidity_of(cube, survey, water, common)
         if not survey_is_right:
-            turbidity, survey = told, told.survey
+            turbidity, survey = estimate, estimate.survey
         errors = covariance_of(cube) + common
         tell("water behind the targets", 0.6)
         paper = turbidity is not None and turbidity.paper
@@ -337,14 +338,14 @@ def water_before_target(
         ),
         survey=survey,
         turbidity=turbidity,
-        told=told,
+        estimated_turbidity=estimate,
         signal=signal,
         fluctuation=fluctuation_of(fits, signal),
         common=common,
         path=path,
         fit=WaterFit(
             shots=by_shots,
-            told=told,
+            estimated_turbidity=estimate,
             first=first,
             choices=choices,
             column=behind,
@@ -356,7 +357,7 @@ def water_before_target(
 def subtract(
     signal: NDArray[np.complex128], water_signal: NDArray[np.complex128]
 ) -> NDArray[np.complex128]:
-    """Take the water signal out of samples, in the memory of the samples.
+    """Subtract the water signal from samples, in place.
 
     `amulor.optics.interference.target_signal`, (55)-(57) of Ricci et al. 2010, as
     rebuilt, without new memory: fetching that takes as long as the subtraction.
@@ -386,18 +387,18 @@ _SURE = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class Strength:
-    """Relative change of the water in front of the target against its reference."""
+    """Relative change of the water signal from its reference to the scan."""
 
     change: float
-    """Estimate: the water is 1 + change times what the reference says [1]."""
+    """Relative change: the water is 1 + change times its reference [1]."""
     uncertainty: float
-    """Standard uncertainty of the estimate [1]."""
+    """Standard uncertainty of the change [1]."""
 
 
 def contradiction(
     strength: Strength, turbidity: Turbidity | None
 ) -> WaterResidualCause:
-    """Return why the open-water shots are not the water of the scan, 0 if they are."""
+    """Return the reason that the shots do not fit the scan; 0 if they fit."""
     sure = abs(strength.change) - _SURE * strength.uncertainty > LARGEST_CHANGE
     # No water has a negative strength, and none is like these shots.
     negative = sure and strength.change <= -1
@@ -413,13 +414,13 @@ def contradiction(
 def strength_of(
     target: Complex,
     water_signal: Complex,
-    own: Covariance,
+    independent: Covariance,
     common: Covariance,
     *,
     modulation_frequency: Floats,
     path: Floats,
 ) -> Strength:
-    r"""Return by how much the water of a scan is stronger than its reference.
+    r"""Estimate the relative change of the water from its reference to the scan.
 
     All channels and frequencies of a pixel see one path L. Water stronger by c turns
     their phases by :math:`c\, \mathrm{Im}(W / T)`, each by another angle, so that
@@ -441,28 +442,28 @@ def strength_of(
     if pixels.size > _ENOUGH:
         pixels = pixels[np.linspace(0, pixels.size - 1, _ENOUGH).astype(np.intp)]
     target, water_signal = (_at(values, pixels) for values in (target, water_signal))
-    own, common = (
+    independent, common = (
         Covariance(*(_at(values, pixels) for values in vars(errors).values()))
-        for errors in (own, common)
+        for errors in (independent, common)
     )
     path = path.ravel()[pixels]
     wavenumber = 2 * np.pi * frequency / speed_of_light
-    seen = np.isfinite(target) & np.isfinite(water_signal) & (target != 0)
-    safe = np.where(seen, target, 1.0)
+    valid = np.isfinite(target) & np.isfinite(water_signal) & (target != 0)
+    safe = np.where(valid, target, 1.0)
     sigma, shared = (
         detection.phase_uncertainty(
             safe,
-            in_phase_variance=np.where(seen, errors.in_phase, 1.0),
-            quadrature_variance=np.where(seen, errors.quadrature, 1.0),
-            covariance=np.where(seen, errors.cross, 0.0),
+            in_phase_variance=np.where(valid, errors.in_phase, 1.0),
+            quadrature_variance=np.where(valid, errors.quadrature, 1.0),
+            covariance=np.where(valid, errors.cross, 0.0),
         )
-        for errors in (own, common)
+        for errors in (independent, common)
     )
     total = np.hypot(sigma, shared)
-    seen &= (total < _BLURRED) & (sigma > 0)
+    valid &= (total < _BLURRED) & (sigma > 0)
     phase = np.angle(safe * np.exp(-1j * wavenumber * path))
-    turn = np.where(seen, (water_signal / safe).imag, 0.0)
-    weight = np.divide(1.0, total**2, out=np.zeros(total.shape), where=seen)
+    turn = np.where(valid, (water_signal / safe).imag, 0.0)
+    weight = np.divide(1.0, total**2, out=np.zeros(total.shape), where=valid)
     fit = _fit(phase, turn, wavenumber, weight)
     if fit is not None:
         off = phase - wavenumber * fit.path - fit.change * turn
@@ -471,9 +472,9 @@ def strength_of(
     if fit is None:
         return Strength(change=0.0, uncertainty=DEPARTURE)
     # Own errors average out over the pixels, shared ones add up.
-    by_own = np.sum((fit.gain * sigma) ** 2)
+    by_independent = np.sum((fit.gain * sigma) ** 2)
     by_shared = np.sum(np.sum(np.abs(fit.gain * shared), axis=2) ** 2)
-    variance = float(by_own + by_shared)
+    variance = float(by_independent + by_shared)
     expected = DEPARTURE**2
     if fit.change**2 > _SURPRISE**2 * (expected + variance):
         expected = fit.change**2 - variance
@@ -484,7 +485,7 @@ def strength_of(
 
 
 def _at(values: NDArray[Any], pixels: NDArray[np.intp]) -> NDArray[Any]:
-    """Return some pixels of samples, shape (frequency, channel, pixel)."""
+    """Return the samples of some pixels, shape (frequency, channel, pixel)."""
     return values.reshape(*values.shape[:2], -1)[:, :, pixels]
 
 
@@ -494,21 +495,21 @@ class _Fit:
     path: Floats
     """Correction of the path of each pixel [m]."""
     gain: Floats
-    """Change of the estimate with each phase [1/rad]."""
+    """Derivative of the change by each phase [1/rad]."""
 
 
 def _fit(
     phase: Floats, turn: Floats, wavenumber: Floats, weight: Floats
 ) -> _Fit | None:
-    """Return the least squares of one change and one path a pixel."""
+    """Fit one change of the water and a path per pixel; None if undetermined."""
 
     def summed(values: Floats) -> Floats:
         total: Floats = np.sum(weight * values, axis=(0, 1))
         return total
 
     square = summed(wavenumber**2 + 0 * turn)
-    known = square > 0
-    inverse = np.divide(1.0, square, out=np.zeros(square.shape), where=known)
+    determined = square > 0
+    inverse = np.divide(1.0, square, out=np.zeros(square.shape), where=determined)
     mean_turn = summed(wavenumber * turn) * inverse
     across = turn - wavenumber * mean_turn
     information = float(np.sum(weight * across * turn))
@@ -527,7 +528,7 @@ def not_smaller_than_shots_say(
     fit: WaterFit | None = None,
     span: Span | None = None,
 ) -> tuple[Complex, WaterFit]:
-    """Return water that unmixing left, as large as the open-water shots have it.
+    """Return unmixed water with amplitudes not below those of the open-water shots.
 
     Its phases, and the larger of both amplitudes [V], to know how much the water
     fluctuates. What is left of it has the error of the target with the other sign:
@@ -543,19 +544,21 @@ def not_smaller_than_shots_say(
 def not_smaller_than_usual(
     water: Complex, usual: Floats | None = None
 ) -> tuple[Complex, Floats]:
-    """Return water that unmixing left, as large as in half of the pixels.
+    """Return unmixed water with amplitudes not below the median over the scan.
 
     As `not_smaller_than_shots_say`, for cubes without shots. Also return the median
     amplitude of each frequency and channel, `usual` if it is stated [V].
     """
     if usual is None:
-        found = np.abs(water)
-        whole = np.where(np.isfinite(found), found, 0.0)
-        usual = np.asarray(np.median(whole, axis=(2, 3), keepdims=True))
+        amplitude = np.abs(water)
+        finite = np.where(np.isfinite(amplitude), amplitude, 0.0)
+        usual = np.asarray(np.median(finite, axis=(2, 3), keepdims=True))
     return _at_least(water, usual), usual
 
 
 def _at_least(water: Complex, size: Floats) -> Complex:
-    found = np.abs(water)
-    longer = np.divide(size, found, out=np.ones(found.shape), where=found > 0)
+    amplitude = np.abs(water)
+    longer = np.divide(
+        size, amplitude, out=np.ones(amplitude.shape), where=amplitude > 0
+    )
     return np.asarray(water * np.maximum(longer, 1.0))

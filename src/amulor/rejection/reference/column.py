@@ -1,4 +1,4 @@
-"""The part of the open water that lies behind the target, and so is not there."""
+"""Water column behind the target: the part of open water that the target hides."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def fractions(
     modulation_frequency: Floats,
     paper: bool = False,
 ) -> Complex:
-    """Return which fraction of the open-water signal arises behind given depths.
+    """Return the fraction of the open-water signal from behind given depths.
 
     Of beams of given azimuth and elevation [rad] and depth [m], shape (frequency, n),
     exact or within `LARGEST_ERROR` [1]. `paper` is as for `model.water_signal`.
@@ -66,7 +66,7 @@ def fractions(
 def column_of(
     survey: Survey, places: Floats, frequency: Floats, *, paper: bool
 ) -> Column:
-    """Return the fractions behind targets at azimuths, elevations and depths.
+    """Return a table of the fractions behind targets, or their integrals at all pixels.
 
     The quotient of the water signal of `model.water_signal` from the depth on and as a
     whole. Freed of the delay exp(2 i k z) it is smooth in direction and depth, so a
@@ -93,7 +93,7 @@ def column_of(
 class _Listed:
     """Fractions at the pixels of a scan, integrated together.
 
-    Integrated in other company they would differ in their last digits.
+    Separate integration would change their last digits.
     """
 
     def __init__(
@@ -102,28 +102,28 @@ class _Listed:
         self._survey, self._places, self._frequency = survey, places, frequency
         self._paper = paper
         self._values = self._integrated(places)
-        self._found: dict[bytes, int] | None = None
+        self._index: dict[bytes, int] | None = None
 
     def fractions(self, places: Floats) -> Complex:
         """Return the fractions at places, shape (frequencies, n)."""
         if places is self._places:
             return self._values
-        if self._found is None:
+        if self._index is None:
             listed = np.ascontiguousarray(self._places.T)
-            self._found = {place.tobytes(): k for k, place in enumerate(listed)}
+            self._index = {place.tobytes(): k for k, place in enumerate(listed)}
         wanted = np.ascontiguousarray(places.T)
         index = np.array(
-            [self._found.get(place.tobytes(), -1) for place in wanted], dtype=int
+            [self._index.get(place.tobytes(), -1) for place in wanted], dtype=int
         )
-        found = self._values[:, index] if self._values.size else None
-        if found is None or np.any(index < 0):
+        stored = self._values[:, index] if self._values.size else None
+        if stored is None or np.any(index < 0):
             new = index < 0
-            whole = np.empty((len(self._frequency), len(index)), dtype=complex)
-            if found is not None:
-                whole[:, ~new] = found[:, ~new]
-            whole[:, new] = self._integrated(places[:, new])
-            return whole
-        return found
+            result = np.empty((len(self._frequency), len(index)), dtype=complex)
+            if stored is not None:
+                result[:, ~new] = stored[:, ~new]
+            result[:, new] = self._integrated(places[:, new])
+            return result
+        return stored
 
     def _integrated(self, places: Floats) -> Complex:
         return _in_parts(
@@ -157,28 +157,28 @@ class _Table:
         self.size = self._series.size
 
     def fill(self) -> None:
-        """Integrate at the nodes and find the coefficients."""
+        """Integrate at the nodes and compute the coefficients."""
         places = self._series.places()
         value = integrated(self._survey, places, self._frequency, paper=self._paper)
         value *= np.exp(-1j * np.outer(self._phase_per_range, places[2]))
         self._series.fill(value)
 
     def fractions(self, places: Floats) -> Complex:
-        """Return the fractions at places, by integration beyond the box."""
+        """Return the fractions at places; outside the table by integration."""
         inside = (places >= self._low[:, None]) & (places <= self._high[:, None])
         within = inside.all(axis=0)
         if within.all():
             return self.at(places)
-        found = np.empty((len(self._frequency), places.shape[1]), dtype=complex)
-        found[:, within] = self.at(places[:, within])
+        result = np.empty((len(self._frequency), places.shape[1]), dtype=complex)
+        result[:, within] = self.at(places[:, within])
         # A few at a time: so they do not depend on each other.
         outside = np.flatnonzero(~within)
         for first in range(0, outside.size, _ALONE):
             some = outside[first : first + _ALONE]
-            found[:, some] = integrated(
+            result[:, some] = integrated(
                 self._survey, places[:, some], self._frequency, paper=self._paper
             )
-        return found
+        return result
 
     def at(self, places: Floats) -> Complex:
         """Return the fractions at places in the box, shape (frequencies, n)."""
@@ -188,7 +188,7 @@ class _Table:
 
 
 def _spread(places: Floats) -> NDArray[np.intp]:
-    """Return pixels spread over the scan, the extremes of each axis among them."""
+    """Return indices of pixels over the whole scan, with the extremes of each axis."""
     count = places.shape[1]
     even = np.linspace(0, count - 1, min(_CHECKS, count)).astype(int)
     extremes = np.concatenate([places.argmin(axis=1), places.argmax(axis=1)])
@@ -196,7 +196,7 @@ def _spread(places: Floats) -> NDArray[np.intp]:
 
 
 def _in_parts(function: _Function, places: Floats, frequency: Floats) -> Complex:
-    """Evaluate a function of places part by part, so that memory stays bounded."""
+    """Evaluate a function of places part by part, to bound memory."""
     count = places.shape[1]
     out = np.empty((len(frequency), count), dtype=complex)
     step = max(1, _AT_ONCE // len(frequency))
@@ -209,16 +209,16 @@ def _in_parts(function: _Function, places: Floats, frequency: Floats) -> Complex
 def integrated(
     survey: Survey, places: Floats, frequency: Floats, *, paper: bool = False
 ) -> Complex:
-    """Return the fractions by integration, pixel by pixel, shape (frequency, n) [1]."""
+    """Return the fractions by integration at each pixel, shape (frequency, n) [1]."""
     azimuth, elevation, depth = places
     # Open water does not depend on the depth: once for each direction.
-    beams, own = np.unique(places[:2], axis=1, return_inverse=True)
+    beams, beam = np.unique(places[:2], axis=1, return_inverse=True)
     form = partial(water_signal, survey, modulation_frequency=frequency, paper=paper)
-    whole = form(*beams)[:, own]
-    behind = whole - form(azimuth, elevation, end=depth)
+    open_water = form(*beams)[:, beam]
+    behind = open_water - form(azimuth, elevation, end=depth)
     # A receiver that sees no water has none behind the target either.
     fraction: Complex = np.divide(
-        behind, whole, out=np.zeros_like(behind), where=whole != 0
+        behind, open_water, out=np.zeros_like(behind), where=open_water != 0
     )
     return fraction
 
@@ -231,7 +231,7 @@ def hidden_fraction(
     paper: bool = False,
     fit: Column | None = None,
 ) -> tuple[NDArray[np.complex128], Column]:
-    """Return which part of the open-water signal comes from behind the target.
+    """Return the fraction of the open-water signal from behind the target.
 
     Fraction of the open-water signal over (modulation_frequency, polarization, row,
     column), complex since it comes later [1], NaN where the depth [m] is not settled;
@@ -268,27 +268,29 @@ def hidden_error(
     *,
     misfit: float,
 ) -> Covariance:
-    """Return the error of the water that is put back behind targets.
+    """Return the covariance of the water column that is added again behind targets.
 
     The turbidity moves the column along a known direction. A model that is off by so
     much of the whole column is off by as much of a part of it, at most by all of that
     part; compared at the lowest frequency. With several frequencies all of it may
     turn the phase; with one, whose misfit is a bound by itself, it has any direction.
     """
-    known = np.nan_to_num(fraction)
+    hidden = np.nan_to_num(fraction)
     # Both errors belong to the model, so that frequencies share them: stated for each
     # sample as if they did not, they must be larger by what a mean would take off.
     frequencies = len(water_signal)
-    by_turbidity = (np.nan_to_num(steeper) - known) * water_signal * frequencies**0.5
-    size = np.abs(known * water_signal)
+    by_turbidity = (np.nan_to_num(steeper) - hidden) * water_signal * frequencies**0.5
+    size = np.abs(hidden * water_signal)
     # At high frequencies the whole column cancels itself and the part behind an edge
     # does not, so the lowest frequency tells how wrong the model is of that part.
     allowed = misfit * np.abs(water_signal[:1])
     relative = np.divide(
         allowed, size[:1], out=np.ones(size[:1].shape), where=size[:1] > allowed
     )
-    own = isotropic(relative * size).scaled(2 * frequencies if frequencies > 1 else 1)
-    return along(by_turbidity, 1.0) + own
+    by_model = isotropic(relative * size).scaled(
+        2 * frequencies if frequencies > 1 else 1
+    )
+    return along(by_turbidity, 1.0) + by_model
 
 
 def depth(
@@ -300,7 +302,7 @@ def depth(
     interval: tuple[float, float] | None,
     fit: ambiguity.Choices | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], ambiguity.Choices | None]:
-    """Return the depth of water in front of the target, the optical path and choices.
+    """Return water depth and optical path to the target, and the frequency choices.
 
     Both lengths over (row, column), NaN where the distance is not settled [m]; and the
     choices between frequencies that all pixels share, `fit` if it is given. The signal
@@ -321,9 +323,9 @@ def depth(
     frequency = cube["modulation_frequency"].values
     # One depth for all channels, from the sum of what they see of the target.
     summed = np.nansum(signal, axis=1)
-    seen = (np.isfinite(signal).any(axis=1) & (summed != 0)).all(axis=0)
+    detected = (np.isfinite(signal).any(axis=1) & (summed != 0)).all(axis=0)
     sigma = detection.phase_uncertainty(
-        np.where(seen, summed, 1.0),
+        np.where(detected, summed, 1.0),
         in_phase_variance=np.nansum(uncertainty.in_phase, axis=1),
         quadrature_variance=np.nansum(uncertainty.quadrature, axis=1),
         covariance=np.nansum(uncertainty.cross, axis=1),
@@ -336,7 +338,7 @@ def depth(
         modulation_frequency=frequency,
     )
     arguments: dict[str, Any] = {
-        "phase": np.where(seen, np.angle(np.where(seen, summed, 1.0)), 0.0),
+        "phase": np.where(detected, np.angle(np.where(detected, summed, 1.0)), 0.0),
         "uncertainty": sigma,
         "modulation_frequency": frequency,
         "shortest": shortest,
@@ -351,10 +353,10 @@ def depth(
     slant_range = rays.slant_range_of_path(
         path.length, beam, receiver, medium=surroundings
     )
-    found = np.maximum(slant_range - beam.length_before, 0.0)
-    settled = seen & path.settled
+    depths = np.maximum(slant_range - beam.length_before, 0.0)
+    settled = detected & path.settled
     return (
-        np.where(settled, found, np.nan),
+        np.where(settled, depths, np.nan),
         np.where(settled, path.length, np.nan),
         fit,
     )

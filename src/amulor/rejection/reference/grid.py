@@ -1,4 +1,4 @@
-"""Whether planned open-water shots are dense enough for the scan between them."""
+"""Check of planned open-water shots: error of the interpolation between them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from amulor.rejection.reference.shots import BEYOND_AT_LEAST
 from amulor.rejection.reference.surface import (
     FEWEST_SHOTS,
     HIGHEST_DEGREE,
+    cross_validation_errors,
     expected_degrees,
-    missed,
     noiseless,
 )
 from amulor.survey import OpenWater, Scan, Survey
@@ -42,27 +42,26 @@ _OF_EACH, _OF_LARGEST = 5e-3, 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What planned shots leave between them."""
+    """Interpolation error of planned open-water shots, and how many suffice."""
 
     error: float
-    """Largest error of the interpolation, of the largest water signal [1]."""
+    """Largest error of the interpolation, relative to the largest water signal [1]."""
     refused: str
-    """Why methods that need open water will refuse the shots; empty if they will
-    not."""
+    """Reason of methods to refuse the shots; empty if they accept them."""
     enough: tuple[int, int] | None
-    """Columns and rows of shots that would do; None if the scan is too wide for any."""
+    """Sufficient columns and rows of shots; None if the scan is too wide for any."""
 
     @property
     def holds(self) -> bool:
-        """Whether the shots are accepted, and miss little."""
+        """Whether the shots are accepted and the interpolation is accurate enough."""
         return not self.refused and self.error <= LARGEST_ERROR
 
 
 def judge_plan(survey: Survey) -> Plan | None:
-    """Return how well the planned open-water shots of a survey span its scan.
+    """Estimate the interpolation error of the open-water shots that a survey plans.
 
-    What the interpolation of `shape.shape_of` makes of shots without noise: a
-    polynomial of the signal itself, or of its ratio to the model of the water that
+    Shots without noise are interpolated as by `shots.fit_shots`: by a polynomial of
+    the signal itself, or of its ratio to the model of the water that
     foretells directions left out best, of the degree that an F test would choose
     against the scatter of the shots. No model is its own judge: the water that the
     shots meet is not only that of the survey, which would be interpolated without any
@@ -77,19 +76,19 @@ def judge_plan(survey: Survey) -> Plan | None:
     refused = _refused(survey.scan, plan)
     enough: tuple[int, int] | None = plan.columns, plan.rows
     if refused or error > LARGEST_ERROR:
-        tried = [
+        candidates = [
             OpenWater(columns=columns, rows=rows, repeats=plan.repeats)
             for columns in _NUMBERS
             for rows in _NUMBERS
             if columns >= plan.columns and rows >= plan.rows
         ]
-        tried.sort(key=lambda each: each.columns * each.rows)
+        candidates.sort(key=lambda candidate: candidate.columns * candidate.rows)
         enough = next(
             (
-                (each.columns, each.rows)
-                for each in tried
-                if not _refused(survey.scan, each)
-                and judge.error(each) <= LARGEST_ERROR
+                (candidate.columns, candidate.rows)
+                for candidate in candidates
+                if not _refused(survey.scan, candidate)
+                and judge.error(candidate) <= LARGEST_ERROR
             ),
             None,
         )
@@ -97,7 +96,7 @@ def judge_plan(survey: Survey) -> Plan | None:
 
 
 def _refused(scan: Scan, plan: OpenWater) -> str:
-    """Return why the open water of a plan is refused, whatever is measured."""
+    """Return the reason to refuse planned shots; empty if there is none."""
     count = plan.columns * plan.rows * plan.repeats
     if count < FEWEST_SHOTS:
         return f"they are {count}, and {FEWEST_SHOTS} are needed to judge their scatter"
@@ -113,15 +112,15 @@ def _refused(scan: Scan, plan: OpenWater) -> str:
 
 
 def _waters(survey: Survey) -> list[Survey]:
-    """Return surveys of the waters that shots may meet, that of the survey first."""
+    """Return surveys with the waters that shots may meet, the stated one first."""
     try:
-        stated = by_coefficients(survey)
+        described = by_coefficients(survey)
     except AmulorError:
         return [survey]
-    water = stated.water
+    water = described.water
     assert isinstance(water, Water)
     others = [
-        stated.model_copy(
+        described.model_copy(
             update={
                 "water": water.model_copy(
                     update={
@@ -137,7 +136,7 @@ def _waters(survey: Survey) -> list[Survey]:
 
 
 class _Judge:
-    """Waters at the directions at which plans of a survey are looked at."""
+    """Test waters for planned open-water shots, on a grid of directions."""
 
     def __init__(self, survey: Survey) -> None:
         scan = survey.scan
@@ -159,23 +158,29 @@ class _Judge:
         self._models: dict[int, Complex] = {}
 
     def error(self, plan: OpenWater) -> float:
-        """Return the largest error that a plan leaves, of the largest signal."""
+        """Return the largest interpolation error of a plan, over the largest signal."""
         survey, frequency, checks = self._survey, self._frequency, self._checks
         scan = survey.scan.model_copy(update={"open_water": plan})
         planned = survey.model_copy(update={"scan": scan})
         shots = np.stack(open_water_directions(planned), axis=1)[:: plan.repeats]
         models = models_for(survey, shots, frequency, repeats=plan.repeats)
-        seen = [] if models is None else [each(shots, frequency) for each in models]
+        predictions = (
+            []
+            if models is None
+            else [candidate(shots, frequency) for candidate in models]
+        )
         scatter = survey.water.signal_fluctuation or _OF_EACH
         largest = 0.0
         for water, truth in self._waters:
             signal = open_water(water, shots, frequency)
-            best, degrees = _best(signal, seen, shots, plan.repeats, scatter=scatter)
+            best, degrees = _best(
+                signal, predictions, shots, plan.repeats, scatter=scatter
+            )
             model = None
             if models is not None and best is not None:
                 if best not in self._models:
                     self._models[best] = models[best](checks, frequency)
-                model = seen[best], self._models[best]
+                model = predictions[best], self._models[best]
             expected = noiseless(
                 signal, plan.repeats, shots, checks, model=model, degrees=degrees
             )
@@ -185,20 +190,27 @@ class _Judge:
 
 
 def _best(
-    signal: Complex, seen: list[Complex], shots: Floats, repeats: int, *, scatter: float
+    signal: Complex,
+    predictions: list[Complex],
+    shots: Floats,
+    repeats: int,
+    *,
+    scatter: float,
 ) -> tuple[int | None, list[int]]:
-    """Return which model foretells shots left out best, None if none needs to.
+    """Return the index of the best model in cross-validation; None if none is needed.
 
     And the degree of its polynomial at each frequency.
     """
     size = np.abs(signal)
     error = np.hypot(scatter * size, _OF_LARGEST * size.max(axis=1, keepdims=True))
     best, chosen, least = None, [HIGHEST_DEGREE] * len(signal), np.inf
-    for number, model in enumerate([None, *seen]):
+    for number, model in enumerate([None, *predictions]):
         if model is not None and not is_measure(model):
             continue
         degrees = expected_degrees(signal, error, repeats, shots, model=model)
-        off = missed(signal, repeats, shots, model=model, degrees=degrees)
+        off = cross_validation_errors(
+            signal, repeats, shots, model=model, degrees=degrees
+        )
         score = float(np.sum((off / error) ** 2))
         if score < least:
             best, chosen, least = (number - 1 if number else None), degrees, score

@@ -1,4 +1,4 @@
-"""Drift of the phase of the instrument, from open-water references around the scan."""
+"""Phase drift of the instrument, from open-water references around the scan."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ DRIFT, DRIFT_UNCERTAINTY = (
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseDrift:
-    """Change of the phase between two halves of a reference measurement."""
+    """Change of the phase between the halves of a reference measurement."""
 
     phase: Floats
     """Change from the first half to the second, frequency by frequency [rad]."""
     uncertainty: Floats
-    """Standard uncertainty of it [rad]."""
+    """Standard uncertainty of the change [rad]."""
 
 
 def without_drift(cube: xr.Dataset) -> xr.Dataset:
-    """Turn samples and references back to their phase at the start of the scan.
+    """Correct samples and references for the phase drift of the instrument.
 
     A rotation that all channels of the reference share belongs to the instrument, and
     turns the target, too. The scan lies between the halves of the reference: half of
@@ -61,14 +61,14 @@ def without_drift(cube: xr.Dataset) -> xr.Dataset:
     turned = _turned(cube, np.exp(-0.5j * drift.phase)[:, None, None, None], "")
     turned |= _turned(cube, np.where(late, turn, 1.0), "open_water_")
     rate = 2 * np.pi * cube["modulation_frequency"].values
-    left = np.sqrt(drift.phase**2 / 12 + drift.uncertainty**2 / 4)
+    remaining = np.sqrt(drift.phase**2 / 12 + drift.uncertainty**2 / 4)
     return cube.assign(turned).assign_attrs(
-        {DRIFT: drift.phase / rate, DRIFT_UNCERTAINTY: left / rate}
+        {DRIFT: drift.phase / rate, DRIFT_UNCERTAINTY: remaining / rate}
     )
 
 
 def drift_of_references(cube: xr.Dataset) -> PhaseDrift | None:
-    """Estimate the rotation that all channels of the reference share, if significant.
+    """Estimate the phase drift that all channels share; None if not significant.
 
     The second half of the shots against the first, in the directions that both have.
     One delay stands for all frequencies where it explains them. A change that is
@@ -109,7 +109,7 @@ def drift_of_references(cube: xr.Dataset) -> PhaseDrift | None:
 def _halves(
     signal: Complex, group: NDArray[np.intp]
 ) -> tuple[Complex | None, Floats | None]:
-    """Relative change of the second half, radial + 1j * tangential, and its error.
+    """Return the relative change between two halves of the shots, and its error.
 
     Shape (frequency, channel); None where the halves have too little in common.
     """
@@ -144,7 +144,7 @@ def _halves(
 
 
 def _turned(cube: xr.Dataset, turn: Complex, prefix: str) -> dict[str, xr.DataArray]:
-    """Return outputs of samples times a phasor, as variables of the cube.
+    """Return samples multiplied by a phasor, as variables of the cube.
 
     Their errors keep their axes: a drift turns them by a few degrees at most.
     """

@@ -1,4 +1,4 @@
-"""The model of the water, and how it varies with direction between the shots."""
+"""Water-signal model for the interpolation between open-water shots."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def water_signal(
     end: Floats | float | None = None,
     paper: bool = False,
 ) -> Complex:
-    """Return the light of the water up to some depth, in any unit.
+    """Return the modeled water signal up to a depth, in arbitrary units.
 
     Eq. (29) of Ricci et al. 2010, as rebuilt, with the whole phase function of the
     water, within some percent of photons; water whose stated moments no phase function
@@ -98,32 +98,32 @@ _NODES = 33
 
 @dataclass(frozen=True)
 class Shape:
-    """Water signal of a model at one frequency, in any unit."""
+    """Water signal of a model at one frequency, in arbitrary units."""
 
     at_shots: Complex
-    """Over the shots."""
+    """Water signal at the shots."""
     at_pixels: Complex
-    """Over the pixels."""
+    """Water signal at the pixels."""
 
     def part(self, use: NDArray[np.bool_]) -> Shape:
-        """Return the same for some of the shots."""
+        """Return a copy with some of the shots."""
         return Shape(self.at_shots[use], self.at_pixels)
 
 
 @dataclass(frozen=True)
 class ModelBehindShots:
-    """The model of the water relative to which the shots are interpolated."""
+    """Water model relative to which the shots are interpolated."""
 
     model: Model
-    """From directions between the corners of the scan to its water signal."""
+    """Function from directions within the scan to the water signal."""
     at_shots: Complex
-    """Its water signal at the shots, shape (frequency, shot)."""
+    """Modeled water signal at the shots, shape (frequency, shot)."""
 
     def over(self, pixels: Floats, frequency: Floats) -> list[Shape]:
-        """Return the model at the shots and at pixels, frequency by frequency."""
+        """Return the modeled signal at shots and pixels, frequency by frequency."""
         return [
-            Shape(own, over)
-            for own, over in zip(
+            Shape(at_shots, at_pixels)
+            for at_shots, at_pixels in zip(
                 self.at_shots, self.model(pixels, frequency), strict=True
             )
         ]
@@ -137,7 +137,7 @@ def model_behind_shots(
     errors: Covariance,
     span: Span,
 ) -> ModelBehindShots | None:
-    """Return the model of the water that foretells the shots best.
+    """Choose the water model with the smallest cross-validation error at the shots.
 
     None where the survey says nothing of the water, where a polynomial follows its
     water from direction to direction well enough, or follows the shots better than any
@@ -161,24 +161,27 @@ def model_behind_shots(
     )
     if candidates is None:
         return None
-    seen = [each(directions, frequency) for each in candidates]
+    predictions = [candidate(directions, frequency) for candidate in candidates]
     usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
-    scores = [_left_out(None, shots, signal, errors, usable)]
+    scores = [_cross_validation_error(None, shots, signal, errors, usable)]
     scores += [
-        _left_out(each[:, places.group], shots, signal, errors, usable) for each in seen
+        _cross_validation_error(
+            prediction[:, places.group], shots, signal, errors, usable
+        )
+        for prediction in predictions
     ]
     best = int(np.argmin(scores)) - 1
     if best < 0:
         return None
     low, high = np.array([span.azimuth, span.elevation]).T
     model = _Tabled(candidates[best], low, high, frequency).at
-    return ModelBehindShots(model, seen[best][:, places.group])
+    return ModelBehindShots(model, predictions[best][:, places.group])
 
 
 def models_for(
     survey: Survey, directions: Floats, frequency: Floats, *, repeats: int
 ) -> list[Model] | None:
-    """Return the models that open water may be interpolated relative to."""
+    """Return the candidate models for the interpolation; None if none is needed."""
     if len(directions) < 2 or survey.scan.moves == "both":
         return None
     try:
@@ -192,8 +195,8 @@ def models_for(
             for factor in _FACTORS
         ]
         candidates.append(partial(open_water, survey, paper=True))
-        for each in candidates:
-            each(directions[:1], frequency)
+        for candidate in candidates:
+            candidate(directions[:1], frequency)
     except AmulorError:
         return None
     return candidates
@@ -202,7 +205,7 @@ def models_for(
 def _is_smooth(
     survey: Survey, directions: Floats, frequency: Floats, repeats: int
 ) -> bool:
-    """Return whether a polynomial follows the water of a survey between the shots.
+    """Return whether a polynomial alone follows the survey's water between the shots.
 
     What leaving out single shots misses does not tell: all shots of three rows agree
     on a parabola.
@@ -211,7 +214,7 @@ def _is_smooth(
     axes = [
         np.unique(np.linspace(*ends, _CHECKS)) for ends in zip(low, high, strict=True)
     ]
-    checks = np.stack([each.ravel() for each in np.meshgrid(*axes)], axis=1)
+    checks = np.stack([axis.ravel() for axis in np.meshgrid(*axes)], axis=1)
     at_shots, truth = (
         open_water(survey, places, frequency) for places in (directions, checks)
     )
@@ -220,19 +223,19 @@ def _is_smooth(
 
 
 def is_measure(model: Complex) -> bool:
-    """Return whether a model varies little enough to measure a signal by it."""
+    """Return whether a model varies little enough to divide a signal by it."""
     strength = np.abs(model)
     return bool(strength.min() * _LARGEST_RATIO > strength.max())
 
 
-def _left_out(
+def _cross_validation_error(
     model: Complex | None,
     shots: Floats,
     signal: Complex,
     errors: Covariance,
     usable: NDArray[np.bool_],
 ) -> float:
-    """Return how badly a model foretells directions that are left out."""
+    """Return the error of a model at directions that are left out of its fit."""
     if model is not None and not is_measure(model):
         return np.inf
     total = 0.0
@@ -241,21 +244,21 @@ def _left_out(
         if use.sum() < FEWEST_SHOTS:
             continue
         places = places_of(shots[use])
-        own, instrument = signal[index][use], errors.part(index).part(use)
+        values, instrument = signal[index][use], errors.part(index).part(use)
         total += surface_of(
-            own,
+            values,
             instrument,
             places,
-            noise=noise_of(own, instrument, places),
+            noise=noise_of(values, instrument, places),
             model=None if model is None else model[index[0]][use],
-        ).left_out
+        ).cross_validation
     return total
 
 
 def open_water(
     survey: Survey, places: Floats, frequency: Floats, *, paper: bool = False
 ) -> Complex:
-    """Return the open water of a survey with the delay before the water."""
+    """Return the modeled open-water signal, with the delay before the water."""
     where = view(survey, *places.T)
     response = water_signal(
         survey, *places.T, modulation_frequency=frequency, paper=paper
@@ -265,7 +268,7 @@ def open_water(
 
 
 class _Tabled:
-    """A model from a table over the directions between two corners of a scan."""
+    """A water model, tabulated over the directions of a scan."""
 
     def __init__(
         self, model: Model, low: Floats, high: Floats, frequency: Floats

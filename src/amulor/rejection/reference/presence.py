@@ -1,4 +1,4 @@
-"""Whether samples show a target at all, or only water that ends somewhere."""
+"""Target detection: a test against open water, whole or cut off at a depth."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def shows_target(
     interval: tuple[float, float] | None,
     fit: CutColumns | None = None,
 ) -> tuple[NDArray[np.bool_], CutColumns | None, Floats]:
-    """Return which pixels no open water explains, the cut columns, and probabilities.
+    """Return the pixels with a target, the cut columns and no-target probabilities.
 
     False where the samples are open water as the shots have it, of up to a few times
     `DEPARTURE` more or less, or the same water cut off by something that sends nothing
@@ -69,14 +69,16 @@ def shows_target(
     """
     from scipy.special import chdtrc, chdtri
 
-    whole = water.to_the_end
-    frequencies, channels, *shape = whole.shape
-    errors = covariance_of(cube) + water.common + fluctuation_of(water.fits, whole)
+    open_water = water.to_the_end
+    frequencies, channels, *shape = open_water.shape
+    errors = covariance_of(cube) + water.common + fluctuation_of(water.fits, open_water)
     saturated = cube["saturated"].values != 0 if "saturated" in cube else None
-    told = water.told
+    turbidity = water.estimated_turbidity
     cut, span = fit, water.fit.shots.span
-    if cut is None and told is not None:
-        cut = _cut_columns(cube, told.survey, interval, span, paper=told.paper)
+    if cut is None and turbidity is not None:
+        cut = _cut_columns(
+            cube, turbidity.survey, interval, span, paper=turbidity.paper
+        )
     up = _places(cube["elevation"].values, *span.elevation)
     across = _places(cube["azimuth"].values, *span.azimuth)
     largest = None if cut is None else np.abs(cut.smooth).max(axis=(1, 2, 3))
@@ -85,60 +87,62 @@ def shows_target(
     def flat(values: NDArray[Any]) -> NDArray[Any]:
         return values.reshape(frequencies * channels, -1)
 
-    left, column = flat(water.difference), flat(whole)
+    difference, column = flat(water.difference), flat(open_water)
     drift = flat(water.drift)
-    parts = [flat(each) for each in (errors.in_phase, errors.quadrature, errors.cross)]
-    model_error = 0.0 if told is None else float(np.hypot(told.shown, MODEL_ERROR))
-    seen = np.zeros(left.shape[1], dtype=bool)
-    chance = np.full(seen.size, np.nan)
-    for first in range(0, seen.size, _AT_ONCE):
+    parts = [flat(part) for part in (errors.in_phase, errors.quadrature, errors.cross)]
+    model_error = (
+        0.0 if turbidity is None else float(np.hypot(turbidity.shown, MODEL_ERROR))
+    )
+    has_target = np.zeros(difference.shape[1], dtype=bool)
+    chance = np.full(has_target.size, np.nan)
+    for first in range(0, has_target.size, _AT_ONCE):
         chosen = slice(first, first + _AT_ONCE)
-        own = _problem(
-            left[:, chosen],
+        problem = _problem(
+            difference[:, chosen],
             column[:, chosen],
-            Covariance(*(each[:, chosen] for each in parts))
+            Covariance(*(part[:, chosen] for part in parts))
             + along(drift * column[:, chosen], 12**-0.5),
             which,
             None if saturated is None else flat(saturated)[:, chosen],
         )
-        limit = chdtri(2 * np.arange(len(which) + 1), SIZE)[own.count]
-        lowest = own.misfit(np.zeros((1, 1)))
-        found = (lowest > limit) & (own.count > 0)
+        limit = chdtri(2 * np.arange(len(which) + 1), SIZE)[problem.count]
+        lowest = problem.misfit(np.zeros((1, 1)))
+        is_target = (lowest > limit) & (problem.count > 0)
         if cut is not None and largest is not None:
-            open_to_doubt = found & ~(own.surely_more_than(largest) > limit)
+            open_to_doubt = is_target & ~(problem.surely_more_than(largest) > limit)
             some = np.flatnonzero(open_to_doubt)
             if some.size:
                 few = _problem(
-                    left[:, first + some],
+                    difference[:, first + some],
                     column[:, first + some],
-                    Covariance(*(each[:, first + some] for each in parts))
+                    Covariance(*(part[:, first + some] for part in parts))
                     + along(drift * column[:, first + some], 12**-0.5)
                     + isotropic(model_error * np.abs(column[:, first + some])),
                     which,
                     None if saturated is None else flat(saturated)[:, first + some],
                 )
                 lowest[some] = cut.lowest(few, up[first + some], across[first + some])
-                found[some] = lowest[some] > limit[some]
-        seen[chosen] = found
-        chance[chosen] = np.where(found, np.nan, chdtrc(2 * own.count, lowest))
-    return seen.reshape(shape), cut, chance.reshape(shape)
+                is_target[some] = lowest[some] > limit[some]
+        has_target[chosen] = is_target
+        chance[chosen] = np.where(is_target, np.nan, chdtrc(2 * problem.count, lowest))
+    return has_target.reshape(shape), cut, chance.reshape(shape)
 
 
 def _problem(
-    left: Complex,
+    difference: Complex,
     water: Complex,
     errors: Covariance,
     frequency: NDArray[np.intp],
     saturated: NDArray[np.bool_] | None,
 ) -> _Problem:
-    """Return samples with the inverse covariances of those that count."""
+    """Return the samples with their inverse covariances, 0 for unusable samples."""
     determinant = errors.in_phase * errors.quadrature - errors.cross**2
-    use = np.isfinite(left) & np.isfinite(water) & (determinant > 0)
+    use = np.isfinite(difference) & np.isfinite(water) & (determinant > 0)
     if saturated is not None:
         use &= ~saturated
-    scale = np.divide(1.0, determinant, out=np.zeros(left.shape), where=use)
+    scale = np.divide(1.0, determinant, out=np.zeros(difference.shape), where=use)
     return _Problem(
-        left=np.where(use, left, 0),
+        difference=np.where(use, difference, 0),
         water=np.where(use, water, 0),
         in_phase=scale * errors.quadrature,
         quadrature=scale * errors.in_phase,
@@ -149,42 +153,42 @@ def _problem(
 
 @dataclass(frozen=True, kw_only=True)
 class _Problem:
-    """Samples of many pixels, arrays over (sample, pixel)."""
+    """Samples of many pixels for the target test, arrays over (sample, pixel)."""
 
-    left: Complex
-    """Samples less the whole column, 0 where one does not count [V]."""
+    difference: Complex
+    """Samples less the open-water signal, 0 where a sample is unusable [V]."""
     water: Complex
-    """The whole column, likewise [V]."""
+    """Open-water signal, 0 where a sample is unusable [V]."""
     in_phase: Floats
-    """Elements of the inverse covariances, 0 where a sample does not count [1/V^2]."""
+    """Elements of the inverse covariances, 0 where a sample is unusable [1/V^2]."""
     quadrature: Floats
     cross: Floats
     frequency: NDArray[np.intp]
-    """Which modulation frequency each sample has."""
+    """Index of the modulation frequency of each sample."""
 
     @property
     def count(self) -> NDArray[np.intp]:
-        """Samples that count, pixel by pixel."""
+        """Number of usable samples of each pixel."""
         return np.asarray((self.in_phase > 0).sum(axis=0))
 
     def misfit(self, fractions: Complex | Floats) -> Floats:
-        """Return the chi-square of water without a fraction of its column.
+        """Return chi-square of open water without a fraction of its column.
 
         `fractions` are over (frequency, pixel), or one for all.
         """
         hidden = fractions if fractions.size == 1 else fractions[self.frequency]
-        rest = self.left + hidden * self.water
+        rest = self.difference + hidden * self.water
         front = self.water - hidden * self.water
         along_front = self._product(front, rest)
-        own = self._product(front, front) + DEPARTURE**-2
-        misfit: Floats = self._product(rest, rest) - along_front**2 / own
+        power = self._product(front, front) + DEPARTURE**-2
+        misfit: Floats = self._product(rest, rest) - along_front**2 / power
         return misfit
 
     def surely_more_than(self, fractions: Floats) -> Floats:
-        """Return a chi-square that no cut within the given fractions can undercut."""
+        """Return a lower bound of chi-square over all cuts up to given fractions."""
         # The water in front of a cut may depart by five times what is expected.
         allowed = fractions[self.frequency][:, None] + 5 * DEPARTURE
-        free = np.maximum(np.abs(self.left) - allowed * np.abs(self.water), 0.0)
+        free = np.maximum(np.abs(self.difference) - allowed * np.abs(self.water), 0.0)
         # The smallest eigenvalue of the inverse covariance.
         mean = (self.in_phase + self.quadrature) / 2
         spread = np.hypot((self.in_phase - self.quadrature) / 2, self.cross)
@@ -192,18 +196,18 @@ class _Problem:
         return total
 
     def _product(self, first: Complex, second: Complex) -> Floats:
-        each = (
+        product = (
             self.in_phase * first.real * second.real
             + self.quadrature * first.imag * second.imag
             + self.cross * (first.real * second.imag + first.imag * second.real)
         )
-        summed: Floats = each.sum(axis=0)
+        summed: Floats = product.sum(axis=0)
         return summed
 
 
 @dataclass(frozen=True, kw_only=True)
 class CutColumns:
-    """Fractions of the open water from behind cuts, on a grid of directions."""
+    """Fraction of the open water from behind a cut, over depth and direction."""
 
     smooth: Complex
     """Fractions without the phase of their depth, shape (frequency, depth, elevation
@@ -231,7 +235,7 @@ class CutColumns:
         place = np.zeros(len(up))
 
         def try_at(places: Floats) -> None:
-            """Look between the nodes, where only the phase turns quickly."""
+            """Update the smallest chi-square with places between the depth nodes."""
             k, share = _between(places, smooth.shape[1])
             after = np.minimum(k + 1, smooth.shape[1] - 1)
             value = (1 - share) * smooth[:, k, pixel] + share * smooth[:, after, pixel]
@@ -263,7 +267,7 @@ def _cut_columns(
     *,
     paper: bool,
 ) -> CutColumns:
-    """Return cut columns from a survey."""
+    """Compute the fractions behind cuts from a survey."""
     properties = water_properties(survey)
     frequency = cube["modulation_frequency"].values
     nearest, farthest = (0.0, np.inf) if interval is None else interval
@@ -293,7 +297,7 @@ def _cut_columns(
 
 
 def _places(angle: Floats, low: float, high: float) -> Floats:
-    """Return where pixels stand among the nodes of an angle, from 0 on [1]."""
+    """Return the positions of pixels among the nodes of an angle, from 0 on [1]."""
     values = angle.ravel()
     if high - low < _ONE:
         return np.zeros(values.size)
@@ -302,5 +306,5 @@ def _places(angle: Floats, low: float, high: float) -> Floats:
 
 
 def _nodes(low: float, high: float) -> Floats:
-    """Return even nodes over a span; one where it has no extent."""
+    """Return evenly spaced nodes over a span; a single one for a span of zero."""
     return np.linspace(low, high, _DIRECTIONS if high - low >= _ONE else 1)

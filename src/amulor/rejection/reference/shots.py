@@ -1,4 +1,4 @@
-"""The open-water shots of a cube: their noise, drift and signal at the pixels."""
+"""Open-water shots: their noise and drift, and interpolation to the pixels."""
 
 from __future__ import annotations
 
@@ -42,17 +42,17 @@ class Drift:
     change: complex
     """Change, radial + 1j * tangential, per unit of the water signal [1]."""
     uncertainty: complex
-    """Standard uncertainty of its two parts, likewise [1]."""
+    """Standard uncertainty of the radial and tangential change [1]."""
     chance: float
-    """Probability that steady water shows as much [1]."""
+    """Probability of so large a change in steady water [1]."""
 
 
-#: What shots tell that cannot be compared with each other.
+#: Drift of shots that cannot be compared with each other.
 NO_DRIFT = Drift(0j, complex(np.inf, np.inf), 1.0)
 
 
 def drift_of(shots: Complex, level: Complex, where: Floats) -> Drift:
-    """Return how the shots of the same direction change with their order.
+    """Estimate the drift from shots that are repeated in the same directions.
 
     A straight line over the order, each direction with a mean of its own: what the
     polynomial over the directions misses is no drift. Directions that are repeated
@@ -65,12 +65,12 @@ def drift_of(shots: Complex, level: Complex, where: Floats) -> Drift:
     )
     group = group.ravel()
 
-    def own_of(values: Floats) -> Floats:
+    def centered(values: Floats) -> Floats:
         mean: Floats = np.bincount(group, values) / size
         return values - mean[group]
 
     freedom = len(shots) - len(size) - 1
-    order = own_of(np.linspace(-0.5, 0.5, len(shots)))
+    order = centered(np.linspace(-0.5, 0.5, len(shots)))
     square = float(order @ order)
     if freedom < 1 or np.abs(level).min() == 0 or square < 1e-9 * len(shots):
         return NO_DRIFT
@@ -78,7 +78,7 @@ def drift_of(shots: Complex, level: Complex, where: Floats) -> Drift:
     parts, errors, chances = [], [], []
     for values in (relative.real, relative.imag):
         slope = float(order @ values) / square
-        rest = own_of(values) - slope * order
+        rest = centered(values) - slope * order
         error = float(np.sqrt(rest @ rest / freedom / square))
         parts.append(slope)
         errors.append(error)
@@ -97,22 +97,22 @@ _AT_ONCE = 16_384
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
-    """Water signal at each pixel, and how well it is known."""
+    """Interpolated water signal at each pixel, with its errors."""
 
     signal: Complex
     """Expected water signal [V]."""
     common: Covariance
-    """Error of that expectation: the pixels share it."""
+    """Covariance of the water signal by the fit, which the pixels share [V^2]."""
     relative: NDArray[np.float64]
-    """(Radial, tangential) covariance of one sample, per squared signal [1]."""
+    """Covariance of the fluctuation (radial, tangential), per squared signal [1]."""
     degree: int
     """Degree of the polynomial over the scan directions."""
     drift: Drift
-    """What changed from the first shot to the last."""
+    """Drift from the first shot to the last."""
     surface: Surface
-    """The polynomial through the shots."""
+    """Polynomial through the shots."""
     modelled: bool = False
-    """Whether a model of the water stands behind the polynomial."""
+    """Whether the polynomial is relative to a water model."""
 
 
 def fit_channel(
@@ -142,9 +142,9 @@ def fit_channel(
     if len(shots) < FEWEST_SHOTS:
         raise ValueError(f"a reference needs {FEWEST_SHOTS} shots, got {len(shots)}")
     places = places_of(shot_direction)
-    found = surface
-    if found is None:
-        found = surface_of(
+    fitted = surface
+    if fitted is None:
+        fitted = surface_of(
             shots,
             instrument,
             places,
@@ -152,25 +152,25 @@ def fit_channel(
             model=None if shape is None else shape.at_shots,
         )
     # One product of real matrices for all: coefficients, logarithms, covariances.
-    second = found.logarithm
-    along = np.zeros(len(found.powers), dtype=complex) if second is None else second[0]
+    second = fitted.logarithm
+    along = np.zeros(len(fitted.powers), dtype=complex) if second is None else second[0]
     table = np.hstack(
         [
-            found.coefficients.real[:, None],
-            found.coefficients.imag[:, None],
+            fitted.coefficients.real[:, None],
+            fitted.coefficients.imag[:, None],
             along.real[:, None],
             along.imag[:, None],
-            *found.spreads,
+            *fitted.spreads,
         ]
     )
     signal = np.empty(len(pixel_direction), dtype=complex)
-    common = [np.empty(len(pixel_direction)) for _ in found.spreads]
+    common = [np.empty(len(pixel_direction)) for _ in fitted.spreads]
     for first in range(0, len(pixel_direction), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
-        design = design_of(places.scaled(pixel_direction[part]), found.powers)
+        design = design_of(places.scaled(pixel_direction[part]), fitted.powers)
         product = times(design, table)
         signal[part] = product[:, 0] + 1j * product[:, 1]
-        sides = product[:, 4:].reshape(len(design), len(found.spreads), -1)
+        sides = product[:, 4:].reshape(len(design), len(fitted.spreads), -1)
         for k, values in enumerate(common):
             values[part] = np.einsum("ij,ij->i", sides[:, k], design)
         if second is not None:
@@ -183,18 +183,18 @@ def fit_channel(
     errors = Covariance(*common)
     if shape is not None:
         signal, errors = signal * shape.at_pixels, errors.turned(shape.at_pixels)
-    if found.excess > 0:
+    if fitted.excess > 0:
         # By so much more than chance each direction is off by itself.
-        own = isotropic(np.full(signal.shape, _typical(instrument)))
-        own = own + fluctuation(found.relative, signal)
-        errors = errors + own.scaled(found.excess * len(places.size) / len(shots))
+        excess = isotropic(np.full(signal.shape, _typical(instrument)))
+        excess = excess + fluctuation(fitted.relative, signal)
+        errors = errors + excess.scaled(fitted.excess * len(places.size) / len(shots))
     return Reference(
         signal=signal,
         common=errors,
-        relative=found.relative,
-        degree=int(found.powers.sum(axis=1).max()),
-        drift=drift_of(shots, found.level, places.where),
-        surface=found,
+        relative=fitted.relative,
+        degree=int(fitted.powers.sum(axis=1).max()),
+        drift=drift_of(shots, fitted.level, places.where),
+        surface=fitted,
         modelled=shape is not None,
     )
 
@@ -219,7 +219,7 @@ _NEAR, _MISSES = 1 / 50, 8.0
 
 
 def shots_of(cube: xr.Dataset) -> xr.Dataset:
-    """Return the open-water shots of a cube; CubeError if they are none or too few."""
+    """Return the open-water shots of a cube; CubeError if there are none or too few."""
     shots: xr.Dataset | None = cube.amulor.open_water
     if shots is None:
         raise CubeError(
@@ -238,17 +238,16 @@ def shots_of(cube: xr.Dataset) -> xr.Dataset:
 
 @dataclass(frozen=True, kw_only=True)
 class ShotsFit:
-    """What the open-water shots and the directions of all pixels tell."""
+    """Scan-wide fit of the open-water shots."""
 
     span: Span
     """Directions of the scan."""
     directions: Floats
-    """Azimuth and elevation of the shots, equal where they were sent to the same
-    [rad]."""
+    """Azimuth and elevation of the shots, equal for repeats of a direction [rad]."""
     model: ModelBehindShots | None
-    """Model relative to which they are interpolated, if there is one."""
+    """Water model relative to which they are interpolated; None without a model."""
     surfaces: tuple[Surface, ...]
-    """Polynomial of each modulation frequency, channel by channel."""
+    """Polynomials, frequency by frequency, channel by channel."""
 
 
 def fit_shots(
@@ -258,7 +257,7 @@ def fit_shots(
     fit: ShotsFit | None = None,
     span: Span | None = None,
 ) -> tuple[list[Reference], ShotsFit]:
-    """Return the water signal of the shots at the pixels of a cube, and their fit.
+    """Interpolate the open-water shots to the pixels of a cube; return the fit, too.
 
     Modulation frequency by frequency, channel by channel. CubeError if too few shots of
     a channel are numbers, the scan goes beyond them, or the water changed too much from
@@ -267,7 +266,7 @@ def fit_shots(
     pixels = np.stack(
         [cube["azimuth"].values.ravel(), cube["elevation"].values.ravel()], axis=1
     )
-    known = all(name in shots for name in _AXES)
+    has_directions = all(name in shots for name in _AXES)
     if fit is None:
         span = span_of(cube) if span is None else span
         places = directions_of(cube, shots)
@@ -276,11 +275,11 @@ def fit_shots(
     signal = shots.amulor.signal.values
     errors = covariance_of(shots)
     usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
-    if known:
+    if has_directions:
         _refuse_a_scan_beyond_the_shots(cube, places, span)
     shared = common_covariance_of(shots) if "common_covariance" in shots else None
     model = None if fit is None else fit.model
-    if known and fit is None:
+    if has_directions and fit is None:
         model = model_behind_shots(
             cube, places, signal=signal, errors=errors, span=span
         )
@@ -295,46 +294,48 @@ def fit_shots(
                 f"only {use.sum()} open-water shots at {_place(cube, index)} are "
                 f"numbers, needed are {FEWEST_SHOTS}; record more"
             )
-        own = errors.part(index).part(use)
+        instrument = errors.part(index).part(use)
         shape = None if shapes is None else shapes[index[0]].part(use)
-        one = fit_channel(
+        reference = fit_channel(
             signal[index][use],
-            own,
+            instrument,
             places[use],
             pixels,
             shape=shape,
             surface=None if fit is None else fit.surfaces[len(fits)],
         )
         if shared is not None:
-            one = replace(one, common=one.common + shared.part((*index, None)))
+            reference = replace(
+                reference, common=reference.common + shared.part((*index, None))
+            )
         # Shots of unknown directions may be pixels: their order is no time.
-        fits.append(one if known else replace(one, drift=NO_DRIFT))
+        fits.append(reference if has_directions else replace(reference, drift=NO_DRIFT))
     _refuse_strong_drift(cube, fits, signal.shape[:2])
     if fit is None:
         fit = ShotsFit(
             span=span,
             directions=places,
             model=model,
-            surfaces=tuple(one.surface for one in fits),
+            surfaces=tuple(reference.surface for reference in fits),
         )
     return fits, fit
 
 
 def directions_of(cube: xr.Dataset, shots: xr.Dataset) -> Floats:
-    """Return the directions of shots, equal where they were sent to the same.
+    """Return the directions of shots, equal for repeats of a direction.
 
     Shape (shot, 2), azimuth and elevation [rad], all zero where they are not known. The
     samples of the cube tell how far stages miss.
     """
     if not all(name in shots for name in _AXES):
         return np.zeros((shots.sizes["shot"], 2))
-    return np.stack([_alike(cube, shots, name) for name in _AXES], axis=1)
+    return np.stack([_averaged_repeats(cube, shots, name) for name in _AXES], axis=1)
 
 
 def expected_at_pixels(
     fits: list[Reference], shape: tuple[int, ...]
 ) -> tuple[Complex, Covariance]:
-    """Return the open-water signal of every sample, and the error of its expectation.
+    """Return the open-water signal of every sample, and its covariance.
 
     To the end of the column [V], and what the pixels share of its error [V^2].
     """
@@ -343,7 +344,7 @@ def expected_at_pixels(
 
 
 def fluctuation_of(fits: list[Reference], water_signal: Complex) -> Covariance:
-    """Return how a water signal fluctuates from sample to sample."""
+    """Return the covariance of the water fluctuation from sample to sample."""
     levels = water_signal.reshape(-1, *water_signal.shape[2:])
     return stacked(
         [
@@ -355,7 +356,7 @@ def fluctuation_of(fits: list[Reference], water_signal: Complex) -> Covariance:
 
 
 def real_drift_of(fits: list[Reference], shape: tuple[int, ...]) -> Complex:
-    """Return the drift from the first shot to the last, zero where it may be chance.
+    """Return the drift from the first shot to the last; 0 if not significant.
 
     Per unit of the water signal, shape (modulation_frequency, polarization, 1, 1) [1].
     """
@@ -363,8 +364,8 @@ def real_drift_of(fits: list[Reference], shape: tuple[int, ...]) -> Complex:
     return np.array(changes).reshape(*shape[:2], 1, 1)
 
 
-def _alike(cube: xr.Dataset, shots: xr.Dataset, name: str) -> Floats:
-    """Return one angle of the shots, equal where they were sent to the same.
+def _averaged_repeats(cube: xr.Dataset, shots: xr.Dataset, name: str) -> Floats:
+    """Return one angle of the shots, averaged over repeats of a direction.
 
     A scanner comes to stand a little off, another little each time: without this no
     direction would be repeated. The angle is the mean of what was read back.
@@ -374,15 +375,15 @@ def _alike(cube: xr.Dataset, shots: xr.Dataset, name: str) -> Floats:
     if meant in shots:
         group = _groups(np.round(shots[meant].values, 9))
     else:
-        group = _near_each_other(stands, at_least=_MISSES * _jitter(cube, name))
+        group = _clusters(stands, at_least=_MISSES * _jitter(cube, name))
     # Relative to one of them, so that equal angles stay as they are to the last bit.
     first = stands[np.unique(group, return_index=True)[1]]
     off = np.bincount(group, stands - first[group]) / np.bincount(group)
     return np.asarray(first + off)[group]
 
 
-def _near_each_other(angle: Floats, *, at_least: float) -> NDArray[np.intp]:
-    """Return numbers of groups that gaps keep apart; of each angle, if none do so."""
+def _clusters(angle: Floats, *, at_least: float) -> NDArray[np.intp]:
+    """Return the cluster of each angle, or distinct angles if gaps separate none."""
     order = np.argsort(angle, kind="stable")
     gaps = np.diff(angle[order])
     near = max(_NEAR * float(np.ptp(angle)), at_least)
@@ -397,7 +398,7 @@ def _groups(values: Floats) -> NDArray[np.intp]:
 
 
 def _jitter(cube: xr.Dataset, name: str) -> float:
-    """Return the standard deviation of read-backs about what was asked for [rad]."""
+    """Return the standard deviation of read angles about the commanded ones [rad]."""
     meant = f"user_commanded_{name}"
     if meant not in cube:
         return 0.0
@@ -441,7 +442,7 @@ def _refuse_strong_drift(
 def _refuse_a_scan_beyond_the_shots(
     cube: xr.Dataset, shots: NDArray[np.float64], span: Span
 ) -> None:
-    """Raise if the water signal would have to be extrapolated over the directions."""
+    """Refuse a scan that goes beyond the directions of its open-water shots."""
     survey = cube.amulor.survey
     if survey is not None and survey.scan.moves == "both":
         return  # The receiver turns with the beam: the water is the same everywhere.
@@ -458,7 +459,7 @@ def _refuse_a_scan_beyond_the_shots(
         )
 
 
-#: Attribute that says the factor.
+#: Attribute with the factor.
 NOISE_SCALE = "open_water_noise_scale"
 #: The excess must stand out of chance by this many standard errors [1].
 _SURE_OF_NOISE = 4.0
@@ -473,7 +474,7 @@ _STEPS = 12
 def with_noise_of_shots(
     cube: xr.Dataset, scale: float | None = None
 ) -> tuple[xr.Dataset, float]:
-    """Return samples whose stated errors are as large as those of their shots.
+    """Scale the stated errors of samples to the scatter of their shots.
 
     The stated errors of samples and shots times `scale`, by default that of
     `noise_scale`, which the attribute `open_water_noise_scale` says; the cube as it is,
@@ -494,7 +495,7 @@ def with_noise_of_shots(
 
 
 def _scale_of(cube: xr.Dataset) -> float:
-    """Return the factor of the stated errors of a cube, 1 if they have been scaled."""
+    """Return the factor on the stated errors of a cube; 1 if it is applied already."""
     shots: xr.Dataset | None = cube.amulor.open_water
     if shots is None or shots.sizes["shot"] < FEWEST_SHOTS or NOISE_SCALE in cube.attrs:
         return 1.0
@@ -506,7 +507,7 @@ def _scale_of(cube: xr.Dataset) -> float:
         for index in np.ndindex(signal.shape[:2])
         if (use := usable[index]).any() and (places := places_of(directions[use]))
     ]
-    return noise_scale([each for part in parts for each in part])
+    return noise_scale([scatter for part in parts for scatter in part])
 
 
 #: Of the directions of one channel: scatter and what is stated [V^2], squared signal
@@ -517,7 +518,7 @@ Scatter = tuple[Floats, Floats, Floats, Floats]
 def scatter_of(
     shots: Complex, instrument: Covariance, places: Places
 ) -> tuple[Scatter, Scatter]:
-    """Return how the shots of each direction scatter along their mean and across it."""
+    """Return the scatter of repeated shots along their mean and across it."""
     mean = places.mean_of(shots)
     size = np.abs(mean)
     turn = np.exp(1j * np.angle(mean))
@@ -526,18 +527,18 @@ def scatter_of(
     often = places.size > 1
     freedom = np.asarray(places.size[often] - 1, dtype=float)
     parts = []
-    for values, stated in (
+    for values, nominal in (
         (rest.real, turned.in_phase),
         (rest.imag, turned.quadrature),
     ):
         variance = places.sum_of(values**2)[often] / freedom
-        own = places.sum_of(stated)[often] / places.size[often]
-        parts.append((variance, own, size[often] ** 2, freedom))
+        expected = places.sum_of(nominal)[often] / places.size[often]
+        parts.append((variance, expected, size[often] ** 2, freedom))
     return parts[0], parts[1]
 
 
 def noise_scale(scatters: list[Scatter]) -> float:
-    r"""Return by which factor the noise of shots exceeds what is stated.
+    r"""Estimate the factor by which the noise of shots exceeds their stated errors.
 
     Shots of a direction scatter by :math:`s^2 u^2 + r\,|W|^2`: noise, which is stated
     as u, and a fluctuation of the water in proportion to its signal W, one r for each
@@ -546,33 +547,37 @@ def noise_scale(scatters: list[Scatter]) -> float:
     variances by weighted least squares with weights of the step before; directions
     that scatter far more than the rest are left out.
     """
-    known = [each for each in scatters if each[0].size and each[1].min() > 0]
-    if not known:
+    valid = [
+        scatter for scatter in scatters if scatter[0].size and scatter[1].min() > 0
+    ]
+    if not valid:
         return 1.0
     # From above, so that no direction is taken for a spike that only noise spreads.
-    square = float(np.median(np.concatenate([each[0] / each[1] for each in known])))
-    found, information = 0.0, 0.0
-    ratio = [0.0] * len(known)
+    square = float(
+        np.median(np.concatenate([scatter[0] / scatter[1] for scatter in valid]))
+    )
+    estimate, information = 0.0, 0.0
+    ratio = [0.0] * len(valid)
     for _ in range(_STEPS):
         score = information = 0.0
-        for k, (variance, stated, power, freedom) in enumerate(known):
-            expected = square * stated + ratio[k] * power
+        for k, (variance, nominal, power, freedom) in enumerate(valid):
+            expected = square * nominal + ratio[k] * power
             unsure = expected * np.sqrt(2 / freedom)
             weight = np.where(variance - expected < _SPIKE * unsure, unsure**-2, 0.0)
-            own = float(np.sum(weight * power**2))
+            norm = float(np.sum(weight * power**2))
             # At a fixed s the fluctuation follows; it is not below zero.
-            left = float(np.sum(weight * power * (variance - square * stated)))
-            ratio[k] = max(left / own, 0.0) if own > 0 else 0.0
+            excess = float(np.sum(weight * power * (variance - square * nominal)))
+            ratio[k] = max(excess / norm, 0.0) if norm > 0 else 0.0
             # What of the noise no fluctuation could be, of either sign.
-            shared = float(np.sum(weight * stated * power)) / own if own > 0 else 0.0
-            across = stated - shared * power
-            if np.abs(across).max() < _ALIKE * stated.max():
+            shared = float(np.sum(weight * nominal * power)) / norm if norm > 0 else 0.0
+            across = nominal - shared * power
+            if np.abs(across).max() < _ALIKE * nominal.max():
                 continue
-            information += float(np.sum(weight * across * stated))
+            information += float(np.sum(weight * across * nominal))
             score += float(np.sum(weight * across * variance))
         if not information > 0:
             return 1.0
-        found = score / information
-        square = max(found, 0.1)
+        estimate = score / information
+        square = max(estimate, 0.1)
     error = information**-0.5
-    return float(np.sqrt(found)) if found > 1 + _SURE_OF_NOISE * error else 1.0
+    return float(np.sqrt(estimate)) if estimate > 1 + _SURE_OF_NOISE * error else 1.0

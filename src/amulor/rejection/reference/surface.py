@@ -1,4 +1,4 @@
-"""Smooth surfaces through open-water shots, and the scatter of shots about them."""
+"""Smooth surfaces through open-water shots, and the scatter about them."""
 
 from __future__ import annotations
 
@@ -24,44 +24,45 @@ FEWEST_SHOTS = 1 + FREEDOM
 
 @dataclass(frozen=True, kw_only=True)
 class Places:
-    """Directions of shots on -1 to 1, and which of them are repeats."""
+    """Directions of shots, scaled to -1 to 1, with repeats grouped."""
 
     centre: Floats
-    """Azimuth and elevation in the middle [rad]."""
+    """Middle of azimuth and elevation [rad]."""
     scale: Floats
-    """Half of what they span, 1 where that is nothing [rad]."""
+    """Half of the spans of azimuth and elevation, 1 for a span of zero [rad]."""
     where: Floats
-    """Of every shot, shape (n, 2) [1]."""
+    """Scaled direction of every shot, shape (n, 2) [1]."""
     distinct: Floats
-    """Of every direction, shape (groups, 2) [1]."""
+    """Scaled distinct directions, shape (groups, 2) [1]."""
     group: NDArray[np.intp]
-    """Number of the direction of every shot."""
+    """Index of the distinct direction of every shot."""
     size: NDArray[np.intp]
-    """Shots in every direction."""
+    """Number of shots in every distinct direction."""
     powers: NDArray[np.intp]
-    """Exponents that the directions can tell apart, shape (terms, 2)."""
+    """Exponents of the polynomial terms that the directions determine, shape (terms,
+    2)."""
 
     def scaled(self, direction: Floats) -> Floats:
-        """Return directions on the scale of the shots."""
+        """Return directions scaled as those of the shots."""
         return np.asarray((direction - self.centre) / self.scale)
 
     def sum_of(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return sums over the shots of each direction."""
+        """Return the sums over the shots of each direction."""
         if not np.iscomplexobj(values):
             return np.asarray(np.bincount(self.group, values))
         real, imaginary = (self.sum_of(part) for part in (values.real, values.imag))
         return np.asarray(real + 1j * imaginary)
 
     def mean_of(self, values: Complex) -> Complex:
-        """Return means over the shots of each direction."""
+        """Return the means over the shots of each direction."""
         return np.asarray(self.sum_of(values) / self.size)
 
     def up_to(self, degree: int) -> NDArray[np.intp]:
-        """Return the exponents of a polynomial of some degree."""
+        """Return the exponents of the polynomial terms up to a degree."""
         return np.asarray(self.powers[self.powers.sum(axis=1) <= degree])
 
     def highest(self, shots: int) -> int:
-        """Return the highest degree that leaves shots to judge their scatter."""
+        """Return the highest degree that leaves enough shots to judge their scatter."""
         order = self.powers.sum(axis=1)
         return max(
             d
@@ -71,12 +72,12 @@ class Places:
 
 
 def places_of(direction: Floats) -> Places:
-    """Return the places of shots; channels of a cube share them."""
-    return _remembered(np.ascontiguousarray(direction).tobytes())
+    """Return the scaled directions of shots, cached for the channels of a cube."""
+    return _cached_places(np.ascontiguousarray(direction).tobytes())
 
 
 @lru_cache(maxsize=8)
-def _remembered(directions: bytes) -> Places:
+def _cached_places(directions: bytes) -> Places:
     direction = np.frombuffer(directions).reshape(-1, 2)
     low, high = direction.min(axis=0), direction.max(axis=0)
     centre, scale = (low + high) / 2, np.where(high > low, (high - low) / 2, 1.0)
@@ -105,7 +106,7 @@ def _remembered(directions: bytes) -> Places:
 
 
 def design_of(where: Floats, powers: NDArray[np.intp]) -> Floats:
-    """Return the monomials of directions."""
+    """Return the monomials at directions, shape (n, terms)."""
     # Powers by repeated products: a general power costs ten times as much.
     tables = []
     for axis, highest in zip(where.T, powers.max(axis=0), strict=True):
@@ -120,7 +121,7 @@ def design_of(where: Floats, powers: NDArray[np.intp]) -> Floats:
 def relative_fluctuation(
     shots: Complex, level: Complex, instrument: Covariance, *, freedom: int
 ) -> NDArray[np.float64]:
-    """Return the covariance of (radial, tangential) changes per unit of water signal.
+    """Return the covariance of relative fluctuations (radial, tangential) of shots.
 
     The stated instrument error is taken off; what is left is made a covariance again
     where chance drove it below zero. No water signal has no fluctuation.
@@ -139,15 +140,15 @@ def relative_fluctuation(
     crossed = c * s * (instrument.quadrature - instrument.in_phase)
     crossed = crossed + (c**2 - s**2) * instrument.cross
     parts = np.stack([rest.real, rest.imag])
-    stated = np.array([[radial, crossed], [crossed, tangential]]).sum(axis=2)
-    excess = (parts @ parts.T * len(shots) / freedom - stated) / power
+    nominal = np.array([[radial, crossed], [crossed, tangential]]).sum(axis=2)
+    excess = (parts @ parts.T * len(shots) / freedom - nominal) / power
     values, vectors = np.linalg.eigh(excess)
-    kept: NDArray[np.float64] = (vectors * np.maximum(values, 0)) @ vectors.T
-    return kept
+    clipped: NDArray[np.float64] = (vectors * np.maximum(values, 0)) @ vectors.T
+    return clipped
 
 
 def fluctuation(relative: NDArray[np.float64], level: Complex) -> Covariance:
-    """Turn a relative covariance into one of the outputs at a given water signal."""
+    """Return the output covariance of a relative fluctuation of a water signal."""
     a, b = level.real, level.imag
     radial, crossed, tangential = relative[0, 0], relative[0, 1], relative[1, 1]
     return Covariance(
@@ -170,7 +171,7 @@ _SURE = 5.0
 def logarithms(
     shots: Complex, variance: Floats, group: NDArray[np.intp]
 ) -> tuple[Complex, complex] | None:
-    r"""Logarithms of the means over directions, and what they are relative to."""
+    r"""Return the logarithms of the mean signals of directions, and their reference."""
     count = np.bincount(group)
     mean = (
         np.bincount(group, shots.real) + 1j * np.bincount(group, shots.imag)
@@ -189,7 +190,7 @@ def logarithms(
 
 
 def disagreement(signal: Complex, logarithm: Complex, middle: complex) -> Complex:
-    r"""Return how far two smooth surfaces through the same shots lie apart.
+    r"""Estimate the interpolation error from two surfaces through the same shots.
 
     What a receiver with a Gaussian field of view sees falls off as a Gaussian of the
     direction, whose logarithm is a polynomial of the second degree, and which is none
@@ -201,8 +202,10 @@ def disagreement(signal: Complex, logarithm: Complex, middle: complex) -> Comple
     # Beyond the shots a polynomial may run away: no farther than ten times the signal.
     bounded = np.minimum(logarithm.real, np.log(10.0)) + 1j * logarithm.imag
     difference: Complex = middle * np.exp(bounded) - signal
-    size, whole = np.abs(difference), np.abs(signal)
-    large = np.divide(size, _LARGE * whole, out=np.ones(size.shape), where=whole > 0)
+    size, amplitude = np.abs(difference), np.abs(signal)
+    large = np.divide(
+        size, _LARGE * amplitude, out=np.ones(size.shape), where=amplitude > 0
+    )
     return np.asarray(difference * (1 + (_BEYOND - 1) * np.minimum(large, 1.0)))
 
 
@@ -219,23 +222,23 @@ class Surface:
     """A polynomial through shots, or through their ratio to a model."""
 
     powers: NDArray[np.intp]
-    """Its exponents, shape (terms, 2)."""
+    """Exponents of the terms, shape (terms, 2)."""
     coefficients: Complex
-    """Its coefficients [V], or [1] relative to a model."""
+    """Coefficients [V], relative to a model [1]."""
     spreads: list[Floats]
     """Covariances of the coefficients: in phase, quadrature, cross."""
     logarithm: tuple[Complex, complex] | None
-    """The polynomial of the logarithms, and what they are relative to."""
+    """Polynomial of the logarithms of the signals, and their reference."""
     relative: Floats
-    """Covariance of one sample, per squared signal [1]."""
+    """Covariance of the fluctuation (radial, tangential), per squared signal [1]."""
     level: Complex
     """Water signal at the shots [V]."""
-    left_out: float
-    """Mean square of what directions are off when they are left out, in units of the
+    cross_validation: float
+    """Mean square error at directions that are left out of the fit, in units of the
     errors of their means [1]."""
     excess: float
-    """Mean square of what directions are off the surface, in units of what their
-    errors explain, less 1; 0 where a degree fits [1]."""
+    """Mean square residual of the directions over its expected value, less 1; 0 where a
+    degree fits [1]."""
 
 
 def surface_of(
@@ -246,7 +249,7 @@ def surface_of(
     noise: Covariance,
     model: Complex | None = None,
 ) -> Surface:
-    """Fit the shots of one channel."""
+    """Fit a polynomial to the shots of one channel."""
     ratio = shots if model is None else shots / model
     power: Floats = np.ones(len(shots)) if model is None else np.abs(model) ** 2
     weight = np.ones(len(shots))
@@ -274,7 +277,9 @@ def surface_of(
         for part in (total.in_phase, total.quadrature, total.cross)
     ]
     variances = noise.in_phase + noise.quadrature
-    left_out, excess = _left_out(shots - level, variances, design, gain, places)
+    cross_validation, excess = _cross_validation(
+        shots - level, variances, design, gain, places
+    )
     while degree > 0 and _is_saturated(design, gain, places):
         # As many coefficients as directions foretell none: fewer of them do.
         degree -= 1
@@ -282,7 +287,7 @@ def surface_of(
         gain = np.asarray(np.linalg.pinv(design * root[:, None]) * root, dtype=float)
         rest = ratio - design @ (gain @ ratio)
         rest = rest if model is None else rest * model
-        left_out, _ = _left_out(rest, variances, design, gain, places)
+        cross_validation, _ = _cross_validation(rest, variances, design, gain, places)
     return Surface(
         powers=powers,
         coefficients=coefficients,
@@ -290,13 +295,13 @@ def surface_of(
         logarithm=_logarithmic(ratio, variance, places, powers),
         relative=relative * unsure,
         level=level,
-        left_out=left_out,
+        cross_validation=cross_validation,
         excess=0.0 if fits else excess,
     )
 
 
 def noise_of(shots: Complex, instrument: Covariance, places: Places) -> Covariance:
-    """Return how shots scatter about the means of their directions."""
+    """Return the covariance of shots about the means of their directions."""
     mean = places.mean_of(shots)[places.group]
     relative = relative_fluctuation(
         shots, mean, instrument, freedom=len(shots) - len(places.size)
@@ -305,15 +310,15 @@ def noise_of(shots: Complex, instrument: Covariance, places: Places) -> Covarian
 
 
 def _is_saturated(design: Floats, gain: Floats, places: Places) -> bool:
-    """Return whether a direction decides alone what the polynomial is there."""
+    """Return whether the polynomial passes exactly through one of the directions."""
     leverage = places.sum_of(np.einsum("ij,ji->i", design, gain))
     return bool(1 - leverage.max() <= _ALONE) and len(places.size) > 1
 
 
-def _left_out(
+def _cross_validation(
     rest: Complex, variance: Floats, design: Floats, gain: Floats, places: Places
 ) -> tuple[float, float]:
-    """Return how far directions are off a surface through all the others, and off it.
+    """Return the error at directions left out of the fit, and the excess of residuals.
 
     Shots of one direction have one weight, so that leaving them out divides the rest of
     their mean by one less their leverage.
@@ -332,19 +337,19 @@ def _left_out(
 def _logarithmic(
     ratio: Complex, variance: Floats, places: Places, powers: NDArray[np.intp]
 ) -> tuple[Complex, complex] | None:
-    """Return the polynomial of the logarithms, and what they are relative to."""
+    """Fit a polynomial to the logarithms; None where a logarithm is undefined."""
     if len(places.distinct) < max(2, len(powers)):
         return None
-    found = logarithms(ratio, variance, places.group)
-    if found is None:
+    means = logarithms(ratio, variance, places.group)
+    if means is None:
         return None
     design = design_of(places.distinct, powers)
-    coefficients = np.linalg.lstsq(design, found[0], rcond=None)[0]
-    return np.asarray(coefficients, dtype=np.complex128), found[1]
+    coefficients = np.linalg.lstsq(design, means[0], rcond=None)[0]
+    return np.asarray(coefficients, dtype=np.complex128), means[1]
 
 
 def _choose_degree(shots: Complex, places: Places, weight: Floats) -> tuple[int, bool]:
-    """Return the degree, and whether its misfit may be chance."""
+    """Choose the degree by an F test; return also whether its misfit may be chance."""
     from scipy.special import fdtrc
 
     group, groups = places.group, len(places.size)
@@ -380,21 +385,21 @@ def noiseless(
     model: tuple[Complex, Complex] | None = None,
     degrees: list[int] | None = None,
 ) -> Complex:
-    """Return what a polynomial makes of shots without noise."""
+    """Interpolate shots without noise to the pixels, by a polynomial."""
     scaled = places_of(shot_direction).scaled(pixel_direction)
-    found = np.empty((len(signal), len(pixel_direction)), dtype=complex)
-    for k, own in enumerate(signal):
-        at_shots = np.ones(len(own)) if model is None else model[0][k]
+    result = np.empty((len(signal), len(pixel_direction)), dtype=complex)
+    for k, values in enumerate(signal):
+        at_shots = np.ones(len(values)) if model is None else model[0][k]
         degree = HIGHEST_DEGREE if degrees is None else degrees[k]
         design, powers = _polynomials(repeats, shot_direction, degree)
-        coefficients = _gain(design, np.abs(at_shots)) @ (own / at_shots)
-        found[k] = design_of(scaled, powers) @ coefficients
+        coefficients = _gain(design, np.abs(at_shots)) @ (values / at_shots)
+        result[k] = design_of(scaled, powers) @ coefficients
         if model is not None:
-            found[k] *= model[1][k]
-    return found
+            result[k] *= model[1][k]
+    return result
 
 
-def missed(
+def cross_validation_errors(
     signal: Complex,
     repeats: int,
     direction: Floats,
@@ -402,13 +407,13 @@ def missed(
     model: Complex | None = None,
     degrees: list[int] | None = None,
 ) -> Floats:
-    """Return how far such a polynomial is off the directions that it leaves out."""
+    """Return the error of the polynomial at each direction that is left out in turn."""
     if len(direction) == 1:
         return np.zeros(signal.shape)
     off = np.empty(signal.shape)
-    for k, own in enumerate(signal):
-        at_shots = np.ones(len(own)) if model is None else model[k]
-        ratio = own / at_shots
+    for k, values in enumerate(signal):
+        at_shots = np.ones(len(values)) if model is None else model[k]
+        ratio = values / at_shots
         degree = HIGHEST_DEGREE if degrees is None else degrees[k]
         while True:
             design, _ = _polynomials(repeats, direction, degree)
@@ -429,15 +434,15 @@ def expected_degrees(
     *,
     model: Complex | None = None,
 ) -> list[int]:
-    """Return the degree of the polynomial that a fit of such shots would choose."""
+    """Return the degree that a fit of such shots would choose, at each frequency."""
     from scipy.special import fdtri
 
     count = len(direction)
     highest = places_of(direction).highest(repeats * count)
     chosen = []
-    for k, own in enumerate(signal):
+    for k, values in enumerate(signal):
         at_shots = np.ones(count) if model is None else model[k]
-        ratio, weight = own / at_shots, np.abs(at_shots) / error[k]
+        ratio, weight = values / at_shots, np.abs(at_shots) / error[k]
         degree = 0
         while degree < highest:
             design, powers = _polynomials(repeats, direction, degree)
@@ -457,13 +462,13 @@ def expected_degrees(
 def _polynomials(
     repeats: int, direction: Floats, degree: int
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the monomials up to some degree at directions, and their powers."""
+    """Return the monomials up to a degree at directions, and their exponents."""
     places = places_of(direction)
     powers = places.up_to(min(degree, places.highest(repeats * len(direction))))
     return design_of(places.where, powers), powers
 
 
 def _gain(design: Floats, weight: Floats) -> Floats:
-    """Return what least squares with weights makes of values, (terms, n)."""
+    """Return the matrix of weighted least squares, (terms, n)."""
     gain = np.linalg.pinv(design * weight[:, None]) * weight
     return np.asarray(gain, dtype=float)
