@@ -118,7 +118,7 @@ def test_spoiled_samples_cost_no_trust(scene: str) -> None:
     plain = run(["flat"], ["joint, no shots"], [16])[0].score
     # Three or four per cent of the samples are gone; spikes take one per cent of the
     # precision, particles, which pull what all pixels share, sixteen.
-    assert row.score.stated < 1.2 * plain.stated
+    assert row.score.uncertainty < 1.2 * plain.uncertainty
 
 
 @pytest.mark.slow

@@ -373,7 +373,7 @@ def test_water_of_the_papers_form_is_put_back_by_that_form() -> None:
         assert row.score.trusted > 0.95, row
         assert row.score.inside_95 > 0.92, row
         assert row.score.worst < 4.2, row
-        assert row.score.stated < 0.15, row
+        assert row.score.uncertainty < 0.15, row
 
 
 @pytest.mark.slow

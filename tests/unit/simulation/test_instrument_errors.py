@@ -117,7 +117,7 @@ def test_crosstalk_of_the_scan_alone_is_the_leakage_of_the_trust_study() -> None
     scan, shots = instrument.leakage(0.03)(recorded)
     stray = {"amplitude": list(0.03 * recorded.echo[:, 0]), "part": "scan",
              "phase": 2 * np.pi * 0.13}  # fmt: skip
-    stated = recorded.made.with_({"instrument.errors": {"crosstalk": stray}})
+    stated = recorded.survey.with_({"instrument.errors": {"crosstalk": stray}})
     cube = simulate(stated, rng=1)
     assert_allclose(outputs(cube), scan, rtol=1e-9)
     assert_allclose(
@@ -140,7 +140,7 @@ def test_effects_are_those_of_the_trust_study(effect: Any, errors: Any) -> None:
     recorded = Recorded(1, 1)
     expected, _ = effect(recorded)
     stated = errors(float(recorded.echo[0, 0]))
-    cube = simulate(recorded.made.with_({"instrument.errors": stated}), rng=1)
+    cube = simulate(recorded.survey.with_({"instrument.errors": stated}), rng=1)
     off = outputs(cube) - expected
     # The table of water light has other nodes where the harmonic is computed, too.
     assert np.abs(off).max() < 1e-6 * np.abs(expected).max()

@@ -1,4 +1,4 @@
-"""The trust study: scenes with a known surface, every method, and who may be believed.
+"""Trust study: reliability of all rejection methods on scenes with known surfaces.
 
 A pixel is trusted if its flags are zero in the target signal and in the range image.
 The study counts what trusted pixels are worth: how many there are, how often their

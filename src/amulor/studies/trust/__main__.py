@@ -1,4 +1,4 @@
-"""`python -m amulor.studies.trust`: runs the trust study and prints its table."""
+"""Command line of the trust study, `python -m amulor.studies.trust`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from amulor.studies.trust.table import Row, counts, line, text, written
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the study as the command line says."""
+    """Run the study with command-line arguments."""
     parser = argparse.ArgumentParser(prog="amulor.studies.trust", description=__doc__)
     parser.add_argument("--scenes", choices=list(GROUPS), default="default")
     names = list(BY_NAME)

@@ -1,4 +1,4 @@
-"""One scan whose surface is known, as a user would hand it to a rejection method."""
+"""Test case of the trust study: a scan with a known surface, as users have it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Samples, what the user knows, and the truth, which comes from the scene alone."""
+    """Samples of a test scan, the user's inputs, and the true slant ranges."""
 
     samples: xr.Dataset
     """Level `samples`, with the survey that the user believes in."""
@@ -24,12 +24,12 @@ class Case:
     """Slant range of the surfaces that each beam meets, shape (surfaces, row, column),
     not a number where there is none [m]."""
     late: Floats
-    """How much later than from the surface the echo alone arrives, shape (row, column),
-    as a slant range, weighted over the frequencies as equal noise does [m]."""
+    """Delay of the echo after the surface, shape (row, column), as a slant range; mean
+    weighted as by equal noise at all frequencies [m]."""
     interval: tuple[float, float] | None
     """Nearest and farthest slant range that the user states [m]."""
     judged: NDArray[np.bool_]
-    """Pixels that count, shape (row, column)."""
+    """Pixels that are evaluated, shape (row, column)."""
 
 
 def case_of(
@@ -40,7 +40,7 @@ def case_of(
     surfaces: Floats | None = None,
     judged: NDArray[np.bool_] | None = None,
 ) -> Case:
-    """Return the case of a simulated cube."""
+    """Return the test case of a simulated cube."""
     truth = samples.amulor.truth
     if surfaces is None:
         surfaces = truth["slant_range"].values[None]
@@ -61,14 +61,14 @@ def lateness(
     modulation_frequency: Floats,
     group_index: float,
 ) -> Floats:
-    r"""Return how much later than from the surface an echo arrives."""
+    r"""Return the delay of an echo after the surface, as a slant range [m]."""
     frequency = modulation_frequency.reshape(-1, *[1] * optical_path.ndim)
     turn = np.exp(-2j * np.pi * frequency * optical_path / speed_of_light)
     phase = np.angle(echo * turn)
-    each = phase * speed_of_light / (4 * np.pi * frequency * group_index)
+    delays = phase * speed_of_light / (4 * np.pi * frequency * group_index)
     weight = frequency**2 * np.abs(echo) ** 2
     total = weight.sum(axis=0)
     mean: Floats = np.divide(
-        (weight * each).sum(axis=0), total, out=np.zeros(total.shape), where=total > 0
+        (weight * delays).sum(axis=0), total, out=np.zeros(total.shape), where=total > 0
     )
     return mean

@@ -1,4 +1,4 @@
-"""The rejection methods as a user calls them, up to the range image."""
+"""Rejection methods of the trust study, run as by a user up to the range image."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ METHODS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a method made of a case: the two files that a user has, or a refusal."""
+    """Result of a method on a case: target signal and range image, or the refusal."""
 
     target: xr.Dataset | None
     """Target signal."""
     image: xr.Dataset | None
     """Range image of its first channel."""
     note: str
-    """Method that `auto` took, or why there is no image."""
+    """Method that `auto` chose, or the reason without an image."""
 
 
 def outcome(method: str, case: Case) -> Outcome:
-    """Run a method and make the range image."""
+    """Run a method on a case and make the range image."""
     try:
         name, options = VARIANTS.get(method, (method, {}))
         target = rejection.reject(

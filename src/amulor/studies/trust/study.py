@@ -1,4 +1,4 @@
-"""Runs scenes, methods and numbers of frequencies against each other."""
+"""Runs of the trust study over scenes, methods and numbers of frequencies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def run(
     seed: int = 1,
     done: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Run the study, or a part of it."""
+    """Run the trust study, or a part of it."""
     rows = []
     for row in _rows(
         [scene.name for scene in SCENES] if scenes is None else scenes,
@@ -35,14 +35,14 @@ def _rows(
     scenes: Sequence[str], methods: Sequence[str], counts: Sequence[int] | None,
     seed: int,
 ) -> Iterator[Row]:  # fmt: skip
-    for kind, names, known in (
+    for kind, names, available in (
         ("scene", scenes, BY_NAME),
         ("method", methods, METHODS),
     ):
-        unknown = [name for name in names if name not in known]
+        unknown = [name for name in names if name not in available]
         if unknown:
             raise ValueError(
-                f"there is no {kind} {unknown[0]!r}; there are {', '.join(known)}"
+                f"there is no {kind} {unknown[0]!r}; there are {', '.join(available)}"
             )
     for name in scenes:
         scene = BY_NAME[name]

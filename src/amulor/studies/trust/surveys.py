@@ -1,4 +1,4 @@
-"""The survey files of the trust study: one instrument, many waters and targets."""
+"""Surveys of the trust study: one instrument, many waters and targets."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ _UNITS = {
 def plate(
     distance: float, *, lean: float = 0.0, reflectance: float = 0.1, size: float = 2.0
 ) -> str:
-    """Return a plate, turned about its upright axis by `lean` degrees, as TOML [m]."""
+    """Return a plate, rotated about its upright axis by `lean` degrees, as TOML [m]."""
     return (
         f'[[targets]]\nkind = "plate"\nposition = ["0 m", "0 m", "{distance} m"]\n'
         f'rotation = ["0 deg", "{lean} deg", "0 deg"]\nwidth = "{size} m"\n'
@@ -102,7 +102,7 @@ def plate(
 
 
 def stairs(distance: float, *, reflectance: float, tread: float = 0.03) -> str:
-    """Return a staircase of five treads as TOML [m]."""
+    """Return a staircase of five treads, as TOML [m]."""
     return (
         f'[[targets]]\nkind = "staircase"\n'
         f'position = ["0 m", "0 m", "{distance} m"]\ntread_width = "{tread} m"\n'
@@ -119,7 +119,7 @@ def survey(
     pairs: tuple[str, ...] = ("VV", "VH"),
     **others: Any,
 ) -> Survey:
-    """Return the survey of a scan of 24 x 16 pixels."""
+    """Return the survey of a scan, of 24 x 16 pixels by default."""
     properties = WATERS[water] if isinstance(water, str) else water
     chosen = FREQUENCIES[count] if frequencies is None else frequencies
     lines = [
@@ -152,8 +152,8 @@ def survey(
 
 
 def scaled(water: str, factor: float) -> dict[str, float]:
-    """Return a water with a and b times a factor."""
-    found = dict(WATERS[water])
+    """Return a water with absorption and scattering times a factor."""
+    coefficients = dict(WATERS[water])
     for name in ("absorption", "scattering"):
-        found[name] *= factor
-    return found
+        coefficients[name] *= factor
+    return coefficients

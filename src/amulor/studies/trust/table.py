@@ -1,4 +1,4 @@
-"""Counts what the pixels that a user would believe are worth."""
+"""Scores of the trust study: errors of trusted pixels, and their table."""
 
 from __future__ import annotations
 
@@ -22,44 +22,45 @@ FAR = 3.5
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Figures of one method on one case; not a number where no pixel is trusted."""
+    """Scores of one method on one case; NaN where no pixel is trusted."""
 
     pixels: int
-    """Judged pixels that see a surface."""
+    """Number of judged pixels with a surface."""
     empty: int
-    """Judged pixels that see none."""
+    """Number of judged pixels without a surface."""
     trusted: float
-    """Fraction of the former that is trusted [1]."""
+    """Fraction of the pixels with a surface that is trusted [1]."""
     phantoms: float
-    """Fraction of the latter that is trusted [1]."""
+    """Fraction of the pixels without a surface that is trusted [1]."""
     inside_68: float
-    """Fraction of the trusted whose 68 % interval holds the surface [1]."""
+    """Fraction of trusted pixels whose 68 % interval contains the surface [1]."""
     inside_95: float
-    """Fraction of the trusted whose 95 % interval does [1]."""
+    """Fraction of trusted pixels whose 95 % interval contains the surface [1]."""
     echo_95: float
-    """Fraction of the trusted whose 95 % interval holds the range of the echo [1]."""
+    """Fraction of trusted pixels whose 95 % interval contains the range of the echo
+    [1]."""
     worst: float
-    """Largest error over its standard uncertainty [1]."""
+    """Largest error of a trusted pixel over its standard uncertainty [1]."""
     far: float
-    """Fraction of the trusted beyond 3.5 standard uncertainties [1]."""
+    """Fraction of trusted pixels with errors beyond 3.5 standard uncertainties [1]."""
     rms: float
-    """Root mean square error of the trusted against the surface [m]."""
-    stated: float
-    """Median standard uncertainty of the trusted [m]."""
+    """Root-mean-square error of the trusted pixels [m]."""
+    uncertainty: float
+    """Median standard uncertainty of the trusted pixels [m]."""
     note: str
-    """Method that `auto` took, or why there is no image."""
+    """Method that `auto` chose, or the reason without an image."""
     mean: float = math.nan
-    """Mean error of the trusted against the surface [m]."""
+    """Mean error of the trusted pixels [m]."""
 
 
 def score(case: Case, outcome: Outcome) -> Score:
-    """Judge an outcome by the truth."""
+    """Score the outcome of a method against the true surfaces."""
     met = np.isfinite(case.surfaces).any(axis=0) & case.judged
     empty = ~np.isfinite(case.surfaces).any(axis=0) & case.judged
     trusted = _trusted(outcome, met.shape)
     good = trusted & met
     nan = math.nan
-    found = Score(
+    result = Score(
         pixels=int(met.sum()),
         empty=int(empty.sum()),
         trusted=_mean(trusted[met]),
@@ -70,11 +71,11 @@ def score(case: Case, outcome: Outcome) -> Score:
         worst=nan,
         far=nan,
         rms=nan,
-        stated=nan,
+        uncertainty=nan,
         note=outcome.note,
     )
     if outcome.image is None or not good.any():
-        return found
+        return result
     distance = outcome.image["slant_range"].values
     if "slant_range_bias" in outcome.image:
         distance = distance - outcome.image["slant_range_bias"].values
@@ -83,14 +84,14 @@ def score(case: Case, outcome: Outcome) -> Score:
     echo = _nearest(distance - case.surfaces - case.late)[good]
     off = np.abs(error) / sigma
     return replace(
-        found,
+        result,
         inside_68=_mean(off < ONE),
         inside_95=_mean(off < TWO),
         echo_95=_mean(np.abs(echo) / sigma < TWO),
         worst=float(off.max()),
         far=_mean(off > FAR),
         rms=float(np.sqrt(np.mean(error**2))),
-        stated=float(np.median(sigma)),
+        uncertainty=float(np.median(sigma)),
         mean=float(error.mean()),
     )
 
@@ -103,7 +104,7 @@ def _trusted(outcome: Outcome, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def _nearest(error: Floats) -> Floats:
-    """Return the error of the surface that is nearest, shape (row, column)."""
+    """Return the error relative to the closest surface, shape (row, column)."""
     size = np.where(np.isfinite(error), np.abs(error), np.inf)
     chosen = size.argmin(axis=0)
     nearest: Floats = np.take_along_axis(error, chosen[None], axis=0)[0]
@@ -135,7 +136,7 @@ _FAR = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Written:
-    """A row as it stands in a table, its figures not numbers where there are none."""
+    """One row read from a table; NaN where it has no figure."""
 
     scene: str
     """Name of the scene."""
@@ -144,9 +145,9 @@ class Written:
     trusted: float
     """Pixels with a surface that are trusted [%]."""
     inside: float
-    """Of these, in their 95 % interval [%]."""
+    """Trusted pixels whose 95 % interval contains the surface [%]."""
     far: float
-    """Of these, beyond 3.5 standard uncertainties [%]."""
+    """Trusted pixels with errors beyond 3.5 standard uncertainties [%]."""
     phantom: float
     """Pixels without a surface that are trusted [%]."""
     refused: bool
@@ -154,7 +155,7 @@ class Written:
 
 
 def written(text: str) -> Iterator[Written]:
-    """Yield the rows of a table."""
+    """Yield the rows that are read from the text of a table."""
     lines = iter(text.splitlines())
     if not any(line.startswith("scene ") for line in lines):
         raise ValueError("there is no table of the study; it begins with 'scene'")
@@ -177,20 +178,20 @@ def written(text: str) -> Iterator[Written]:
 
 
 def counts(rows: Iterable[Written]) -> str:
-    """Return how many rows have what is asked, as a table in Markdown."""
-    known = [row for row in rows if not row.refused and row.scene not in _APART]
+    """Return how many rows meet each requirement, as a table in Markdown."""
+    accepted = [row for row in rows if not row.refused and row.scene not in _APART]
     columns = []
     for name, methods in _GROUPS:
-        own = [row for row in known if row.method in methods]
-        seen = [row for row in own if not math.isnan(row.trusted)]
-        empty = [row for row in own if math.isnan(row.trusted)]
+        of_group = [row for row in accepted if row.method in methods]
+        with_surface = [row for row in of_group if not math.isnan(row.trusted)]
+        empty = [row for row in of_group if math.isnan(row.trusted)]
         columns.append(
             (
                 name,
-                len(seen),
-                sum(row.trusted >= _TRUSTED for row in seen),
-                sum(row.inside >= _INSIDE for row in seen),
-                sum(row.far <= _FAR for row in seen),
+                len(with_surface),
+                sum(row.trusted >= _TRUSTED for row in with_surface),
+                sum(row.inside >= _INSIDE for row in with_surface),
+                sum(row.far <= _FAR for row in with_surface),
                 len(empty),
                 sum(row.phantom > 0 for row in empty),
             )
@@ -213,7 +214,7 @@ def counts(rows: Iterable[Written]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One method on one scene with one number of frequencies."""
+    """Scores of one method on one scene with one number of frequencies."""
 
     scene: str
     """Name of the scene."""
@@ -222,7 +223,7 @@ class Row:
     method: str
     """Name of the method."""
     score: Score
-    """Its figures."""
+    """Scores of the method."""
 
 
 #: Where in a row the name of its scene ends, its count of frequencies, its method.
@@ -254,27 +255,27 @@ mean mm  mean error of the trusted against the surface
 
 
 def line(row: Row) -> str:
-    """Return one row as text."""
-    found = row.score
+    """Return one row of the table as text."""
+    figures = row.score
     cells = [
         _begin(row.scene, row.count, row.method),
-        f"{_percent(found.trusted):>6}",
-        f"{_percent(found.inside_68):>6}",
-        f"{_percent(found.inside_95):>6}",
-        f"{_percent(found.echo_95):>6}",
-        f"{_number(found.worst, '.1f'):>7}",
-        f"{_percent(found.far):>6}",
-        f"{_number(found.rms * 1e3, '.3f'):>9}",
-        f"{_number(found.stated * 1e3, '.3f'):>8}",
-        f"{_percent(found.phantoms):>7}",
-        f"{_number(found.mean * 1e3, '+.3f'):>9}",
+        f"{_percent(figures.trusted):>6}",
+        f"{_percent(figures.inside_68):>6}",
+        f"{_percent(figures.inside_95):>6}",
+        f"{_percent(figures.echo_95):>6}",
+        f"{_number(figures.worst, '.1f'):>7}",
+        f"{_percent(figures.far):>6}",
+        f"{_number(figures.rms * 1e3, '.3f'):>9}",
+        f"{_number(figures.uncertainty * 1e3, '.3f'):>8}",
+        f"{_percent(figures.phantoms):>7}",
+        f"{_number(figures.mean * 1e3, '+.3f'):>9}",
     ]
-    note = f"  {found.note[:60]}" if found.note else ""
+    note = f"  {figures.note[:60]}" if figures.note else ""
     return " ".join(cells) + note
 
 
 def text(rows: Iterable[Row]) -> str:
-    """Return the whole table."""
+    """Return the whole table as text."""
     return "\n".join([LEGEND, _HEADER, *(line(row) for row in rows), ""])
 
 

@@ -15,7 +15,7 @@ def _row(scene: str, method: str, **figures: float | str) -> Row:
     usual: dict[str, float | str] = dict.fromkeys(
         ("phantoms", "inside_68", "inside_95", "echo_95", "worst", "far"), math.nan
     )
-    usual |= {"trusted": 1.0, "rms": 1e-3, "stated": 1e-3, "note": ""}
+    usual |= {"trusted": 1.0, "rms": 1e-3, "uncertainty": 1e-3, "note": ""}
     return Row(
         scene=scene,
         count=16,

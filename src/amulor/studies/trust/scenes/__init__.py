@@ -1,1 +1,1 @@
-"""The scenes of the trust study: what can go wrong, one kind a file."""
+"""Scenes of the trust study, one file for each kind of difficulty."""

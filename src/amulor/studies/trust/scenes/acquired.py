@@ -1,4 +1,4 @@
-"""Scenes that the simulated bench acquires sample by sample, through the journal."""
+"""Scenes that the simulated bench acquires sample by sample, with a journal."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ _DISTANCE, _LEAN = 2.6, 20.0
 
 
 class _BrokenOff:
-    """Ends a scan when a number of samples is taken."""
+    """Control that interrupts a scan after a number of samples."""
 
     def __init__(self, samples: int) -> None:
-        self._left = samples
+        self._remaining = samples
 
     def pause_wanted(self) -> bool:
-        self._left -= 1
-        return self._left == 0
+        self._remaining -= 1
+        return self._remaining == 0
 
     def go_on(self) -> bool:
         return False
 
 
 def plate_scanned(count: int, seed: int, *, broken: bool = False) -> Case:
-    """Return a leaning plate as the bench's lock-in and stages saw it."""
-    made = survey(count, plate(_DISTANCE, lean=_LEAN))
+    """Acquire a tilted plate with the simulated bench, interrupted on request."""
+    planned = survey(count, plate(_DISTANCE, lean=_LEAN))
     content = {
         "procedure": {"dark_readings": 2, "position_tolerance": "1 mrad"},
         "simulation": {"position_error": "2e-5 rad", "seed": seed},
@@ -44,13 +44,13 @@ def plate_scanned(count: int, seed: int, *, broken: bool = False) -> Case:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "scan"
         if broken:
-            half = made.scan.rows * made.scan.columns * count
+            half = planned.scan.rows * planned.scan.columns * count
             acquisition.acquire(
-                made, folder, settings=settings, scene=scene_light,
+                planned, folder, settings=settings, scene=scene_light,
                 control=_BrokenOff(half),
             )  # fmt: skip
         acquisition.acquire(
-            made, folder, settings=settings, scene=scene_light, resume=broken
+            planned, folder, settings=settings, scene=scene_light, resume=broken
         )
         with Journal.read(folder) as journal:
             samples = acquisition.build(journal)

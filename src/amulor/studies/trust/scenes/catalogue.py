@@ -1,4 +1,4 @@
-"""All scenes by name, with what each one asks."""
+"""List of all scenes of the trust study, with name and description."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class Scene:
     """A scene of the study."""
 
     name: str
-    """Short, for the table."""
+    """Short name, for the table."""
     title: str
-    """What is seen, and what is wrong with it."""
+    """Description of the scene and of its difficulty."""
     make: Maker
-    """Makes the case."""
+    """Function that makes the test case."""
     counts: tuple[int, ...] = (1, 2, 4, 16)
-    """Numbers of frequencies with which it is run."""
+    """Numbers of modulation frequencies for which it is run."""
 
 
 #: Histories for each distance by phase function and reflectance, where 400,000 are too

@@ -1,4 +1,4 @@
-"""Scenes with one effect of a real instrument, added to simulated samples.
+"""Scenes with one instrument error, added to simulated samples.
 
 The effects are written here in their simplest form, on lock-in outputs, and share no
 code with the `[instrument.errors]` of the simulation: each judges the other.
@@ -33,14 +33,14 @@ _SHOTS = "open_water_"
 
 
 class Recorded:
-    """Samples of a scan and its open-water shots, with the light behind them."""
+    """Simulated samples and open-water shots, to which instrument errors are added."""
 
     def __init__(self, count: int, seed: int) -> None:
         self.count, self.seed = count, seed
-        self.made = survey(count, _TARGET)
-        cube = simulate(self.made, rng=seed)
+        self.survey = survey(count, _TARGET)
+        cube = simulate(self.survey, rng=seed)
         # Half of the repeats in each direction are recorded after the scan.
-        repeats = self.made.scan.open_water.repeats  # type: ignore[union-attr]
+        repeats = self.survey.scan.open_water.repeats  # type: ignore[union-attr]
         order = np.arange(cube.sizes["shot"]).reshape(-1, repeats)
         first, second = order[:, : repeats // 2].ravel(), order[:, repeats // 2 :]
         self.cube = cube.isel(shot=np.concatenate([first, second.ravel()]))
@@ -57,7 +57,7 @@ class Recorded:
 
     @property
     def echo(self) -> Floats:
-        """Median echo in the first channel, shape (frequency, 1) [V]."""
+        """Median target amplitude in the first channel, shape (frequency, 1) [V]."""
         size: Floats = np.median(np.abs(self.truth("target")[:, :1]), axis=(2, 3))
         return size
 
@@ -73,7 +73,7 @@ def nothing(recorded: Recorded) -> tuple[Complex, Complex]:
 
 
 def leakage(size: float, *, delay: float | None = None) -> Effect:
-    """Leakage of the modulation past the light, the same in both channels.
+    """Leakage of the modulation without light, equal in both channels.
 
     Its size is a fraction of the median echo of the first channel.
     Without a delay it has one phase, 0.13 of a turn, and only the scan has it; with a
@@ -90,7 +90,7 @@ def leakage(size: float, *, delay: float | None = None) -> Effect:
 
 
 def walk(degrees: float) -> Effect:
-    """Phase that grows with the logarithm of the amplitude [degrees a decade]."""
+    """Phase error in proportion to the log of the amplitude [degrees a decade]."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         def walked(signal: Complex) -> Complex:
@@ -104,15 +104,15 @@ def walk(degrees: float) -> Effect:
 
 
 def aliased_harmonic(size: float) -> Effect:
-    """Third harmonic of the light, which four samples a period take for the first."""
+    """Third harmonic of the light, aliased to the first by four samples a period."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         triple = tuple(3 * value for value in FREQUENCIES[recorded.count])
-        made = survey(recorded.count, _TARGET, frequencies=triple)
-        cube = simulate(made, rng=recorded.seed)
+        planned = survey(recorded.count, _TARGET, frequencies=triple)
+        cube = simulate(planned, rng=recorded.seed)
         light = _outputs(cube, "truth_target_") + _outputs(cube, "truth_water_")
         # Shots of one direction differ by chance only: their mean has no noise.
-        repeats = made.scan.open_water.repeats  # type: ignore[union-attr]
+        repeats = planned.scan.open_water.repeats  # type: ignore[union-attr]
         shots = _outputs(cube, _SHOTS)
         mean = shots.reshape(*shots.shape[:2], -1, repeats).mean(axis=-1)
         half = np.repeat(mean, repeats // 2, axis=-1)
@@ -125,7 +125,7 @@ def aliased_harmonic(size: float) -> Effect:
 
 
 def turbid_layer(thickness: float, *, factor: float = 2.0) -> Effect:
-    """Water that scatters more before the target, which no shot sees [m]."""
+    """More turbid layer in front of the target, absent from the shots [m]."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         near = plate(_DISTANCE - thickness, lean=_LEAN)
@@ -137,19 +137,19 @@ def turbid_layer(thickness: float, *, factor: float = 2.0) -> Effect:
 
 
 def drift(*, degrees: float = 0.0, delay: float = 0.0) -> Effect:
-    """Phase [degrees] or delay [s] that grows evenly from first to last sample."""
+    """Phase [degrees] or delay [s] that drifts evenly from first to last sample."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
-        whole = np.radians(degrees) + 2 * np.pi * recorded.frequency * delay
-        turn = whole[:, None, None, None] * recorded.scan_time
-        late = whole[:, None, None] * recorded.late_shots
+        phase = np.radians(degrees) + 2 * np.pi * recorded.frequency * delay
+        turn = phase[:, None, None, None] * recorded.scan_time
+        late = phase[:, None, None] * recorded.late_shots
         return recorded.scan * np.exp(1j * turn), recorded.shots * np.exp(1j * late)
 
     return effect
 
 
 def compression(fraction: float) -> Effect:
-    """Gain that falls in proportion to the amplitude, by a fraction at the echo's."""
+    """Gain that falls linearly with the amplitude, by a fraction at the median echo."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         def pressed(signal: Complex) -> Complex:
@@ -163,7 +163,7 @@ def compression(fraction: float) -> Effect:
 
 
 def scale_change(degrees: float) -> Effect:
-    """Phase step where the amplitude is above the median of the scan [degrees]."""
+    """Phase step at amplitudes above the median of the scan [degrees]."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         limit = np.median(np.abs(recorded.scan), axis=(2, 3))
@@ -181,7 +181,7 @@ def scale_change(degrees: float) -> Effect:
 def with_effect(
     count: int, seed: int, *, effect: Effect, calibrated: bool = True
 ) -> Case:
-    """Return the leaning plate at 2.6 m with an effect in its samples."""
+    """Return the tilted plate at 2.6 m with an instrument error in its samples."""
     recorded = Recorded(count, seed)
     scan, shots = effect(recorded)
     case = case_of(

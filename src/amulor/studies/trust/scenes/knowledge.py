@@ -1,4 +1,4 @@
-"""Scenes whose survey is wrong: water, geometry and index other than believed."""
+"""Scenes with a wrong survey: false water, geometry or group index."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TARGET = plate(2.6, lean=20)
 
 
 def believing(samples: xr.Dataset, believed: Survey) -> xr.Dataset:
-    """Return a cube that says it was measured as another survey has it."""
+    """Return a cube with another survey as its stated one."""
     geometry = samples["geometry"].copy()
     geometry.attrs |= geometry_attributes(believed)
     return samples.assign_coords(geometry=geometry).assign_attrs(
@@ -35,22 +35,22 @@ def _wrong(count: int, seed: int, **believed: Any) -> Case:
 
 
 def wrong_turbidity(count: int, seed: int, *, factor: float) -> Case:
-    """Return a plate in water whose a and b the survey has too large by a factor."""
+    """Return a plate whose survey overstates absorption and scattering by a factor."""
     return _wrong(count, seed, water=scaled("tank", factor))
 
 
 def wrong_baseline(count: int, seed: int, *, by: float = 0.5) -> Case:
-    """Return a plate seen by a receiver that stands so many centimetres elsewhere."""
+    """Return a plate whose survey misstates the receiver position by centimeters."""
     return _wrong(count, seed, baseline=20 + by)
 
 
 def wrong_axis(count: int, seed: int, *, by: float = 1.0) -> Case:
-    """Return a plate seen by a receiver that points so many degrees elsewhere."""
+    """Return a plate whose survey misstates the receiver azimuth by `by` degrees."""
     return _wrong(count, seed, azimuth=-4.0 + by)
 
 
 def wrong_index(count: int, seed: int, *, by: float = 0.002) -> Case:
-    """Return a plate in water whose group index the survey has too large."""
+    """Return a plate whose survey overstates the group index of the water."""
     return _wrong(count, seed, group_index=1.38 + by)
 
 
@@ -64,8 +64,10 @@ _CALIBRATION = {
 
 
 def calibrated(count: int, seed: int, *, make: Callable[[int, int], Case]) -> Case:
-    """Return another case whose survey states how well the instrument is known."""
+    """Return another case, with uncertainties of the instrument in its survey."""
     case = make(count, seed)
     believed = case.samples.amulor.survey
-    stated = believed.with_({"calibration": _CALIBRATION})
-    return replace(case, samples=case.samples.assign_attrs(survey=stated.to_toml()))
+    with_calibration = believed.with_({"calibration": _CALIBRATION})
+    return replace(
+        case, samples=case.samples.assign_attrs(survey=with_calibration.to_toml())
+    )

@@ -1,4 +1,4 @@
-"""Scenes whose light follows a forward model: scans, targets, waters of all kinds."""
+"""Scenes simulated by a forward model: scans, targets and waters of many kinds."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ from amulor.studies.trust.surveys import plate, stairs, survey
 
 
 def around(distance: float) -> tuple[float, float]:
-    """Return an interval that a user states who knows the target to 0.9 m [m]."""
+    """Return the interval from 0.9 m before to 0.9 m behind a distance [m]."""
     return max(0.3, distance - 0.9), distance + 0.9
 
 
 def flat(count: int, seed: int) -> Case:
-    """Return a plate at 2.6 m that leans by 20 degrees: the model is right."""
-    made = survey(count, plate(2.6, lean=20))
-    return case_of(simulate(made, rng=seed), interval=around(2.6))
+    """Return a plate at 2.6 m, tilted by 20 degrees, with a correct survey."""
+    planned = survey(count, plate(2.6, lean=20))
+    return case_of(simulate(planned, rng=seed), interval=around(2.6))
 
 
 def sloped(count: int, seed: int, *, lean: float) -> Case:
-    """Return a plate that leans by so many degrees."""
-    made = survey(count, plate(2.6, lean=lean, size=3))
-    return case_of(simulate(made, rng=seed), interval=around(2.6))
+    """Return a plate at 2.6 m, tilted by `lean` degrees."""
+    planned = survey(count, plate(2.6, lean=lean, size=3))
+    return case_of(simulate(planned, rng=seed), interval=around(2.6))
 
 
 def dark(count: int, seed: int) -> Case:
-    """Return a plate of one per cent at 2.6 m."""
-    made = survey(count, plate(2.6, lean=20, reflectance=0.01))
-    return case_of(simulate(made, rng=seed), interval=around(2.6))
+    """Return a plate at 2.6 m with a reflectance of 1 %."""
+    planned = survey(count, plate(2.6, lean=20, reflectance=0.01))
+    return case_of(simulate(planned, rng=seed), interval=around(2.6))
 
 
 def far(count: int, seed: int) -> Case:
     """Return a plate beyond the ambiguity interval of 50 MHz, no interval stated."""
-    made = survey(count, plate(3.0, lean=10))
-    return case_of(simulate(made, rng=seed), interval=None)
+    planned = survey(count, plate(3.0, lean=10))
+    return case_of(simulate(planned, rng=seed), interval=None)
 
 
 def far_two(count: int, seed: int) -> Case:
-    """Return a plate at 6.2 m in clear water, seen at 20 and 80 MHz: 5.43 m repeat."""
-    made = survey(
+    """Return a plate at 6.2 m, beyond the 5.43 m that 20 and 80 MHz determine."""
+    planned = survey(
         count,
         plate(6.2, lean=10, reflectance=0.3, size=4),
         water={
@@ -60,12 +60,12 @@ def far_two(count: int, seed: int) -> Case:
         },
         azimuth=-1.8,
     )
-    return case_of(simulate(made, rng=seed), interval=None)
+    return case_of(simulate(planned, rng=seed), interval=None)
 
 
 def tall(count: int, seed: int) -> Case:
-    """Return a tall scan, 9 x 19 degrees, with the 9 x 3 shots of the default."""
-    made = survey(
+    """Return a plate scanned over 9 x 19 degrees, with 9 x 3 open-water shots."""
+    planned = survey(
         count,
         plate(2.6, size=0.8, reflectance=0.3),
         frequencies=(10e6, 50e6) if count == 2 else None,
@@ -74,46 +74,46 @@ def tall(count: int, seed: int) -> Case:
         columns=16,
         rows=32,
     )
-    return case_of(simulate(made, rng=seed), interval=around(2.6))
+    return case_of(simulate(planned, rng=seed), interval=around(2.6))
 
 
 def wide(count: int, seed: int, *, model: SignalModel = DEFAULT_MODEL) -> Case:
-    """Return a wide scan, 19 x 4 degrees, with the 9 x 3 shots of the default."""
-    made = survey(count, plate(2.6, reflectance=0.2), wide=19, tall=4)
-    return case_of(simulate(made, rng=seed, model=model), interval=around(2.6))
+    """Return a plate scanned over 19 x 4 degrees, with 9 x 3 open-water shots."""
+    planned = survey(count, plate(2.6, reflectance=0.2), wide=19, tall=4)
+    return case_of(simulate(planned, rng=seed, model=model), interval=around(2.6))
 
 
 def wide_photons(count: int, seed: int) -> Case:
-    """Return the wide scan in light that was followed photon by photon."""
+    """Return the plate of the wide scan, with light from photon transport."""
     return wide(count, seed, model=PhotonModel(relative_error=0.01))
 
 
 def staircase(count: int, seed: int) -> Case:
-    """Return dim treads of 3 % in the water of the tank."""
-    made = survey(count, stairs(2.4, reflectance=0.03))
-    return case_of(simulate(made, rng=seed), interval=around(2.4))
+    """Return a staircase with a reflectance of 3 % in the water of the test tank."""
+    planned = survey(count, stairs(2.4, reflectance=0.03))
+    return case_of(simulate(planned, rng=seed), interval=around(2.4))
 
 
 def coastal(count: int, seed: int) -> Case:
-    """Return a plate in Petzold's coastal water, 1.4 attenuation lengths away."""
-    made = survey(count, plate(3.5, lean=15), water="coastal", azimuth=-3.3)
-    return case_of(simulate(made, rng=seed), interval=around(3.5))
+    """Return a plate in Petzold's coastal water, at 1.4 attenuation lengths."""
+    planned = survey(count, plate(3.5, lean=15), water="coastal", azimuth=-3.3)
+    return case_of(simulate(planned, rng=seed), interval=around(3.5))
 
 
 def harbour(count: int, seed: int) -> Case:
-    """Return a plate in Petzold's harbour water, 3.3 attenuation lengths away."""
-    made = survey(count, plate(1.5, lean=15), water="harbour", azimuth=-7)
-    return case_of(simulate(made, rng=seed), interval=around(1.5))
+    """Return a plate in Petzold's harbor water, at 3.3 attenuation lengths."""
+    planned = survey(count, plate(1.5, lean=15), water="harbour", azimuth=-7)
+    return case_of(simulate(planned, rng=seed), interval=around(1.5))
 
 
 def circular(count: int, seed: int) -> Case:
-    """Return the plate of the tank seen with circular light."""
-    made = survey(count, plate(2.6, lean=20), pairs=("RR", "RL"))
-    return case_of(simulate(made, rng=seed), interval=around(2.6))
+    """Return a plate in tank water, measured with circular polarization."""
+    planned = survey(count, plate(2.6, lean=20), pairs=("RR", "RL"))
+    return case_of(simulate(planned, rng=seed), interval=around(2.6))
 
 
 def empty(count: int, seed: int) -> Case:
-    """Return water without any target, and the right survey."""
+    """Return water without a target, with a correct survey."""
     return case_of(simulate(survey(count), rng=seed), interval=around(2.6))
 
 
@@ -125,33 +125,33 @@ _SMALL_ANGLE_WATER = {
 
 
 def small_angle(count: int, seed: int, *, split: float) -> Case:
-    """Return a plate by the small-angle model with the whole phase function."""
+    """Return a plate simulated by the small-angle model, whole phase function."""
     samples = _small_angle(count, seed, split, plate(2.6, lean=20))
     return case_of(samples, interval=around(2.6))
 
 
 def small_angle_empty(count: int, seed: int) -> Case:
-    """Return water without any target by the small-angle model."""
+    """Return water without a target, simulated by the small-angle model."""
     return case_of(_small_angle(count, seed, 90.0), interval=around(2.6))
 
 
 @functools.lru_cache(maxsize=2)
 def _small_angle(count: int, seed: int, split: float, *targets: str) -> xr.Dataset:
-    made = survey(
+    planned = survey(
         count, *targets, water=_SMALL_ANGLE_WATER | {"split_angle": split},
         columns=16, rows=12,
     )  # fmt: skip
-    return simulate(made, rng=seed, model=SmallAngleModel())
+    return simulate(planned, rng=seed, model=SmallAngleModel())
 
 
 def paper_form(count: int, seed: int) -> Case:
-    """Return a plate by the diffusion form of the paper: far from what photons do."""
-    made = survey(count, plate(2.6, lean=20))
-    cube = simulate(made, rng=seed, model=DiffusionModel())
+    """Return a plate by the paper's diffusion form, unlike photon transport."""
+    planned = survey(count, plate(2.6, lean=20))
+    cube = simulate(planned, rng=seed, model=DiffusionModel())
     return case_of(cube, interval=around(2.6))
 
 
 def paper_form_empty(count: int, seed: int) -> Case:
-    """Return water without any target by the same form."""
+    """Return water without a target, by the paper's diffusion form."""
     cube = simulate(survey(count), rng=seed, model=DiffusionModel())
     return case_of(cube, interval=around(2.6))

@@ -1,4 +1,4 @@
-"""Scenes whose light was followed photon by photon: all orders of scattering."""
+"""Scenes with light from photon transport, which has all orders of scattering."""
 
 from __future__ import annotations
 
@@ -47,28 +47,28 @@ _ORDER = np.array([0, 7, 1, 6, 2, 5, 3, 4])
 
 @dataclass(frozen=True, kw_only=True)
 class Photons:
-    """Received per launched light."""
+    """Received over launched light of water and plate, from photon transport."""
 
     open_water: Complex
-    """Shape (frequencies of `_ALL`,)."""
+    """Open-water signal, shape (frequencies of `_ALL`,)."""
     water: Complex
-    """Up to the plate, shape (frequencies, distances)."""
+    """Water signal in front of the plate, shape (frequencies, distances)."""
     echo: Complex
-    """Of the plate, shape (frequencies, distances)."""
+    """Echo of the plate, shape (frequencies, distances)."""
 
 
 @functools.lru_cache(maxsize=8)
 def photons(
     name: str, histories: int, reflectance: float, turbidity: float = 1.0
 ) -> Photons:
-    """Return echo and water signal against the distance of a plate."""
-    made = _survey(1, reflectance=0.1, turbidity=turbidity)
-    seen, water = made.instrument.receiver, water_properties(made)
+    """Simulate echo and water signal for plates at a series of distances."""
+    planned = _survey(1, reflectance=0.1, turbidity=turbidity)
+    view, water = planned.instrument.receiver, water_properties(planned)
     receiver = GaussianReceiver(
-        position=np.array(seen.position),
-        direction=rays.direction(seen.azimuth, seen.elevation),
-        radius=seen.radius,
-        acceptance_angle=seen.acceptance,
+        position=np.array(view.position),
+        direction=rays.direction(view.azimuth, view.elevation),
+        radius=view.radius,
+        acceptance_angle=view.acceptance,
     )
     medium = Medium.homogeneous(
         absorption=water.absorption,
@@ -107,29 +107,29 @@ def photon_water(
     turbidity: float = 1.0,
     histories: int = 400_000,
 ) -> Case:
-    """Return plates at eight distances under a fixed beam, in water made of photons."""
-    made = _survey(count, reflectance=reflectance, turbidity=turbidity)
+    """Return plates at eight distances under a fixed beam, by photon transport."""
+    planned = _survey(count, reflectance=reflectance, turbidity=turbidity)
     light = photons(function, histories, reflectance, turbidity)
-    frequency = np.array(made.instrument.modulation_frequencies)
+    frequency = np.array(planned.instrument.modulation_frequencies)
     # Frequencies that went through a text differ in the last bit.
     chosen = np.abs(_ALL - frequency[:, None]).argmin(axis=1)
     column = np.repeat(_ORDER, _COLUMNS_EACH)
-    shape = (made.scan.rows, len(column))
-    paint = made.targets[0].mueller
-    haze = water_properties(made).backscatter_mueller
-    target = _light(made, light.echo[:, column], chosen, paint, shape)
-    water = _light(made, light.water[:, column], chosen, haze, shape)
-    frame = simulate(made, rng=seed)
+    shape = (planned.scan.rows, len(column))
+    paint = planned.targets[0].mueller
+    haze = water_properties(planned).backscatter_mueller
+    target = _light(planned, light.echo[:, column], chosen, paint, shape)
+    water = _light(planned, light.water[:, column], chosen, haze, shape)
+    frame = simulate(planned, rng=seed)
     number = frame.sizes["shot"]
-    empty = _light(made, light.open_water[:, None], chosen, haze, (number,))
+    empty = _light(planned, light.open_water[:, None], chosen, haze, (number,))
     dark = Light(np.zeros_like(empty.modulated), np.zeros_like(empty.mean))
-    rng, setup = np.random.default_rng(seed), Setup(made)
+    rng, setup = np.random.default_rng(seed), Setup(planned)
     samples = _with_samples(frame, "", lock_in.sample(setup, target, water, rng=rng))
     samples = _with_samples(
         samples, "open_water_", lock_in.sample(setup, dark, empty, rng=rng)
     )
     # Out straight ahead, back to the receiver beside the emitter.
-    aside = np.linalg.norm(made.instrument.receiver.position)
+    aside = np.linalg.norm(planned.instrument.receiver.position)
     path = 1.38 * (DISTANCES + np.hypot(DISTANCES, aside))
     late = lateness(
         light.echo[chosen],
@@ -163,23 +163,23 @@ def _survey(count: int, *, reflectance: float, turbidity: float) -> Survey:
 
 
 def _light(
-    made: Survey,
+    planned: Survey,
     response: Complex,
     chosen: NDArray[np.intp],
-    stated: object,
+    scatterer: object,
     shape: tuple[int, ...],
 ) -> Light:
-    """Return what the analysers pass of a response, shape (frequencies, columns)."""
+    """Return the light that passes the analyzers, shape (frequencies, columns)."""
     passed = [
-        float(mueller.detected_fraction(matrix(stated), pair=pair))
-        for pair in made.instrument.polarizations
+        float(mueller.detected_fraction(matrix(scatterer), pair=pair))
+        for pair in planned.instrument.polarizations
     ]
-    each = np.array(passed).reshape(1, -1, *[1] * len(shape))
+    fractions = np.array(passed).reshape(1, -1, *[1] * len(shape))
     columns = response.reshape(len(response), 1, *[1] * (len(shape) - 1), -1)
-    whole = (len(chosen), len(passed), *shape)
+    size = (len(chosen), len(passed), *shape)
     return Light(
-        np.broadcast_to(columns[chosen] * each, whole).copy(),
-        np.broadcast_to(np.maximum(columns[:1].real, 0.0) * each, whole).copy(),
+        np.broadcast_to(columns[chosen] * fractions, size).copy(),
+        np.broadcast_to(np.maximum(columns[:1].real, 0.0) * fractions, size).copy(),
     )
 
 

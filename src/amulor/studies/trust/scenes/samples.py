@@ -1,4 +1,4 @@
-"""Scenes whose samples are spoiled: particles, spikes, mixed pixels, noise, drift."""
+"""Scenes with disturbed samples: particles, spikes, mixed pixels, noise, drift."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def spikes(count: int, seed: int, *, fraction: float = 0.03) -> Case:
 
 
 def particles(count: int, seed: int, *, fraction: float = 0.04) -> Case:
-    """Return a plate with a bright particle before it in some of the samples.
+    """Return a plate with a bright particle in front of it in some of the samples.
 
     A particle stands anywhere between 0.8 m and the plate and sends back a tenth to
     half of what the plate sends; it moves on before the next frequency is measured,
@@ -77,7 +77,7 @@ def particles(count: int, seed: int, *, fraction: float = 0.04) -> Case:
 
 
 def mixed(count: int, seed: int, *, gap: float) -> Case:
-    """Return two plates that face the beam with a smeared edge between them.
+    """Return two plates at different distances, with mixed pixels at the edge.
 
     Two columns see both, with 0.4 and 0.6 of the farther one.
     Only these are judged. Either surface counts as right.
@@ -90,7 +90,7 @@ def mixed(count: int, seed: int, *, gap: float) -> Case:
     share[middle + 2 :] = 1
     share[middle : middle + 2] = (0.4, 0.6)
     change = sum(_true(far, part) - _true(near, part) for part in ("target", "water"))
-    surfaces = np.stack([each["truth_slant_range"].values for each in (near, far)])
+    surfaces = np.stack([cube["truth_slant_range"].values for cube in (near, far)])
     surfaces[1, :, share == 0] = np.nan
     surfaces[0, :, share == 1] = np.nan
     judged = np.broadcast_to((share > 0) & (share < 1), surfaces.shape[1:]).copy()
@@ -103,7 +103,7 @@ def mixed(count: int, seed: int, *, gap: float) -> Case:
 
 
 def late_instrument(count: int, seed: int, *, delay: float = 1e-10) -> Case:
-    """Return a plate seen by an instrument that is late by so many seconds."""
+    """Return a plate measured with an unknown instrument delay [s]."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     frequency = samples["modulation_frequency"].values
     turn = np.exp(2j * np.pi * frequency * delay)
@@ -125,7 +125,7 @@ def understated_noise(count: int, seed: int, *, factor: float = 2.0) -> Case:
 
 
 def changed_water(count: int, seed: int, *, change: float = 0.05) -> Case:
-    """Return a plate in water that is stronger than the shots by so much."""
+    """Return a plate in water with a stronger signal than its shots, by a fraction."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     signal = _measured(samples) + change * _true(samples, "water")
     return case_of(_with(samples, signal), interval=around(2.6))
