@@ -162,6 +162,8 @@ def one_visit(
     rng = np.random.default_rng([seed, sum(map(ord, kind))])
     if kind == "wall":
         scene, places = oracle.wall(rng), oracle.wall_stations(4, rng)
+    elif kind == "corner":
+        scene, places = oracle.corner(rng), oracle.corner_stations(4, rng)
     elif kind == "plane":
         scene, places = oracle.Bed(), oracle.ring(4, rng)
     elif kind == "low bed":

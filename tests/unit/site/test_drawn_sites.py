@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from drawn_sites import DrawnSite, one_visit, written
 from numpy.testing import assert_allclose
 
 from amulor import cli
+from amulor.site.registration.patterns import unfit_scan
 from amulor.site.registration.pose import start_pose
 from amulor.site.registration.register import register, surface_of
 from amulor.site.registration.result import Registration
@@ -165,6 +167,50 @@ def test_a_delay_of_one_scan_is_named() -> None:
     drawn = one_visit("bed", 2, rows=48, spoiled={"a2": lambda d: d + 0.02})
     found = registered(drawn)
     assert [one.scan for one in found.contradictions if one.scan] == ["a2"]
+
+
+@pytest.mark.parametrize("seed", [1, 3, 7])
+def test_a_scan_that_fits_no_other_is_named(seed: int) -> None:
+    # Of seed 7 scan a2 came to a pose 45 cm off, with misfits of 80 and 139.
+    drawn = one_visit(
+        "corner", seed, position=0.3, angle=np.radians(10), rows=42,
+        spoiled={"a2": lambda distance: distance + 0.05},
+    )  # fmt: skip
+    found = registered(drawn)
+    (line,) = [one for one in found.contradictions if one.error == "surface"]
+    assert line.scan == "a2"
+    assert "'a2': its surface fits none of its neighbors" in line.sentence
+
+
+def pair_of(scans: str, used: int, excluded: int, misfit: float) -> SimpleNamespace:
+    return SimpleNamespace(
+        source=scans[0], target=scans[1], used=used, moved=np.arange(excluded),
+        misfit=misfit,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("excluded", "misfit", "others", "named"),
+    [
+        (40, 1.7, 1.0, ("b", 1.7)),
+        # A body moved: all other points fit.
+        (40, 1.0, 1.0, None),
+        # The noise is larger than stated, in this scan or in all.
+        (0, 1.7, 1.0, None),
+        (40, 1.7, 1.7, None),
+        # A wrong pose.
+        (0, 80.0, 1.0, ("b", 80.0)),
+    ],
+)
+def test_a_scan_fits_no_other_if_points_stand_off_and_the_rest_scatters(
+    excluded: int, misfit: float, others: float, named: tuple[str, float] | None
+) -> None:
+    pairs = [pair_of(scans, 60, excluded, misfit) for scans in ("ab", "bc")]
+    pairs += [pair_of("ac", 100, 0, others)]
+    assert unfit_scan(pairs, "abc") == named  # type: ignore[arg-type]
+    # One pair with a small misfit tells nothing of either scan.
+    single = named if misfit > 10 else None
+    assert unfit_scan(pairs[:1], "abc") == single  # type: ignore[arg-type]
 
 
 def test_scores_of_patterns_are_standard_normal_and_sizes_are_detectable() -> None:

@@ -45,6 +45,11 @@ PATTERNS = {
 _WINDOW = 15
 #: Chance of a false alarm in a site [1].
 _CHANCE = 1e-3
+#: Least part of excluded points and least misfit, over that of other pairs, in each
+#: pair of a scan that fits none [1]; sites without an error of a scan have 0 and 1.
+_MOVED, _MISFIT = 0.1, 1.2
+#: Least misfit over that of other pairs in each pair of a scan at a wrong pose [1].
+_WILD = 10.0
 #: Minimal detectable size over the standard uncertainty: power 80 %, chance 1e-4 [1].
 _POWERFUL = float(norm.isf(1e-4 / 2) + norm.isf(1 - 0.8))
 
@@ -210,3 +215,29 @@ def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
     strongest = max(tests, key=lambda test: abs(test.score))
     limit = float(norm.isf(_CHANCE / 2 / len(tests)))
     return strongest if abs(strongest.score) > limit else None
+
+
+def unfit_scan(pairs: Sequence[Pair], scans: Sequence[str]) -> tuple[str, float] | None:
+    """Return the scan that fits no other, while these fit each other, and its misfit.
+
+    A body that moved leaves the misfit of all other points at 1, and too small a stated
+    noise excludes no points; a bent scan does both in each of its pairs. A misfit that
+    no noise explains is that of a wrong pose. The later of two such scans is named.
+    """
+    worst = None
+    for name in scans:
+        mine = [pair for pair in pairs if name in (pair.source, pair.target)]
+        others = [
+            pair.misfit for pair in pairs if name not in (pair.source, pair.target)
+        ]
+        if not mine:
+            continue
+        misfit = min(pair.misfit for pair in mine)
+        ratio = misfit / float(np.median(others or [1.0]))
+        apart = all(
+            len(pair.moved) > _MOVED * (len(pair.moved) + pair.used) for pair in mine
+        )
+        bent = len(mine) > 1 and others and apart and ratio > _MISFIT
+        if (bent or ratio > _WILD) and (worst is None or misfit >= worst[1]):
+            worst = (name, misfit)
+    return worst

@@ -24,7 +24,7 @@ from amulor.site.registration.network import (
     KnownPose,
     Ties,
 )
-from amulor.site.registration.patterns import contradicted
+from amulor.site.registration.patterns import contradicted, unfit_scan
 from amulor.site.registration.pose import (
     ScanPose,
     best_pose,
@@ -248,7 +248,7 @@ def _result(
             for pair_record in alignment.disagreements
         ),
         weaknesses=(),
-        contradictions=_contradictions(alignment, ties),
+        contradictions=_contradictions(site, alignment, ties),
         remarks=(*remarks, *_untied(site, alignment, ties)),
         settled=alignment.settled,
         fixed=ties.fixed or "",
@@ -260,8 +260,10 @@ def _result(
     return replace(result, weaknesses=_weak_directions(result, ties, surfaces))
 
 
-def _contradictions(alignment: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
-    """Return contradicted poses, shared errors, ties and patterns, worst first."""
+def _contradictions(
+    site: Site, alignment: Alignment, ties: Ties
+) -> tuple[Contradiction, ...]:
+    """Return contradicted poses, errors, ties, patterns and scans, worst first."""
     contradicting = []
     for name, start in ties.start.items():
         pose = alignment.state.poses.get(name)
@@ -311,6 +313,18 @@ def _contradictions(alignment: Alignment, ties: Ties) -> tuple[Contradiction, ..
                 scan=pattern.scan, error=pattern.pattern, shift=pattern.size, turn=0.0,
                 stated_shift=pattern.uncertainty, stated_turn=0.0,
                 score=pattern.score**2,
+            )
+        )  # fmt: skip
+    visit = {scan.name: scan.epoch for scan in site.scan}
+    unfit = unfit_scan(
+        [pair for pair in alignment.pairs if visit[pair.source] == visit[pair.target]],
+        list(visit),
+    )
+    if unfit is not None:
+        contradicting.append(
+            Contradiction(
+                scan=unfit[0], error="surface", shift=0.0, turn=0.0, stated_shift=0.0,
+                stated_turn=0.0, score=unfit[1] ** 2,
             )
         )  # fmt: skip
     return tuple(sorted(contradicting, key=lambda contradiction: -contradiction.score))

@@ -44,7 +44,7 @@ class Contradiction:
     """Name of the scan; empty for an error that several share."""
     error: str
     """Key of the shared error, of a pattern of a scan, or of a control point or scale
-    bar; empty for a start pose."""
+    bar; "surface" if a scan fits no other; empty for a start pose."""
     shift: float
     """Distance of the adjusted position from the start pose, or size of a pattern
     [m]."""
@@ -62,6 +62,13 @@ class Contradiction:
     @property
     def sentence(self) -> str:
         """Message with the scan, the size of the contradiction and a remedy."""
+        if self.error == "surface":
+            return (
+                f"scan {self.scan!r}: its surface fits none of its neighbors; in each "
+                f"pair points scatter at least {np.sqrt(self.score):.1f} times as much "
+                "as stated, and more than those of other pairs; look whether its start "
+                "pose is right, the instrument moved or drifted, or its delay changed"
+            )
         if self.error and self.scan:
             return (
                 f"scan {self.scan!r}: its ranges change {PATTERNS[self.error]} by "
