@@ -38,6 +38,7 @@ WITHOUT_EXAMPLE = {
     "amulor.rejection.combined": "takes seconds; the gallery's rejection of each kind",
     "amulor.rejection.compare": "takes seconds; docs/how-to/reject.md has its table",
     "amulor.rejection.joint": "takes seconds; the gallery's rejection of each kind",
+    "amulor.view.figures.write_response_curves": "writes that of response_curves",
     "amulor.view.image_report.write": "draws for a second; amulor report",
     "amulor.rejection.split_scattering": "water_fit's example goes on with it",
 }

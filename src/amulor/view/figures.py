@@ -380,7 +380,36 @@ def response_curves(
     errors: Mapping[str, NDArray[np.float64]] | None = None,
     title: str = "",
 ) -> Figure:
-    """Draw relative amplitude and phase of the water signal."""
+    """Draw relative amplitude and phase of the water signal against frequency.
+
+    Parameters
+    ----------
+    modulation_frequency : ndarray
+        Modulation frequencies, ascending [Hz].
+    responses : mapping of str to ndarray
+        Water signal at these frequencies divided by that at 0 Hz, by model [1].
+    cut_off : float, optional
+        Cut-off frequency, drawn as a point at half power [Hz].
+    errors : mapping of str to ndarray, optional
+        Half-width of the band of an amplitude, by model [1].
+    title : str
+        Text above the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Amplitude above phase.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor.view import figures
+    >>> frequency = np.linspace(0, 100e6, 5)
+    >>> low_pass = 1 / (1 + 1j * frequency / 40e6)
+    >>> drawn = figures.response_curves(frequency, {"low-pass": low_pass}, cut_off=40e6)
+    >>> [axis.get_ylabel() for axis in drawn.axes]
+    ['amplitude over that at 0 MHz', 'phase delay [degrees]']
+    """
     with style():
         canvas = new_figure(4.8, 4.4)
         top, bottom = canvas.subplots(2, 1, sharex=True)
@@ -426,7 +455,26 @@ def write_response_curves(
     overwrite: bool = False,
     **options: Any,
 ) -> None:
-    """Write the figure of response curves as PNG or SVG."""
+    """Write the figure of `response_curves` as PNG or SVG.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        File to write, ending in .png or .svg.
+    modulation_frequency : ndarray
+        Modulation frequencies, ascending [Hz].
+    responses : mapping of str to ndarray
+        Water signal at these frequencies divided by that at 0 Hz, by model [1].
+    overwrite : bool
+        Whether an existing file is replaced.
+    **options
+        Further arguments of `response_curves`.
+
+    Raises
+    ------
+    FormatError
+        If the file has another suffix, or exists.
+    """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("png", "svg"):
         raise FormatError(f"{path}: pictures are written as .png or .svg; rename it")

@@ -257,7 +257,7 @@ def test_info_tells_what_a_file_holds(folder: Path, capsys) -> None:
     )
     said = capsys.readouterr().out
     assert "commonest flag: no_open_water (100.0%)" in said
-    assert "what to do: Record open water" in said
+    assert "what to do: Take open-water reference measurements" in said
     assert main(["info", str(folder / "wet.nc")]) == 0
     out = capsys.readouterr().out
     assert "flag no_open_water, 144 (100.0%): " in out
