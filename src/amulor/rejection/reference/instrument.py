@@ -114,12 +114,13 @@ def _halves(
     Shape (frequency, channel); None where the halves have too little in common.
     """
     late = np.arange(signal.shape[2]) >= signal.shape[2] // 2
+    recorded = np.isfinite(signal).all(axis=(0, 1))
     change: Complex = np.zeros(signal.shape[:2], dtype=complex)
     square = np.zeros(signal.shape[:2])
     information, freedom = 0.0, 0
     for number in range(group.max() + 1):
         before, after = (
-            signal[..., (group == number) & half] for half in (~late, late)
+            signal[..., (group == number) & recorded & half] for half in (~late, late)
         )
         sizes = before.shape[2], after.shape[2]
         if min(sizes) == 0:
@@ -135,7 +136,7 @@ def _halves(
             rest = ((half - mean[..., None]) / level[..., None]).imag
             square = square + np.sum(rest**2, axis=2)
         freedom += sum(sizes) - 2
-    if not information or freedom < 4 or not np.all(np.isfinite(change)):
+    if not information or freedom < 4:
         return None, None
     error: Floats = np.sqrt(square / freedom / information)
     if not np.all(error > 0):

@@ -60,6 +60,17 @@ def test_a_rotation_of_all_channels_is_removed(
     assert without_drift(corrected) is corrected
 
 
+def test_lost_shots_do_not_hide_a_drift(by_hand: Make) -> None:
+    phase = np.full(FREQUENCIES.size, 0.02)
+    cube = by_hand(frequency=list(FREQUENCIES), channels=TWO, water=1.0)
+    drifted = _drifted(cube, phase)
+    for part in ("in_phase", "quadrature"):
+        drifted[f"open_water_{part}"][0, 1, [0, -1]] = np.nan
+    drift = drift_of_references(drifted)
+    assert drift is not None
+    assert np.all(np.abs(drift.phase - phase) < 4 * drift.uncertainty)
+
+
 def test_water_that_becomes_stronger_is_no_drift_of_the_instrument(
     by_hand: Make,
 ) -> None:
