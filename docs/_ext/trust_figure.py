@@ -25,7 +25,7 @@ KINDS = {
         "coastal", "harbour", "circular", "small-angle 90", "small-angle 15",
         "paper's form",
     ),
-    "water of single photons": (
+    "photons followed one by one": (
         "wide photons", "photons petzold grey", "photons petzold dim",
         "photons fournier-forand grey", "photons fournier-forand dim",
         "photons two-term grey", "photons two-term dim", "photons c 0.25 1/m",

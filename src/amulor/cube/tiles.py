@@ -332,7 +332,7 @@ def sample_of(source: Source) -> xr.Dataset:
 def _spread_bands(
     size: int, count: int
 ) -> tuple[Indices, list[tuple[int, int]], Indices]:
-    """Return row or column indices of spread bands, the bands, and the gaps."""
+    """Return indices and limits of evenly spaced bands, and positions of separators."""
     if count >= size:
         return np.arange(size), [(0, size)], np.zeros(0, dtype=int)
     number = max(count // _BAND, 1)

@@ -222,7 +222,7 @@ def cube_of(
 
 
 def marked(cube: xr.Dataset) -> dict[str, int]:
-    """Return the number of samples by user's flag word, without zeros."""
+    """Return the number of samples with each import flag, omitting unused flags."""
     flag = cube["user_sample_flag"]
     counted = {
         word.replace("_", " "): int((flag.values & mask != 0).sum())

@@ -384,7 +384,7 @@ def _checked(
 
 
 def _grid(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return logarithms of trial cut-off frequencies, frequencies scaled to 1."""
+    """Return logarithms of trial cut-offs, relative to the highest frequency."""
     return np.linspace(np.log(x[x > 0].min()) - 7, 7, 400)
 
 

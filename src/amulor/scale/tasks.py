@@ -119,7 +119,7 @@ class Record:
         how: dict[str, Any],
         make: Callable[[Path], Any],
     ) -> Path:
-        """Return the path of a file; make it unless complete with the same inputs."""
+        """Return a file's path; make the file if missing, altered or out of date."""
         path = self._folder / name
         made_of = _made_of(_identified(of), how)
         if self._is_whole(name, made_of):

@@ -225,7 +225,7 @@ class DiffusionModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received over launched power of the targets; see `SignalModel`."""
+        """Return target echo power over launched power; see `SignalModel`."""
         _refuse_for_diffusion(survey, water)
         return target_echo.target_response(
             modulation_frequency, **surface, **kernel_arguments(survey, water, view)

@@ -218,7 +218,7 @@ class Survey(Description):
 
 
 def _without_none(content: Any) -> Any:
-    """Return content without fields that are None, which messages then call missing."""
+    """Return content without None fields, which validation then reports as missing."""
     if isinstance(content, dict):
         return {
             key: _without_none(item)

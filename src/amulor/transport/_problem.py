@@ -192,7 +192,7 @@ class Problem:
 
     @cached_property
     def face(self) -> Face:
-        """Receiver in the form of the compiled loops."""
+        """Receiver face as an argument of the compiled loops."""
         return Face(
             radius=float(self.receiver.radius),
             acceptance=float(self.receiver.acceptance_angle),

@@ -444,7 +444,7 @@ class Frame:
         )
 
     def overlap(self, depth: Floats, shape: Shape) -> Floats:
-        """Return the overlap at the nodes, (node, depth), without the correction."""
+        """Overlap at direction nodes, before its correction, (node, depth) [sr]."""
         return self._overlap(depth, shape, self._nodes_of(shape))
 
     def _overlap(

@@ -144,7 +144,7 @@ class Clock:
 
 
 def clock_of(scan: ScanObservation) -> Clock:
-    """Return the times of a scan: stated, or by the order of its pixels."""
+    """Return the time span of a scan: as recorded, else counted in pixels."""
     rows, columns = scan.rows, scan.columns
     row_by_row = Clock(
         rows=rows,
@@ -288,7 +288,7 @@ class Shared:
 
     @property
     def gain(self) -> Complex:
-        """Strength at each frequency, (channel, frequency) [V]."""
+        """Water-signal strength at each frequency, (channel, frequency) [V]."""
         gain = np.repeat(self.strength[:, None], self.echo.size, axis=1)
         return gain.astype(complex)
 

@@ -315,7 +315,7 @@ def _linearised(
     outputs = 2 * frequencies
 
     def by_channel(values: Complex) -> Floats:
-        """Return columns in units of the errors, (pixel, channel, output, column)."""
+        """Whiten columns by the errors, shape (pixel, channel, output, column)."""
         wide = whitened_columns(inverse, values)
         return wide.reshape(count, channels, outputs, values.shape[-1])
 

@@ -474,7 +474,7 @@ _STEPS = 12
 def with_noise_of_shots(
     cube: xr.Dataset, scale: float | None = None
 ) -> tuple[xr.Dataset, float]:
-    """Scale the stated errors of samples to the scatter of their shots.
+    """Scale the stated errors of a cube to match the scatter of open-water shots.
 
     The stated errors of samples and shots times `scale`, by default that of
     `noise_scale`, which the attribute `open_water_noise_scale` says; the cube as it is,

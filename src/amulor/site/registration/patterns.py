@@ -92,7 +92,7 @@ def pattern_values(surface: ScanSurface) -> Floats:
 
 
 def _mean_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
-    """Means of values over wide windows, which hold hardly any noise of one pixel.
+    """Means of values over wide windows that average out the noise of single pixels.
 
     A pattern with the noise of the range itself is correlated with the distances.
     """

@@ -180,7 +180,7 @@ def draw_crossed(study: Study) -> Figure:
 def _draw_lines(
     study: Study, axis: Axes, step: str, pairs: tuple[str, str], *, subtracted: bool
 ) -> None:
-    """Draw the phase lines of two polarizer pairs in one water."""
+    """Draw the phase along a line of pixels for two polarizer pairs in one water."""
     pixel = np.arange(1, PIXELS + 1)
     for pair, filled in zip(pairs, (True, False), strict=True):
         result = lines.line(study, step, pair)

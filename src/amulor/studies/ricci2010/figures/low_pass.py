@@ -287,7 +287,7 @@ def _draw_cut_offs(axis: Axes, data: Sweep) -> None:
 def _mark(
     axis: Axes, row: int, corner: float, error: float, colour: str, *, look: str
 ) -> None:
-    """Draw a marker and a number for a cut-off frequency; below for a fit to power."""
+    """Draw a cut-off with its value, below the marker for fits to power, else above."""
     marker, filled = _MARKS[look]
     axis.errorbar(
         corner / 1e6,

@@ -131,7 +131,7 @@ class Sweep:
 
     @property
     def corrected_ratio(self) -> Floats:
-        """Ratio of subtracted target signal to water signal, eq. (58)."""
+        """Target signal after open-water subtraction over water signal, eq. (58)."""
         return interference.signal_to_optical_noise_ratio(self.subtracted, self.water)
 
     @property

@@ -40,7 +40,7 @@ def wrong_turbidity(count: int, seed: int, *, factor: float) -> Case:
 
 
 def wrong_baseline(count: int, seed: int, *, by: float = 0.5) -> Case:
-    """Return a plate whose survey misstates the receiver position by centimeters."""
+    """Return a plate whose survey states a baseline that is too long by `by` [cm]."""
     return _wrong(count, seed, baseline=20 + by)
 
 
