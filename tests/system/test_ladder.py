@@ -206,7 +206,8 @@ def test_the_report_needs_nothing_beside_it(output: Path) -> None:
     assert "http://" not in page
     assert "https://" not in page
     assert 'src="data:' in page
-    assert page.count("<table>") == 2
+    # Results, step heights, terms, error budget.
+    assert page.count("<table>") == 4
     assert "step of 40 mm" in page
     assert "kind = &quot;staircase&quot;" in page
 
