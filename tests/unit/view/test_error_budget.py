@@ -86,7 +86,7 @@ def test_the_report_shows_every_term_and_what_is_not_known(
     assert "geometry" in text.text
     path = tmp_path / "report.html"
     image_report.write(path, {"plate": image})
-    assert "light delayed by scattering" in path.read_text()
+    assert "delay of the echo by scattering" in path.read_text()
 
 
 def test_the_caption_explains_the_bars_that_are_drawn(image: xr.Dataset) -> None:
