@@ -104,7 +104,23 @@ Scheme = Annotated[
 ]
 
 
-class DistanceRange(Description):
+class _Ascending(Description):
+    """Base of limits of a distance, the nearest below the farthest."""
+
+    nearest: float
+    farthest: float
+
+    @model_validator(mode="after")
+    def _rises(self) -> Self:
+        if self.farthest <= self.nearest:
+            raise ValueError(
+                f"farthest ({self.farthest:g} m) must lie beyond nearest "
+                f"({self.nearest:g} m)"
+            )
+        return self
+
+
+class DistanceRange(_Ascending):
     """Evenly spaced distances."""
 
     nearest: _Distance
@@ -114,32 +130,14 @@ class DistanceRange(Description):
     count: Annotated[Count, Field(ge=2, le=20)] = 5
     """Number of distances [1]."""
 
-    @model_validator(mode="after")
-    def _rises(self) -> Self:
-        if self.farthest <= self.nearest:
-            raise ValueError(
-                f"farthest ({self.farthest:g} m) must lie beyond nearest "
-                f"({self.nearest:g} m)"
-            )
-        return self
 
-
-class Interval(Description):
+class Interval(_Ascending):
     """Limits of the slant range, known before the measurement."""
 
     nearest: Annotated[Length, Field(ge=0)]
     """Nearest possible slant range [m]."""
     farthest: Annotated[Length, Field(gt=0)]
     """Farthest possible slant range [m]."""
-
-    @model_validator(mode="after")
-    def _rises(self) -> Self:
-        if self.farthest <= self.nearest:
-            raise ValueError(
-                f"farthest ({self.farthest:g} m) must lie beyond nearest "
-                f"({self.nearest:g} m)"
-            )
-        return self
 
 
 class Accuracy(Description):
