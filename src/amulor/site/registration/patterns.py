@@ -27,6 +27,7 @@ from amulor.site.registration.network import (
     system_of,
 )
 from amulor.site.registration.pair import Pair
+from amulor.site.registration.reliability import non_centrality
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]
@@ -51,7 +52,7 @@ _MOVED, _MISFIT = 0.1, 1.2
 #: Least misfit over that of other pairs in each pair of a scan at a wrong pose [1].
 _WILD = 10.0
 #: Minimal detectable size over the standard uncertainty: power 80 %, chance 1e-4 [1].
-_POWERFUL = float(norm.isf(1e-4 / 2) + norm.isf(1 - 0.8))
+_POWERFUL = non_centrality(1e-4)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,7 +209,7 @@ def _tests_of(
 def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
     """Return the strongest pattern if it is significant among all of a site.
 
-    Others are mostly its shadow: poses carry it into the neighbours of a scan.
+    Others are mostly its shadow: poses carry it into the neighbors of a scan.
     """
     if not tests:
         return None

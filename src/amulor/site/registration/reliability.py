@@ -22,8 +22,14 @@ from amulor.site.registration.pose import departure
 
 Floats = NDArray[np.float64]
 
-#: Non-centrality: power 80 %, chance 1e-3 of a false alarm [1].
-_NON_CENTRALITY = float(norm.isf(1e-3 / 2) + norm.isf(1 - 0.8))
+
+def non_centrality(chance: float) -> float:
+    """Return the score of an error found at 80 % power, by false-alarm chance [1]."""
+    return float(norm.isf(chance / 2) + norm.isf(1 - 0.8))
+
+
+#: Non-centrality at a chance of 1e-3 of a false alarm [1].
+_NON_CENTRALITY = non_centrality(1e-3)
 #: An observation with a smaller redundancy is checked by nothing [1].
 _UNCHECKED = 1e-3
 _SHIFTS = ("east", "north", "up")
