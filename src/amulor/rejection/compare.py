@@ -17,7 +17,8 @@ from amulor._progress import part, tell
 from amulor.cube import UNUSABLE, QualityFlag, WaterResidualCause, tiles
 from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
 from amulor.errors import AmulorError, CubeError
-from amulor.optics import ambiguity, detection, ranging, rays
+from amulor.optics import ambiguity, detection, ranging
+from amulor.optics._geometry import Geometry
 from amulor.rejection.covariance import covariance_of
 from amulor.rejection.methods import Method, compared_methods, load, method
 from amulor.survey.view import medium_of
@@ -517,19 +518,16 @@ def _joint_path(target: xr.Dataset) -> Floats:
     survey = target.amulor.survey
     if survey is None:
         return np.full(distance.shape, np.nan)
-    medium = medium_of(survey)
-    beam = rays.enter_water(
-        survey.instrument.emitter.position,
-        rays.direction(target["azimuth"].values, target["elevation"].values),
-        medium=medium,
+    geometry = Geometry(
+        azimuth=target["azimuth"].values,
+        elevation=target["elevation"].values,
+        emitter=np.asarray(survey.instrument.emitter.position),
+        receiver=np.asarray(survey.instrument.receiver.position),
+        medium=medium_of(survey),
     )
-    receiver = np.asarray(survey.instrument.receiver.position)
     settled = np.isfinite(distance)
-    path = rays.optical_path(
-        np.where(settled, distance, beam.length_before + 1.0),
-        beam,
-        receiver,
-        medium=medium,
+    path = geometry.optical_path(
+        np.where(settled, distance, geometry.beam.length_before + 1.0)
     )
     return np.where(settled, path, np.nan)
 
