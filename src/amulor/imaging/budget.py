@@ -348,21 +348,22 @@ def instrument_term(
     where chance does not explain that. A drift during the scan turns all
     frequencies the same way.
     """
-    left = np.atleast_1d(
-        observation.channel.attrs.get("instrument_drift_uncertainty_s", 0.0)
-    )
-    if left.size != weight.size:
+
+    def by_frequency(name: str) -> Floats:
+        values = np.atleast_1d(observation.channel.attrs.get(name, 0.0))
+        if values.size == weight.size:
+            return values
         # One frequency of several was selected.
-        left = np.full(weight.size, left.max())
-    drift = speed_of_light * float(np.sum(weight * left))
-    apart = np.atleast_1d(observation.channel.attrs.get("channel_phase_rad", 0.0))
-    if apart.size != weight.size:
-        apart = np.full(weight.size, apart.max())
+        return np.full(weight.size, values.max())
+
+    drift = speed_of_light * float(
+        np.sum(weight * by_frequency("instrument_drift_uncertainty_s"))
+    )
     phase = 0.0
     if observation.survey is not None:
         stated = observation.survey.instrument.phase_uncertainty
         phase = TYPICAL_PHASE_UNCERTAINTY if stated is None else stated
-    phases = np.hypot(phase, apart)
+    phases = np.hypot(phase, by_frequency("channel_phase_rad"))
     path = float(np.linalg.norm(weight * observation.path_per_phase.ravel() * phases))
     # Of `auto`: by how much the ranges of another method differ.
     methods = float(observation.channel.attrs.get("method_disagreement_m", 0.0))
