@@ -304,7 +304,7 @@ class Function:
         return None
 
     def kind(self, node):
-        """What an expression holds: "value", "holder" or nothing."""
+        """Content of an expression: "value", "holder" or nothing."""
         if isinstance(node, ast.Name):
             return self.held.get(node.id)
         if isinstance(node, ast.Attribute | ast.Subscript):

@@ -178,7 +178,7 @@ def written(text: str) -> Iterator[Written]:
 
 
 def counts(rows: Iterable[Written]) -> str:
-    """Return how many rows meet each requirement, as a table in Markdown."""
+    """Count the rows that meet each requirement, as a table in Markdown."""
     accepted = [row for row in rows if not row.refused and row.scene not in _APART]
     columns = []
     for name, methods in _GROUPS:
