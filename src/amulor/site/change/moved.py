@@ -11,12 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from amulor.site.change.distances import Region
 from amulor.site.description import Site
-from amulor.site.merging.cloud import corrected
 from amulor.site.registration.bodies import held_directions, mean_lever
 from amulor.site.registration.pair import Pair, compared, tree_of
 from amulor.site.registration.pose import ScanPose, cross_matrix
 from amulor.site.registration.result import Registration
-from amulor.site.registration.surface import ScanSurface
+from amulor.site.registration.surface import ScanSurface, corrected
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

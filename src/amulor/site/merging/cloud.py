@@ -16,7 +16,7 @@ from amulor.site.description import Site
 from amulor.site.registration.pair import on_grid
 from amulor.site.registration.pose import ScanPose, cross_matrix
 from amulor.site.registration.result import Registration
-from amulor.site.registration.surface import ScanSurface
+from amulor.site.registration.surface import ScanSurface, corrected
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int16]
@@ -115,14 +115,6 @@ class Merged:
         """Return the mask of the points of one visit."""
         numbers = [k for k, scan in enumerate(self.site.scan) if scan.epoch == epoch]
         return np.asarray(np.isin(self.scan, numbers))
-
-
-def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
-    """Return the points of a scan, corrected by its estimated shared errors."""
-    estimates = np.array([errors.get(key, 0.0) for key in surface.shared.keys])
-    off = np.tensordot(estimates, surface.shared.shapes, axes=1)
-    distance = surface.distance - off
-    return np.asarray(surface.origin + distance[..., None] * surface.direction)
 
 
 def unknowns_of(scan: str, surface: ScanSurface) -> tuple[str, ...]:

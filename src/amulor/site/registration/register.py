@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +39,7 @@ from amulor.site.registration.result import (
     Weakness,
     relative_covariance,
 )
+from amulor.site.registration.sight import pairs_seen_through
 from amulor.site.registration.starts import start_findings
 from amulor.site.registration.surface import ScanSurface, scan_surface, shared_errors
 
@@ -257,7 +258,12 @@ def _result(
             alignment.state, alignment.covariance, alignment.layout, ties
         ),
     )
-    return replace(result, weaknesses=_weak_directions(result, ties, surfaces))
+    seen_through = _seen_through(site, result, ties, surfaces)
+    return replace(
+        result,
+        weaknesses=_weak_directions(result, ties, surfaces),
+        contradictions=_worst_first((*result.contradictions, *seen_through)),
+    )
 
 
 def _contradictions(
@@ -327,7 +333,50 @@ def _contradictions(
                 stated_turn=0.0, score=unfit[1] ** 2,
             )
         )  # fmt: skip
-    return tuple(sorted(contradicting, key=lambda contradiction: -contradiction.score))
+    return tuple(contradicting)
+
+
+def _worst_first(contradictions: Iterable[Contradiction]) -> tuple[Contradiction, ...]:
+    return tuple(sorted(contradictions, key=lambda line: -line.score))
+
+
+def _seen_through(
+    site: Site,
+    result: Registration,
+    ties: Ties,
+    surfaces: Mapping[str, ScanSurface],
+) -> Iterator[Contradiction]:
+    """Yield a contradiction for each scan with pairs that look through each other.
+
+    Of both scans of a pair, the scan with more such pairs is named; of equal numbers,
+    the scan farther from its start pose.
+    """
+    pairs = [
+        pair
+        for epoch in site.epoch
+        for pair in pairs_seen_through(
+            result, surfaces, [scan.name for scan in site.scans_of(epoch.name)]
+        )
+    ]
+    pulls = {
+        name: squared_pull(result.poses[name], start)
+        for name, start in ties.start.items()
+    }
+    while pairs:
+        names = [name for pair in pairs for name in pair.scans]
+        worst = max(names, key=lambda name: (names.count(name), pulls.get(name, 0.0)))
+        through = [pair for pair in pairs if worst in pair.scans]
+        pairs = [pair for pair in pairs if worst not in pair.scans]
+        strongest = max(through, key=lambda pair: max(pair.shares))
+        yield Contradiction(
+            scan=worst, error="sight", shift=strongest.distance, turn=0.0,
+            stated_shift=strongest.uncertainty, stated_turn=0.0,
+            score=(strongest.distance / strongest.uncertainty) ** 2,
+            peers=tuple(
+                name for pair in through for name in pair.scans if name != worst
+            ),
+            share=max(strongest.shares),
+        )  # fmt: skip
 
 
 def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:

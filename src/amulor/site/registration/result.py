@@ -44,10 +44,11 @@ class Contradiction:
     """Name of the scan; empty for an error that several share."""
     error: str
     """Key of the shared error, of a pattern of a scan, or of a control point or scale
-    bar; "surface" if a scan fits no other; empty for a start pose."""
+    bar; "surface" if a scan fits no other; "sight" if scans look through each other's
+    surface; empty for a start pose."""
     shift: float
-    """Distance of the adjusted position from the start pose, or size of a pattern
-    [m]."""
+    """Distance of the adjusted position from the start pose, size of a pattern, or
+    distance of points in front of a surface [m]."""
     turn: float
     """Angle of the adjusted attitude from the start pose [rad]."""
     stated_shift: float
@@ -58,6 +59,10 @@ class Contradiction:
     [rad]."""
     score: float
     """Chi-square against the stated uncertainty, over its degrees of freedom [1]."""
+    peers: tuple[str, ...] = ()
+    """Other scans of the contradicting pairs, for "sight"."""
+    share: float = 0.0
+    """Largest part of points in front of another scan's surface, for "sight" [1]."""
 
     @property
     def sentence(self) -> str:
@@ -68,6 +73,15 @@ class Contradiction:
                 f"pair points scatter at least {np.sqrt(self.score):.1f} times as much "
                 "as stated, and more than those of other pairs; look whether its start "
                 "pose is right, the instrument moved or drifted, or its delay changed"
+            )
+        if self.error == "sight":
+            return (
+                f"scan {self.scan!r}: looks through the surface of "
+                f"{', '.join(self.peers)}, and the other way round; up to "
+                f"{self.share:.0%} of the points are in front of the other's surface, "
+                f"by {self.shift * 1e3:.0f} mm in the median; its pose is wrong, or "
+                "something moved between the scans; check [scan.start] of this scan "
+                "first, add targets, or scan once more"
             )
         if self.error and self.scan:
             return (
@@ -276,7 +290,8 @@ def _registration_of(content: dict[str, Any]) -> Registration:
             for w in content["weaknesses"]
         ),
         contradictions=tuple(
-            Contradiction(**item) for item in content["contradictions"]
+            Contradiction(**{**item, "peers": tuple(item.get("peers", ()))})
+            for item in content["contradictions"]
         ),
         remarks=tuple(content["remarks"]),
         settled=bool(content["settled"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -220,6 +221,14 @@ class ScanSurface:
         step = np.linalg.norm(np.diff(self.position, axis=1), axis=-1)
         lengths = step[self.smooth[:, 1:] & self.smooth[:, :-1]]
         return float(np.median(lengths)) if lengths.size else float("nan")
+
+
+def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
+    """Return the points of a scan, corrected by its estimated shared errors."""
+    estimates = np.array([errors.get(key, 0.0) for key in surface.shared.keys])
+    off = np.tensordot(estimates, surface.shared.shapes, axes=1)
+    distance = surface.distance - off
+    return np.asarray(surface.origin + distance[..., None] * surface.direction)
 
 
 def scan_surface(

@@ -1,0 +1,160 @@
+"""Lines of sight: scans that look through each other's surface contradict each other.
+
+Water reaches up to the surface that a scan measures. A point of another scan in front
+of that surface passed by in between, like a fish, or one of both scans is at a wrong
+pose. At a wrong pose each scan looks through points of the other one. Where a surface
+repeats, as struts along a wall, no misfit shows such a pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from amulor.site.registration.pose import cross_matrix
+from amulor.site.registration.result import Registration, relative_covariance
+from amulor.site.registration.surface import ScanSurface, corrected
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: A point is in front of a surface beyond so many standard errors, and beyond so many
+#: point spacings [1].
+_THROUGH, _RELIEF = 6.0, 3.0
+#: Least part and least number of points in front, in both directions; scans at correct
+#: poses have none [1].
+_SHARE, _FEWEST = 0.02, 10
+#: Largest number of points of a scan that are tested [1].
+_MOST = 5000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sight:
+    """Pair of scans that look through each other's surface."""
+
+    scans: tuple[str, str]
+    """Names of the scans."""
+    shares: tuple[float, float]
+    """Part of the compared points of each scan in front of the other's surface [1]."""
+    distance: float
+    """Median distance of these points in front of the surface [m]."""
+    uncertainty: float
+    """Median standard error of these distances [m]."""
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Points of a scan along the beams of another one, of the same visit."""
+
+    compared: Flags
+    front: Flags
+    distance: Floats
+    error: Floats
+
+    @property
+    def share(self) -> float:
+        """Part of the compared points in front of the surface [1]."""
+        return float(self.front.sum() / max(int(self.compared.sum()), 1))
+
+    def in_front(self, points: Flags) -> bool:
+        """Whether many of the compared points are in front, counting some points."""
+        least = max(_FEWEST, _SHARE * int(self.compared.sum()))
+        return int((self.front & points).sum()) >= least
+
+
+def pairs_seen_through(
+    result: Registration, surfaces: Mapping[str, ScanSurface], scans: Sequence[str]
+) -> tuple[Sight, ...]:
+    """Return the pairs of scans of one visit that look through each other's surface.
+
+    A fish is in front of the surfaces of all other scans. At a wrong pose only the scan
+    itself sees through points of the others: these are in front of no third scan.
+    """
+    if len(scans) < 2:
+        return ()
+    looks: dict[tuple[str, str], _Look] = {}
+    for target in scans:
+        depth = _nearest_range(surfaces[target], result)
+        tree = cKDTree(surfaces[target].direction.reshape(-1, 3))
+        for source in scans:
+            if source != target:
+                looks[source, target] = _look(
+                    result, surfaces, source, target, tree, depth
+                )
+    fronts = {
+        name: np.sum([look.front for (of, _), look in looks.items() if of == name], 0)
+        for name in scans
+    }
+    pairs = []
+    for number, first in enumerate(scans):
+        for second in scans[number + 1 :]:
+            both = (looks[first, second], looks[second, first])
+            alone = [fronts[name] == 1 for name in (first, second)]
+            if all(look.in_front(look.front) for look in both) and any(
+                look.in_front(points) for look, points in zip(both, alone, strict=True)
+            ):
+                off, error = (
+                    np.concatenate([getattr(look, key)[look.front] for look in both])
+                    for key in ("distance", "error")
+                )
+                pairs.append(
+                    Sight(
+                        scans=(first, second),
+                        shares=(both[0].share, both[1].share),
+                        distance=float(np.median(off)),
+                        uncertainty=float(np.median(error)),
+                    )
+                )
+    return tuple(pairs)
+
+
+def _middle(surface: ScanSurface) -> Floats:
+    return np.asarray(surface.origin[surface.usable].mean(axis=0))
+
+
+def _nearest_range(surface: ScanSurface, result: Registration) -> Floats:
+    """Least range of each pixel and its neighbors [m]; minus infinity beside gaps."""
+    away = corrected(surface, result.errors) - _middle(surface)
+    reach = np.where(surface.usable, np.linalg.norm(away, axis=-1), -np.inf)
+    return np.asarray(
+        ndimage.minimum_filter(reach, 3, mode="constant", cval=-np.inf).ravel()
+    )
+
+
+def _look(
+    result: Registration,
+    surfaces: Mapping[str, ScanSurface],
+    source: str,
+    target: str,
+    tree: cKDTree,
+    depth: Floats,
+) -> _Look:
+    """Compare usable points of a scan with the nearest range of another around them."""
+    surface, other = surfaces[source], surfaces[target]
+    pixel = np.flatnonzero(surface.usable)
+    pixel = pixel[:: max(len(pixel) // _MOST, 1)]
+    pose = result.poses[source]
+    place = pose.place(corrected(surface, result.errors).reshape(-1, 3)[pixel])
+    rows = np.zeros((len(pixel), 3, 6))
+    rows[..., :3], rows[..., 3:] = np.eye(3), -cross_matrix(place - pose.position)
+    spread = rows @ relative_covariance(result, source, target) @ rows.swapaxes(1, 2)
+    away = result.poses[target].back(place) - _middle(other)
+    reach = np.linalg.norm(away, axis=1)
+    step = other.spacing / float(np.nanmedian(other.distance))
+    off, number = tree.query(
+        away / np.maximum(reach, 1e-9)[:, None], distance_upper_bound=step
+    )
+    met = np.isfinite(off)
+    number = np.where(met, number, 0)
+    met &= np.isfinite(depth[number])
+    distance = np.where(met, depth[number] - reach, 0.0)
+    noise = np.nan_to_num(other.own.ravel())[number]
+    variance = np.linalg.eigvalsh(spread)[:, -1] + noise**2
+    error = np.sqrt(variance + surface.own.ravel()[pixel] ** 2)
+    front = met & (distance > np.maximum(_THROUGH * error, _RELIEF * other.spacing))
+    return _Look(compared=met, front=front, distance=distance, error=error)
