@@ -1,4 +1,4 @@
-"""`python -m amulor` is the command `amulor`."""
+"""`python -m amulor`, which runs the command `amulor`."""
 
 import sys
 

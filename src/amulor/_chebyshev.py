@@ -24,7 +24,7 @@ _TOGETHER = 64
 
 
 class BoxSeries:
-    """Interpolation of several complex functions by products of Chebyshev polynomials.
+    """Chebyshev interpolation of several complex functions over a box.
 
     A value does not depend on the places that are asked for with it. A smooth function
     has few coefficients that count: of a product of 17, 17 and 65 polynomials mostly
@@ -73,7 +73,7 @@ class BoxSeries:
         self._terms = np.ascontiguousarray(np.hstack([chosen.real, chosen.imag]))
 
     def at(self, places: Floats) -> Complex:
-        """Return the interpolated functions at places, shape (function, place)."""
+        """Return the functions interpolated at points of the box, (function, point)."""
         scaled = np.zeros((3, places.shape[1]))
         scaled[: len(places)] = (places - self._centre[:, None]) / self._half[:, None]
         sums = np.empty((self._terms.shape[1] // 2, places.shape[1]), dtype=complex)
@@ -83,7 +83,7 @@ class BoxSeries:
 
 @numba.njit(cache=True, nogil=True)
 def _sum_up(scaled: Any, orders: Any, terms: Any, out: Any) -> None:
-    """Fill in sums of products of polynomials, shape (functions, places).
+    """Fill in the sums of polynomial products, shape (functions, points).
 
     Compiled because products of matrices, which numpy has for this, cannot leave out
     what is zero, and make threads of their own.

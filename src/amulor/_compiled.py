@@ -108,7 +108,7 @@ def _fresh(place: Any, package: Path) -> Any:
 
 
 def _last_resort(place: Any) -> Any:
-    """Return numba's cache locator for a temporary folder of the user."""
+    """Return numba's cache locator, with a temporary folder of the user."""
 
     class LastResort(place):  # type: ignore[misc]
         def __init__(self, py_func: Any, py_file: str) -> None:
@@ -148,7 +148,7 @@ def _temporary_folder() -> Path:
 
 
 def _only_written_by(user: int, folder: Path) -> bool:
-    """Return whether only the user and root can write into a folder or replace it."""
+    """Return whether only the user and root can change or replace a folder."""
     status, above = folder.lstat(), folder.parent.stat()
     sticky = bool(above.st_mode & stat.S_ISVTX)
     return (
@@ -187,7 +187,7 @@ class _Compiling(event.Listener):
 
 
 def loops_behind(loop: Any) -> list[Any]:
-    """Return a compiled loop and all loops that it calls."""
+    """Return a compiled loop, followed by all loops that it calls."""
     loops = [loop]
     for compiled in loops:
         names = compiled.py_func.__globals__
@@ -227,7 +227,7 @@ def digest_of(path: Path, package: Path) -> str:
 
 
 def _source(path: Path, package: Path) -> tuple[bytes, bytes]:
-    """Return a source at the time of its import, and its digest."""
+    """Return the text of a module at the time of its import, and its digest."""
     imported = _import_of(path, package)
     if path not in _read or _read[path][0] is not imported:
         text = path.read_bytes()
@@ -244,7 +244,7 @@ def _import_of(path: Path, package: Path) -> object:
 
 @cache
 def _imported(text: bytes, package: Path) -> tuple[Path, ...]:
-    """Return the files of a package that a source imports."""
+    """Return the files of a package that a module's text imports."""
     files: set[Path | None] = set()
     for origin, names, modules in _IMPORT.findall(text):
         module = (origin or modules).decode()
@@ -260,13 +260,13 @@ def _imported(text: bytes, package: Path) -> tuple[Path, ...]:
 
 
 def _names(imported: bytes) -> list[list[str]]:
-    """Return the words of each imported name: `name` or `name as other`."""
+    """Return the words of each name in an import list: `name` or `name as other`."""
     words = re.sub(rb"#.*", b"", imported).decode().strip("() \n").split(",")
     return [name.split() for name in words if name.strip()]
 
 
 def _defined(module: str, name: str, package: Path) -> Path | None:
-    """Return the file that defines a name of a package."""
+    """Return the file of a package that defines an imported name."""
     file = _file(f"{module}.{name}", package) or _file(module, package)
     if file is None or file != _file(module, package) or file.stem != "__init__":
         return file
@@ -280,7 +280,7 @@ def _defined(module: str, name: str, package: Path) -> Path | None:
 
 @cache
 def _file(module: str, package: Path) -> Path | None:
-    """Return the file of a module, if it has one."""
+    """Return the file of a module in a package, if there is one."""
     place = package.parent.joinpath(*module.split("."))
     for path in (place.with_suffix(".py"), place / "__init__.py"):
         if path.is_file():

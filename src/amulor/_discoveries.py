@@ -16,7 +16,7 @@ __all__ = ["largest_discovered"]
 def largest_discovered(
     chance: NDArray[np.float64], *, share: float, tests: int | None = None
 ) -> float:
-    """Return the largest p-value that is a discovery."""
+    """Return the largest p-value counted as a discovery; -1 if there is none."""
     order = np.sort(chance[np.isfinite(chance)], axis=None)
     tests = len(order) if tests is None else tests
     below = np.flatnonzero(order * tests <= share * np.arange(1, len(order) + 1))

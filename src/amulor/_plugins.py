@@ -9,5 +9,5 @@ REJECTION = "amulor.rejection"
 
 
 def names(group: str) -> tuple[str, ...]:
-    """List the entry points of a group in alphabetical order."""
+    """Return the names of a group's entry points in alphabetical order."""
     return tuple(sorted(metadata.entry_points(group=group).names))

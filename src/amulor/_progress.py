@@ -21,7 +21,7 @@ Listener = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class _Ear:
-    """Progress listener, with the interval of its work that is in progress."""
+    """Progress listener, with the interval of progress that the present work covers."""
 
     listener: Listener
     begin: float = 0.0
@@ -57,7 +57,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def part(begin: float, end: float) -> Iterator[None]:
-    """Scale progress within the block to a part of the enclosing work."""
+    """Map the progress within the block to an interval of the enclosing work."""
     ear = _ear.get()
     if ear is None:
         yield
@@ -72,7 +72,7 @@ def part(begin: float, end: float) -> Iterator[None]:
 
 
 def tell(step: str, share: float) -> None:
-    """Report the present step and the completed share of the work."""
+    """Report the present step and the completed fraction of the work."""
     ear = _ear.get()
     if ear is not None:
         ear.steps[:] = [step]

@@ -47,7 +47,7 @@ class SurveyError(AmulorError):
 
 
 class CubeError(AmulorError):
-    """A measurement cube lacks a part, or has a part that is not allowed.
+    """A measurement cube lacks required content, or has content that is not allowed.
 
     Examples
     --------

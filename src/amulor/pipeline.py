@@ -46,7 +46,7 @@ _PIXELS = 2**17
 
 @dataclass(frozen=True, kw_only=True)
 class TiledStep:
-    """Step from one level of a scan to the next, in one piece or by rows."""
+    """Processing step of a scan, which runs on a whole cube or by tiles of rows."""
 
     level: str
     """Level of the cube that the step needs as input."""
@@ -62,7 +62,7 @@ class TiledStep:
     """Name and arguments of the step, for the record of a run."""
 
     def __call__(self, cube: xr.Dataset) -> xr.Dataset:
-        """Run the step on a cube in one piece."""
+        """Run the step on a whole cube."""
         if self.of is None:
             return self.whole(cube)
         with part(0.0, 0.7):
@@ -72,7 +72,7 @@ class TiledStep:
 
 
 def reject_step(method: str, **options: Any) -> TiledStep:
-    """Return the rejection of the water signal by a method, as a step."""
+    """Return the processing step that rejects the water signal by a method."""
     from amulor import rejection  # images and clouds start without it
 
     chosen = rejection.load(method)
@@ -85,7 +85,7 @@ def reject_step(method: str, **options: Any) -> TiledStep:
 
 
 def image_step(**options: Any) -> TiledStep:
-    """Return the range image with flagged edges and outliers, as a step."""
+    """Return the processing step from target signal to range image with flags."""
     ranges = TiledStep(
         level="target_signal",
         whole=lambda cube: fitted_range_image(cube, **options)[0],
@@ -104,7 +104,7 @@ def image_step(**options: Any) -> TiledStep:
 def _flagged(
     image: xr.Dataset, *, fit: tuple[float, ...] | None = None
 ) -> tuple[xr.Dataset, tuple[float, ...]]:
-    """Return the range image with flagged edges and outliers, and the thresholds."""
+    """Return the range image with edges and outliers flagged, and the thresholds."""
     tell("edges and outliers", 0.0)
     return fitted_outliers(imaging.flag_mixed(image), fit=fit)
 
@@ -117,7 +117,7 @@ def steps_from(
     interval: tuple[float, float] | None = None,
     **options: Any,
 ) -> dict[str, TiledStep]:
-    """Return the steps from a level to the range image, by the level of the result."""
+    """Return the processing steps from a level up to the range image, by result."""
     steps: dict[str, TiledStep] = {}
     if level == "samples":
         if method is None:
@@ -189,7 +189,7 @@ def run(
 
 
 class Prepared:
-    """Processing step that is fitted to a scan."""
+    """Processing step after its fit to a scan, ready for any rows."""
 
     def __init__(self, step: TiledStep, source: tiles.Source, rows: int) -> None:
         self.rows, self.halo = rows, step.halo
@@ -197,21 +197,21 @@ class Prepared:
         self.treat = step.fit(self.input(source))
 
     def input(self, source: tiles.Source) -> tiles.Source:
-        """Return the input rows of a step: of the scan, or of the step before."""
+        """Return the input rows of the step, processed by the step before if any."""
         if self._before is None:
             return source
         return _Kept(Made(self._before, source), self.rows)
 
 
 class Made(tiles.Derived):
-    """Rows computed by a step."""
+    """Row source with the results of a processing step."""
 
     def __init__(self, prepared: Prepared, source: tiles.Source) -> None:
         super().__init__(prepared.input(source))
         self._prepared = prepared
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows, whose values do not depend on the division into tiles."""
+        """Return processed rows, whose values do not depend on the tile size."""
         halo = self._prepared.halo
         first = max(begin - halo, 0)
         wide = self._source.tile(first, min(end + halo, self.rows))
@@ -220,7 +220,7 @@ class Made(tiles.Derived):
 
 
 class _Kept(tiles.Derived):
-    """Rows with a cache of the last tile, whose end is the halo of the next tile."""
+    """Row source with a cache of the last tile, whose rows the next tile reuses."""
 
     def __init__(self, source: tiles.Source, rows: int) -> None:
         super().__init__(source)
@@ -230,11 +230,11 @@ class _Kept(tiles.Derived):
 
     @property
     def head(self) -> xr.Dataset:
-        """Variables, coordinates and attributes without the dimension row."""
+        """Variables, coordinates and attributes that have no row dimension."""
         return self._source.head
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows; tiles in ascending order are fastest."""
+        """Return rows; fastest if the tiles are read in ascending order."""
         joined = tiles.Whole(end - begin, self.columns)
         new = begin
         if self._last is not None and self._begin <= begin < self._end:
@@ -249,7 +249,7 @@ class _Kept(tiles.Derived):
 
 
 def window(step: TiledStep, source: tiles.Source, rows: int | None = None) -> int:
-    """Return the number of rows in a tile of a step."""
+    """Return the number of rows in a tile of a processing step."""
     if rows is not None:
         return rows
     few = tile_rows(source)
@@ -259,7 +259,7 @@ def window(step: TiledStep, source: tiles.Source, rows: int | None = None) -> in
 def run_step(
     step: TiledStep, source: tiles.Source, *, rows: int | None = None
 ) -> Iterator[tuple[int, xr.Dataset]]:
-    """Run a step: in one piece on a cube in memory, otherwise tile by tile."""
+    """Run a step on a whole cube in memory, or tile by tile on a file."""
     if rows is not None and rows < 1:
         raise ValueError(f"a tile has 1 row at least, got {rows}")
     if rows is None and isinstance(source, tiles.InMemory):
@@ -275,7 +275,7 @@ def run_step(
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """Summary of a step on a file."""
+    """Counts of samples and flags in a file that a processing step wrote."""
 
     head: xr.Dataset
     """Variables and attributes without the dimension row."""
@@ -299,7 +299,7 @@ class Summary:
 def opened(
     path: AnyPath, rows: int | None = None, *, level: str
 ) -> Iterator[tiles.Source]:
-    """Open a cube in memory, or by rows if it is large or a tile size is given."""
+    """Open a cube in memory; by rows if it is large or a tile size is given."""
     if rows is None and not is_large(path):
         tell(f"reading {path}", 0.0)
         yield tiles.InMemory(cubes.checked(io.read_cube(path), level, name=str(path)))
@@ -393,7 +393,7 @@ def reject_file(
 
 
 def _judged(source: tiles.Source, rows: int | None) -> xr.Dataset:
-    """Return the cube for the comparison of methods, or a sample of its rows."""
+    """Return the cube on which methods are compared: all of it, or a sample of rows."""
     if rows is None and isinstance(source, tiles.InMemory):
         return source.cube
     return cubes.without_groups(tiles.sample_of(source), "truth")
@@ -414,7 +414,7 @@ def image_file(
 
 @dataclass(frozen=True)
 class Selection:
-    """Selection of pixels for `amulor.imaging.leave_out`."""
+    """Criteria that exclude pixels, for `amulor.imaging.leave_out`."""
 
     good_only: bool = False
     """Whether all flagged pixels are excluded."""
@@ -426,7 +426,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class CloudSummary:
-    """Summary of a cloud written by rows."""
+    """Counts of points and excluded pixels of a cloud written by rows."""
 
     points: int
     """Number of points [1]."""
@@ -473,7 +473,7 @@ def cloud_file(
 def _counted(
     image: tiles.Source, selection: Selection, size: int
 ) -> tuple[CloudSummary, dict[str, int]]:
-    """Count the points, and the excluded pixels by reason."""
+    """Count the points of a cloud, and the excluded pixels by reason."""
     counts: Counter[str] = Counter()
     points = doubtful = 0
     words = ""

@@ -212,7 +212,7 @@ _ANGULAR_UNITS = {
 
 
 def _angular_power(unit: pint.Unit) -> float:
-    """Return the power of angle in a unit: 1 for deg, 2 for sr, 0 for Hz."""
+    """Return the exponent of angle in a unit: 1 for deg, 2 for sr, 0 for Hz."""
     parts = dict(unit._units)
     return sum(
         _ANGULAR_UNITS.get(str(name), 0) * float(str(power))
@@ -221,7 +221,7 @@ def _angular_power(unit: pint.Unit) -> float:
 
 
 def _registry_for(unit: str) -> pint.UnitRegistry[float]:
-    """Return the registry of the units of surveys, or pint's own for other units."""
+    """Return the unit registry of surveys, or pint's complete one for other units."""
     import pint
 
     registry = _registry(Path(__file__).with_name("units.txt"))
@@ -234,7 +234,7 @@ def _registry_for(unit: str) -> pint.UnitRegistry[float]:
 
 @functools.cache
 def _registry(definitions: Path | str = "") -> pint.UnitRegistry[float]:
-    """Return the registry of a file of units, or the slow one of pint itself."""
+    """Return the unit registry of a definitions file, or pint's own, which is slow."""
     import pint
 
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(
@@ -275,7 +275,7 @@ def write(value: float, quantity: str) -> str:
 
 
 def write_like(value: float, text: str) -> str:
-    """Write an SI number in the unit that a text uses, for messages.
+    """Write an SI number in the unit that another text uses, for messages.
 
     Parameters
     ----------

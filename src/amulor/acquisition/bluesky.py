@@ -187,12 +187,12 @@ class ScanDevice:
 
     @property
     def hints(self) -> dict[str, Any]:
-        """Names of the quantities to plot."""
+        """Names of the quantities that bluesky plots."""
         return {"fields": ["in_phase", "quadrature"]}
 
     @property
     def stream(self) -> str:
-        """Stream of the current sample: dark, open_water or scan."""
+        """Name of the current sample's stream: dark, open_water or scan."""
         return self._samples[self._current][0].kind
 
     def finished_before(self, number: int) -> bool:
@@ -233,7 +233,7 @@ class ScanDevice:
     # -- called by the scan, in its thread ---------------------------------------------
 
     def pause_wanted(self) -> bool:
-        """Wait for a request of a sample; True (pause) if none comes in time."""
+        """Wait for the next sample request; True (pause) if none comes in time."""
         self._ready.resolve(None)
         with self._changed:
             requested = self._changed.wait_for(
@@ -247,7 +247,7 @@ class ScanDevice:
             return not requested or self._end_requested or self._pause_requested
 
     def go_on(self) -> bool:
-        """Wait, devices safe, for the next request; False if it ends the scan."""
+        """Wait with devices safe for the next request; False if it ends the scan."""
         with self._changed:
             self._paused = True
             self._changed.notify_all()
@@ -296,7 +296,7 @@ class ScanDevice:
     # -- between the two ---------------------------------------------------------------
 
     def _resolve_waiting(self) -> None:
-        """Resolve the statuses whose sample is in the journal, or will never be."""
+        """Resolve each status whose sample is written or can no longer be acquired."""
         with self._changed:
             due = [
                 pair

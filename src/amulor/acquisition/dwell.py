@@ -115,7 +115,7 @@ class Settling:
     def unsettled_parts(
         self, entered: NDArray[np.complex128], mean: float, spacing: float
     ) -> int | None:
-        """Return the number of unsettled inputs at the start; None if above half."""
+        """Return the number of unsettled inputs at the start; None for most of them."""
         size = max(round(self._constant / spacing), 1)
         blocks = [entered[at : at + size] for at in range(0, entered.size, size)]
         if len(blocks) > 1 and blocks[-1].size < size:
@@ -224,7 +224,7 @@ def refuse_lacking(device: Device, setting: str, *words: str) -> None:
 
 
 class DwellReader:
-    """Read dwells, each after settling."""
+    """Reader of dwells, which waits for settling before each."""
 
     def __init__(
         self, survey: Survey, procedure: Procedure, lock_in: LockIn, clock: Clock
@@ -340,7 +340,7 @@ class DwellReader:
         times: ArrayLike,
         means: Sequence[float],
     ) -> tuple[list[complex], int, bool]:
-        """Return signals, number of skipped readings, and whether the others agree."""
+        """Return signals, number of skipped readings, and whether others settled."""
         mean = sum(means) / len(means) if means else math.nan
         skipped, settled = 0, True
         if self._judge is not None and self._filter_is_known and len(columns[0]) > 2:

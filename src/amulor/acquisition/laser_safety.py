@@ -31,7 +31,7 @@ _EXACT, _FARTHEST = 1e-4, 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class Hazard:
-    """Hazard of a laser beam to an eye in it."""
+    """Hazard of a laser beam to an eye in the beam."""
 
     permissible_irradiance: float
     """Maximum permissible exposure at the cornea, averaged over the exposure time
@@ -49,7 +49,7 @@ class Hazard:
 
 
 def permissible_irradiance(wavelength: float, *, exposure: float) -> float:
-    r"""Return the maximum permissible exposure of an eye to a visible point source.
+    r"""Return the maximum permissible exposure of an eye to a visible beam [W/m2].
 
     Notes
     -----

@@ -93,7 +93,7 @@ class Comb(NamedTuple):
     def step(
         self, kind: str, place: tuple[int, int], repeat: int, where: tuple[float, float]
     ) -> Step:
-        """Return the dwell at a place (row, column) and beam direction [rad]."""
+        """Return the dwell at a row and column, and at a beam direction [rad]."""
         first, *others = (
             Key(kind, *place, frequency, self.polarization, repeat)
             for frequency in self.frequencies
@@ -239,7 +239,7 @@ def count(survey: Survey, procedure: Procedure) -> int:
 
 
 def open_water_grid(survey: Survey) -> Mapping[tuple[int, int], tuple[float, float]]:
-    """Return the direction of every place of the open-water grid."""
+    """Return the beam directions [rad] of the open-water grid, by row and column."""
     plan = survey.scan.open_water
     if plan is None:
         return {}

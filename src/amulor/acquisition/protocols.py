@@ -15,7 +15,7 @@ SIMULATOR = "amulor simulator"
 
 
 class Overload(enum.IntFlag):
-    """Overloaded stages of a lock-in, as bits that add up."""
+    """Overloaded stages of a lock-in, as bit flags."""
 
     NONE = 0
     INPUT = 1
@@ -45,7 +45,7 @@ class Reading:
 
 
 class Device(Protocol):
-    """Methods of every device."""
+    """Methods that every device of a scan has."""
 
     def identity(self) -> str:
         """Return maker, model, serial number and firmware from the device."""
@@ -99,7 +99,7 @@ class CombLockIn(LockIn, Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """Record of a dwell by the clock of the lock-in."""
+    """Readings recorded during a dwell, timed by the clock of the lock-in."""
 
     times: NDArray[np.float64]
     """Times, rising, of shape (n,) [s]."""
@@ -134,10 +134,10 @@ class StreamingLockIn(BufferedLockIn, Protocol):
     """Lock-in amplifier that streams its outputs without a gap."""
 
     def begin_stream(self, duration: float) -> None:
-        """Start to record at once, without a gap, for at least a time [s]."""
+        """Start at once to record outputs without gaps, for at least a time [s]."""
 
     def fetch(self) -> Recorded:
-        """Return the record since the last call, oldest first.
+        """Return the outputs recorded since the last call, oldest first.
 
         Its times are by the clock of the scan, evenly spaced over all calls without a
         gap; there may be none yet. Mean and state are the present ones.
@@ -146,7 +146,7 @@ class StreamingLockIn(BufferedLockIn, Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Waveform:
-    """One record of a digitizer, all inputs at the same times."""
+    """Record of a digitizer, all inputs sampled at the same times."""
 
     signal: NDArray[np.float64]
     """Output of the detector, of shape (n,) [V]."""
@@ -207,7 +207,7 @@ class SweepingScanner(Scanner, Protocol):
     """Scanner that moves at a steady rate and can be read while it moves."""
 
     def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
-        """Start to move to a direction [rad], reached after a time [s]; do not wait."""
+        """Start a motion that reaches a direction [rad] after a time [s]."""
 
     def where(self) -> tuple[float, float]:
         """Return the present direction, also during a motion [rad]."""

@@ -71,7 +71,7 @@ class Keeper:
         self._pending = (future, step, len(samples))
 
     def settle(self) -> None:
-        """Wait until all samples are in the journal, and report them."""
+        """Wait until all samples are in the journal, and report them as written."""
         if self._pending is None:
             return
         future, step, count = self._pending
@@ -219,7 +219,7 @@ def acquire(
     acknowledged: Callable[[Key], None] = lambda key: None,
     ask: Callable[[str], None] | None = None,
 ) -> Outcome:
-    """Acquire a scan, or the rest of one, into the journal of a folder.
+    """Acquire a scan, or resume one, and write it to the journal of a folder.
 
     Parameters
     ----------
@@ -444,7 +444,7 @@ class _Run:
         ]
 
     def _to_be_retaken(self) -> Iterator[Step]:
-        """Return retakes of the samples whose newest take was spoiled."""
+        """Yield dwells that repeat the samples whose newest take was spoiled."""
         newest = {
             key._replace(repeat=0): (key, record.flags)
             for key, record in self._journal.samples(plan.SCAN)

@@ -62,7 +62,7 @@ _CALM = 20
 
 
 class SampleFlag(enum.IntFlag):
-    """Problems of a sample, as bits that add up."""
+    """Problems of a sample, as bit flags."""
 
     NONE = 0
     OVERLOAD = 1
@@ -96,7 +96,7 @@ _FREQUENCY_TOLERANCE = 1e-3
 
 
 class Sampler:
-    """Acquisition of samples, which remembers the present settings of all devices."""
+    """Acquirer of samples, which remembers the present settings of all devices."""
 
     def __init__(self, survey: Survey, settings: Settings, devices: Devices) -> None:
         self._settings = settings
@@ -188,7 +188,7 @@ class Sampler:
     def _swept(
         self, sweeper: SweepReader, steps: Sequence[Step]
     ) -> tuple[list[Swept], SampleFlag]:
-        """Return the pixels of a row; repeat it after loss of lock or an overload."""
+        """Acquire the pixels of a row; repeat it after loss of lock or an overload."""
         flags, losses = SampleFlag.NONE, 0
         timeout = self._settings.scanner.move_timeout
         while True:

@@ -91,7 +91,7 @@ class _Motion:
 
 
 def pitch_of(survey: Survey) -> float:
-    """Return the angle between two columns of a scan; raise if it has one [rad]."""
+    """Return the angle between adjacent columns [rad]; raise for a single column."""
     scan = survey.scan
     if scan.columns < 2 or scan.azimuth_span == 0:
         raise SurveyError(

@@ -368,7 +368,7 @@ def _run(words: list[str]) -> int:
 
 
 class _Ended(KeyboardInterrupt):
-    """Request by an operating-system signal to end the program."""
+    """Request to end the program, sent by a signal of the operating system."""
 
     def __init__(self, number: int) -> None:
         self.signal = signal.Signals(number)

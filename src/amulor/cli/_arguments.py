@@ -20,7 +20,7 @@ class UsageError(AmulorError):
 
 @contextmanager
 def refusing(option: str = "") -> Iterator[None]:
-    """Turn the `ValueError` of a public function into a usage error of an option.
+    """Turn a `ValueError` of a public function into a usage error of an option.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def refusing(option: str = "") -> Iterator[None]:
 
 
 def quantity_of(option: str, text: str, quantity: str) -> float:
-    """Parse an option with a unit.
+    """Parse an option that is a number with a unit, into SI units.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def quantity_of(option: str, text: str, quantity: str) -> float:
 
 
 def frequencies_of(option: str, text: str) -> list[float]:
-    """Parse an option with modulation frequencies.
+    """Parse an option that lists modulation frequencies, into Hz.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def frequencies_of(option: str, text: str) -> list[float]:
 def interval_of(
     nearest: str | None, farthest: str | None
 ) -> tuple[float, float] | None:
-    """Parse two options with limits of the slant range.
+    """Parse the options for the nearest and farthest slant range, into meters.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def check_tile_rows(rows: int | None) -> None:
 
 
 def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
-    """Raise if a file name does not end in a supported format.
+    """Raise if a file name does not end in one of the supported formats.
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ def print_next(command: str) -> None:
 
 
 def print_flags(counts: Mapping[str, int], total: int) -> None:
-    """Print the most frequent flag, with advice where nearly all values have it."""
+    """Print the most frequent flag, and advice if nearly all values have it."""
     if not counts:
         return
     from amulor.view.explanations import explanations, hint
@@ -148,7 +148,7 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None
 
 @contextmanager
 def _lines() -> Iterator[_progress.Listener]:
-    """Print progress as lines; short work prints none."""
+    """Print progress as lines; print nothing for short work."""
     log = _Log(time.monotonic)
     ended = threading.Event()
 
@@ -178,11 +178,11 @@ class _Log:
         self._compiling_written = False
 
     def advance(self, step: str, share: float) -> None:
-        """Record the present step and the completed share of the work."""
+        """Record the present step and the completed fraction of the work."""
         self._now = (step, share)
 
     def line(self) -> str:
-        """Return a progress line if it is time for one, else an empty text."""
+        """Return a progress line if one is due, else an empty text."""
         moment = self._clock()
         step, share = self._now
         # The longer it takes, the fewer lines.

@@ -339,7 +339,7 @@ def _live(*, quiet: bool) -> Iterator[_Screen]:
 
 
 def words(now: Progress) -> str:
-    """Return rate, remaining time and flagged samples in one line.
+    """Return rate, remaining time and number of flagged samples in one line.
 
     Parameters
     ----------

@@ -252,7 +252,7 @@ def _followed(
 
 
 def _time_left(state: Any, error: float) -> str:
-    """Return the time until the relative error is as small as requested, as text."""
+    """Return the remaining time until the requested relative error, as text."""
     if math.isinf(state.relative_error):
         return ""
     remaining = state.seconds * max((state.relative_error / error) ** 2 - 1, 0.0)
@@ -260,7 +260,7 @@ def _time_left(state: Any, error: float) -> str:
 
 
 def _print(name: str, response: dict[str, Any]) -> None:
-    """Print the response at about a dozen frequencies, and its summary."""
+    """Print the frequency response at about a dozen frequencies, and its summary."""
     import numpy as np
 
     frequencies, amplitude = (

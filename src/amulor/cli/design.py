@@ -113,7 +113,7 @@ def design(
 
 
 def _print(recommendation: Recommendation, files: list[Path]) -> None:
-    """Print the recommendation, its reasons and its weaknesses."""
+    """Print the recommended instrument, the reasons and its weaknesses."""
     goal = recommendation.goal
     print(f"{goal.name}: {recommendation.looked_at} candidates")
     for line in recommendation.impossible:
@@ -171,7 +171,7 @@ def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
 
 
 def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]]:
-    """Return all missed requirements, and the tightest of each kind that is met."""
+    """Return missed requirements, or the tightest of each kind that is met."""
     kinds: dict[str, list[Requirement]] = {}
     for requirement in requirements:
         kinds.setdefault(requirement.name.partition(" at ")[0], []).append(requirement)
@@ -223,7 +223,7 @@ def reasons_of(recommendation: Recommendation, *, confirm: bool) -> Reasons:
 
 
 def as_json(recommendation: Recommendation, reasons: Reasons) -> dict[str, Any]:
-    """Return recommendation and reasons as a dictionary for JSON."""
+    """Return the recommendation and its reasons as a dictionary for JSON."""
     from amulor.design.recommend import finite
 
     return {

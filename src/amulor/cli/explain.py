@@ -1,4 +1,4 @@
-"""`amulor explain`: meaning of flags and messages, and the reasons of a pixel."""
+"""`amulor explain`: meaning of flags and messages, and why a pixel is flagged."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def explain(
 
 
 def _explain_pixel(words: tuple[str, ...], pixel: str, *, json: bool) -> None:
-    """Print the flags of a pixel, channel by channel, with the numbers behind each."""
+    """Print the flags of a pixel by channel, with the numbers behind each flag."""
     from dataclasses import asdict
 
     from amulor.cli._arguments import check_inputs

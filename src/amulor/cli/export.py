@@ -231,7 +231,7 @@ def scale_of(option: str, text: str) -> float:
 
 
 def _endings(product: str | None) -> list[str]:
-    """Return the file endings of a product, before the input is read."""
+    """Return the file endings that a product may have."""
     from amulor.handover import ENDINGS
 
     products = [name for name in ENDINGS if product in (None, name)]

@@ -1,4 +1,4 @@
-"""`amulor info`: content of a file."""
+"""`amulor info`: contents of a file."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def info(
 
 
 def _print(cube: Any, content: dict[str, Any]) -> None:
-    """Print the content of a file, with the most important items first."""
+    """Print the contents of a file, with the most important items first."""
     from amulor.view.explanations import explanations, hint
 
     title = f' "{content["title"]}"' if content["title"] else ""
@@ -94,7 +94,7 @@ def _print(cube: Any, content: dict[str, Any]) -> None:
 
 
 def _counted(sizes: dict[str, int]) -> list[tuple[str, int]]:
-    """Return the dimensions that are printed on a separate line, with sizes."""
+    """Return names and sizes of dimensions other than frequency and polarization."""
     listed = ("modulation_frequency", "polarization")
     words = {"shot": "open-water shot"}
     return [
@@ -105,7 +105,7 @@ def _counted(sizes: dict[str, int]) -> list[tuple[str, int]]:
 
 
 def _print_ranges(values: Any) -> None:
-    """Print median and 1 to 99 % span of the slant ranges, and their number."""
+    """Print median and 1 to 99 % limits of the slant ranges, and their number."""
     finite = values[np.isfinite(values)]
     share = f"{finite.size} of {values.size} hold a range"
     if not finite.size:

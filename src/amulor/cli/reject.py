@@ -161,7 +161,7 @@ def _fraction(option: str, text: str | None) -> float | None:
 
 
 def _as_options(names: Iterable[str]) -> str:
-    """Return the command-line options for the options of a method."""
+    """Return the command-line spelling of the options of a method."""
     flags = {"modulation_frequency": "--frequency", "interval": "--nearest, --farthest"}
     words = [
         flags.get(name, f"--{name.replace('_', '-')}")
@@ -172,7 +172,7 @@ def _as_options(names: Iterable[str]) -> str:
 
 
 def _stated(texts: list[str]) -> dict[str, Any]:
-    """Parse options "name=value"; values that are numbers become numbers."""
+    """Parse options "name=value"; convert numeric values to numbers."""
     from amulor.cli._arguments import UsageError
 
     values: dict[str, Any] = {}

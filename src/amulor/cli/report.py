@@ -96,7 +96,7 @@ def report(
 def _shown(
     path: Path, rows: int | None, checks: list[Check]
 ) -> tuple[xr.Dataset, Whole]:
-    """Return an image, subsampled if large, and counts over all of its pixels."""
+    """Return a range image, thinned if it is large, and counts over all its pixels."""
     from amulor import pipeline
     from amulor.imaging import selection
     from amulor.io.netcdf import tile_rows

@@ -142,7 +142,7 @@ def register(
 
 
 def _not_good(result: Registration) -> str:
-    """Return an error text with a line for each contradiction of a registration."""
+    """Return an error text with one line for each contradiction in a registration."""
     lines = [entry.sentence for entry in result.contradictions]
     return "the poses are not good\n" + "\n".join(lines)
 
@@ -352,7 +352,7 @@ def compare(
 
 
 def _first_of(number: int, motions: dict[int, Motion]) -> int:
-    """Return the number of the first region that moves as one body with a region."""
+    """Return the number of the first region that moves with a region as one body."""
     return next(k for k in sorted(motions) if motions[k] is motions[number])
 
 

@@ -179,7 +179,7 @@ def _print_expected(
 
 
 def _whereabouts(survey: Survey, position: tuple[float, float, float]) -> str:
-    """Describe the position of a target that is outside of all beams."""
+    """Describe the position of a target that lies outside all beams."""
     right, down, forward = (
         value - origin
         for value, origin in zip(
@@ -272,7 +272,7 @@ def _print_water(water: WaterProperties) -> None:
 def _warn_of_state(
     survey: Survey, water: WaterProperties, reach: tuple[float, float] | None
 ) -> None:
-    """Warn about missing properties of the water that ranges or channels need."""
+    """Warn about missing water properties that affect the ranges or channels."""
     from amulor.rejection.channels import CROSS_POLARIZED
     from amulor.survey.properties import group_index_uncertainty
 

@@ -36,7 +36,7 @@ def warm_up() -> None:
 
 
 def _work() -> dict[str, Callable[[], object]]:
-    """Return small jobs that together compile all loops, by name."""
+    """Return short computations that together compile all loops, by name."""
     from amulor.studies import ladder
     from amulor.survey import Survey
 
@@ -114,7 +114,7 @@ def _photons(survey: Survey) -> None:
 
 
 def _ready() -> tuple[int, str]:
-    """Count the compiled loops, and name the folder of their files."""
+    """Return the number of compiled loops, and the folder that contains them."""
     from numba.core.dispatcher import Dispatcher
 
     from amulor._compiled import loops_behind

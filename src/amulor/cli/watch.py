@@ -84,7 +84,7 @@ def _ended(live: Live) -> bool:
 
 
 def _on_screen(live: Live, channel: str, show: str, *, once: bool) -> None:
-    """Draw the scan until it is finished or somebody presses Ctrl-C."""
+    """Draw the running scan until it is finished or somebody presses Ctrl-C."""
     from rich.console import Console
     from rich.live import Live as Screen
 
@@ -114,7 +114,7 @@ def _on_screen(live: Live, channel: str, show: str, *, once: bool) -> None:
 
 
 def _in_lines(live: Live, channel: str, pause: float, *, once: bool) -> None:
-    """Print a status line at intervals, and new advice when it appears."""
+    """Print a status line of the running scan at intervals, and new advice."""
     from amulor.view import terminal
 
     printed: list[str] = []

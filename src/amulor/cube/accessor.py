@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
-    """Return a group of a cube, with short variable names.
+    """Return a group of a cube, its variables renamed without the group prefix.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
 
 
 def without_groups(cube: xr.Dataset, *groups: str) -> xr.Dataset:
-    """Return a cube without its open-water shots and its true values.
+    """Return a cube without groups such as open-water shots and true values.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ class CubeAccessor:
 
     @property
     def restored(self) -> xr.Dataset:
-        """Cube with the dimensions that a selection of single values removed."""
+        """Cube with all dimensions of its level, after a selection removed some."""
         return restore_dimensions(self._cube)
 
     @property
@@ -216,14 +216,14 @@ class CubeAccessor:
 
     @property
     def covariance(self) -> xr.DataArray:
-        """Covariance of the two lock-in outputs, zero where the cube has none [V2]."""
+        """Covariance of in-phase and quadrature output, 0 if not in the cube [V2]."""
         if "in_phase_quadrature_covariance" in self._cube:
             return self._cube["in_phase_quadrature_covariance"]
         return xr.zeros_like(self._cube["in_phase"]).assign_attrs(units="V2")
 
     @property
     def open_water(self) -> xr.Dataset | None:
-        """Shots without a target, dimensions (modulation_frequency, ..., shot)."""
+        """Open-water shots, shape (modulation_frequency, ..., shot); None if none."""
         return group(self._cube, "open_water")
 
     @property
@@ -233,13 +233,13 @@ class CubeAccessor:
 
     @property
     def survey(self) -> Survey | None:
-        """Survey of the cube, parsed once for each text; None without a survey."""
+        """Survey of the cube, parsed once; None if the cube has no survey."""
         text = str(self._cube.attrs.get("survey") or "")
         return _survey_of(text) if text else None
 
     @property
     def geometry(self) -> dict[str, Any]:
-        """Positions and refractive indices that convert a phase to a point."""
+        """Positions and refractive indices that convert phases to points."""
         return dict(self._cube["geometry"].attrs)
 
 

@@ -1,4 +1,4 @@
-"""Pixel flags from sample flags, and the treatment of ranges of unknown error."""
+"""Flags of pixels from flags of samples, and pixels whose range error is unknown."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def error_unknown(cube: xr.Dataset) -> str:
 
 
 def _words(cube: xr.Dataset) -> str:
-    """Return the reason for an unknown error, from flags and attributes of a cube."""
+    """Return the reason for an unknown range error, from flags and attributes."""
     flag = cube["quality_flag"].values if "quality_flag" in cube else np.zeros(1, int)
     attribute = str(cube.attrs.get(_WORDS, ""))
     reasons = {

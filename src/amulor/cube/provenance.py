@@ -81,7 +81,7 @@ def build(
 
 
 def open_water(variables: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """Build the open-water part of a cube, for `accessor.attach`.
+    """Build the group of open-water shots, to add to a cube by `accessor.attach`.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ _time: ContextVar[datetime.datetime | None] = ContextVar("_time", default=None)
 
 @contextmanager
 def dated(time: datetime.datetime) -> Iterator[None]:
-    """Give all history lines within the block the same time, for reproducible files."""
+    """Use one time for all history lines within the block, for reproducible files."""
     token = _time.set(time)
     try:
         yield
@@ -214,7 +214,7 @@ def dated(time: datetime.datetime) -> Iterator[None]:
 
 
 def note(cube: xr.Dataset, step: str) -> xr.Dataset:
-    """Return a cube with a further line in its CF `history`, the newest last.
+    """Return a cube with one more line at the end of its CF `history`.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """One source of error of a slant range, in the words of the GUM."""
+    """Error source of a slant range, in the terms of the GUM."""
 
     name: str
     """Name in variables and reports."""
@@ -142,7 +142,7 @@ class QualityFlag(enum.IntFlag):
 
 
 class WaterResidualCause(enum.IntFlag):
-    """Tests that a `WATER_RESIDUAL` sample failed; bits that add up.
+    """Tests that a `WATER_RESIDUAL` sample failed, as bit flags.
 
     Examples
     --------
@@ -169,7 +169,7 @@ class WaterResidualCause(enum.IntFlag):
 
 @functools.cache
 def flag_words() -> dict[str, dict[str, dict[str, str]]]:
-    """Return the texts of flags.toml by kind, flag name and purpose."""
+    """Return the texts of flags.toml by kind of flag, flag name and purpose."""
     import tomllib
     from importlib import resources
 
@@ -231,7 +231,7 @@ def _bits_explained(
 
 @dataclass(frozen=True, kw_only=True)
 class Variable:
-    """Schema of one variable of a level: dimensions, unit, meaning."""
+    """Schema of one variable: dimensions, unit and meaning."""
 
     dimensions: tuple[str, ...]
     units: str

@@ -1,4 +1,4 @@
-"""A cube in tiles of rows: their sources, and their assembly."""
+"""A cube in tiles of rows: where rows are read from, and how tiles are joined."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ OfRows = Callable[[xr.Dataset, int], xr.Dataset]
 
 
 class Source(Protocol):
-    """Source of the rows of a cube: memory, or a file."""
+    """Object from which rows of a cube are read, in memory or in a file."""
 
     @property
     def head(self) -> xr.Dataset:
-        """All variables and attributes without the dimension row, such as shots."""
+        """Variables and attributes that have no row dimension, such as shots."""
         ...
 
     @property
@@ -75,7 +75,7 @@ class Source(Protocol):
         ...
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return the rows from `begin` to before `end`, with all of `head`."""
+        """Return the rows from `begin` to before `end`, and the variables of `head`."""
         ...
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
@@ -85,14 +85,14 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class InMemory:
-    """Source of rows from a cube in memory."""
+    """Rows of a cube in memory."""
 
     cube: xr.Dataset
     """Any cube over rows and columns."""
 
     @property
     def head(self) -> xr.Dataset:
-        """Variables, coordinates and attributes without the dimension row."""
+        """Variables, coordinates and attributes that have no row dimension."""
         names = [name for name, v in self.cube.variables.items() if "row" in v.dims]
         return self.cube.drop_vars(names)
 
@@ -118,7 +118,7 @@ class InMemory:
 
 
 class Derived:
-    """Base of sources whose rows are computed from those of another source.
+    """Base of row sources that compute their rows from those of another source.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Derived:
 
     @property
     def head(self) -> xr.Dataset:
-        """Variables, coordinates and attributes without the dimension row."""
+        """Variables, coordinates and attributes that have no row dimension."""
         if self._head is None:
             self._head = InMemory(self.tile(0, 1)).head
         return self._head
@@ -157,7 +157,7 @@ class Derived:
 
 
 class Changed(Derived):
-    """Source of rows that applies a function to each tile of another source.
+    """Row source that applies a function to each tile of another source.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class Changed(Derived):
         self._change = change
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return the rows of a tile, changed by the function."""
+        """Return the rows of a tile, after the function was applied."""
         return self._change(self._source.tile(begin, end))
 
 
@@ -196,7 +196,7 @@ def directions_of(cube: xr.Dataset) -> xr.Dataset:
 
 
 def bands(source: Source, rows: int | None = None) -> Iterator[tuple[int, int]]:
-    """Yield the first row and the end of each tile of a source.
+    """Yield first row and end row of each tile of a source.
 
     Parameters
     ----------
@@ -217,14 +217,14 @@ def bands(source: Source, rows: int | None = None) -> Iterator[tuple[int, int]]:
 
 
 def samples_of_row(source: Source) -> int:
-    """Return the number of samples of a row [1]."""
+    """Return the number of samples in a row [1]."""
     sizes = source.head.sizes
     planes = sizes.get("modulation_frequency", 1) * sizes.get("polarization", 1)
     return int(source.columns * planes)
 
 
 class Whole:
-    """Assembly of tiles in arrays that are allocated once.
+    """Cube assembled from tiles, in arrays that are allocated once.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ class Whole:
         self._arrays: dict[Any, np.ndarray[Any, Any]] = {}
 
     def put(self, tile: xr.Dataset, row: int, column: int = 0) -> None:
-        """Copy a tile to its rows.
+        """Copy a tile to its rows and columns in the assembled cube.
 
         Parameters
         ----------
@@ -294,7 +294,7 @@ _BAND = 8
 
 
 def sample_of(source: Source) -> xr.Dataset:
-    """Return bands of rows and columns spread over a scan, as a sample of it.
+    """Return a small cube of bands of rows and columns, spaced over a whole scan.
 
     Parameters
     ----------
@@ -357,14 +357,14 @@ def _spread_bands(
 
 
 def _with_gap(strip: xr.Dataset) -> xr.Dataset:
-    """Return rows with a missing row appended."""
+    """Return rows with one missing row appended."""
     last = strip.sizes["row"] - 1
     index = np.append(np.arange(last + 1), last)
     return _without(strip.isel(row=index), row=np.array([last + 1]))
 
 
 def _without(cube: xr.Dataset, **places: Indices) -> xr.Dataset:
-    """Return a cube with some rows or columns marked as missing."""
+    """Return a cube with the samples of some rows or columns marked as missing."""
     ((dimension, place),) = places.items()
     if not len(place):
         return cube
@@ -418,7 +418,7 @@ def fit_on_sample(
     needs_span: bool = True,
     **options: Any,
 ) -> OfRows:
-    """Estimate the statistics of a scan from a sample of its rows.
+    """Fit the statistics of a processing step on a sample of a scan's rows.
 
     `step(cube, *, fit=None, span=None, **options)` returns its result and the
     statistics that it used: `fit`, or where that is None those of the cube. A step

@@ -1,4 +1,4 @@
-"""Dimensions and values of a cube: restoring lost dimensions, checking values."""
+"""Dimensions and values of a cube: lost dimensions restored, values checked."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["check_values"]
 
 
 def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
-    """Return a cube with all dimensions of its level, restored with length 1.
+    """Return a cube with all dimensions of its level; lost ones have length 1.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
 def _restored(
     variable: xr.Variable, spec: schema.Variable | None, missing: set[str]
 ) -> xr.Variable:
-    """Return a variable with missing dimensions restored, if no others are missing."""
+    """Return a variable with lost dimensions restored, if it lacks no others."""
     if spec is None:
         return variable
     remaining = tuple(name for name in spec.dimensions if name not in missing)
@@ -95,7 +95,7 @@ _COMMON = (
 
 
 def check_values(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
-    """Raise if signals or their errors have impossible values.
+    """Raise if signals or their uncertainties have impossible values.
 
     NaN is a sample that is missing. An uncertainty of zero is none: what follows
     divides by it.
@@ -153,7 +153,7 @@ def _check_signal(array: xr.DataArray, variable: str, *, name: str) -> None:
 
 
 def _place(values: xr.DataArray, value: float) -> str:
-    """Return the coordinates of the first sample with a value, as text."""
+    """Return the coordinates of the first sample that has a given value, as text."""
     at = np.unravel_index(int(np.argmax(values.values == value)), values.shape)
     words = [f"{axis} {index}" for axis, index in zip(values.dims, at, strict=True)]
     return f"at {', '.join(words)}"

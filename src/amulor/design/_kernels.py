@@ -96,7 +96,7 @@ KEPT, ONE_FREQUENCY, OPEN_WATER, UNMIX, COMBINED, JOINT = range(6)
 
 
 class Points(NamedTuple):
-    """Pairs of candidate instrument and target distance, one row each."""
+    """Pairs of candidate instrument and target distance, one per row."""
 
     number: Floats
     """Numbers of each point, with the columns of `NUMBERS`, shape (point, ...)."""
@@ -141,7 +141,7 @@ class Light(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Work arrays for signals and errors of one point, by frequency and channel."""
+    """Work arrays for signals and errors at one point, by frequency and channel."""
 
     target: NDArray[np.complex128]
     """Target signal [1/s]."""
@@ -176,7 +176,7 @@ _LIGHT_SPEED = 299792458.0
 
 @numba.njit(cache=True, error_model="numpy")
 def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
-    """Fill the signals of a point; return its detector output over the linear limit.
+    """Compute the signals of a point; return detector output over its linear limit.
 
     Signals are rates of photoelectrons; the phase is that of the delay.
     """
@@ -222,7 +222,7 @@ def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def across(value: complex, along: complex) -> float:
-    """Phase shift that a small signal causes in another one [rad]."""
+    """Phase shift of a signal by a small signal added to it [rad]."""
     square = along.real * along.real + along.imag * along.imag
     if square == 0.0:
         return np.inf
@@ -237,7 +237,7 @@ _MOST = 400
 def astray(
     to_range: Floats, variance: Floats, distance: float, near: float, far: float
 ) -> tuple[float, float]:
-    """Probability of a wrong ambiguity interval, and its mean square range error.
+    """Probability of a wrong ambiguity interval, and its mean square range error [m^2].
 
     Phases of the given variances [rad^2] and ranges per phase [m/rad], 0 for those that
     are not there. Candidates are the ranges that differ by whole intervals of the most
@@ -303,7 +303,7 @@ def fill_columns(
     mean: Floats,
     water: NDArray[np.complex128],
 ) -> None:
-    """Fill the water signals up to each distance, and that of the whole column.
+    """Compute the water signals in front of each distance, and of the whole column.
 
     `piece` is that of the logarithm of the overlap, (4, segment, look); `mean` has the
     shape (look, distance + 1), `water` (look, distance + 1, frequency).
@@ -336,7 +336,7 @@ def fill_columns(
 def phase_errors(
     method: int, channel: int, x: Floats, passed: Floats, scratch: Scratch
 ) -> None:
-    """Fill variance and bias of the phases used by a method, and signal modulus.
+    """Compute variance and bias of the phases used by a method, and signal modulus.
 
     `passed` holds the shares of target and water that the channels pass, (2, channel).
     The signal that the range is taken of is a sum of channels with real weights.
@@ -369,7 +369,7 @@ def phase_errors(
 def _mix(
     method: int, k: int, x: Floats, passed: Floats, scratch: Scratch, weight: Floats
 ) -> None:
-    """Fill the channel weights with which the target signal is obtained."""
+    """Compute the weights with which channels are summed to the target signal."""
     of_target = passed[0, 1] / max(passed[0, 0], 1e-12)
     of_water = passed[1, 1] / max(passed[1, 0], 1e-12)
     if method == UNMIX:
@@ -473,7 +473,7 @@ def _add(slope: Complex, inverse: tuple[float, float, float], out: Floats) -> No
 
 @numba.njit(cache=True, error_model="numpy")
 def range_information(x: Floats, scratch: Scratch, out: Floats, bias: Floats) -> None:
-    """Fill range variance [m^2] and bias [m] of joint estimation.
+    """Compute range variance [m^2] and bias [m] of joint estimation.
 
     Parameters are the range, the logarithm of the echo of each channel, and, shared by
     the pixels, those of the strength of the water in each channel, of absorption and of
@@ -545,7 +545,7 @@ def _scaled(matrix: Floats) -> Floats:
 def _terms(
     x: Floats, scratch: Scratch, inner: Floats, out: Floats, bias: Floats
 ) -> None:
-    """Split the range variance into its terms, for known water properties."""
+    """Divide the range variance among its causes, for known water properties."""
     departed = 0.0
     for k in range(scratch.to_range.size):
         if scratch.to_range[k] == 0.0:
@@ -588,7 +588,7 @@ def _phase_variance(k: int, scratch: Scratch) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _combine(only: int, x: Floats, scratch: Scratch, row: Floats) -> float:
-    """Fill the errors of the weighted mean range; return the squared total error.
+    """Compute the errors of the weighted mean range; return the squared total error.
 
     `only` is the one frequency that counts, -1 for all.
     """
@@ -642,7 +642,7 @@ def _combine(only: int, x: Floats, scratch: Scratch, row: Floats) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _jointly(x: Floats, passed: Floats, scratch: Scratch, row: Floats) -> None:
-    """Fill the errors of joint estimation."""
+    """Compute the range errors of joint estimation."""
     # Which interval it is follows from the phases, channel by channel together.
     best = 0
     for c in range(passed.shape[1]):
@@ -662,7 +662,7 @@ def _jointly(x: Floats, passed: Floats, scratch: Scratch, row: Floats) -> None:
 def assess(
     method: int, points: Points, light: Light, scratch: Scratch, out: Floats
 ) -> None:
-    """Fill the errors of each point, with the columns of `RESULTS`.
+    """Compute the errors of each point, in the columns of `RESULTS`.
 
     Compiled, as a point has few numbers and there are hundreds of thousands.
     """

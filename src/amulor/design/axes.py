@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Axis:
-    """Axis of an evaluation: a number of the instrument, water or target."""
+    """Parameter of instrument, water or target that an evaluation may vary."""
 
     meaning: str
     """Short description of the quantity."""
@@ -111,7 +111,7 @@ PREDICTED: dict[str, Predicted] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Arranged:
-    """Values of all axes, broadcast to common array dimensions."""
+    """Values of all varied parameters, broadcast to common dimensions."""
 
     sizes: dict[str, int]
     """Length of each dimension by its name."""
@@ -131,7 +131,7 @@ class Arranged:
 def arranged(
     axes: Mapping[str, Any], frequencies: Sequence[Sequence[float]] | None
 ) -> Arranged:
-    """Arrange the arguments of an evaluation along common dimensions."""
+    """Broadcast the arguments of an evaluation to common dimensions."""
     if "attenuation" in axes and {"absorption", "scattering"} & set(axes):
         raise SurveyError(
             "attenuation is the sum of absorption and scattering; state it alone, or "
@@ -185,7 +185,7 @@ def arranged(
 
 
 def _axis_values(name: str, value: Any) -> tuple[tuple[str, ...], Floats]:
-    """Dimensions and values of one axis; SurveyError if out of range."""
+    """Dimensions and values of one parameter; SurveyError if out of range."""
     if name not in AXES:
         raise SurveyError(
             f"{name}: is no axis of a design; allowed are {', '.join(AXES)}, "
@@ -219,7 +219,7 @@ def _axis_values(name: str, value: Any) -> tuple[tuple[str, ...], Floats]:
 
 
 def _sets(frequencies: Sequence[Sequence[float]]) -> tuple[list[Floats], list[str]]:
-    """Frequency sets as rows of an array, filled up with NaN, and their labels."""
+    """Frequency sets as rows of an array, padded with NaN, and their labels."""
     most = max((len(members) for members in frequencies), default=0)
     if min((len(members) for members in frequencies), default=0) < 1:
         raise SurveyError("frequencies: each set needs one frequency at least")

@@ -93,7 +93,7 @@ def middle(spread: Spread) -> float:
 
 
 def box_values(box: Box) -> tuple[float, ...]:
-    """Grid values of a parameter range, increasing."""
+    """Grid values of a parameter range, in increasing order."""
     if box.values:
         return box.values
     assert box.low is not None
@@ -102,7 +102,7 @@ def box_values(box: Box) -> tuple[float, ...]:
 
 
 def frequency_grid(goal: Goal) -> tuple[float, ...]:
-    """Single modulation frequencies of a goal's choice, increasing [Hz]."""
+    """Modulation frequencies that a goal offers for choice, increasing [Hz]."""
     modulation = goal.components.modulation
     if modulation.sets:
         return tuple(sorted({f for members in modulation.sets for f in members}))
@@ -118,7 +118,7 @@ def frequency_grid(goal: Goal) -> tuple[float, ...]:
 
 
 def aim_of_goal(goal: Goal) -> float:
-    """Distance at which the receiver axis meets the beam [m]."""
+    """Distance at which a candidate's receiver axis meets the beam [m]."""
     if goal.aim is not None:
         return goal.aim
     near, far = goal.asked[0], goal.asked[-1]
@@ -126,7 +126,7 @@ def aim_of_goal(goal: Goal) -> float:
 
 
 def first_choice(goal: Goal) -> Parameters:
-    """Candidate with the first value of each component choice."""
+    """Candidate built from the first value of each component choice."""
     parts = goal.components
     modulation = parts.modulation
     first = modulation.sets[0] if modulation.sets else frequency_grid(goal)[:1]
@@ -184,7 +184,7 @@ def scan_time(goal: Goal, chosen: Parameters) -> float:
 
 
 def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
-    """Mueller matrix scaled to a given element m22."""
+    """Mueller matrix scaled to a given element m22 (depolarization)."""
     base = matrix(mueller)
     if base[1, 1] == 0:
         base = np.diag([1.0, 1.0, -1.0, -1.0])
@@ -194,7 +194,7 @@ def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
 
 
 def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
-    """Ratio of water coefficients: at the laser's wavelength over the first laser's."""
+    """Water coefficients at a laser's wavelength over those at the first's [1]."""
     first = goal.components.lasers[0].name
     if chosen.laser == first:
         return {}
@@ -208,7 +208,7 @@ def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
 
 
 def survey_of(goal: Goal, chosen: Parameters) -> Survey:
-    """Survey of a candidate, with a plate target at the distance of aim."""
+    """Survey of a candidate, with a plate as target where the receiver aims."""
     laser = laser_of(goal, chosen.laser)
     detector = goal.detector
     if laser.quantum_efficiency is not None:
@@ -286,7 +286,7 @@ _NINETY_FIVE, _CUT = 1.959964, 2 * 1.959964
 
 
 def spreads_of(goal: Goal) -> dict[str, Spread]:
-    """Parameter ranges of a goal by axis name."""
+    """Parameter ranges of a goal, by parameter name."""
     waters, targets = goal.waters, goal.targets
     ranges = {
         "attenuation": waters.attenuation,

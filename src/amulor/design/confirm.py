@@ -136,7 +136,7 @@ def _reported(
 def _model(
     survey: Survey, water: WaterProperties, traced: Geometry, place: Place
 ) -> tuple[Complex, Complex]:
-    """Echo and water signal before the target, by the small-angle model."""
+    """Echo, and water signal in front of the target, by the small-angle model."""
     frequency = np.array(survey.instrument.modulation_frequencies)[:, None, None]
     common: dict[str, Any] = {"survey": survey, "water": water, "view": traced.view}
     surface = {
@@ -180,7 +180,7 @@ def _compared(
 def _ratio(
     light: Complex, covariance: Floats, expected: Complex
 ) -> tuple[Complex, Floats, Floats]:
-    """Ratio of a signal to its expectation, with errors of amplitude and phase."""
+    """Ratio of a signal to its prediction, with errors of amplitude and phase."""
     lit = (np.abs(expected) > 0) & (np.abs(light) > 0)
     along = np.where(lit, light, 1.0) / np.where(lit, np.abs(light), 1.0)
     ahead = np.stack([along.real, along.imag], axis=-1)
@@ -212,7 +212,7 @@ SHIFT = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class Scans:
-    """Comparison of simulated scans with the predicted errors."""
+    """Errors in simulated scans, compared with the predicted errors."""
 
     distance: float
     """Slant range of the target [m]."""
@@ -236,7 +236,7 @@ class Scans:
 
     @property
     def holds(self) -> bool:
-        """Whether the ratio agrees with 0.9 to 1.1 within two standard errors."""
+        """Whether the error ratio agrees with 0.9 to 1.1 within two standard errors."""
         low, high = HOLDS
         margin = 2 * self.ratio_error
         return low - margin <= self.ratio <= high + margin
@@ -365,7 +365,7 @@ def scans(
 
 
 def _reduced_survey(goal: Goal, chosen: Parameters, distance: float) -> Survey:
-    """Survey of an instrument with few pixels and a target at one distance."""
+    """Survey of an instrument with few pixels and a plate at one distance."""
     survey = survey_of(goal, chosen)
     scan = survey.scan
     return survey.with_(
@@ -380,7 +380,7 @@ def _reduced_survey(goal: Goal, chosen: Parameters, distance: float) -> Survey:
 
 
 def _image(target: xr.Dataset, interval: tuple[float, float] | None) -> xr.Dataset:
-    """Range image of the target channel with the smallest uncertainty."""
+    """Range image of the target channel with the smallest range uncertainty."""
     channels = [str(value) for value in target["polarization"].values]
     if "joint_slant_range" in target:
         channels = channels[:1]
@@ -413,7 +413,7 @@ def _truth(survey: Survey, image: xr.Dataset) -> Floats:
 def _differences(
     name: str, simulated: Scans, photons: Photons | None, late: float, accuracy: float
 ) -> list[str]:
-    """Messages for differences that exceed their limits."""
+    """Messages about differences between simulation and prediction beyond limits."""
     differences = []
     if not simulated.holds:
         differences.append(

@@ -225,7 +225,7 @@ def scheme_of(text: str) -> tuple[str, ...]:
 
 
 def _several(names: str | Sequence[str] | None, default: str) -> tuple[list[str], bool]:
-    """Values of a text axis as a list, and whether it is a dimension."""
+    """Values of a text parameter as a list, and whether they form a dimension."""
     if names is None:
         return [default], False
     if isinstance(names, str):
@@ -263,7 +263,7 @@ def _variables(
     case: Case,
     wrong_interval: float,
 ) -> dict[str, NDArray[Any]]:
-    """Variables of the result Dataset, arrays of one shape."""
+    """Variables of the result Dataset, as arrays of one shape."""
     column = {name: errors.result[..., k] for k, name in enumerate(kernel.RESULTS)}
     variance = sum(column[name] for name in kernel.RANDOM)
     water_bias_square = sum(column[name] ** 2 for name in kernel.SYSTEMATIC)
@@ -359,7 +359,7 @@ def reach(
     reflectance: float | None = None,
     method: str = "open-water",
 ) -> Reach:
-    """Return the distances at which an instrument meets an accuracy in a water."""
+    """Return the distances at which an instrument is accurate enough in a water."""
     title, properties = WATERS[water]
     # A survey's own far wall is not part of another water.
     moved = survey.with_({"water": properties})
@@ -393,7 +393,7 @@ def reach(
 
 
 def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
-    """Start and end index (exclusive) of the longest run of True values."""
+    """Start and end (exclusive) of the longest run of True values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
     if not len(edges):
         return 0, 0
@@ -403,7 +403,7 @@ def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def _largest(errors: Any, number: int) -> str:
-    """Name of the largest error term at one distance, ambiguity excluded."""
+    """Name of the largest error source at one distance, ambiguity excluded."""
     if errors["saturated"].values[number]:
         return "saturation"
     sizes = {

@@ -80,7 +80,7 @@ def aim_of(survey: Survey) -> float:
 
 
 def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
-    """Survey with another baseline, and the receiver aimed at a given distance."""
+    """Survey with another baseline, and a receiver aimed at a given distance."""
     instrument = survey.instrument
     start = np.asarray(instrument.emitter.position)
     side = np.asarray(instrument.receiver.position) - start
@@ -110,7 +110,7 @@ def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
 
 
 def _towards(point: Floats, start: Floats, crossed: rays.Medium) -> Floats:
-    """Direction before the window for a ray that reaches a point in the water."""
+    """Direction in front of the window of a ray that reaches a point in the water."""
     way = point - start
     if crossed.window_distance is None:
         return np.asarray(way)

@@ -64,7 +64,7 @@ class _Spread(Description):
 
 
 class CoefficientSpread(_Spread):
-    """Range of an attenuation, absorption or scattering coefficient."""
+    """Range of an attenuation, absorption or scattering coefficient [1/m]."""
 
     low: Annotated[PerMetre, Field(ge=0)]
     """Lower end of the range [1/m]."""
@@ -73,7 +73,7 @@ class CoefficientSpread(_Spread):
 
 
 class FractionSpread(_Spread):
-    """Range of a fraction."""
+    """Range of a fraction, such as a reflectance [1]."""
 
     low: Annotated[Fraction, Field(ge=0, le=1)]
     """Lower end of the range [1]."""
@@ -82,7 +82,7 @@ class FractionSpread(_Spread):
 
 
 class AngleSpread(_Spread):
-    """Range of an angle."""
+    """Range of an angle [rad]."""
 
     low: Annotated[Angle, Field(ge=0, le=1)]
     """Lower end of the range [rad]."""
@@ -105,7 +105,7 @@ Scheme = Annotated[
 
 
 class _Ascending(Description):
-    """Base of limits of a distance, the nearest below the farthest."""
+    """Base of pairs of distances, the nearest below the farthest."""
 
     nearest: float
     farthest: float
@@ -132,7 +132,7 @@ class DistanceRange(_Ascending):
 
 
 class Interval(_Ascending):
-    """Limits of the slant range, known before the measurement."""
+    """Limits of the slant range that are known before the measurement."""
 
     nearest: Annotated[Length, Field(ge=0)]
     """Nearest possible slant range [m]."""
@@ -219,7 +219,7 @@ class ScanGoal(Description):
 
 
 class Laser(Description):
-    """Laser to choose, with properties that depend on its wavelength."""
+    """Laser that may be chosen, with properties that depend on its wavelength."""
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
     """Name of the laser."""
@@ -248,7 +248,7 @@ class Laser(Description):
 
 
 class Modulation(Description):
-    """Modulation frequencies to choose from."""
+    """Modulation frequencies that may be chosen."""
 
     lowest: _Tone | None = None
     """Lowest modulation frequency of a grid [Hz]."""
@@ -311,7 +311,7 @@ class _Box(Description):
 
 
 class LengthBox(_Box):
-    """Lengths to choose from: a list, or a range."""
+    """Lengths that may be chosen: a list, or a range."""
 
     values: tuple[Annotated[Length, Field(gt=0)], ...] = ()
     """List of lengths to choose from [m]."""
@@ -322,7 +322,7 @@ class LengthBox(_Box):
 
 
 class AngleBox(_Box):
-    """Angles to choose from: a list, or a range."""
+    """Angles that may be chosen: a list, or a range."""
 
     values: tuple[Annotated[Angle, Field(gt=0, le=0.5)], ...] = ()
     """List of angles to choose from [rad]."""
@@ -333,7 +333,7 @@ class AngleBox(_Box):
 
 
 class TimeBox(_Box):
-    """Times to choose from: a list, or a range."""
+    """Times that may be chosen: a list, or a range."""
 
     values: tuple[Annotated[Time, Field(gt=0)], ...] = ()
     """List of times to choose from [s]."""
@@ -348,7 +348,7 @@ Box = LengthBox | AngleBox | TimeBox
 
 
 class Components(Description):
-    """Components of the instrument to choose from."""
+    """Components of the instrument that may be chosen."""
 
     lasers: Annotated[tuple[Laser, ...], Field(min_length=1)]
     """Lasers to choose from."""
@@ -394,7 +394,7 @@ class Assumptions(Description):
 
 
 class Effort(Description):
-    """Computing effort of the search."""
+    """Computing effort of the search for an instrument."""
 
     draws: Annotated[Count, Field(ge=4, le=4096)] = 64
     """Number of randomly drawn waters and targets [1]."""
@@ -486,7 +486,7 @@ class Goal(Description):
 
     @property
     def assumed(self) -> dict[str, Any]:
-        """Values that the goal assumes for axes of `evaluate`."""
+        """Values that the goal assumes for parameters of `evaluate`."""
         return {"texture": 0.0, **self.assumptions.model_dump()}
 
     @classmethod

@@ -56,7 +56,7 @@ _FADED, _FARTHEST = 14.0, 150.0
 
 @dataclass(frozen=True, kw_only=True)
 class Looks:
-    """Distinct combinations of receiver view and water, arrays over (look,)."""
+    """Distinct pairs of receiver geometry and water, arrays over (look,)."""
 
     absorption: Floats
     """Absorption coefficient [1/m]."""
@@ -80,7 +80,7 @@ class Looks:
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Water signal per launched power, without polarizers, arrays over (look, ...)."""
+    """Water signal per launched power, before polarizers, arrays over (look, ...)."""
 
     mean: Floats
     """Unmodulated water signal in front of each depth, the whole column last, shape
@@ -136,7 +136,7 @@ def columns(
 def _log_overlap(
     survey: Survey, water: WaterProperties, looks: Looks, knots: Floats
 ) -> Floats:
-    """Logarithm of the overlap F at the spline knots, shape (look, knot)."""
+    """Logarithm of the two-way overlap F at the spline knots, shape (look, knot)."""
     overlap = (
         sharp_receiver.overlap if has_sharp_receiver(survey) else small_angle.overlap
     )
@@ -207,7 +207,7 @@ def _nodes(
     *,
     end: float | None,
 ) -> kernel.Nodes:
-    """Quadrature nodes, with their spline segments and phase factors."""
+    """Quadrature nodes along the water column, with their phase factors."""
     widest = _TURN / max(float(rate.max()), 1e-9)
     edges = [0.0, float(math.exp(place[0]))]
     while edges[-1] < farthest * (1 - 1e-9):
@@ -325,7 +325,7 @@ _STEP = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Survey with its water properties, and its values on the axes."""
+    """Survey with its water properties, and the values of its parameters."""
 
     survey: Survey
     """Survey: instrument, water and target."""
@@ -337,7 +337,7 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Lit:
-    """Light for all receiver views and distances, and indices of the candidates."""
+    """Signals for all receiver views and distances, and indices of the candidates."""
 
     light: kernel.Light
     """Overlaps, water signals, optical paths and frequencies."""
@@ -363,7 +363,7 @@ def lit(
     joint: bool,
     late: bool = True,
 ) -> Lit:
-    """Compute light, which does not depend on power, dwell, channels and method."""
+    """Compute signals that do not depend on power, dwell, channels and method."""
     by_axis = values_on_axes(case, values)
     distance, reach = np.unique(values["distance"], return_inverse=True)
     places, place = _places(case, values, distance)
@@ -385,7 +385,7 @@ def lit(
 
 
 def values_on_axes(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
-    """Values on all axes, those of the survey where not varied."""
+    """Values of all parameters, those of the survey where not varied."""
     by_axis = {
         name: np.asarray(value) for name, value in case.survey_values.items()
     } | values
@@ -397,7 +397,7 @@ def values_on_axes(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
 
 
 def case_of(survey: Survey, water: WaterProperties) -> Case:
-    """Case of a survey, with its value on each axis."""
+    """Survey with its water properties, and the value of each parameter."""
     instrument = survey.instrument
     receiver = np.asarray(instrument.receiver.position)
     survey_values = {
@@ -450,7 +450,7 @@ def _looks(
     places: list[geometry.Place],
     place: NDArray[np.intp],
 ) -> tuple[Looks, NDArray[np.intp]]:
-    """Distinct views and waters, and the index of each candidate's combination."""
+    """Distinct pairs of receiver view and water, and each candidate's index."""
     names = ("absorption", "scattering", "radius", "field_of_view")
     parts = np.broadcast_arrays(*(by_axis[name] for name in names), place)
     distinct, number = np.unique(
@@ -483,7 +483,7 @@ def _light(
     *,
     joint: bool,
 ) -> tuple[kernel.Light, Floats]:
-    """Light for the compiled loops, and the mean square scattering angle."""
+    """Signals as input of the compiled loops, and mean square scattering angle."""
     before = distance[0] - float(places[0].depth[0])
     depth = distance - before
     if depth[0] <= 0:

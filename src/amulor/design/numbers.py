@@ -145,7 +145,7 @@ def _ordered(method: str, pairs: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _repetition(frequencies: Floats, group_index: float) -> Floats:
-    """Unambiguous range of each frequency set [m]."""
+    """Range interval after which all phases of a frequency set repeat [m]."""
     smallest = np.nanmin(frequencies, axis=0)
     if len(frequencies) > 1:
         apart = np.diff(np.sort(frequencies, axis=0), axis=0)
@@ -154,7 +154,7 @@ def _repetition(frequencies: Floats, group_index: float) -> Floats:
 
 
 def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floats:
-    """Error by uneven reflectance within the laser spot on a slope [m]."""
+    """Error by uneven reflectance within the laser spot on a sloping target [m]."""
     emitter = case.survey.instrument.emitter
     width = np.hypot(
         emitter.beam_radius or 0.0, (emitter.beam_divergence or 0.0) * distance
@@ -163,7 +163,7 @@ def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floa
 
 
 def _numbers(case: Case, by_axis: dict[str, Floats], lighting: Lit) -> dict[str, Any]:
-    """Columns of `NUMBERS` computed from a survey and its axes."""
+    """Columns of `NUMBERS` computed from a survey and the varied parameters."""
     survey = case.survey
     instrument, detector = survey.instrument, survey.instrument.detector
     constant = np.minimum(instrument.lock_in.time_constant, _LOCK_IN * by_axis["dwell"])
@@ -198,7 +198,7 @@ def _numbers(case: Case, by_axis: dict[str, Floats], lighting: Lit) -> dict[str,
 
 
 def _sky(case: Case, by_axis: dict[str, Floats]) -> Floats | float:
-    """Photoelectron rate of daylight without an analyzer [1/s]."""
+    """Photoelectron rate of daylight in the detector, without an analyzer [1/s]."""
     survey = case.survey
     if survey.daylight is None:
         if np.any(by_axis["radiance"] > 0):
@@ -225,7 +225,7 @@ def _fractions(
     surface: str,
     flat: Any,
 ) -> Floats:
-    """Fraction of target or water light behind each analyzer, (point, channel)."""
+    """Fraction of target or water light that passes each analyzer, (point, channel)."""
     if surface == "target":
         description: Any = "painted-metal"
         if case.survey.targets:
@@ -254,7 +254,7 @@ def _fractions(
 
 
 def _scratch(frequency_count: int, channels: int) -> kernel.Scratch:
-    """Work arrays for one point."""
+    """Allocate the work arrays for one point."""
     shape = (frequency_count, channels)
     return kernel.Scratch(
         target=np.zeros(shape, dtype=complex),

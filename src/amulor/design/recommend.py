@@ -55,7 +55,7 @@ _DRAWS = 16
 
 @dataclass(frozen=True, kw_only=True)
 class Shares:
-    """Optimum division of a pixel's dwell time between the frequencies."""
+    """Best division of a pixel's dwell time between the frequencies."""
 
     share: tuple[float, ...]
     """Fraction of the time for each frequency, sum 1 [1]."""
@@ -127,7 +127,7 @@ def _error(
     bias: Floats,
     dwell: tuple[int, ...],
 ) -> float:
-    """Total error at the worst distance; infinite with likely wrong intervals [m]."""
+    """Range error at the worst distance; infinite if the interval is uncertain [m]."""
     variances = np.stack([variance[k, number] for k, number in enumerate(dwell)])
     biases = np.stack([bias[k, number] for k, number in enumerate(dwell)])
     weight = 1 / np.maximum(variances, 1e-30)
@@ -180,7 +180,7 @@ class Between:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """Proposed instrument, with requirements and errors.
+    """Proposed instrument, with its requirements and predicted errors.
 
     Examples
     --------
@@ -217,7 +217,7 @@ class Choice:
 
     @property
     def met(self) -> bool:
-        """Whether all requirements are met."""
+        """Whether the instrument meets all requirements."""
         return all(requirement.met for requirement in self.requirements)
 
     def to_dict(self) -> dict[str, Any]:
@@ -244,7 +244,7 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """Parameter whose optimum lies at a limit set by the goal.
+    """Parameter whose best value lies at a limit set by the goal.
 
     It is no recommendation: what lies beyond was not looked at.
 
@@ -323,7 +323,7 @@ def finite(value: Any) -> Any:
 
 
 def _plain_row(row: xr.Dataset) -> dict[str, Any]:
-    """Table row of a candidate as plain values, frequencies as a list."""
+    """Table row of a candidate as plain values, with frequencies as a list."""
     frequencies = row["modulation_frequency"].values
     plain = {
         str(name): row[name].item() for name in row if name != "modulation_frequency"
@@ -390,7 +390,7 @@ def recommend(
 
 
 def _kind(chosen: Parameters) -> tuple[str, str, str, int]:
-    """Laser, channels, method and frequency count, which distinguish instruments."""
+    """Laser, channels, method and frequency count, in which instruments may differ."""
     return (
         chosen.laser,
         chosen.polarization,
@@ -520,7 +520,7 @@ def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
 
 
 def _table(goal: Goal, result: SearchResult) -> xr.Dataset:
-    """Table of the best candidates as a Dataset."""
+    """Best candidates as a table in a Dataset."""
     listed = result.best[:_LISTED]
     most = max(len(candidate.parameters.frequencies) for candidate in listed)
     frequencies = np.full((len(listed), most), np.nan)

@@ -1,4 +1,4 @@
-"""Requirements of a goal: safety margins, and the ones to relax if impossible."""
+"""Requirements of a goal: their margins, and those to relax if none can be met."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """Requirement of a goal, met or missed.
+    """Requirement of a goal, with the achieved value and its margin.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True)
 class Shortfall:
-    """Requirement that must be relaxed.
+    """Requirement to relax if no candidate meets all, with a limit that suffices.
 
     Examples
     --------
@@ -113,7 +113,7 @@ def written(name: str, value: float) -> str:
 def table(
     goal: Goal, candidate: Candidate, errors: xr.Dataset
 ) -> tuple[Requirement, ...]:
-    """Return the requirements with margins and largest error terms."""
+    """Return the requirements with their margins and largest error sources."""
     score, accuracy = candidate.score, goal.accuracy
     rows = []
     for number, distance in enumerate(goal.asked):
@@ -182,7 +182,7 @@ def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, .
 
 
 def _ratios(goal: Goal, scores: Score) -> dict[str, Floats]:
-    """Ratio of achieved to allowed value, by requirement."""
+    """Ratio of achieved to allowed value, for each requirement."""
     ratios = {
         "total error": scores.error.max(axis=1) / goal.accuracy.total_error,
         "wrong interval": scores.wrong.max(axis=1) / goal.accuracy.wrong_interval,

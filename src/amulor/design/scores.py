@@ -44,7 +44,7 @@ _DIMENSIONS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Parameter grid of candidates, all combinations of the listed values."""
+    """Grid of candidate instruments, all combinations of the listed values."""
 
     baseline: tuple[float, ...]
     """Distances between emitter and receiver [m]."""
@@ -72,7 +72,7 @@ class Grid:
         )
 
     def parameters(self, number: int, like: Parameters) -> Parameters:
-        """Parameters of one candidate; laser, channels and method from another."""
+        """Parameters of one candidate; laser, channels and method as in `like`."""
         b, r, f, p, t, s = np.unravel_index(number, self.shape)
         return replace(
             like,
@@ -87,7 +87,7 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Errors, time and cost of candidates, at the required quantile of the draws."""
+    """Errors, scan time and cost of candidates, at the required quantile of waters."""
 
     error: Floats
     """Total error, shape (candidate, distance) [m]."""
@@ -108,7 +108,7 @@ class Score:
 
     @staticmethod
     def joined(scores: Sequence[Score]) -> Score:
-        """Concatenate several scores."""
+        """Concatenate the scores of several sets of candidates."""
         return Score(
             **{
                 name: np.concatenate([getattr(score, name) for score in scores])
@@ -118,7 +118,7 @@ class Score:
 
 
 def merits(goal: Goal, score: Score, *, with_intervals: bool = True) -> Floats:
-    """Figure of merit of candidates, smaller is better."""
+    """Figure of merit of candidates; smaller is better."""
     merit = _log(score.error.max(axis=1) / goal.accuracy.total_error)
     missed = [
         score.output,
@@ -151,7 +151,7 @@ def draws_at(
 
 
 class Judge:
-    """Evaluator of candidates with one laser."""
+    """Evaluator that scores candidate instruments with one laser."""
 
     def __init__(
         self,
@@ -185,7 +185,7 @@ class Judge:
         self._distance = _along(np.array(asked_distances), _DIMENSIONS - 2)
 
     def lit(self, grid: Grid, *, joint: bool) -> Lit:
-        """Compute the light of a grid, shared by methods and polarization schemes."""
+        """Compute the signals of a grid, shared by methods and polarization schemes."""
         all_frequencies = np.unique(
             np.concatenate([np.array(members) for members in grid.sets])
         )
@@ -194,7 +194,7 @@ class Judge:
     def score(
         self, grid: Grid, *, scheme: str, method: str, lighting: Lit | None = None
     ) -> Score:
-        """Score all candidates of a grid, in the order of its shape."""
+        """Score all candidates of a grid, in the order of the grid."""
         if lighting is None:
             lighting = self.lit(grid, joint=method == "joint")
         values = self._values(grid)
@@ -246,13 +246,13 @@ class Judge:
         )
 
     def of(self, chosen: Parameters) -> Score:
-        """Score one candidate."""
+        """Score one candidate instrument."""
         return self.score(
             grid_of(chosen), scheme=chosen.polarization, method=chosen.method
         )
 
     def _values(self, grid: Grid) -> dict[str, Floats]:
-        """Values of all axes, along their array dimensions."""
+        """Values of all parameters, each along its dimension of the grid."""
         names = ("baseline", "radius", "field_of_view", "power", "dwell")
         values = {
             name: _along(np.array(getattr(grid, name)), k)
@@ -262,7 +262,7 @@ class Judge:
         return {**values, "aim": aim, "distance": self._distance, **self._draws}
 
     def _figures(self, errors: Assessed) -> tuple[Floats, Floats, Floats, Floats]:
-        """Errors at the required quantile of the draws."""
+        """Errors at the required quantile of the random waters and targets."""
         column = {name: errors.result[..., k] for k, name in enumerate(kernel.RESULTS)}
         square = errors.late**2 + errors.footprint**2
         for name in kernel.RANDOM:
@@ -279,7 +279,7 @@ class Judge:
         return np.sqrt(flat[0]), flat[1], flat[2].max(axis=1), flat[3].max(axis=1)
 
     def _prices(self, grid: Grid, scheme: str, method: str) -> tuple[Floats, Floats]:
-        """Scan time and total price of all candidates."""
+        """Scan time and total price of all candidates of a grid."""
         like = replace(self.start, polarization=scheme, method=method)
         goal, shape = self.goal, grid.shape
         time = np.zeros(shape)
@@ -314,12 +314,12 @@ def grid_of(chosen: Parameters) -> Grid:
 
 
 def _along(values: Floats, dimension: int) -> Floats:
-    """Values reshaped to lie along one array dimension."""
+    """Values reshaped to lie along one dimension of the grid."""
     return values.reshape([-1 if k == dimension else 1 for k in range(_DIMENSIONS)])
 
 
 def _part(value: NDArray, index: tuple[slice, ...]) -> NDArray:  # type: ignore[type-arg]
-    """Part of an array by index; dimensions of length 1 are kept complete."""
+    """Block of an array by index; dimensions of length 1 are kept complete."""
     if value.ndim != _DIMENSIONS:
         return value
     return value[

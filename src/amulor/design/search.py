@@ -55,13 +55,13 @@ class Candidate:
 def allowed(
     sets: tuple[tuple[float, ...], ...], top: float | None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return sets within a laser's frequency limit; if none is, the lowest set."""
+    """Return frequency sets within a laser's limit; if none is, the lowest set."""
     good = tuple(members for members in sets if top is None or max(members) <= top)
     return good or (min(sets, key=max),)
 
 
 def candidate_of(judge: Judge, chosen: Parameters) -> Candidate:
-    """Evaluate a candidate in all draws at all distances."""
+    """Evaluate a candidate in all random waters at all distances."""
     score = judge.of(chosen)
     return Candidate(
         parameters=chosen,
@@ -71,7 +71,7 @@ def candidate_of(judge: Judge, chosen: Parameters) -> Candidate:
 
 
 def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Exchange single frequencies while the figure of merit improves."""
+    """Exchange single frequencies as long as the figure of merit improves."""
     modulation = goal.components.modulation
     if modulation.sets:
         return start, 0
@@ -111,7 +111,7 @@ def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, in
 def _neighbours(
     now: tuple[float, ...], frequencies: tuple[float, ...], most: int
 ) -> tuple[tuple[float, ...], ...]:
-    """Return a frequency set, and those with one added, dropped or exchanged."""
+    """Return a frequency set, and sets with one element added, dropped or exchanged."""
     sets = [now]
     for frequency in frequencies:
         if frequency in now:
@@ -129,7 +129,7 @@ def _neighbours(
 def _dwells(
     goal: Goal, like: Parameters, sets: tuple[tuple[float, ...], ...]
 ) -> tuple[float, ...]:
-    """Dwell times to choose from, and those that use the full scan time."""
+    """Dwell times that may be chosen, and those that use the full scan time."""
     box = goal.components.dwell
     values = {like.dwell, *box_values(box)}
     if not box.values and box.low is not None and box.high is not None:
@@ -143,7 +143,7 @@ def _dwells(
 
 
 def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Exchange parts for cheaper ones while all requirements are met."""
+    """Exchange components for cheaper ones as long as all requirements are met."""
     best, tried = start, 0
     for _ in range(_EXCHANGES):
         candidates: list[Candidate] = []
@@ -175,7 +175,7 @@ def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]
 
 
 def _cheaper_grids(goal: Goal, chosen: Parameters) -> Iterator[Grid]:
-    """Yield grids of cheaper candidates, with one part changed."""
+    """Yield grids of cheaper candidates, with one component changed."""
     now = cost_of(goal, chosen)
     frequencies = _single_frequencies(goal, chosen)
     fixed = bool(goal.components.modulation.sets)
@@ -215,7 +215,7 @@ def _cheaper_grids(goal: Goal, chosen: Parameters) -> Iterator[Grid]:
 def _around(
     goal: Goal, chosen: Parameters, sets: tuple[tuple[float, ...], ...]
 ) -> Grid:
-    """Grid around one instrument: several sets, dwell times and fields of view."""
+    """Grid around one instrument: frequency sets, dwell times and fields of view."""
     views = {chosen.field_of_view}
     if not goal.components.field_of_view.prices:
         views |= set(box_values(goal.components.field_of_view))
@@ -306,7 +306,7 @@ def search(goal: Goal) -> SearchResult:
 
 
 def _worst(score: Score) -> Score:
-    """Score reduced to the worst distance."""
+    """Score at the worst distance of each candidate."""
     return replace(
         score,
         error=score.error.max(axis=1, keepdims=True),
@@ -315,7 +315,7 @@ def _worst(score: Score) -> Score:
 
 
 def _grids(goal: Goal, laser: str) -> Iterator[tuple[Grid, Score, Parameters]]:
-    """Yield the scored grid of one laser, for each scheme and method."""
+    """Yield the scored grid of one laser, for each polarization scheme and method."""
     distances = goal.asked
     indices = np.unique(np.linspace(0, len(distances) - 1, _FEW_DISTANCES).astype(int))
     judge = Judge(
@@ -345,7 +345,7 @@ def _grid(goal: Goal, laser: str) -> Grid:
 
 
 def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Parameters]:
-    """Choose start candidates of a grid: best with and without intervals, cheapest."""
+    """Choose the candidates from which the search starts: best ones and cheapest."""
     chosen: list[int] = []
     alone = not goal.components.modulation.sets and goal.components.modulation.most > 1
     for with_intervals in (True, False) if alone else (True,):
@@ -368,12 +368,12 @@ def _priced(goal: Goal) -> bool:
 
 
 def _unique(candidates: list[Candidate]) -> list[Candidate]:
-    """Candidates without duplicates."""
+    """List of candidates without duplicates."""
     return list({candidate.parameters: candidate for candidate in candidates}.values())
 
 
 def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
-    """Candidates sorted, best first; of those that meet all, the cheapest first."""
+    """Candidates sorted, best first; those that meet all requirements by price."""
     priced = _priced(goal)
 
     def key(candidate: Candidate) -> tuple[bool, float, float]:
@@ -430,7 +430,7 @@ def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int
 
 
 def _ranges(goal: Goal, chosen: Parameters) -> tuple[list[str], Floats, Floats]:
-    """Parameters that can be refined, with their limits."""
+    """Parameters that refinement may change, with their limits."""
     limits: list[tuple[str, float, float]] = []
     for name in ("baseline", "radius", "field_of_view", "dwell"):
         box: Box = getattr(goal.components, name)

@@ -53,7 +53,7 @@ _BOOTSTRAPS = 200
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertain:
-    """Uncertain input of a design, with its range."""
+    """Uncertain input of a design, with its range of values."""
 
     axis: str
     """Axis of `evaluate`."""
@@ -69,7 +69,7 @@ class Uncertain:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """Variance shares of uncertain inputs in the logarithm of the error."""
+    """Sobol indices: shares of uncertain inputs in the variance of the log error."""
 
     numbers: tuple[Uncertain, ...]
     """Uncertain inputs."""
@@ -108,7 +108,7 @@ class Sensitivity:
 
 
 def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
-    """Uncertain inputs of an instrument in operation."""
+    """Uncertain inputs of an instrument when it is used."""
     numbers = [
         Uncertain(
             axis=name,
@@ -145,7 +145,7 @@ def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
 
 
 def _assumptions(goal: Goal, method: str) -> dict[str, float]:
-    """Assumptions of the goal on which a rejection method depends."""
+    """Assumptions of the goal that affect a rejection method."""
     names = PREDICTED[method].assumptions
     return {name: getattr(goal.assumptions, name) for name in names}
 
@@ -168,7 +168,7 @@ def sensitivity(
     spreads = spreads_of(goal)
 
     def errors(shares: Floats) -> Floats:
-        """Logarithm of the error for shares of all ranges, (number, n)."""
+        """Logarithm of the error at quantiles of all inputs, shape (number, n)."""
         axes: dict[str, Any] = {}
         for variable, share in zip(numbers, shares, strict=True):
             if variable.stated:
@@ -222,6 +222,6 @@ def sensitivity(
 
 
 def _indices(samples_of: dict[str, Floats], samples: int) -> tuple[Floats, Floats]:
-    """Total and first-order Sobol indices from evaluated samples."""
+    """Total and first-order Sobol indices from errors of drawn inputs."""
     result = stats.sobol_indices(func=samples_of, n=samples)
     return np.ravel(result.total_order), np.ravel(result.first_order)

@@ -144,7 +144,7 @@ _HALVINGS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """Assumption, with the value at which the runner-up becomes better."""
+    """Value of an assumption at which the runner-up becomes the better instrument."""
 
     label: str
     """Readable name of the assumption."""
@@ -199,7 +199,7 @@ def _crossing(
     scaled: Callable[[float], Goal | None],
     draws: int,
 ) -> float | None:
-    """Factor nearest to 1 at which the other instrument is better, None without one."""
+    """Factor nearest to 1 that makes the other instrument better; None if none does."""
 
     def wins(logarithm: float) -> bool | None:
         changed = scaled(math.exp(logarithm))
@@ -243,7 +243,7 @@ def _key(goal: Goal, chosen: Parameters, draws: int) -> tuple[bool, float, float
 def _assumptions(
     goal: Goal, chosen: tuple[Parameters, ...]
 ) -> list[tuple[str, float, str, Callable[[float], Goal | None]]]:
-    """Label, value, unit and scaling function of each assumption of a goal."""
+    """Label, value, unit and scaling function of each assumption in a goal."""
     rows: list[tuple[str, float, str, Callable[[float], Goal | None]]] = []
 
     def number(label: str, part: str, name: str, unit: str, most: float) -> None:

@@ -29,7 +29,7 @@ def write_section(
     *,
     overwrite: bool,
 ) -> str:
-    """Cut a surface and write the profile."""
+    """Cut a surface along a plane and write the profile."""
     assert order.line is not None
     cut = products.section(surface, plane, start=order.line[:2], end=order.line[2:])
     pieces = int(cut.piece.max()) + 1
@@ -142,7 +142,7 @@ def write_contours(
 
 
 def cell_of(order: Order, surface: products.Surface) -> float:
-    """Return the cell size: as ordered, else of a printed dot or of the pixels [m]."""
+    """Return the cell size of a raster: as ordered, or to suit print or pixels [m]."""
     if order.cell is not None:
         return order.cell
     if order.product == "orthoimage":
@@ -154,7 +154,7 @@ def cell_of(order: Order, surface: products.Surface) -> float:
 
 
 def raster_statement(raster: products.Raster) -> str:
-    """Return a sentence on the cells and heights of a raster."""
+    """Return a sentence about the view, cells and heights of a raster."""
     names = raster.plane.names
     return (
         f"Seen from the {raster.plane.side}; heights ({names[2]}) count towards the "
@@ -166,7 +166,7 @@ def raster_statement(raster: products.Raster) -> str:
 
 
 def relief_statement(raster: products.Raster) -> str:
-    """Return a sentence on shaded relief and its limits."""
+    """Return a sentence about shaded relief and its limits."""
     apart = max(raster.surface.spacing, raster.cell)
     slope = float(np.nanmedian(raster.own)) * 2**0.5 / apart
     return (
@@ -177,7 +177,7 @@ def relief_statement(raster: products.Raster) -> str:
 
 
 def bands_of(raster: products.Raster, *, first: str) -> list[formats.Band]:
-    """Return the bands of the GeoTIFF of a raster."""
+    """Return height, height uncertainty and amplitude of a raster as GeoTIFF bands."""
     heights = [
         formats.Band(name="height towards the viewer", unit="m", values=raster.height),
         formats.Band(
@@ -220,7 +220,7 @@ def write_bands(
 
 
 def save_sheet(figure: Figure, path: Path, *, overwrite: bool) -> None:
-    """Write a drawing sheet as PDF, SVG or PNG in its size on paper."""
+    """Write a drawing sheet at its paper size as PDF, SVG or PNG."""
     kind = path.suffix.lower().removeprefix(".")
     plain = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
     with atomic_output(path, overwrite=overwrite) as temporary, style():

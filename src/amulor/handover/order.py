@@ -73,7 +73,7 @@ def product_of(
     against: object = None,
     contours: object = None,
 ) -> Product:
-    """Return the product that fits a file name and the given options."""
+    """Return the kind of product that a file name and the given options imply."""
     ending = path.suffix.lower()
     if line is not None:
         return "section"
@@ -94,7 +94,7 @@ def product_of(
 
 
 def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
-    """Return statements on axes, errors and origin of a product, for its file."""
+    """Return sentences on axes, uncertainty and origin for a product's file."""
     budget = error_budget(image)
     statements = [f"Axes: {frame.axes}"]
     if frame.name == "pose":
@@ -130,12 +130,12 @@ def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
 
 
 def _sentence(words: str) -> str:
-    """Return words as a sentence with a capital letter."""
+    """Return a text with its first letter capitalized."""
     return words[0].upper() + words[1:]
 
 
 def in_millimetres(values: ArrayLike) -> str:
-    """Return the median of uncertainties in millimeters, as text."""
+    """Return the median of uncertainties [m] as text in millimeters."""
     finite = np.asarray(values, dtype=float)
     finite = finite[np.isfinite(finite)]
     return f"{np.median(finite) * 1e3:.2g} mm (median)" if finite.size else "not known"

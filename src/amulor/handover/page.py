@@ -1,4 +1,4 @@
-"""Products that the page in the browser offers, as made by `amulor export`."""
+"""Products that the browser page offers for download, as `amulor export` makes them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _OFFERS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 class PageProducts:
-    """Products that can be made of the range image on a page.
+    """Maker of products from the range image that a page shows.
 
     A product is written into a folder of its own among the temporary ones, which
     nobody else can read and which is gone before the page gets its answer: the formats'
@@ -53,7 +53,7 @@ class PageProducts:
         self._busy = threading.Lock()
 
     def offered(self) -> list[dict[str, Any]]:
-        """Return products with their labels, endings and options, for the page."""
+        """Return the available products with labels, file endings and options."""
         return [
             {
                 "product": product,
@@ -156,13 +156,13 @@ def _endings(product: str) -> tuple[str, ...]:
 
 
 def _plain(stem: str) -> str:
-    """Return a file name without a path that is valid in every file system."""
+    """Return a file name that is valid on every system, without folders."""
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in stem)
     return name.strip("_")[:80] or "scan"
 
 
 def _chosen(image: xr.Dataset, request: Mapping[str, Any]) -> tuple[xr.Dataset, Frame]:
-    """Return the image without excluded pixels, and its frame."""
+    """Return the range image without the excluded pixels, and its frame."""
     axes: Literal["instrument", "z-up", "pose"]
     axes = _one_of(request, "axes", _AXES)  # type: ignore[assignment]
     good = request.get("good_only", False)
@@ -178,7 +178,7 @@ def _chosen(image: xr.Dataset, request: Mapping[str, Any]) -> tuple[xr.Dataset, 
 def _line(
     image: xr.Dataset, frame: Frame, side: str, pixels: Any
 ) -> tuple[float, float, float, float]:
-    """Return the ends of a section in its drawing, from two pixels of the scan."""
+    """Return the end points of a section line, from two pixels of the scan [m]."""
     rows, columns = image["slant_range"].shape
     if (
         not isinstance(pixels, list)
@@ -208,7 +208,7 @@ def _line(
 
 
 def _one_of(request: Mapping[str, Any], name: str, choices: Sequence[str]) -> str:
-    """Return a choice from the request; the first choice by default."""
+    """Return the requested choice, or the first choice if none is requested."""
     value = request.get(name, choices[0])
     if value not in choices:
         raise CubeError(f"{name} must be one of {', '.join(choices)}")
@@ -218,7 +218,7 @@ def _one_of(request: Mapping[str, Any], name: str, choices: Sequence[str]) -> st
 def _number(
     request: Mapping[str, Any], name: str, low: float, high: float
 ) -> float | None:
-    """Return a number from the request, within limits; None without one."""
+    """Return a requested number; None if it is missing; raise outside the limits."""
     value = request.get(name)
     if value is None:
         return None

@@ -1,4 +1,4 @@
-"""Products of a range image: choice of the writer for each kind."""
+"""Products of a range image: each kind is written by its function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Comparison of a scan with a mesh or an earlier scan."""
+"""Comparison of a scan with a reference: a mesh, or an earlier scan."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def write_deviation(
 
 
 def compare(surface: products.Surface, order: Order) -> products.Deviation:
-    """Compute the deviations of a scan from the reference that an order names."""
+    """Compute the deviations of a scan from the reference of an order."""
     assert order.against is not None
     if order.against.suffix.lower() == ".nc":
         earlier = io.read_cube(order.against)
@@ -103,7 +103,7 @@ def _frame_of(earlier: xr.Dataset, frame: Frame) -> Frame:
 
 
 def read_mesh(path: Path, *, unit: float) -> tuple[Floats, NDArray[np.intp]]:
-    """Read the triangles of a mesh file."""
+    """Read the vertices [m] and triangles of a mesh file."""
     try:
         import trimesh
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""File readers and writers: netCDF cubes and tallies, point clouds in common formats.
+"""Readers and writers of files: netCDF cubes and tallies, common cloud formats.
 
 Photon histograms of other instruments become cubes (`read_transients`) or the response
 of slabs (`read_slabs`, `slab_response`).
@@ -118,7 +118,7 @@ def write_cloud_parts(
     shape: tuple[int, int],
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud in parts; the file equals one written at once."""
+    """Write a point cloud in parts; the file equals one written in one piece."""
     match Path(path).suffix.lower():
         case ".ply":
             write_ply_parts(parts(), count, path, overwrite=overwrite)

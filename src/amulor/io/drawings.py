@@ -50,7 +50,7 @@ class Line:
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """Polylines with title, axis names and statements."""
+    """Line drawing: polylines with title, axis names and statements."""
 
     title: str
     """Title."""
@@ -75,7 +75,7 @@ class Drawing:
 
 
 def checked(drawing: Drawing, *, name: str) -> Drawing:
-    """Drawing, checked to have lines of finite points."""
+    """Return a drawing; raise unless it has lines and all points are finite."""
     if not drawing.lines:
         raise FormatError(f"{name}: there is no line to draw")
     for line in drawing.lines:
@@ -85,7 +85,7 @@ def checked(drawing: Drawing, *, name: str) -> Drawing:
 
 
 def sides(line: Line) -> Floats | None:
-    """Return the outline of a line's band, two standard uncertainties each way."""
+    """Return the outline of a line's band, two standard uncertainties to each side."""
     if line.band is None or len(line.points) < 2:
         return None
     step = np.gradient(line.points, axis=0)
@@ -111,7 +111,7 @@ def write_svg(
     scale: float,
     overwrite: bool = False,
 ) -> None:
-    """Write a line drawing to an SVG file, at scale in millimeters on paper."""
+    """Write a line drawing to an SVG file, at its scale in millimeters on paper."""
     drawing = checked(drawing, name=str(path))
     left, right, low, high = drawing.limits
     to_paper = 1000.0 / scale
@@ -179,7 +179,7 @@ def write_svg(
 
 
 def bar_length(extent: float, scale: float) -> float:
-    """Round length for a scale bar [m]."""
+    """Length of a scale bar, a round number that suits the drawing [m]."""
     longest = max(0.5 * extent, 0.02 * scale)
     power = 10.0 ** np.floor(np.log10(longest))
     fitting = [step * power for step in (1.0, 2.0, 5.0) if step * power <= longest]
@@ -289,7 +289,7 @@ _IS_PROJECTED, _IS_AREA, _USER_DEFINED = 1, 1, 32767
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Band of a GeoTIFF file: values of one quantity over the raster."""
+    """Band of a GeoTIFF file: one quantity over the raster."""
 
     name: str
     """Quantity with its unit."""
@@ -361,7 +361,7 @@ def write_geotiff(
 
 
 def _metadata(bands: Sequence[Band]) -> str:
-    """Names and units of the bands as the XML metadata that GDAL reads."""
+    """Names and units of the bands, in the XML metadata format of GDAL."""
     items = []
     for number, band in enumerate(bands):
         for key, role, text in (

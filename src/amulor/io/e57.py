@@ -211,7 +211,7 @@ def _pye57(purpose: str) -> Any:
 
 
 def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
-    """Numbers of rows and columns of the scan that a cloud was computed from."""
+    """Numbers of rows and columns of the scan from which a cloud was computed."""
     if "scan_shape" in cloud.attrs:
         rows, columns = (int(size) for size in cloud.attrs["scan_shape"])
         return rows, columns
@@ -219,7 +219,7 @@ def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
 
 
 def _pose(matrix: NDArray[np.float64]) -> dict[str, dict[str, float]]:
-    """Pose as E57 stores it: unit quaternion and translation."""
+    """Pose in the form of E57 files: unit quaternion and translation."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
@@ -332,7 +332,7 @@ def _write_points(libe57: Any, file: Any, node: Any, scan: Records) -> None:
 
 
 class Records:
-    """E57 records of one scan, with the scan's metadata."""
+    """E57 records of one scan, together with the metadata of the scan."""
 
     def __init__(
         self,
@@ -376,7 +376,7 @@ class Records:
         return in_blocks((_packed(records) for _, records in self._pieces()), BLOCK)
 
     def _pieces(self) -> Iterator[tuple[xr.Dataset | None, Arrays]]:
-        """Yield parts of the cloud, each with the records of its complete rows."""
+        """Yield parts of the cloud, each with the records of its whole rows."""
         rows, columns = self._shape
         done = 0
         for part in self._parts():
@@ -407,7 +407,7 @@ class Records:
             yield None, _empty((first, min(first + few, end)), columns)
 
     def _of(self, part: xr.Dataset, rows: tuple[int, int]) -> Arrays:
-        """Return the records of rows that contain points."""
+        """Return the E57 records of rows that contain points."""
         part, _ = _in_the_instrument(part)
         columns = self._shape[1]
         row = part["row"].values.astype(np.int64) - rows[0]
@@ -426,7 +426,7 @@ class Records:
 
 
 def _empty(rows: tuple[int, int], columns: int) -> Arrays:
-    """Return the records of rows without points."""
+    """Return the E57 records of rows without points."""
     pixels = np.arange(rows[0] * columns, rows[1] * columns)
     records: Arrays = {
         key: np.zeros(pixels.size, dtype=kind) for key, kind in FIELDS.items()
@@ -438,7 +438,7 @@ def _empty(rows: tuple[int, int], columns: int) -> Arrays:
 
 
 def _packed(records: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
-    """Return the records as one structured array."""
+    """Return the E57 records as one structured array."""
     packed = np.empty(len(records["intensity"]), dtype=list(FIELDS.items()))
     for key, values in records.items():
         packed[key] = values
@@ -455,7 +455,7 @@ def _widen(
 def _in_the_instrument(
     cloud: xr.Dataset,
 ) -> tuple[xr.Dataset, NDArray[np.float64] | None]:
-    """Cloud in instrument axes, and the matrix from there to the cloud's frame."""
+    """Cloud in instrument axes, and the matrix from these to the cloud's frame."""
     if cloud.attrs.get("frame", "instrument") == "instrument":
         return cloud, None
     matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)

@@ -71,7 +71,7 @@ def make_folder(path: str | os.PathLike[str]) -> None:
 def atomic_output(
     path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> Iterator[Path]:
-    """Write a file that appears under its name only when it is complete.
+    """Write a file under a temporary name; rename it when it is complete.
 
     Examples
     --------
@@ -192,7 +192,7 @@ def _reason(error: OSError) -> str:
 
 
 def load_hdf5() -> None:
-    """Import the netCDF library, or raise a `FormatError` that says why it fails."""
+    """Import the netCDF library; raise a `FormatError` with the reason if it fails."""
     try:
         import h5netcdf  # noqa: F401
         import h5py  # noqa: F401

@@ -169,7 +169,7 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
 
 
 def _arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
-    """Arrays of an npz file under the names of the format."""
+    """Arrays of an npz file, renamed to the names of the file format."""
     fields = (
         "counts",
         "bin_width_s",
@@ -304,7 +304,7 @@ BLOCK = 2**21
 def checked_frequency(
     histograms: Histograms, modulation_frequency: ArrayLike
 ) -> NDArray[np.float64]:
-    """Modulation frequencies, checked against the bin width of the histograms."""
+    """Modulation frequencies; raise if the histogram bins are too wide for them."""
     path = histograms.path
     try:
         frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=float))
@@ -346,7 +346,7 @@ def weights(
     time_of_emission: float = 0.0,
     background_bins: tuple[int, int] | None = None,
 ) -> NDArray[np.complex128]:
-    r"""Fourier weight of each time bin at each modulation frequency.
+    r"""Fourier weight of each time bin, for each modulation frequency.
 
     :math:`g_k = e^{2 \pi i f t_k}` with :math:`t_k` the center of bin k. With a
     background it is :math:`g_k - [k \in B] \sum_j g_j / |B|`: taking a mean off is
@@ -382,7 +382,7 @@ class Coefficients:
 
 
 def transform(counts: NDArray[Any], weight: NDArray[np.complex128]) -> Coefficients:
-    r"""Fourier coefficients of histograms and their Poisson covariance.
+    r"""Fourier coefficients of histograms, with their Poisson covariance.
 
     Notes
     -----

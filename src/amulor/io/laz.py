@@ -181,7 +181,7 @@ class _Extent:
 
 
 def _extent(parts: Iterable[xr.Dataset], *, name: str) -> _Extent:
-    """Bounds of a cloud and its largest amplitude."""
+    """Bounds and largest amplitude of a cloud that is read in parts."""
     first: xr.Dataset | None = None
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     brightest = 0.0
@@ -202,7 +202,7 @@ def _extent(parts: Iterable[xr.Dataset], *, name: str) -> _Extent:
 
 
 def _header(laspy: Any, extent: _Extent, *, name: str) -> tuple[Any, list[Any]]:
-    """Header of a LAS file, and the extra dimensions stored in it."""
+    """Header of a LAS file, and the extra dimensions of its points."""
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.global_encoding.wkt = True  # asked for by this point format, even if unused
     header.system_identifier = "amulor"
@@ -235,7 +235,7 @@ def _offsets(extent: _Extent, *, name: str) -> NDArray[np.float64]:
 def _records(
     laspy: Any, part: xr.Dataset, header: Any, extras: list[Any], brightest: float
 ) -> NDArray[np.void]:
-    """Points as LAS records."""
+    """Points of a cloud as LAS records."""
     points = laspy.ScaleAwarePointRecord.zeros(part.sizes["point"], header=header)
     for axis, offset in zip("xyz", header.offsets, strict=True):
         steps = np.round((part[axis].values - offset) / SCALE)
@@ -367,7 +367,7 @@ def _columns_of(part: Any) -> dict[str, NDArray[Any]]:
 
 
 def _statements_of(file: Any) -> list[str]:
-    """Statements that amulor stored in a variable-length record."""
+    """Statements that amulor stored in a variable-length record of a LAS file."""
     records = [*(file.header.vlrs or []), *(file.evlrs or [])]
     for record in records:
         if getattr(record, "user_id", "") == "amulor":

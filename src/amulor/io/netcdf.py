@@ -300,7 +300,7 @@ def _fill(group: Any, part: xr.Dataset) -> None:
 def _listing(
     part: xr.Dataset,
 ) -> tuple[dict[Hashable, dict[str, Any]], dict[str, Any]]:
-    """Attributes of the variables and of the group, with the names of coordinates."""
+    """Attributes of variables and of their group, including coordinate names."""
     attributes = {key: dict(variable.attrs) for key, variable in part.variables.items()}
     listed: set[Hashable] = set(part.indexes)
     for key in part.data_vars:
@@ -328,7 +328,7 @@ def _create(
     *,
     shape: tuple[int, ...] | None = None,
 ) -> Any:
-    """Create a variable in a file; given a shape of its own, it is filled later."""
+    """Create a variable in a file; if a shape is given, it is filled later."""
     import h5py
 
     values = variable.values
@@ -428,7 +428,7 @@ def _check_size(storage: Any, path: Path) -> None:
 
 
 def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
-    """Cube of schema version 1, with its variables renamed to the current schema."""
+    """Cube of schema version 1, converted to present variable names."""
     former = {
         old: new
         for old, new in schema.FORMER_NAMES.items()
@@ -438,7 +438,7 @@ def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _opened(file: Any, group: str | None, *, by_rows: bool = False) -> xr.Dataset:
-    """Open a group of a file; by rows, variables over the rows stay unread."""
+    """Open a group of a file; `by_rows` leaves variables over the rows unread."""
     store = xr.backends.H5NetCDFStore(file, group=group)
     # Units such as "days since 2020-01-01" are left to the schema.
     part = xr.open_dataset(store, decode_times=False, cache=not by_rows)
@@ -478,7 +478,7 @@ def _values(part: xr.Dataset, key: Hashable) -> NDArray[Any]:
 
 
 def _unreadable(path: Path, error: Exception) -> FormatError:
-    """Error for a file that h5py or its decoder cannot read."""
+    """Return the error message for a file that h5py cannot read."""
     return FormatError(
         f"{path} cannot be read as a netCDF-4 file: {_reason(error)}; it is damaged, "
         "or another program wrote it: copy it again, or make it again"
@@ -500,7 +500,7 @@ _PIECE = 2**24
 
 
 class CubeRows:
-    """Cube in a file that is read row by row; created by `open_rows`."""
+    """Cube that is read from a file row by row; created by `open_rows`."""
 
     def __init__(self, cube: xr.Dataset, path: Path, storage: Any) -> None:
         self._cube, self._path = cube, path
@@ -517,7 +517,7 @@ class CubeRows:
 
     @property
     def head(self) -> xr.Dataset:
-        """Part of the cube that does not depend on the row."""
+        """Variables and attributes that have no row dimension."""
         return self._head
 
     @property
@@ -531,7 +531,7 @@ class CubeRows:
         return self._columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Cube of a range of rows, checked against the schema."""
+        """Cube of a range of rows; raise unless it conforms to the schema."""
         part = cubes.without_unknown_errors(self._read(self._cube, begin, end))
         cubes.check(part, name=f"{self._path}, rows {begin} to {end - 1}")
         return part
@@ -572,7 +572,7 @@ class CubeRows:
 
 
 def _is_as_stored(variable: xr.Variable, stored: Any) -> bool:
-    """Whether the file stores a variable over the rows without coding or fill value."""
+    """Whether a file stores a variable's rows without scaling or fill value."""
     coded = {"scale_factor", "add_offset", "missing_value"} & set(variable.encoding)
     missing = variable.encoding.get("_FillValue", np.nan)
     return bool(
@@ -589,7 +589,7 @@ def _is_as_stored(variable: xr.Variable, stored: Any) -> bool:
 def open_rows(
     path: str | os.PathLike[str], *, check_digest: bool = True
 ) -> Iterator[CubeRows]:
-    """Open a cube in a file to read it row by row."""
+    """Open a cube file, to read it row by row."""
     load_hdf5()
     import h5netcdf
     import h5py
@@ -635,7 +635,7 @@ _SIZED = ("in_phase", "slant_range")
 def is_large(
     path: str | os.PathLike[str], *, variables: Sequence[str] = _SIZED
 ) -> bool:
-    """Whether a file is so large that it is processed row by row."""
+    """Whether a cube file is so large that it is processed row by row."""
     load_hdf5()
     import h5py
 
@@ -679,7 +679,7 @@ def _check_digest(path: Path) -> None:
 
 
 def _digest(file: Any, length: int) -> str:
-    """Digest of the first bytes of a file, computed like `cube.digest`."""
+    """Digest of the first bytes of a file, as `cube.digest` computes it."""
     digest = hashlib.sha256()
     remaining = length
     while remaining > 0:
@@ -700,7 +700,7 @@ class RowWriter:
         self._written = 0
 
     def put(self, tile: xr.Dataset, begin: int) -> None:
-        """Write a tile of rows, beginning at a given row."""
+        """Write a tile of rows, starting at a given row."""
         tile = cubes.checked(tile, name=self._name)
         parts = {"": _root(tile)}
         for group in schema.GROUPS:
@@ -747,7 +747,7 @@ class RowWriter:
             )
 
     def _begun(self, key: str, part: xr.Dataset) -> dict[str, Any]:
-        """Create a group, and write the part that does not depend on the row."""
+        """Create a group, and write its variables that have no row dimension."""
         _check_storable(part, name=self._name)
         group = self._file.create_group(key) if key else self._file
         sizes = dict(part.sizes)
@@ -777,7 +777,7 @@ def row_writer(
     overwrite: bool = False,
     over: str = "row",
 ) -> Iterator[RowWriter]:
-    """Write a cube row by row; the file appears under its name when complete."""
+    """Write a cube file row by row; rename it to its final name when complete."""
     load_hdf5()
     import h5netcdf
 

@@ -126,7 +126,7 @@ def write_ply_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud to PLY in parts; the file equals one written at once."""
+    """Write a point cloud to PLY in parts; the file equals one written in one piece."""
     checked = checked_parts(parts, count, name=f"the cloud for {path}")
     _write(checked, count, path, overwrite=overwrite)
 
@@ -158,7 +158,7 @@ def _write(
 def _header(
     cloud: xr.Dataset, count: int, about: Mapping[str, str], faces: list[str]
 ) -> bytes:
-    """PLY header, up to the points."""
+    """Header of a PLY file, up to the first point."""
     properties = [entry for entry in _PROPERTIES if entry[3] in cloud]
     comments = [
         f"{name}: {cloud[variable].attrs['long_name']} "
@@ -182,7 +182,7 @@ def _header(
 def _vertices(
     cloud: xr.Dataset, more: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.void]:
-    """Points as PLY vertex records."""
+    """Points of a cloud as PLY vertex records."""
     properties = [entry for entry in _PROPERTIES if entry[3] in cloud]
     vertices = np.empty(
         cloud.sizes["point"],
@@ -291,7 +291,7 @@ def read_ply(path: Path, *, unit: float) -> Shape:
 
 
 def _comments(file: BinaryIO) -> list[str]:
-    """Comments of a PLY header, which trimesh discards."""
+    """Comments in the header of a PLY file, which trimesh discards."""
     comments = []
     for _ in range(_MOST_LINES):
         line = file.readline(4096).decode("ascii", "replace").strip()
@@ -322,7 +322,7 @@ def _check_lines(file: BinaryIO, name: str) -> None:
 
 
 def _columns_of(element: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """Point columns by name, in the byte order of this computer."""
+    """Columns of a PLY element by name, in the byte order of this computer."""
     data, count = element.get("data", {}), element["length"]
     columns = {}
     for name in element["properties"]:

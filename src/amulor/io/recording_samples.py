@@ -1,4 +1,4 @@
-"""Samples of a recording in order of time: channel, direction, pixel of the scan."""
+"""Samples of a recording in order of time: channel, direction and pixel of each."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Samples:
     water: NDArray[np.bool_]
 
     def part(self, chosen: NDArray[np.bool_]) -> Samples:
-        """Subset of the samples."""
+        """Return the samples that a mask selects."""
         return Samples(**{name: value[chosen] for name, value in vars(self).items()})
 
 
@@ -127,7 +127,7 @@ def _polarizations(
 def of_one_temperature(
     path: Path, samples: Samples, temperature: float | None
 ) -> Samples:
-    """Return the samples of one temperature; refuse several without a choice."""
+    """Return the samples at one temperature; raise if several need a choice."""
     measured = samples.temperature[np.isfinite(samples.temperature)]
     refuse_several(path, rounded_temperatures(measured), measured, temperature)
     if temperature is None:
@@ -149,7 +149,7 @@ def at_temperature(values: Floats, temperature: float) -> NDArray[np.bool_]:
 def refuse_several(
     path: Path, rounded: Floats, temperatures: Floats, temperature: float | None
 ) -> None:
-    """Refuse several temperatures without a choice, or a chosen one without samples.
+    """Raise if a temperature must be chosen, or if the chosen one has no samples.
 
     `temperatures` may lack some that are neither least, largest, nor nearest to the
     chosen temperature.
@@ -169,7 +169,7 @@ def refuse_several(
 
 
 def distinct(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Distinct frequencies in rising order, and the index of each sample's."""
+    """Distinct frequencies, increasing, and the index of each sample's frequency."""
     ordered, place = np.unique(values, return_inverse=True)
     group = groups(ordered)[place]
     means = np.bincount(group, values) / np.bincount(group)
@@ -177,13 +177,13 @@ def distinct(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def groups(ordered: Floats) -> NDArray[np.intp]:
-    """Index of the distinct frequency for each of some values in rising order."""
+    """Index of the distinct frequency of each value; values must increase."""
     border = np.diff(ordered) > _SAME_FREQUENCY * ordered[:-1]
     return np.concatenate([[0], np.cumsum(border)]).astype(np.intp)
 
 
 def places_known_by(samples: Samples) -> Places:
-    """Columns from which the positions of samples in the scan follow."""
+    """Columns that locate samples in the scan: rows, angles, or their order."""
     if np.isfinite(samples.row).any():
         return "rows"
     return "angles" if np.isfinite(samples.azimuth).any() else "order"
@@ -198,7 +198,7 @@ def pixels(
     known_by: Places | None = None,
     before: dict[tuple[int, int], int] | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Row and column of each sample, if necessary by the order of the scan.
+    """Row and column of each sample, from its row, its angles or its order in time.
 
     Of a part of the samples, `known_by` is what is so of all, and `before` as `turn`
     takes it.
@@ -234,7 +234,7 @@ def pixels(
 
 
 def _steps(angle: Floats, grid: Floats) -> Floats:
-    """Fractional index of angles on an evenly spaced grid, counted from 0."""
+    """Fractional index of each angle on an evenly spaced grid, counted from 0."""
     if len(grid) == 1:
         return np.zeros(len(angle))
     return np.asarray((angle - grid[0]) / (grid[-1] - grid[0]) * (len(grid) - 1))
@@ -244,7 +244,7 @@ def turn(
     channel: tuple[NDArray[np.intp], NDArray[np.intp]],
     before: dict[tuple[int, int], int] | None = None,
 ) -> NDArray[np.float64]:
-    """Return the number of earlier samples of the same channel, for each sample.
+    """Return, for each sample, the number of earlier samples of the same channel.
 
     `before` says how many came before these, and is told how many there are now.
     """
@@ -257,7 +257,7 @@ def turn(
 
 
 def around(signal: Complex) -> list[Complex]:
-    """Signals of the eight neighbors of each pixel, NaN beyond the scan."""
+    """Signals of the eight neighbors of each pixel; NaN beyond the edge of the scan."""
     wide = np.pad(
         signal, ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=complex(np.nan)
     )
@@ -270,7 +270,7 @@ def around(signal: Complex) -> list[Complex]:
 
 
 def nearest_distance(signal: Complex) -> Floats:
-    """Distance of each signal from the most similar neighbor's, NaN without one [V]."""
+    """Distance of each signal to the most similar neighbor [V]; NaN if alone."""
     nearest = np.full(signal.shape, np.inf)
     for neighbor in around(signal):
         nearest = np.fmin(nearest, np.abs(signal - neighbor))
@@ -279,13 +279,13 @@ def nearest_distance(signal: Complex) -> Floats:
 
 
 def median_of(nearest: Floats) -> float:
-    """Median of the finite distances, NaN without any."""
+    """Median of the finite distances; NaN if there are none [V]."""
     finite = nearest[np.isfinite(nearest)]
     return float(np.median(finite)) if finite.size else np.nan
 
 
 def off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
-    """Distance of signals from mixtures of two neighbors, and the neighbors' spread.
+    """Distance of signals from mixtures of two neighbors, and the neighbors' distance.
 
     A beam on an edge sees a mixture of both sides. `beside` has the neighbors of each
     sample along its first axis, no numbers where there are none.

@@ -1,4 +1,4 @@
-"""Tables of recorded samples: CSV or HDF5 columns, and the map to quantities."""
+"""Table of recorded samples in CSV or HDF5, and the map of columns to quantities."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295}
 
 
 class TableSettings(Description):
-    """File format of a recording's table."""
+    """File format of the table of a recording."""
 
     format: Literal["csv", "hdf5"] = "csv"
     """"csv": a line of names and a line per sample; "hdf5": an array per column, of one
@@ -55,7 +55,7 @@ class TableSettings(Description):
 
 
 class ColumnSettings(Description):
-    """Column names of the quantities; for "hdf5" the paths of arrays."""
+    """Column name of each quantity; for "hdf5" the path of its array."""
 
     in_phase: Column | None = None
     """In-phase output X of the lock-in amplifier."""
@@ -128,7 +128,7 @@ class ConstantSettings(Description):
     target."""
 
     def radians(self, unit: str) -> float:
-        """Conversion factor of a unit of angle [rad]."""
+        """Factor that converts a unit of angle to radians [rad]."""
         return _ANGLES[unit]
 
 
@@ -186,11 +186,11 @@ class Table:
         return len(next(iter(self._columns.values())))
 
     def texts(self, name: str) -> Texts:
-        """Column as text."""
+        """Values of a column as text."""
         return np.char.strip(self._columns[name].astype(str))
 
     def numbers(self, name: str, *, decimal: str = ".") -> Floats:
-        """Column as numbers, NaN where it is empty."""
+        """Values of a column as numbers; NaN for empty cells."""
         values = self._columns[name]
         if values.dtype.kind in "fiub":
             return values.astype(float)
@@ -207,14 +207,14 @@ class Table:
         return result
 
     def place(self, number: int) -> str:
-        """Position of a sample in words, for messages."""
+        """Location of a sample in the file as text, for messages."""
         if len(self._lines):
             return f"{self._path}, line {self._lines[number]}"
         return f"{self._path}, sample {number + self._first}"
 
 
 def read_table(path: Path, described: RecordingMap) -> Table:
-    """Read the columns of a recording that its map assigns."""
+    """Read the columns of a recording to which its map assigns quantities."""
     (table,) = table_parts(path, described, None)
     return table
 
@@ -222,7 +222,7 @@ def read_table(path: Path, described: RecordingMap) -> Table:
 def table_parts(
     path: Path, described: RecordingMap, count: int | None
 ) -> Iterator[Table]:
-    """Read the columns that a map assigns, in parts of a number of samples."""
+    """Read the mapped columns of a recording, in blocks of a number of samples."""
     names = [name for _, name in described.columns if name is not None]
     try:
         if described.table.format == "hdf5":
@@ -260,14 +260,14 @@ def _csv(path: Path, described: RecordingMap, count: int | None) -> Iterator[Tab
 
 
 def _with_single_spaces(line: str) -> str:
-    """Line with single spaces between columns and none at its ends."""
+    """Line with single spaces between its columns and none at the ends."""
     return " ".join(filter(None, line.rstrip().split(" "))) + "\n"
 
 
 def _names(
     path: Path, lines: Iterator[Line], settings: TableSettings
 ) -> tuple[list[str], list[Line]]:
-    """Column names, and the first sample's line if it was read in search of them.
+    """Column names, and the line of the first sample if it was already read.
 
     They stand in a line of texts, or in the last comment before the first sample.
     """
@@ -329,7 +329,7 @@ def _parsed(
     places: dict[int, str],
     texts: set[str | None],
 ) -> dict[str, NDArray[Any]]:
-    """Columns by name: numbers, or text where a cell is not a number."""
+    """Columns by name, as numbers, or as text if any cell is not a number."""
     import pandas as pd
 
     read = partial(
@@ -400,7 +400,7 @@ def _hdf5(path: Path, names: list[str], count: int | None) -> Iterator[Table]:
 
 
 def _flat(dataset: Any, begin: int, end: int) -> NDArray[Any]:
-    """Rows of an array from begin to end, with texts decoded."""
+    """Rows of an array from `begin` to before `end`, with texts decoded."""
     if dataset.ndim == 0:
         values = np.asarray(dataset[()]).ravel()
     else:

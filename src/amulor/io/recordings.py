@@ -56,7 +56,7 @@ _PIXEL = ("row", "column")
 
 @dataclass(frozen=True, kw_only=True)
 class _Gathered:
-    """Means of samples by channel and pixel, with their number and flags."""
+    """Mean signals by channel and pixel, with numbers of samples and flags."""
 
     signal: Complex
     mean: Floats
@@ -65,7 +65,7 @@ class _Gathered:
     flag: NDArray[np.int16]
 
     def rows(self, rows: slice) -> _Gathered:
-        """Means in a range of rows."""
+        """Mean signals in a range of rows."""
         return _Gathered(**{key: v[:, :, rows] for key, v in vars(self).items()})
 
 
@@ -76,7 +76,7 @@ def read_recordings(
     *,
     temperature: float | None = None,
 ) -> xr.Dataset:
-    """Turn a recording of other software into a measurement cube.
+    """Convert a recording of other software to a measurement cube.
 
     A breakdown of the detector stands alone: it is farther from each of its eight
     neighbors, and from each mixture of two of them, which a beam on an edge sees, than
@@ -121,7 +121,7 @@ def read_recordings(
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """Survey, channels and open-water shots shared by all rows of a recording."""
+    """Survey, channels and open-water shots of a recording, common to all rows."""
 
     path: Path
     survey: Survey
@@ -133,7 +133,7 @@ class Recording:
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Means in a band of rows and its neighbors, before outliers are flagged."""
+    """Mean signals in a band of rows and next to it, before outliers are flagged."""
 
     means: _Gathered
     uncertainty: Floats
@@ -147,7 +147,7 @@ class Band:
 
 
 def band_with_neighbours(survey: Survey, rows: tuple[int, int]) -> tuple[int, int]:
-    """Range of rows, extended by the neighbors against which outliers are tested."""
+    """Range of rows, widened by the rows that outlier tests compare with."""
     return max(rows[0] - 1, 0), min(rows[1] + 1, survey.scan.rows)
 
 
@@ -157,7 +157,7 @@ def gathered_band(
     at: tuple[NDArray[np.intp], ...],
     rows: tuple[int, int],
 ) -> Band:
-    """Means, uncertainties and directions of the samples in a band of rows.
+    """Mean signals, uncertainties and directions in a band of rows.
 
     `samples` has all samples of `band_with_neighbours`, and no others; `at` says where
     they are: frequency, polarization, row and column of the scan.
@@ -187,7 +187,7 @@ def gathered_band(
 def cube_of(
     recording: Recording, band: Band, typical: Floats, *, mean: bool, temperature: bool
 ) -> xr.Dataset:
-    """Cube of the means in a band of rows.
+    """Measurement cube of a band of rows, with outliers flagged.
 
     `typical` is the median distance of neighbors in each channel; `mean` and
     `temperature` say whether any row of the recording has them.
@@ -234,7 +234,7 @@ def marked(cube: xr.Dataset) -> dict[str, int]:
 
 
 def is_measured(signal: Complex) -> NDArray[np.bool_]:
-    """Mask of signals that were measured: finite and not 0."""
+    """Mask of signals that contain a measurement: finite and not 0."""
     return np.asarray((signal != 0) & ~_is_none(signal))
 
 
@@ -261,7 +261,7 @@ def shots_of(
     names: tuple[Floats, list[str]],
     scanned: tuple[NDArray[np.intp], NDArray[np.intp]],
 ) -> xr.Dataset | None:
-    """Open-water shots of all scanned channels; None without any."""
+    """Open-water shots of all scanned channels; None if there are none."""
     if not len(samples.water):
         return None
     missing = set(zip(*scanned, strict=True)) - set(zip(*channel, strict=True))
@@ -278,7 +278,7 @@ def shots_of(
 def _gathered(
     samples: Samples, at: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]
 ) -> _Gathered:
-    """Mean of all valid samples at each pixel."""
+    """Mean signal of all valid samples at each pixel."""
     zero = samples.signal == 0
     none = _is_none(samples.signal)
     measured = is_measured(samples.signal)
@@ -310,7 +310,7 @@ def _gathered(
 def _direction(
     angle: Floats, at: tuple[NDArray[np.intp], ...], planned: Floats
 ) -> Floats:
-    """Beam direction, averaged over all channels; the planned one without samples."""
+    """Beam direction averaged over all channels; planned direction without samples."""
     flat = np.ravel_multi_index(at[2:], planned.shape)
     finite = np.isfinite(angle)
     count = np.bincount(flat[finite], minlength=planned.size)
@@ -320,7 +320,7 @@ def _direction(
 
 
 def _uncertainty(described: RecordingMap, survey: Survey, means: _Gathered) -> Floats:
-    """Return the noise of either output, without the phase floor [V]."""
+    """Return the noise of the in-phase or quadrature mean, without phase floor [V]."""
     takes = np.maximum(means.takes, 1)
     if described.constants.uncertainty is not None:
         return described.constants.uncertainty / np.sqrt(takes)
@@ -373,7 +373,7 @@ def _shots(
     survey: Survey,
     described: RecordingMap,
 ) -> xr.Dataset:
-    """Open-water shots; outliers among them become NaN."""
+    """Open-water shots as a dataset, with outliers set to NaN."""
     number = turn(channel).astype(np.intp)
     sizes = channel[0].max() + 1, channel[1].max() + 1, number.max() + 1
     at = (*channel, np.zeros_like(number), number)

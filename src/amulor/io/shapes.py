@@ -62,7 +62,7 @@ class Shape:
 def scalars_of(
     columns: Mapping[str, NDArray[Any]],
 ) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Columns as numbers, named as in `KNOWN`, and the names of unused columns."""
+    """Columns as numbers, with the names of `KNOWN`, and names of unused columns."""
     plain = {
         name: name.lower().removeprefix("scalar_").partition("[")[0].strip()
         for name in columns
@@ -88,7 +88,7 @@ def scalars_of(
 
 
 def up_of(statements: Sequence[str], default: Up = "z") -> Up:
-    """Vertical axis according to a file's header lines: -y in instrument axes."""
+    """Vertical axis that the header lines of a file state."""
     for line in statements:
         if line.startswith("axes:"):
             return "-y" if "y down" in line else "z"
@@ -96,7 +96,7 @@ def up_of(statements: Sequence[str], default: Up = "z") -> Up:
 
 
 def checked(shape: Shape, name: str) -> Shape:
-    """Drop points without finite coordinates and empty columns; raise if empty."""
+    """Drop points without finite coordinates, and empty columns; raise if empty."""
     # Numbers of which none is known, such as errors with the water left in.
     scalars = {k: v for k, v in shape.scalars.items() if np.isfinite(v).any()}
     shape = Shape(**{**vars(shape), "scalars": scalars})
@@ -127,7 +127,7 @@ def checked(shape: Shape, name: str) -> Shape:
 
 
 def thinned(shape: Shape, indices: NDArray[np.intp]) -> Shape:
-    """Cloud of selected points, without triangles."""
+    """Point cloud of selected points, without triangles."""
     return Shape(
         position=shape.position[indices],
         scalars={name: values[indices] for name, values in shape.scalars.items()},
@@ -139,7 +139,7 @@ def thinned(shape: Shape, indices: NDArray[np.intp]) -> Shape:
 
 
 def spread(total: int, most: int) -> NDArray[np.intp]:
-    """Return the indices of an even random subset: one out of each run of points.
+    """Return the indices of an evenly distributed random subset of points.
 
     The rows of a scan and an even step would give lines.
     """
@@ -192,7 +192,7 @@ _LAST = {"row": 2**31 - 1, "column": 2**31 - 1, "quality_flag": 2**15 - 1}
 
 
 def checked_cloud(cloud: xr.Dataset, *, name: str) -> xr.Dataset:
-    """Point cloud checked for export: at least one point, all coordinates finite."""
+    """Return a point cloud; raise if it is empty or has non-finite coordinates."""
     cloud = cubes.checked(cloud, level="point_cloud", name=name)
     if cloud.sizes["point"] == 0:
         raise CubeError(
@@ -222,7 +222,7 @@ def checked_cloud(cloud: xr.Dataset, *, name: str) -> xr.Dataset:
 def checked_parts(
     parts: Iterable[xr.Dataset], count: int, *, name: str
 ) -> Iterator[xr.Dataset]:
-    """Yield the parts of a cloud that contain points, each checked for export."""
+    """Yield the non-empty parts of a cloud; raise at non-finite coordinates."""
     summed = 0
     part = None
     for part in parts:
@@ -239,7 +239,7 @@ def checked_parts(
 
 
 def in_blocks(arrays: Iterable[NDArray[Any]], size: int) -> Iterator[NDArray[Any]]:
-    """Yield the elements of arrays in blocks of equal size; the last may be smaller."""
+    """Yield the elements of arrays in blocks of equal size, apart from the last."""
     waiting: list[NDArray[Any]] = []
     count = 0
     for array in arrays:
@@ -254,7 +254,7 @@ def in_blocks(arrays: Iterable[NDArray[Any]], size: int) -> Iterator[NDArray[Any
 
 
 def provenance_lines(cloud: xr.Dataset) -> list[str]:
-    """Return the description and provenance of a cloud, one statement a line."""
+    """Return description and processing history of a cloud, one statement a line."""
     named = ("title", "source", "history", "amulor_schema_version", "software_versions")
     lines = frame_lines(cloud.attrs)
     for key in named:
@@ -280,7 +280,7 @@ def provenance_lines(cloud: xr.Dataset) -> list[str]:
 
 
 def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
-    """Return the meaning of the coordinates of a product, one statement a line."""
+    """Return the meaning of a product's coordinates, one statement a line."""
     lines = [f"axes: {attributes.get('frame_axes', _AXES)}"]
     if attributes.get("frame", "instrument") != "instrument":
         numbers = " ".join(f"{v:.12g}" for v in attributes["frame_matrix"])

@@ -1,4 +1,4 @@
-"""Frequency response of measured slabs: light through a slab over light without it."""
+"""Frequency response of slabs, from light pulses with and without the slab."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _DARK = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Slabs:
-    """Histograms of pulsed light through slabs, and without a slab.
+    """Time histograms of light pulses through slabs, and without a slab.
 
     Examples
     --------
@@ -134,7 +134,7 @@ def read_slabs(path: str | os.PathLike[str]) -> Slabs:
 
 
 def slab_response(slabs: Slabs, modulation_frequency: ArrayLike) -> xr.Dataset:
-    r"""Attenuation and delay of intensity modulation by slabs.
+    r"""Attenuation and delay of intensity modulation in slabs.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def slab_response(slabs: Slabs, modulation_frequency: ArrayLike) -> xr.Dataset:
 
 
 def mean_delay(slabs: Slabs) -> NDArray[np.float64]:
-    r"""Mean additional delay of light behind a slab.
+    r"""Mean additional delay of light behind each slab [s].
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def mean_delay(slabs: Slabs) -> NDArray[np.float64]:
 def _ratio(
     slabs: Slabs, weight: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
-    """Frequency response of slabs, and the variances of its logarithm's Re and Im."""
+    """Frequency response of slabs, and variances of real and imaginary logarithm."""
     level = slabs.background[:, np.newaxis]
     bins = weight.shape[1]
     # Less one, so that at low frequencies small numbers are added and not the

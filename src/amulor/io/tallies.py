@@ -1,4 +1,4 @@
-"""Results of photon transport runs as netCDF-4 files, to merge or continue."""
+"""Tallies of photon transport in netCDF-4 files, to be merged or continued."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def read_tally(path: str | os.PathLike[str]) -> Tally:
 
 
 def _loaded(content: bytes, path: Path) -> xr.Dataset:
-    """Content of a tally file as a dataset."""
+    """Contents of a tally file as a dataset."""
     import h5netcdf
     import h5py
 
@@ -219,7 +219,7 @@ def _loaded(content: bytes, path: Path) -> xr.Dataset:
 
 
 def _tally(dataset: xr.Dataset, path: Path) -> Tally:
-    """Tally from the content of a file, with its values checked."""
+    """Tally from the contents of a file; raise if its values are invalid."""
     # Brings the compiled loops with it, which other readers of files do not need.
     from amulor.transport.tally import PathRecord, Tally
 

@@ -94,7 +94,7 @@ def write_text_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud as text in parts; the file equals one written at once."""
+    """Write a point cloud as text in parts; the file is as if written in one piece."""
     path = Path(path)
     comma = path.suffix.lower() == ".csv"
     mark = "," if comma else " "
@@ -206,7 +206,7 @@ def _table(path: Path, mark: str | None, skip: int, width: int) -> np.ndarray:
 
 
 def _named(names: list[str] | None, width: int, name: str) -> list[str]:
-    """Name of every column, from the header or by default."""
+    """Names of all columns, from the header or by default."""
     if width > _MOST_COLUMNS:
         raise FormatError(f"{name} has {width} columns; no point cloud has so many")
     if names is not None and {"x", "y", "z"} <= set(names) and len(names) == width:
@@ -224,7 +224,7 @@ def _named(names: list[str] | None, width: int, name: str) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Column name without unit and quotes."""
+    """Name of a column without unit and quotes."""
     name = text.strip().strip('"').partition("[")[0].strip().lower()
     short = {"r": "red", "g": "green", "b": "blue", "//x": "x"}
     return short.get(name, name) or "unnamed"

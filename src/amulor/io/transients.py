@@ -1,4 +1,4 @@
-"""Conversion of photon histograms into the cube of an AM laser radar."""
+"""Conversion of photon histograms to the measurement cube of an AM laser radar."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _PARTS = 64
 
 
 def overlap_of(sums: Floats) -> Floats:
-    r"""Part of the scenes' bin-wise minimum that probably consists of echoes.
+    r"""Overlapping echoes within the bin-wise minimum of several scenes [counts].
 
     Scenes :math:`B + E_1`, :math:`B + E_2` have the minimum
     :math:`B + \min(E_1, E_2)`: where one echo has not ended when the other begins, the
@@ -270,7 +270,7 @@ def medium_from_minimum(
     time_of_emission: float = 0.0,
     background_bins: tuple[int, int] | None = None,
 ) -> xr.Dataset:
-    r"""Estimate the signal of the medium from scenes with the target at two distances.
+    r"""Estimate the water signal from scenes with targets at two distances.
 
     Parameters
     ----------
@@ -356,7 +356,7 @@ def medium_from_minimum(
 
 
 def _evenly(shots: Coefficients) -> Coefficients:
-    """Return the signals, with the covariance averaged over all of them."""
+    """Return the signals with one covariance, the average over all of them."""
 
     def mean(part: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.broadcast_to(part.mean(axis=-1, keepdims=True), part.shape)

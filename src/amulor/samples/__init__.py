@@ -1,4 +1,4 @@
-"""Sample data of the package, measured and simulated."""
+"""Sample data that come with the package, measured and simulated."""
 
 from amulor.samples.listing import Sample, copy, cube, sample, samples
 

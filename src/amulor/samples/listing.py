@@ -1,4 +1,4 @@
-"""Listing, content and copies of the sample data."""
+"""List of the sample data, their content, and copies of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LISTING = "samples.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """Sample data of the package.
+    """One set of sample data of the package.
 
     Examples
     --------
@@ -55,11 +55,11 @@ class Sample:
 
     @property
     def size(self) -> int:
-        """Size of all its files [bytes]."""
+        """Total size of its files [bytes]."""
         return sum(len(self.read(name)) for name in self.files)
 
     def read(self, name: str) -> bytes:
-        """Return the content of a file.
+        """Return the content of one of its files.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ def _data() -> Traversable:
 
 @cache
 def samples() -> dict[str, Sample]:
-    """Return all sample data by name.
+    """Return all sets of sample data by name.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def samples() -> dict[str, Sample]:
 
 
 def sample(name: str) -> Sample:
-    """Return sample data by name.
+    """Return a set of sample data by its name.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def _read(sample: Sample) -> xr.Dataset:
 def copy(
     name: str, folder: str | os.PathLike[str] = ".", *, overwrite: bool = False
 ) -> tuple[Path, ...]:
-    """Write the files of sample data into a folder.
+    """Copy the files of a set of sample data into a folder.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Batches of photons on a cluster, each a file with its digest."""
+"""Batches of photons computed on a cluster, each a file with a record of its inputs."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ __all__ = ["spread_batches"]
 
 
 class Run(Protocol):
-    """Photon transport run that computes a numbered batch of photons."""
+    """Photon transport run that can compute any batch of its photons, by number."""
 
     @property
     def stated(self) -> dict[str, Any]:
-        """Inputs of the batches, as numbers and text."""
+        """Inputs of the run, as numbers and text."""
 
     def __call__(self, number: int) -> Batch:
-        """Compute the batch of a number."""
+        """Compute the batch of photons with this number."""
 
 
 @contextmanager
@@ -40,7 +40,7 @@ def spread_batches(
     scheduler: str,
     workers: int | None = None,
 ) -> Iterator[Spread]:
-    """Compute the batches of a photon transport run on a cluster.
+    """Compute the batches of a photon transport run on the workers of a cluster.
 
     Notes
     -----
@@ -83,13 +83,13 @@ def _batches(
 
 @dataclass(frozen=True, kw_only=True)
 class _Batches:
-    """Batches as numbered work items, each with a file."""
+    """Batches of photons as numbered work items, each with an output file."""
 
     run: Run
     file: str = "batch.npz"
 
     def made_of(self, number: int) -> dict[str, Any]:
-        """Return the inputs of a batch."""
+        """Return the inputs of a batch, for its record."""
         return {**self.run.stated, "batch": number}
 
     def write(self, number: int, path: Path) -> None:
@@ -98,7 +98,7 @@ class _Batches:
 
 
 def _write(batch: Batch, path: Path) -> None:
-    """Write a batch to a file with reproducible bytes."""
+    """Write a batch to a file, equal bytes for equal batches."""
     arrays: dict[str, Any] = {
         "histories": np.int64(batch.histories),
         "signal": batch.signal,

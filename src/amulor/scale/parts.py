@@ -1,4 +1,4 @@
-"""Files of a scan that are computed in parts on a cluster, then joined."""
+"""Files of a scan that a cluster computes in ranges of rows and then joins."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ ROWS = "rows.nc"
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """Processing step that makes one file of a scan."""
+    """Processing step of a scan, which makes one file."""
 
     task: Task
     """Task of the scan that the step belongs to."""
@@ -62,12 +62,12 @@ class Step:
 
     @property
     def folder(self) -> Path:
-        """Folder of the parts of the file."""
+        """Folder for the row ranges of the file, before they are joined."""
         return Path(self.task.folder) / FOLDER / Path(self.name).stem
 
 
 def chain(task: Task) -> tuple[Step, ...]:
-    """Return the steps of a scan: samples, target signal, range image, cloud."""
+    """Return the processing steps of a scan, from samples to point cloud."""
     steps: list[Step] = []
     folder, current = Path(task.folder), Path(task.file)
 
@@ -100,7 +100,7 @@ def _level_of(path: Path) -> str:
 
 
 class _Rows:
-    """Rows of an output file, in tiles."""
+    """Rows of an output file, computed tile by tile."""
 
     def __init__(
         self, source: tiles.Source, step: Step, of: Callable[[int, int], xr.Dataset]
@@ -109,14 +109,14 @@ class _Rows:
         self.size = _size(step, source)
 
     def tiles(self, begin: int, end: int) -> Iterator[tuple[int, xr.Dataset]]:
-        """Yield the tiles between two rows; the first of these begins a tile."""
+        """Yield first row and content of each tile between two rows."""
         for first in range(begin, end, self.size):
             yield first, self.of(first, min(first + self.size, end))
 
 
 @contextmanager
 def _opened(step: Step, *, check_digest: bool) -> Iterator[_Rows]:
-    """Open the source of the rows of a file."""
+    """Open the input of a step, from which the rows of its file are computed."""
     if step.tiled is None:
         source = _simulated(step.of.read_text("utf-8"), step.of, step.task.seed)
         yield _Rows(source, step, source.tile)
@@ -136,7 +136,7 @@ def _simulated(text: str, path: Path, seed: int) -> SimulatedRows:
 
 @dataclass(frozen=True)
 class _Known:
-    """Cache key of a step and its cube, by the identity of the input file."""
+    """Cache key of a step that is fitted to a cube: step, path and file identity."""
 
     key: str
     step: Step
@@ -151,14 +151,14 @@ class _Known:
 
 @lru_cache(maxsize=1)
 def _prepared(scan: _Known) -> Prepared:
-    """Return the step fitted to a scan; cached for further parts of the scan."""
+    """Return a step fitted to its scan; cached for further row ranges of the scan."""
     step, source = scan.step, scan.source
     assert step.tiled is not None
     return Prepared(step.tiled, source, step.task.tile_rows or tile_rows(source))
 
 
 def splits(task: Task) -> tuple[str, ...]:
-    """Return the files of a scan that are computed in parts."""
+    """Return the files of a scan that are large enough to compute in row ranges."""
     try:
         steps = chain(task)
         sizes = _sizes(steps[0])
@@ -171,7 +171,7 @@ def splits(task: Task) -> tuple[str, ...]:
 
 
 def _sizes(step: Step) -> tiles.Source:
-    """Return the number of rows, columns and planes of a step's input file."""
+    """Return the numbers of rows, columns and channels of a step's input file."""
     if step.how["step"] == "simulate":
         survey = Survey.from_toml(step.of)
         instrument = survey.instrument
@@ -189,7 +189,7 @@ def _sizes(step: Step) -> tiles.Source:
 
 
 def parts_of(task: Task, name: str) -> list[tuple[int, int]]:
-    """Return the first row and the end of each part of a file."""
+    """Return first row and end row of each range in which a file is computed."""
     step = _step(task, name)
     source = _sizes(step)
     size = _size(step, source)
@@ -202,7 +202,7 @@ def parts_of(task: Task, name: str) -> list[tuple[int, int]]:
 
 
 def _size(step: Step, source: tiles.Source) -> int:
-    """Return the number of rows in a tile of a file."""
+    """Return the number of rows in a tile of a step's file."""
     if step.tiled is None:
         return step.task.tile_rows or tile_rows(source)
     return window(step.tiled, source, step.task.tile_rows)
@@ -213,7 +213,7 @@ def _step(task: Task, name: str) -> Step:
 
 
 def make_part(task: Task, name: str, begin: int, end: int) -> None:
-    """Compute a part of a file, unless it exists."""
+    """Compute a range of rows of a file, unless its result exists."""
     step = _step(task, name)
     folder = step.folder / f"{begin:08d}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -233,7 +233,7 @@ def make_part(task: Task, name: str, begin: int, end: int) -> None:
 
 
 def whole(step: Step, path: Path) -> None:
-    """Make a file from its parts if all exist, else from the beginning."""
+    """Join the row ranges of a file if all exist, else compute the whole file."""
     if step.name == "cloud.ply":
         cloud_file(step.of, path, rows=step.task.tile_rows, overwrite=True)
         return
@@ -251,7 +251,7 @@ def whole(step: Step, path: Path) -> None:
 
 
 def _put(writer: Any, first: int, file: Path, step: Step) -> None:
-    """Copy the rows of a part, tile by tile."""
+    """Copy a range of rows into the joined file, tile by tile."""
     size = step.task.tile_rows or tile_rows(_sizes(step))
     with open_rows(file) as cube:
         names = _in_order(file)
@@ -272,7 +272,7 @@ def _in_order(file: Path) -> list[str]:
 
 
 def forget_parts(step: Step) -> None:
-    """Remove the parts of a finished file."""
+    """Remove the row-range files of a finished file."""
     shutil.rmtree(step.folder, ignore_errors=True)
     folder = step.folder.parent
     if folder.is_dir() and not any(folder.iterdir()):

@@ -1,4 +1,4 @@
-"""Import of recordings larger than memory: sorted on disk, then by rows."""
+"""Import of recordings larger than memory: samples sorted on disk, read by rows."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def _spilled(
     folder: Path,
     temperature: float | None,
 ) -> list[str]:
-    """Write all samples to disk; return the polarizations in order of appearance."""
+    """Copy all samples to disk; return the polarizations in order of appearance."""
     pairs: dict[str, int] = {}
     rounded: Floats = np.zeros(0)
     ends: list[float] = []
@@ -151,7 +151,7 @@ def _spilled(
 
 @dataclass(kw_only=True)
 class _Known:
-    """Axes and statistics of all samples of a recording."""
+    """Axes of a recording, and properties of its samples as a whole."""
 
     temperature: float | None
     pairs: list[str] = field(default_factory=list)
@@ -165,7 +165,7 @@ class _Known:
     warm: bool = False
 
     def samples(self, folder: Path) -> Iterator[Scratch]:
-        """Yield all samples at the chosen temperature."""
+        """Yield all samples at the selected temperature, in blocks."""
         for part in _read(folder / "samples", _SAMPLE):
             if self.temperature is None:
                 yield part
@@ -173,7 +173,7 @@ class _Known:
                 yield part[at_temperature(part["temperature"], self.temperature)]
 
     def frequency(self, part: Scratch) -> NDArray[np.intp]:
-        """Return the index of the frequency of each sample."""
+        """Return the index of each sample's frequency."""
         return groups(self.values)[np.searchsorted(self.values, part["frequency"])]
 
 
@@ -233,7 +233,7 @@ def _sorted(
     shared: _Known,
     size: int,
 ) -> recordings.Recording:
-    """Sort the samples into a file for each tile; return the common axes."""
+    """Sort the samples into one file per tile; return the axes of the recording."""
     before: dict[tuple[int, int], int] = {}
     scanned: set[tuple[int, int]] = set()
     shots: list[Scratch] = []
@@ -286,7 +286,7 @@ def _bands(survey: Survey, size: int) -> Iterator[tuple[int, int]]:
 def _band(
     recording: recordings.Recording, folder: Path, size: int, rows: tuple[int, int]
 ) -> recordings.Band:
-    """Return the samples of some rows, from their file and the neighboring ones."""
+    """Return the samples of some rows and their neighbors, from the sorted files."""
     begin, end = recordings.band_with_neighbours(recording.survey, rows)
     parts = [np.zeros(0, dtype=_PLACED)]
     for tile in range(begin // size, (end - 1) // size + 1):
@@ -325,7 +325,7 @@ def _median_of(path: Path) -> float:
 
 
 def _ranked(path: Path, rank: int) -> float:
-    """Return the value of a rank in a file of numbers, by 16-bit radix selection."""
+    """Return the number of a given rank in a file, by 16-bit radix selection."""
     value = 0
     for shift in (48, 32, 16, 0):
         counts = np.zeros(2**16, dtype=np.int64)

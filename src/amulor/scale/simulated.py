@@ -19,7 +19,7 @@ __all__ = ["SimulatedSummary", "simulate_file"]
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSummary:
-    """Summary of a simulation that was written by rows."""
+    """Size of a simulated cube, beams that meet a target, and saturated samples."""
 
     sizes: dict[str, int]
     """Lengths of the dimensions of the cube [1]."""

@@ -58,7 +58,7 @@ def work(task: Task, until: str | None = None) -> Done:
 
 
 def is_made(task: Task, name: str) -> bool:
-    """Return whether a file of a scan exists, complete and from the same inputs."""
+    """Return whether a file of a scan is complete and made from the same inputs."""
     try:
         (step,) = (step for step in chain(task) if step.name == name)
         return Record(Path(task.folder)).is_made(name, of=step.of, how=step.how)
@@ -120,7 +120,7 @@ def run_site(
 
 
 def _started(folder: Path) -> str:
-    """Return the time of the first start of a run."""
+    """Return the time at which a run was first started, from its folder."""
     path = folder / "run.json"
     try:
         started = str(json.loads(path.read_text("utf-8"))["started"])
@@ -139,7 +139,7 @@ def _started(folder: Path) -> str:
 
 
 def _spread_out(client: Any, tasks: tuple[Task, ...]) -> Iterator[Done]:
-    """Yield the results of tasks, in order of completion."""
+    """Run tasks on a cluster; yield their results in order of completion."""
     import distributed
 
     dask: Any = distributed
@@ -159,7 +159,7 @@ def _spread_out(client: Any, tasks: tuple[Task, ...]) -> Iterator[Done]:
 
 @dataclass(kw_only=True)
 class _Underway:
-    """Scan in progress."""
+    """Scan in progress on a cluster, with its remaining files and tasks."""
 
     task: Task
     stages: list[str]
@@ -171,18 +171,18 @@ class _Underway:
 
 
 class _Spread:
-    """Distribution of tasks on a cluster: large scans by file and rows."""
+    """Distributor of tasks on a cluster, which divides large scans by file and rows."""
 
     def __init__(self, client: Any, futures: Any) -> None:
         self._client, self.futures = client, futures
         self._known: dict[str, tuple[_Underway, str]] = {}
 
     def begin(self, task: Task, stages: list[str]) -> None:
-        """Start a scan."""
+        """Start the tasks of a scan."""
         self._next(_Underway(task=task, stages=stages))
 
     def _next(self, scan: _Underway) -> None:
-        """Check whether the next file exists; after the last one, finish the scan."""
+        """Check if the next file of a scan exists; after the last, finish the scan."""
         if scan.stages:
             self._submit("asked", scan, is_made, scan.stages[0])
         else:
@@ -196,7 +196,7 @@ class _Spread:
         self.futures.add(future)
 
     def after(self, future: Any, error: str) -> Done | None:
-        """Continue the scan of a finished future; return its result at the end."""
+        """Continue a scan after one of its tasks; return its result at the end."""
         scan, kind = self._known.pop(future.key)
         answer = None if error else future.result()
         name = scan.stages[0] if scan.stages else ""

@@ -29,7 +29,7 @@ RECORD = "steps.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """Task of one scan, with its files on a shared disk."""
+    """Processing task for one scan, with paths on a shared disk."""
 
     name: str
     """Name of the scan."""
@@ -56,7 +56,7 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class Done:
-    """Result of a scan."""
+    """Result of the processing of a scan."""
 
     name: str
     """Name of the scan."""
@@ -92,7 +92,7 @@ def tasks_of(
 
 
 class Record:
-    """Record of the finished files of a scan, kept in a file beside them."""
+    """Record of the finished files of a scan, stored in a file beside them."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -107,7 +107,7 @@ class Record:
         self._now: dict[str, str] = {}
 
     def tidy(self) -> None:
-        """Remove unfinished files of a worker that stopped."""
+        """Remove the unfinished files of a worker that stopped."""
         for path in self._folder.glob(".amulor-*"):
             path.unlink(missing_ok=True)
 
@@ -135,7 +135,7 @@ class Record:
         return path
 
     def identity(self, path: Path) -> str:
-        """Return the digest of a recorded file; size and time of any other file."""
+        """Return the digest of a recorded file, or size and time of another file."""
         if path.parent == self._folder and path.name in self._steps:
             return self._steps[path.name]["digest"]
         try:
@@ -145,7 +145,7 @@ class Record:
         return f"{status.st_size} B, {status.st_mtime_ns} ns"
 
     def is_made(self, name: str, *, of: Path | str, how: dict[str, Any]) -> bool:
-        """Return whether a file exists, complete and from the same inputs."""
+        """Return whether a file is complete and was made from the same inputs."""
         return self._is_whole(name, _made_of(_identified(of), how))
 
     def _is_whole(self, name: str, made_of: str) -> bool:
@@ -246,11 +246,11 @@ def cluster_client(scheduler: str, workers: int | None) -> Iterator[Any]:
 
 
 class Work(Protocol):
-    """Numbered work items that are sent to workers."""
+    """Computation in numbered items that workers of a cluster share."""
 
     @property
     def file(self) -> str:
-        """Name of the output file of an item, in a separate folder."""
+        """Name of the output file of an item; each item has its own folder."""
 
     def made_of(self, number: int) -> dict[str, Any]:
         """Return the inputs of an item, as numbers and text."""
@@ -262,7 +262,7 @@ class Work(Protocol):
 def in_order(
     client: Any, folder: Path, work: Work, first: int, end: int
 ) -> Iterator[Path]:
-    """Yield the files of work items in the order of their numbers."""
+    """Yield the output files of work items in the order of their numbers."""
     from concurrent.futures import CancelledError
 
     import distributed.protocol
@@ -318,7 +318,7 @@ def _do(packed: bytes, number: int, folder: str) -> None:
 
 @lru_cache(maxsize=2)
 def _unpacked(packed: bytes) -> Work:
-    """Return the unpacked work; cached for all items of a worker."""
+    """Return the unpacked computation; cached for all items of a worker."""
     import distributed.protocol
 
     dask: Any = distributed
@@ -327,5 +327,5 @@ def _unpacked(packed: bytes) -> Work:
 
 
 def _own(folder: Path, work: Work, number: int) -> Path:
-    """Return the folder of one work item."""
+    """Return the folder of one item of work."""
     return folder / f"{Path(work.file).stem}-{number:06d}"

@@ -27,7 +27,7 @@ _NEAR = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """Errors and notes from the check of a site file."""
+    """Errors and notes that the check of a site file reports."""
 
     mistakes: tuple[str, ...]
     """Errors that must be corrected, one line each."""
@@ -78,7 +78,7 @@ def check(site: Site) -> Findings:
 
 
 def _scan_findings(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[str]]:
-    """Return mistakes and remarks about a single scan."""
+    """Return errors and notes about a single scan."""
     errors: list[str] = []
     notes: list[str] = []
     level = str(cube.attrs.get("level", ""))
@@ -125,7 +125,7 @@ def _points(image: xr.Dataset) -> NDArray[np.float64]:
 def _places_without_range(
     site: Site, scan: SiteScan, cube: xr.Dataset
 ) -> Iterator[str]:
-    """Yield a line for each target pixel outside its scan or without a range."""
+    """Yield a message for each target pixel outside its scan or without a range."""
     rows, columns = cube.sizes.get("row", 0), cube.sizes.get("column", 0)
     for target in site.target:
         if isinstance(target, ScaleBar):
@@ -154,7 +154,7 @@ def _places_without_range(
 
 
 def _untied_scans(site: Site) -> Iterator[str]:
-    """Yield a line for each scan that too few targets connect to the others."""
+    """Yield a message for each scan that shares too few targets with others."""
     placed = {scan.name for scan in site.scan if scan.start is not None}
     controlled = {scan.target for scan in site.control}
     if not placed and len(controlled) < _ENOUGH:
@@ -185,7 +185,7 @@ def _untied_scans(site: Site) -> Iterator[str]:
 
 
 def _targets_in(site: Site, scan: SiteScan) -> set[str]:
-    """Return the names of the targets by which a scan is connected to others."""
+    """Return the names of the targets in a scan that connect it with others."""
     names = set()
     for target in site.target:
         if isinstance(target, ScaleBar):
@@ -197,7 +197,7 @@ def _targets_in(site: Site, scan: SiteScan) -> set[str]:
 
 
 def _without_use(site: Site) -> Iterator[str]:
-    """Yield a line for each target and visit that nothing uses."""
+    """Yield a message for each target and visit without any effect."""
     controlled = {item.target for item in site.control}
     barred = {
         end for item in site.target if isinstance(item, ScaleBar) for end in item.ends

@@ -68,12 +68,12 @@ class StartPose(Description):
     """Standard uncertainty of pitch and of roll [rad]."""
 
     def as_pose(self) -> Pose:
-        """Return the start pose in the form of a survey's pose."""
+        """Return the start pose as a pose in the format of surveys."""
         return Pose.model_validate(self.model_dump())
 
 
 def _installed(method: str) -> str:
-    """Return a rejection method; ValueError if it is not installed."""
+    """Return the name of a rejection method; ValueError if it is not installed."""
     installed = _plugins.names(_plugins.REJECTION)
     if method not in installed:
         raise ValueError(
@@ -88,7 +88,7 @@ def _list_methods(schema: dict[str, Any]) -> None:
 
 
 class Processing(Description):
-    """Processing of a cube into a range image."""
+    """Settings by which a cube is processed to a range image."""
 
     method: Annotated[
         str, AfterValidator(_installed), Field(json_schema_extra=_list_methods)
@@ -117,7 +117,7 @@ def _unknown_as_none(value: Any) -> Any:
 
 
 class SiteScan(Description):
-    """Scan of the site."""
+    """Scan of the site, with its file, visit and start pose."""
 
     name: Name
     """Unique name of the scan, used by targets and results."""
@@ -148,7 +148,7 @@ class SiteScan(Description):
 
 
 class Place(Description):
-    """Pixel of a target in a scan."""
+    """Pixel of a scan at which a target appears."""
 
     scan: Name
     """Name of the scan."""
@@ -209,7 +209,7 @@ class PointTarget(_Seen):
 
 
 class ScaleBar(Description):
-    """Scale bar: known distance between the centers of two other targets."""
+    """Scale bar: known distance between the centers of two targets."""
 
     kind: Literal["scale-bar"]
     """Kind of the target."""
@@ -236,7 +236,7 @@ SiteTarget = Annotated[
 
 
 class Control(Description):
-    """Control point: target whose position in the site is known by another survey."""
+    """Control point: target at a known position, from another survey."""
 
     target: Name
     """Name of the target."""
@@ -248,7 +248,7 @@ class Control(Description):
 
 
 class Registration(Description):
-    """Settings of the registration."""
+    """Settings for the registration of all scans."""
 
     overlap: Annotated[Fraction, Field(gt=0, le=1)] = 0.1
     """Two scans are compared if at least this fraction of the pixels of one falls on
@@ -267,7 +267,7 @@ class Registration(Description):
 
 
 class Comparison(Description):
-    """Settings of the comparison of visits."""
+    """Settings for the comparison of visits."""
 
     spacing: Annotated[Length, Field(gt=0, le=10)] | None = None
     """Distance between neighboring points at which change is tested; twice the spacing
@@ -282,7 +282,7 @@ class Comparison(Description):
 
 
 class Site(Description):
-    """Scans of a place, with the targets and poses that connect them."""
+    """Scans of a site, with the targets and poses that connect them."""
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
     """Name of the site, used as the title of all results."""
@@ -330,7 +330,7 @@ class Site(Description):
         return tuple(scan for scan in self.scan if scan.epoch == epoch)
 
     def _with_paths(self, folder: Path, *, where: str) -> Self:
-        """Return the site with absolute paths; raise an error if files are missing."""
+        """Return the site with absolute file paths; raise if files are missing."""
         lacking = []
         scans = []
         for number, scan in enumerate(self.scan):
@@ -353,7 +353,7 @@ class Site(Description):
 
 
 def _contradictions(site: Site) -> Iterator[str]:
-    """Yield a line for each inconsistent name or number in a site file."""
+    """Yield a message for each inconsistent name or number in a site file."""
     scans = [item.name for item in site.scan]
     targets = [item.name for item in site.target]
     epochs = [item.name for item in site.epoch]

@@ -1,4 +1,4 @@
-"""Range images of the scans of a site, read or made from cubes."""
+"""Range images of a site's scans: read from files, or computed from cubes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def range_image_of(scan: SiteScan) -> xr.Dataset:
 
 
 def check_level(level: str, *, processed: bool, name: str) -> None:
-    """Refuse a file that neither is a range image nor can be processed into one."""
+    """Raise unless a file is a range image or can be processed to one."""
     if level == "range_image":
         return
     if level not in ("samples", "target_signal"):
@@ -40,7 +40,7 @@ def check_level(level: str, *, processed: bool, name: str) -> None:
 
 
 def options_of(processing: Processing | None) -> dict[str, Any]:
-    """Return method, channel and interval that a scan's processing states."""
+    """Return method, channel and range interval from the settings of a scan."""
     if processing is None:
         return {"method": None, "polarization": None, "interval": None}
     near, far = processing.nearest, processing.farthest
@@ -54,7 +54,7 @@ def options_of(processing: Processing | None) -> dict[str, Any]:
 def as_image(
     cube: xr.Dataset, *, processing: Processing | None, name: str
 ) -> xr.Dataset:
-    """Return a range image from a cube of any level; refuse one with unknown errors."""
+    """Return a range image from a cube of any level; raise if its error is unknown."""
     level = str(cube.attrs.get("level", ""))
     check_level(level, processed=processing is not None, name=name)
     try:

@@ -1,4 +1,4 @@
-"""Calibration uncertainties: the instrument's delay and geometry, water's index."""
+"""Calibration uncertainties of instrument delay, geometry and water index."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Directions of pixels and open-water shots, and the limit of scans in memory."""
+"""Directions of pixels and open-water shots; refusal of scans beyond memory."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def samples_of(survey: Survey) -> int:
 
 
 def refuse_scans_beyond_memory(survey: Survey) -> None:
-    """Refuse a scan that is too large for the memory."""
+    """Raise if a scan is too large for the memory."""
     samples = samples_of(survey)
     if samples > MOST_SAMPLES:
         scan = survey.scan
@@ -76,7 +76,7 @@ def open_water_directions(survey: Survey) -> tuple[Floats, Floats]:
 
 
 def _lines(survey: Survey, rows: int, columns: int) -> tuple[Floats, Floats]:
-    """Return the azimuths of the columns and the elevations of the rows [rad]."""
+    """Return the azimuth of each column and the elevation of each row [rad]."""
     scan = survey.scan
     # One row or column alone stands in the middle.
     across = np.linspace(-0.5, 0.5, columns) if columns > 1 else np.zeros(1)

@@ -16,15 +16,15 @@ _Described = TypeVar("_Described", bound=Description)
 
 @runtime_checkable
 class NamesFile(Protocol):
-    """Interface of survey sections that refer to a file."""
+    """Interface of survey sections that name a file."""
 
     def settled(self, folder: Path, *, where: str) -> Any:
-        """Return a copy with full paths, or with the content of its files."""
+        """Return a copy with full paths, or with the contents of the named files."""
         ...
 
 
 def settled(description: _Described, folder: Path, *, where: str) -> _Described:
-    """Return a survey section with full paths, or with the content of its files."""
+    """Return a survey section with full paths, or with the contents of its files."""
     copy = _settled(description, folder, where=f"{where}: ", path="")
     return copy  # type: ignore[no-any-return]
 
@@ -99,7 +99,7 @@ def columns(path: Path, *, count: int, where: str) -> list[list[float]]:
 
 
 def validated(model: type[_Model], content: Any, *, where: str) -> _Model:
-    """Validate a table as a survey section; errors are one line each."""
+    """Validate a table as a survey section; raise with one line per error."""
     try:
         return model.model_validate(content)
     except ValidationError as error:

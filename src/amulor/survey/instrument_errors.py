@@ -1,4 +1,4 @@
-"""Instrument errors that simulated samples contain, each with its parameters.
+"""Instrument errors that a simulation adds to samples, each with its parameters.
 
 No method that evaluates a scan reads them: they are what a user does not know.
 """
@@ -38,7 +38,7 @@ class Clock(Description):
 
 
 class Harmonic(Description):
-    """Harmonic of the modulated light that appears in the output of the fundamental.
+    """Harmonic of the modulated light that adds to the output at the fundamental.
 
     Its phasor is the complex conjugate for the orders 3 and 7, as with four samples a
     period.
@@ -65,7 +65,7 @@ class OpticalLeakage(Description):
 
 
 class Counting(Description):
-    """Dead time and after-pulses of a photon-counting detector."""
+    """Dead time and after-pulses of a detector that counts photons."""
 
     dead_time: Annotated[Time, Field(ge=0, le=1e-3)] = 0.0
     """Time after each count in which the detector does not count [s]. Photons in this
@@ -122,7 +122,7 @@ class Crosstalk(Description):
 
 
 class Drift(Description):
-    """Drift from the first to the last sample, linear or exponential in time."""
+    """Drift of the signal during the scan, linear or exponential in time."""
 
     phase: _Phase = 0.0
     """Change of the phase, equal for all frequencies [rad]."""
@@ -138,7 +138,7 @@ class Drift(Description):
 
 
 class ScaleChange(Description):
-    """Error of the demodulator when it changes its input range at a threshold."""
+    """Error of the demodulator that appears when it changes its input range."""
 
     above: _Volts
     """Amplitude above which the demodulator uses the other range [V]."""
@@ -149,7 +149,7 @@ class ScaleChange(Description):
 
 
 class Demodulator(Description):
-    """Offsets, gain and phase errors, and resolution of the two outputs."""
+    """Offset, gain error, phase error and resolution of the two lock-in outputs."""
 
     in_phase_offset: Annotated[Voltage, Field(ge=-1e4, le=1e4)] = 0.0
     """Offset of the in-phase output [V]."""

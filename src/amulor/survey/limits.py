@@ -17,7 +17,7 @@ __all__ = ["LIMITS", "Limit", "beyond"]
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """Limits of a number in a survey file."""
+    """Smallest and largest value of a number in a survey file."""
 
     quantity: str
     """Physical quantity, a key of `amulor.units.SI_UNITS`."""
@@ -29,7 +29,7 @@ class Limit:
     """Reason of the limits."""
 
     def broken(self, value: float) -> str:
-        """Return the error message for a value; empty if the value is valid."""
+        """Return the error message for a value; empty text for a valid value."""
         if abs(value) > self.most:
             word, end = "at most", self.most
         elif self.least is not None and abs(value) < self.least:
@@ -119,7 +119,7 @@ LIMITS: Mapping[str, Limit] = {
 
 
 def beyond(content: Any) -> Iterator[tuple[str, str]]:
-    """Yield path and error message of survey numbers outside their limits."""
+    """Yield path and error message of each number outside its limits."""
     for path, limit in LIMITS.items():
         for path_of_value, value in _at(content, path.split("."), ""):
             message = limit.broken(value)
@@ -128,7 +128,7 @@ def beyond(content: Any) -> Iterator[tuple[str, str]]:
 
 
 def _at(content: Any, path: list[str], parent: str) -> Iterator[tuple[str, float]]:
-    """Yield full path and value of each number that matches a path pattern."""
+    """Yield full path and value of each number whose path matches a pattern."""
     if content is None:
         return
     if not path:

@@ -1,4 +1,4 @@
-"""Optical properties of the water: indices, forward and diffuse part, backscatter."""
+"""Optical properties of the water: indices, absorption, scattering, backscatter."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _INNERMOST, _WIDE, _HEAD, _REST = 1e-5, 0.1, 160, 360
 
 @dataclass(frozen=True, kw_only=True)
 class WaterProperties:
-    """Optical properties of the water, the input of the signal models.
+    """Optical properties of the water, as input of the signal models.
 
     Examples
     --------
@@ -145,7 +145,7 @@ _POLARIZATION_KEPT = (1.0, -1.0, -1.0)
 
 
 def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
-    """Return a survey with its water restated by coefficients and moments."""
+    """Return a survey whose water is described by coefficients and moments."""
     water = survey.water
     if isinstance(water, Water):
         changed = water.model_copy(
@@ -187,7 +187,7 @@ def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
 
 @lru_cache(maxsize=8)
 def _tabulated(function: PhaseFunction) -> Tabulated:
-    """Return a phase function as a table for a survey; equal input gives one object."""
+    """Return a phase function as a table for surveys; cached for each function."""
     angle = np.concatenate(
         [np.geomspace(_INNERMOST, _WIDE, _HEAD)[:-1], np.linspace(_WIDE, np.pi, _REST)]
     )
@@ -200,7 +200,7 @@ def _tabulated(function: PhaseFunction) -> Tabulated:
 
 
 def indices(survey: Survey) -> tuple[float, float]:
-    """Return phase and group index of the water, stated or from its state."""
+    """Return phase and group index of the water, as stated or from its state."""
     water, wavelength = survey.water, survey.instrument.wavelength
     state = state_of(water)
     phase_index, group_index = water.refractive_index, water.group_index
@@ -218,7 +218,7 @@ def indices(survey: Survey) -> tuple[float, float]:
 
 
 def group_index_uncertainty(survey: Survey) -> float | None:
-    """Return the standard uncertainty of the group index of a survey's water."""
+    """Return the standard uncertainty of the group index [1]; None if unknown."""
     water, calibration = survey.water, survey.calibration
     if calibration is not None and calibration.group_index_uncertainty is not None:
         return calibration.group_index_uncertainty
@@ -257,7 +257,7 @@ _POINTS = 41
 
 
 def _spread(survey: Survey, spans: Mapping[str, tuple[float, float]]) -> float:
-    """Return the root mean square change of the group index over spans of state [1]."""
+    """Return the root mean square error of the group index over ranges of state [1]."""
     state = state_of(survey.water)
     if not spans:
         return 0.0

@@ -1,4 +1,4 @@
-"""Field types of survey files: text with a unit, converted to SI floats."""
+"""Field types of survey files: text with a unit that becomes an SI float."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from amulor import units
 
 
 class Description(BaseModel):
-    """Base class of all survey sections: frozen, strict about fields, documented."""
+    """Base class of all survey sections, which are frozen and refuse unknown fields."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -34,7 +34,7 @@ class Description(BaseModel):
     def __get_pydantic_json_schema__(
         cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Return the JSON Schema, which editors show, without examples in Python."""
+        """Return the JSON Schema for editors, without Python examples."""
         schema = handler(core_schema)
         resolved = handler.resolve_ref_schema(schema)
         if "description" in resolved:
@@ -166,7 +166,7 @@ Fraction = Annotated[float, _read("fraction"), _finite]
 
 
 def _whole_number(value: Any) -> Any:
-    """Return a whole number; ValueError for true, false and huge numbers."""
+    """Return an integer; ValueError for true, false and numbers that are too large."""
     if isinstance(value, bool):
         raise ValueError(f"found {str(value).lower()}; needed is a whole number")
     if isinstance(value, int) and abs(value) > _LARGEST_COUNT:

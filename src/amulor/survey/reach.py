@@ -1,4 +1,4 @@
-"""Reach of a survey's targets in slant range, and ambiguity of their phases."""
+"""Range limits of a survey's targets, and ambiguity of their phases."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BEAMS = 65
 
 
 def target_reach(survey: Survey) -> tuple[float, float] | None:
-    """Return the smallest and largest slant range of the targets in the beams [m].
+    """Return smallest and largest slant range of the targets within the beams [m].
 
     Every target stands in one box or a few: a plate is one without depth, a staircase
     one for each tread, a disc one as deep as it is bent, a mesh one around all of it.
@@ -51,7 +51,7 @@ def target_reach(survey: Survey) -> tuple[float, float] | None:
 def unsettled_interval(
     survey: Survey | None, *, modulation_frequency: ArrayLike
 ) -> str:
-    """Return why ranges of a survey's targets are ambiguous; empty if they are not.
+    """Return why the ranges of the targets are ambiguous; empty if they are not.
 
     Phases repeat with the ambiguity interval of the smallest frequency, or of the
     smallest difference of two. Which of the repetitions is right must be known: from
@@ -76,14 +76,14 @@ def unsettled_interval(
 
 
 def repetition(modulation_frequency: ArrayLike, *, group_index: float) -> float:
-    """Return the range interval after which all phases repeat together [m]."""
+    """Return the range interval after which all phases repeat [m]."""
     frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=float))
     smallest = np.min(np.append(np.diff(frequency), frequency[0]))
     return float(ranging.ambiguity_interval(smallest, group_index=group_index))
 
 
 def _beams(survey: Survey) -> rays.Beam:
-    """Return beams evenly spread over the scan, its edges included."""
+    """Return beams evenly distributed over the scan, including its edges."""
     scan = survey.scan
     across = np.linspace(-0.5, 0.5, min(scan.columns, _BEAMS))
     down = np.linspace(0.5, -0.5, min(scan.rows, _BEAMS))
@@ -134,7 +134,7 @@ def _rotation(angles: tuple[float, float, float]) -> Floats:
 def _boxes(
     target: Plate | Staircase | Disc | Mesh,
 ) -> list[tuple[Floats, Floats]] | None:
-    """Return the corners of boxes that enclose a target, in the target's axes."""
+    """Return corners of boxes that enclose a target, in axes of the target [m]."""
     if isinstance(target, Plate):
         half = np.array([target.width / 2, target.height / 2, 0.0])
         return [(-half, half)]

@@ -25,7 +25,7 @@ _NEEDED = 'state a projected system in metres, such as "EPSG:32632", or a name'
 
 
 def epsg_code(text: str) -> int | None:
-    """Return the EPSG number in the name of a reference system; None without one."""
+    """Return the EPSG code in the name of a reference system; None if there is none."""
     if not re.match(r"\s*(epsg\b|\d+\s*$)", text, flags=re.IGNORECASE):
         return None
     match = re.fullmatch(r"\s*epsg:(\d{4,5})\s*", text, flags=re.IGNORECASE)
@@ -38,7 +38,7 @@ def epsg_code(text: str) -> int | None:
 
 
 def projected_code(text: str) -> int | None:
-    """Return the EPSG number of a projected system in meters; None for a name."""
+    """Return the EPSG code of a projected system in meters; None for other names."""
     code = epsg_code(text)
     if code is None:
         return None
@@ -68,7 +68,7 @@ def projected_code(text: str) -> int | None:
 
 
 def _checked(text: str) -> str:
-    """Return the name of a reference system; full validation needs pyproj."""
+    """Return the name of a reference system; raise if pyproj does not know it."""
     # What writes coordinates in the system asks for pyproj.
     with contextlib.suppress(MissingExtraError):
         projected_code(text)
@@ -192,14 +192,14 @@ class Pose(Description):
 
 
 class _PoseFile(Description):
-    """Content of a file that has only a pose."""
+    """Content of a file with a pose and nothing else."""
 
     pose: Pose
     """Position and attitude of the instrument."""
 
 
 def read_pose(path: str | Path) -> Pose:
-    r"""Read the pose from a TOML file with the section [pose] only.
+    r"""Read a pose from a TOML file that has only the section [pose].
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Reflection by target surfaces: Lambert, Oren-Nayar, or a table."""
+"""Reflection by target surfaces: Lambertian, Oren-Nayar, or tabulated."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _Slant = Annotated[Angle, Field(ge=0, le=math.pi / 2)]
 
 
 class Lambertian(Description):
-    """Lambertian surface: matte, equally bright from all directions.
+    """Lambertian surface: matte, with equal radiance in all directions.
 
     Examples
     --------
@@ -38,7 +38,7 @@ class Lambertian(Description):
 
 
 class OrenNayar(Description):
-    """Oren-Nayar surface: rough and matte, with Lambertian facets.
+    """Oren-Nayar surface: rough and matte, made of Lambertian facets.
 
     Examples
     --------
@@ -54,7 +54,7 @@ class OrenNayar(Description):
 
 
 class TabulatedSurface(Description):
-    """Surface with a tabulated BRDF, with linear interpolation between the entries.
+    """Surface with a tabulated BRDF, interpolated linearly.
 
     Examples
     --------
@@ -122,7 +122,7 @@ class TabulatedSurface(Description):
         return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
-        """Return a copy that contains the table of its file."""
+        """Return a copy that contains the table read from its file."""
         if self.file is None:
             return self
         columns = files.columns(folder / self.file, count=4, where=where)
@@ -178,7 +178,7 @@ def brightness(
     leaving: Floats,
     azimuth: Floats,
 ) -> Floats:
-    """Return the BRDF of a surface over that of a Lambertian surface [1]."""
+    """Return the BRDF of a surface over that of a Lambertian one [1]."""
     if isinstance(surface, OrenNayar):
         ratio = reflection.oren_nayar(
             incidence=incidence,

@@ -110,7 +110,7 @@ class Survey(Description):
 
     @classmethod
     def preset(cls, name: str) -> Self:
-        """Return the survey of a published instrument that is part of amulor.
+        """Return the survey of a published instrument that comes with amulor.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class Survey(Description):
         return files.settled(survey, folder or Path(), where=name)
 
     def with_(self, changes: Mapping[str, Any]) -> Self:
-        """Return the survey with changed fields, validated like a file.
+        """Return the survey with changed fields; they are validated as in a file.
 
         Parameters
         ----------
@@ -289,7 +289,7 @@ def changed(content: Any, changes: Mapping[str, Any], *, name: str) -> Any:
 
 
 def _at(table: Any, part: str, *, path: str, name: str) -> Any:
-    """Return the entry of a table or list for one part of a path."""
+    """Return the entry of a table or list at one element of a path."""
     if isinstance(table, dict):
         return table.get(part)
     if not part.isdigit() or int(part) >= len(table):
@@ -301,7 +301,7 @@ def _at(table: Any, part: str, *, path: str, name: str) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return tables and lists as plain copies, as in a file."""
+    """Return tables and lists as plain dictionaries and lists."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -68,7 +68,7 @@ class Plate(_Target):
 
 
 class Staircase(_Target):
-    """Staircase: treads side by side, which come nearer from left to right.
+    """Staircase: flat treads side by side, each nearer than the one to its left.
 
     The first tread lies in the plane of `position`.
 
@@ -164,7 +164,7 @@ class Disc(_Target):
 
 
 class Mesh(_Target):
-    """Surface from a mesh file: STL, PLY, OBJ or GLB.
+    """Target surface from a mesh file: STL, PLY, OBJ or GLB.
 
     Examples
     --------

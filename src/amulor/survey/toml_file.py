@@ -111,7 +111,7 @@ _NEEDED = {
 
 
 def _location(loc: tuple[Any, ...], content: Any) -> list[Any]:
-    """Return the location of an error, without parts that name a choice of type."""
+    """Return the path of an error in a file, without the names of type choices."""
     location: list[Any] = []
     value = content
     for position, part in enumerate(loc):
@@ -126,7 +126,7 @@ def _location(loc: tuple[Any, ...], content: Any) -> list[Any]:
 
 
 def _at(location: list[Any], content: Any) -> Any:
-    """Return the value in a file at a location; None if there is none."""
+    """Return the value at a path in a file; None if there is none."""
     value = content
     for part in location:
         try:
@@ -137,7 +137,7 @@ def _at(location: list[Any], content: Any) -> Any:
 
 
 def _bound(value: Any, limit: float) -> str:
-    """Return a limit as text, in the unit of the value in the file."""
+    """Return a limit as text, in the unit that the file uses for the value."""
     if isinstance(value, str):
         return units.write_like(limit, value)
     return f"{limit:g} in SI units" if isinstance(value, float) else f"{limit:g}"
@@ -154,7 +154,7 @@ def _value_text(location: list[Any], content: Any) -> str:
 def _table(
     location: list[Any], content: Any, model: type[BaseModel]
 ) -> type[BaseModel]:
-    """Return the model class of a table in a file."""
+    """Return the model class of the table at a path in a file."""
     value = content
     annotation: Any = model
     for part in location:
@@ -173,7 +173,7 @@ def _table(
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield all model classes in a type annotation, at any depth."""
+    """Yield all model classes within a type annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
@@ -181,7 +181,7 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _is_of_kind(table: Any, model: type[BaseModel]) -> bool:
-    """Return whether a table of a file matches a model class, by its `kind`."""
+    """Return whether the field `kind` of a table matches a model class."""
     field = model.model_fields.get("kind")
     if field is None or not isinstance(table, dict):
         return True
@@ -203,7 +203,7 @@ def _kinds(model: type[BaseModel]) -> list[str]:
 
 
 def _kinds_at(location: list[Any], content: Any, model: type[BaseModel]) -> list[str]:
-    """Return the kinds allowed for a table of the file."""
+    """Return the values of `kind` that a table at a path in a file allows."""
     fields = [part for part in location if not isinstance(part, int)]
     above = location[: location.index(fields[-1])]
     annotation = _table(above, content, model).model_fields[fields[-1]].annotation
@@ -222,7 +222,7 @@ def _needed(location: list[Any], content: Any, model: type[BaseModel]) -> str:
 
 
 def _description(location: list[Any], content: Any, model: type[BaseModel]) -> str:
-    """Return the docstring of the field at a location, or of its parent."""
+    """Return the description of the field at a path, or of its parent."""
     for end in range(len(location) - 1, -1, -1):
         fields = _table(location[:end], content, model).model_fields
         if location[end] in fields:
@@ -255,7 +255,7 @@ def described(
     what: str,
     error: type[AmulorError],
 ) -> Model:
-    """Parse and validate a TOML text as a model."""
+    """Parse a TOML text and validate it as a model."""
     content = _content(text, name=name, what=what, error=error)
     try:
         model_of_text = model.model_validate(content, context={"from_text": True})
@@ -308,7 +308,7 @@ _DEEPEST, _DOTS = 20, 100
 
 
 def _paths(content: Any) -> Iterator[Path]:
-    """Yield the names of all files to which a survey refers."""
+    """Yield the names of all files that a survey uses."""
     if isinstance(content, Path):
         yield content
     elif isinstance(content, dict | list | tuple):

@@ -1,4 +1,4 @@
-"""View of the receiver for the beams of a survey, as input of the signal models."""
+"""View of the receiver on a survey's beams, as input of the signal models."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SMALLEST_COSINE = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Geometry of receiver and beams, arrays over the beams."""
+    """Geometry of receiver relative to the beams, arrays over the beams."""
 
     baseline: Floats
     """Distance between receiver and beam at depth zero [m]."""
@@ -42,7 +42,7 @@ class View:
 
 
 def medium_of(survey: Survey) -> rays.Medium:
-    """Return the media through which the light of a survey passes."""
+    """Return the media that the light of a survey passes: air, window, water."""
     window = survey.instrument.window
     phase_index, group_index = indices(survey)
     if window is None:
@@ -58,7 +58,7 @@ def medium_of(survey: Survey) -> rays.Medium:
 
 
 def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
-    """Return the receiver's standoff, as a depth of water [m], and acceptance [rad]."""
+    """Return the receiver's standoff as depth of water [m], and acceptance [rad]."""
     receiver = survey.instrument.receiver
     if medium.window_distance is None:
         return 0.0, receiver.acceptance
@@ -165,7 +165,7 @@ def _transmission(
 def kernel_arguments(
     survey: Survey, water: WaterProperties, view: View
 ) -> dict[str, Any]:
-    """Return the arguments that the functions for target and water signal take."""
+    """Return keyword arguments for the functions of target and water signal."""
     return {
         "absorption": water.absorption,
         "forward_scattering": water.forward_scattering,
@@ -181,7 +181,7 @@ def kernel_arguments(
 
 
 def beam_arguments(survey: Survey, water: WaterProperties) -> dict[str, float]:
-    """Return radius and divergence of the beam as arguments, if stated."""
+    """Return radius and divergence of the beam as keyword arguments, if stated."""
     emitter = survey.instrument.emitter
     arguments = {}
     if emitter.beam_radius:
@@ -204,12 +204,12 @@ def widths_together(
 
 
 def has_sharp_receiver(survey: Survey) -> bool:
-    """Return whether the receiver of a survey has sharp edges."""
+    """Return whether aperture and field of view of the receiver have sharp edges."""
     return survey.instrument.receiver.edge == "sharp"
 
 
 def refuse_layers(water: WaterProperties, *, model: str) -> None:
-    """Refuse layered water for a model that assumes uniform water."""
+    """Raise if the water has layers and the model assumes uniform water."""
     if water.layers:
         raise SurveyError(
             f"water.layers: {model} knows uniform water only; `amulor backscatter "
@@ -218,7 +218,7 @@ def refuse_layers(water: WaterProperties, *, model: str) -> None:
 
 
 def refuse_beam_and_edges(survey: Survey, *, model: str) -> None:
-    """Refuse beam widths and sharp edges for a model without them."""
+    """Raise if a model cannot treat the beam width or sharp receiver edges."""
     emitter = survey.instrument.emitter
     unsupported = [
         name
@@ -237,7 +237,7 @@ def refuse_beam_and_edges(survey: Survey, *, model: str) -> None:
 
 
 def geometry_attributes(survey: Survey) -> dict[str, Any]:
-    """Return indices, window and positions of the instrument, as cube attributes."""
+    """Return indices, window and positions of an instrument as cube attributes."""
     medium = medium_of(survey)
     attributes: dict[str, Any] = {
         "group_index": medium.group_index,

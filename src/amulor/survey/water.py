@@ -1,4 +1,4 @@
-"""Water stated by its coefficients, and the fields common to all kinds of water."""
+"""Water described by its coefficients, and the fields common to all kinds of water."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
 class WaterState(Description):
-    """Fields common to all kinds of water."""
+    """Temperature, salinity and other fields common to all kinds of water."""
 
     split_angle: Annotated[Angle, Field(gt=0, le=math.pi)] = math.pi / 2
     """Scattering below this angle counts as forward, scattering beyond it as diffuse
@@ -141,7 +141,7 @@ class Water(WaterState):
 
     @model_serializer(mode="wrap")
     def _coefficients_first(self, dump: SerializerFunctionWrapHandler) -> Any:
-        """Write the fields in a fixed order, coefficients first."""
+        """Serialize the fields in a fixed order, coefficients first."""
         content = dump(self)
         return {name: content[name] for name in _ORDER if name in content}
 
@@ -168,7 +168,7 @@ _ORDER = (
 
 
 def refuse_clear(absorption: float, scattering: float) -> None:
-    """Refuse water without any absorption or scattering."""
+    """Raise if the water neither absorbs nor scatters."""
     if absorption + scattering <= 0:
         raise ValueError(
             "absorption and scattering are both 0 1/m; even the clearest water "

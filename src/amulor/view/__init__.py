@@ -1,4 +1,4 @@
-"""Figures, reports and the browser page of scans, range images, sites and designs."""
+"""Figures, reports and the browser page, for scans, range images, sites and designs."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def instrument_and_water(images: Mapping[str, xr.Dataset]) -> list[Part]:
 
 
 def registration(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Table of the instrument's pose from the surveys of range images."""
+    """Table of instrument poses, from the surveys of range images."""
     rows = []
     for name, image in images.items():
         survey = readable_survey(image)
@@ -148,7 +148,7 @@ def accuracy_statement(
 
 
 def _check_parts(checks: Mapping[str, Sequence[Checked]]) -> list[Part]:
-    """Table of check distances with a summary."""
+    """Table of measured check distances, with a summary."""
     rows, verdicts = [], []
     for name, checked_lengths in checks.items():
         for checked in checked_lengths:
@@ -259,7 +259,7 @@ _SHARED = {*ALIKE_TERMS, *SHARED_TERMS}
 
 
 def error_budgets(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Report sections on the error terms of range images."""
+    """Report sections on the error budget of each range image."""
     parts: list[Part] = [Heading("Where the uncertainty comes from")]
     for name, image in images.items():
         budget = error_budget(image)
@@ -276,7 +276,7 @@ def error_budgets(images: Mapping[str, xr.Dataset]) -> list[Part]:
 
 
 def _key(budget: ErrorBudget) -> str:
-    """Caption of the bar chart; it explains only the bars that are drawn."""
+    """Caption of the error-budget chart, with only the terms that are drawn."""
     parts = ["Standard uncertainty of each term, median over the usable pixels."]
     if any(line.term.name in _SHARED for line in budget.lines):
         parts.append("Dark terms are shared by pixels; a mean does not reduce them.")
@@ -286,7 +286,7 @@ def _key(budget: ErrorBudget) -> str:
 
 
 def budget_figure(budgets: Mapping[str, ErrorBudget]) -> Figure:
-    """Draw the terms of error budgets as bars."""
+    """Draw the error sources of error budgets as bars."""
     most = max(len(b.lines) + len(b.unknown) + 1 for b in budgets.values())
     with style():
         figure = new_figure(6.4 * len(budgets), 0.5 + 0.24 * most)
@@ -298,7 +298,7 @@ def budget_figure(budgets: Mapping[str, ErrorBudget]) -> Figure:
 
 
 def _bars(axis: Axes, budget: ErrorBudget) -> None:
-    """Draw one bar per term, the largest at the right end of the axis."""
+    """Draw one bar for each error source, and one for all combined."""
     names = [line.term.name for line in budget.lines]
     names += [term.name for term in budget.unknown] + ["combined"]
     uncertainties = [line.uncertainty * 1e3 for line in budget.lines]
@@ -364,7 +364,7 @@ def _table(name: str, budget: ErrorBudget) -> Table:
 
 
 def _limits(budget: ErrorBudget) -> str:
-    """Sentences on shared errors, late light, calibration, and unknown errors."""
+    """Sentences on shared errors, late light, calibration and unknown errors."""
     sentences = []
     if math.isfinite(budget.common):
         sentences.append(

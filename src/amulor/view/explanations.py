@@ -1,4 +1,4 @@
-"""Explanations of flags and warnings, and the numbers behind the flags of a pixel."""
+"""Explanations of flags and warnings, and the values behind a pixel's flags."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Explanation:
 
 
 def explanations() -> dict[str, Explanation]:
-    """All explanations by name, pixel flags first."""
+    """All explanations by name, flags of pixels first."""
     limits, texts = _limits(), ("meaning", "compared", "chance", "remedy")
     by_name = {
         name: Explanation(
@@ -110,7 +110,7 @@ def find(words: str) -> list[Explanation]:
 
 
 def _limits() -> dict[str, Any]:
-    """Limits and false-alarm rates, by their placeholders in the explanations."""
+    """Values that replace the placeholders in explanations, such as limits."""
     from amulor.imaging import edges, outliers
     from amulor.optics import ambiguity
     from amulor.rejection import quality, subtraction
@@ -143,7 +143,7 @@ def _limits() -> dict[str, Any]:
 
 
 def _consequence(table: str, name: str) -> str:
-    """Consequence of a flag for a pixel or sample."""
+    """Effect of a flag on the use of a pixel or sample, in words."""
     if table == "sample":
         from amulor.acquisition.sampler import SPOILED, SampleFlag
 
@@ -182,7 +182,7 @@ def _terms() -> list[Explanation]:
 
 
 def lines_of(explanation: Explanation) -> list[str]:
-    """Explanation as lines of text."""
+    """Lines of text of an explanation."""
     parts: Iterable[tuple[str, str]] = (
         ("means", explanation.meaning),
         ("test", explanation.compared),
@@ -194,25 +194,25 @@ def lines_of(explanation: Explanation) -> list[str]:
 
 
 def hint(names: Iterable[str]) -> str:
-    """Command that explains flags, for a message."""
+    """Command that explains some flags, to append to a message."""
     first = next(iter(names), "")
     name = first.upper().replace(" ", "_")
     return f"amulor explain {name}" if name else ""
 
 
 def default_of(function: object, name: str) -> float:
-    """Default of a function's argument, which the function uses as a limit."""
+    """Default value of a function's argument, which is a limit in the explanations."""
     value = inspect.signature(function).parameters[name].default  # type: ignore[arg-type]
     return float(value)
 
 
 def _tail(sigma: float) -> float:
-    """Probability that a normal deviate exceeds a number of standard deviations."""
+    """Probability that a normal error exceeds a number of standard deviations [1]."""
     return 0.5 * math.erfc(sigma / math.sqrt(2))
 
 
 def _share(share: float) -> str:
-    """Small fraction in words, such as "2 % of the", to precede its noun."""
+    """Small fraction in words that precede a noun, such as "2 % of the"."""
     if share >= 1e-3:
         return f"{share * 100:.2g} % of the"
     return f"1 of {float(f'{1 / share:.2g}'):,.0f}"
@@ -228,7 +228,7 @@ _NO_FLAGS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Reason:
-    """Flag of a pixel, with the measured value and the limit that set it."""
+    """Flag of a pixel, with the measured value and the limit that it exceeded."""
 
     flag: str
     """Name of the flag."""
@@ -278,7 +278,7 @@ def reasons(path: Path, row: int, column: int) -> dict[str, list[Reason]]:
 
 
 def _of_samples(tile: xr.Dataset, channel: int) -> Iterator[Reason]:
-    """Yield the flags of a channel's samples; a flag of all frequencies comes once."""
+    """Yield the flags of a channel's samples; a flag at all frequencies only once."""
     cube = tile.isel(polarization=[channel])
     frequencies = cube["modulation_frequency"].values
     at: dict[Reason, tuple[float, ...]] = {}
@@ -292,7 +292,7 @@ def _of_samples(tile: xr.Dataset, channel: int) -> Iterator[Reason]:
 
 
 def _of_image(tile: xr.Dataset, row: int, column: int) -> Iterator[Reason]:
-    """Yield the flags of a pixel of a range image."""
+    """Yield the flags of one pixel of a range image."""
     numbers = _numbers_of(tile.isel(row=[row], column=[column]))
     numbers["clear_of_both"] = float(edges.clear_of_both(tile)[row, column])
     numbers["stand_off"] = float(outliers.stand_off(tile)[row, column])
@@ -300,7 +300,7 @@ def _of_image(tile: xr.Dataset, row: int, column: int) -> Iterator[Reason]:
 
 
 def _numbers_of(part: xr.Dataset) -> dict[str, float]:
-    """Single-valued variables of a sample or pixel, by name."""
+    """Variables of a sample or pixel that have a single value, by name."""
     numbers = {
         str(name): float(variable.item())
         for name, variable in part.data_vars.items()
@@ -313,7 +313,7 @@ def _numbers_of(part: xr.Dataset) -> dict[str, float]:
 
 
 def _phases(sample: xr.Dataset) -> dict[str, float]:
-    """Phase uncertainty of a sample, and its phase shift by residual water [rad]."""
+    """Phase uncertainty of a sample, and its phase error by residual water [rad]."""
     signal = sample.amulor.signal.values
     errors = covariance_of(sample)
     measured = np.isfinite(signal)
@@ -333,7 +333,7 @@ def _phases(sample: xr.Dataset) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Test:
-    """Test of a measured quantity against the limit that sets a flag."""
+    """Test of a measured value against the limit beyond which a flag is set."""
 
     flag: QualityFlag | WaterResidualCause
     key: str
@@ -349,14 +349,14 @@ class _Test:
         return self.flag == flag
 
     def given_by(self, value: float) -> bool:
-        """Whether the value sets the flag; of a stored cause, any value does."""
+        """Whether a value sets the flag; for a stored cause, always."""
         if not self.relation or isinstance(self.flag, WaterResidualCause):
             return not math.isnan(value)
         return value < self.limit if self.relation == "<" else value >= self.limit
 
 
 def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[_Test]:
-    """All tests behind flags, with the limits that apply to a sample or pixel."""
+    """All tests that set flags, with the limits that apply to a sample or pixel."""
     flag, cause = QualityFlag, WaterResidualCause
     channels = np.atleast_1d(attributes.get("channel_disagreement_limit", math.nan))
     margin = math.exp(-ambiguity.MARGIN / 2)
@@ -414,7 +414,7 @@ def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[
 def _reasons(
     numbers: dict[str, float], attributes: Mapping[Any, Any]
 ) -> Iterator[Reason]:
-    """Yield a reason for each value beyond its limit, at least one per flag."""
+    """Yield the measured values beyond their limits, at least one for each flag."""
     flags = QualityFlag(int(numbers["quality_flag"]))
     causes = WaterResidualCause(int(numbers.get("water_residual_cause", 0)))
     if "residual_phase" in numbers:  # the angle says more than its ratio
@@ -448,7 +448,7 @@ def _reasons(
 
 
 def _words(name: str, attributes: Mapping[Any, Any]) -> str:
-    """Text for a flag or cause whose value is not in the file."""
+    """Text for a flag or cause whose measured value is not in the file."""
     if name == "RELATIVE":
         return str(attributes.get("interval_unsettled", "no interval is stated"))
     numbers = (

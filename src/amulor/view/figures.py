@@ -82,7 +82,7 @@ def signal_images(cube: xr.Dataset, *, frequency: int = 0) -> Figure:
 
 
 def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
-    """Draw slant range before and after rejection with uncertainty and flags.
+    """Draw slant range before and after water rejection, uncertainty and flags.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def image_overview(image: xr.Dataset) -> Figure:
 
 
 def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
-    """Draw all rows of range images superimposed, as line profiles.
+    """Draw all rows of range images as line profiles, one over the other.
 
     Of more rows than can be told apart, the median and the bands that hold 68 and 95
     of 100 rows are drawn.
@@ -306,7 +306,7 @@ def _even(values: Floats) -> tuple[float, float]:
 
 
 def _grid(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:
-    """Coordinates x, y, and height above the farthest plane, by pixel [mm]."""
+    """Coordinates x, y and height above the farthest point, for each pixel [mm]."""
     cloud = point_cloud(image)
     shape = image["quality_flag"].shape
     place = (cloud["row"].values, cloud["column"].values)
@@ -326,7 +326,7 @@ def _grid(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:
 
 
 def _rows_of(axis: Axes, across: Floats, height: Floats, colour: str) -> None:
-    """Draw rows of a range image as lines, or many rows as a band."""
+    """Draw the rows of a range image as lines; if there are many, as a band."""
     if len(height) <= _MOST_LINES:
         axis.plot(across.T, height.T, color=colour, lw=0.4, alpha=0.35)
         return
@@ -455,7 +455,7 @@ def write_response_curves(
     overwrite: bool = False,
     **options: Any,
 ) -> None:
-    """Write the figure of `response_curves` as PNG or SVG.
+    """Write the figure made by `response_curves` as PNG or SVG.
 
     Parameters
     ----------

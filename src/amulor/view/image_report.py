@@ -1,4 +1,4 @@
-"""Report of range images: maps, numbers, flags, processing history."""
+"""Report on range images: maps, numbers, flags and processing history."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def write(
     wholes: Mapping[str, Whole] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write range images into one self-contained HTML file.
+    """Write a report on range images as one self-contained HTML file.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def write(
 
 
 def flag_sentence(image: xr.Dataset, whole: Whole | None = None) -> str:
-    """Sentence with the number of flagged pixels of a range image.
+    """Sentence that states how many pixels of a range image are flagged.
 
     Parameters
     ----------
@@ -169,12 +169,12 @@ _PATH = re.compile(r"""(["'])(?:/|[A-Za-z]:[\\/]|\\\\)[^"'\n]*[\\/]([^"'\\/\n]+)
 
 
 def _without_folders(text: str) -> str:
-    """Text with file names only; their folders, private to a computer, are removed."""
+    """Text in which file paths are reduced to file names, for privacy."""
     return _PATH.sub(r"\1\2\1", text)
 
 
 def interactive(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Range images as interactive 3D pages for reports.
+    """Report sections that show range images as interactive 3D pages.
 
     Parameters
     ----------

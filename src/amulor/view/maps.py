@@ -1,4 +1,4 @@
-"""Maps of a scan side by side, arranged by the scan's shape."""
+"""Maps of a scan side by side, arranged to suit the shape of the scan."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _STRAY = 3.5
 
 @dataclass(frozen=True, kw_only=True)
 class Map:
-    """One map of a scan."""
+    """Map of a scan, with title, colors and limits."""
 
     title: str
     """Title of the map."""
@@ -50,7 +50,7 @@ class Map:
 
 
 def draw_maps(maps: Sequence[tuple[xr.Dataset, Map]]) -> Figure:
-    """Draw maps of equal shape as large as a page allows."""
+    """Draw maps of equal shape, as large as one page allows."""
     ratio = max(_ratio(cube) for cube, _ in maps)
     rows, columns, width, height = _layout(len(maps), ratio)
     total = rows * (height + _ABOVE + _BELOW) + 0.04
@@ -79,7 +79,7 @@ def quality_map(image: xr.Dataset) -> Map:
 
 
 def usual_limits(values: Floats, margin: float = 0.0) -> tuple[float, float]:
-    """Color limits insensitive to a few outliers."""
+    """Limits of a color scale, insensitive to a few outliers."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return 0.0, 1.0
@@ -89,7 +89,7 @@ def usual_limits(values: Floats, margin: float = 0.0) -> tuple[float, float]:
 
 
 def _ratio(cube: xr.Dataset) -> float:
-    """Height over width of a scan, in angles or else in pixels."""
+    """Ratio of height to width of a scan, in angles or else in pixels [1]."""
     azimuth, elevation = cube["azimuth"].values, cube["elevation"].values
     wide, high = float(np.ptp(azimuth)), float(np.ptp(elevation))
     if _flat(cube):
@@ -103,7 +103,7 @@ def _flat(cube: xr.Dataset) -> bool:
 
 
 def _layout(count: int, ratio: float) -> tuple[int, int, float, float]:
-    """Rows and columns of maps on a page, and width and height of the largest maps."""
+    """Rows and columns of maps on a page, and the largest width and height of a map."""
     best = (0.0, (1, 1, 1.0, 1.0))
     for columns in range(1, min(count, 4) + 1):
         rows = -(-count // columns)

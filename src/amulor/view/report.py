@@ -18,7 +18,7 @@ from amulor.view.style import style
 
 @dataclass(frozen=True)
 class Paragraph:
-    """Running text.
+    """Paragraph of a report.
 
     Examples
     --------
@@ -33,7 +33,7 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Heading:
-    """Section title.
+    """Section title of a report.
 
     Examples
     --------
@@ -48,7 +48,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Picture:
-    """Figure with its caption.
+    """Figure of a report, with its caption.
 
     Examples
     --------
@@ -66,7 +66,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a header.
+    """Table of a report: rows of text under a header.
 
     Examples
     --------
@@ -88,7 +88,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Listing:
-    """Preformatted text, initially folded.
+    """Preformatted text of a report, folded until opened.
 
     Examples
     --------
@@ -105,7 +105,7 @@ class Listing:
 
 @dataclass(frozen=True)
 class Interactive:
-    """Interactive page inside the report; a picture replaces it on paper.
+    """Interactive page inside a report; a picture replaces it on paper.
 
     Examples
     --------
@@ -162,7 +162,7 @@ def write_report(
 
 
 def png(figure: Figure, *, dots_per_inch: int = 160) -> bytes:
-    """Figure as the content of a PNG file."""
+    """Content of a PNG file with a figure."""
     buffer = io.BytesIO()
     with style():
         figure.savefig(
@@ -225,7 +225,7 @@ def _table(table: Table) -> str:
 
 
 def _is_text(column: Sequence[str]) -> bool:
-    """Whether a column contains words, which are left-aligned."""
+    """Whether a table column contains words, which are aligned left."""
     return any(re.match(r"!?[^\W\d]{3}", cell) for cell in column) and not any(
         re.match(r"!?[-+]?\d", cell) for cell in column
     )

@@ -55,7 +55,7 @@ _COLOURS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
-    """Title, scale, statements and contours of a drawing sheet."""
+    """Title, scale, statements and contour lines of a drawing sheet."""
 
     title: str
     """Title."""
@@ -141,7 +141,7 @@ def sheet(
 
 
 def _paper(wide: float, high: float, scale: float) -> tuple[str, float, float]:
-    """Name, width and height of the smallest ISO sheet for a picture [mm]."""
+    """Name, width and height of the smallest ISO sheet that fits a picture [mm]."""
     needed = wide + 2 * _BORDER + _TICKS, high + 2 * _BORDER + _TICKS + _BLOCK
     for name, (short, long) in _SHEETS.items():
         for width, height in ((long, short), (short, long)):
@@ -155,13 +155,13 @@ def _paper(wide: float, high: float, scale: float) -> tuple[str, float, float]:
 
 
 def _rounded(value: float) -> float:
-    """Smallest value of the series 1, 2, 5, 10 that is not below a value."""
+    """Smallest number of the series 1, 2, 5, 10, ... that is at least a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(s * power for s in (1, 2, 5, 10) if s * power >= value * 0.999))
 
 
 def _grid(axis: Axes, scale: float, names: tuple[str, str, str]) -> None:
-    """Draw grid lines every 20 to 50 mm of paper with their coordinates."""
+    """Draw grid lines with coordinates, 20 to 50 mm apart on paper."""
     step = _rounded(0.02 * scale)
     if max(np.ptp(axis.get_xlim()), np.ptp(axis.get_ylim())) < 4 * step:
         step = _rounded(0.008 * scale)
@@ -189,7 +189,7 @@ def _block(
     paper: str,
     raster: Raster,
 ) -> None:
-    """Draw the title block with the scale bar below the picture."""
+    """Draw the title block, with the scale bar, below the picture."""
     width, height = size
     frame = figure.add_axes((0, 0, 1, _BLOCK / height + _BORDER / height))
     frame.set_xlim(0, width)
@@ -225,7 +225,7 @@ def _block(
 
 
 def _scale_bar(frame: Axes, scale: float, at: tuple[float, float]) -> None:
-    """Draw a scale bar of four parts, at the scale of the paper."""
+    """Draw a scale bar in four parts, true to scale on paper."""
     length = _rounded(0.03 * scale)
     size = length / scale * 1e3
     for part in range(4):
@@ -254,7 +254,7 @@ def _colour_bar(
     limits: tuple[float, float],
     unit: str,
 ) -> None:
-    """Draw the color scale right of the title block."""
+    """Draw the color scale to the right of the title block."""
     width, height = size
     long = 50.0
     axis: Any = figure.add_axes(
@@ -276,7 +276,7 @@ def _colour_bar(
 
 
 def _relief(raster: Raster) -> NDArray[np.uint8]:
-    """Shaded relief of a raster, lit from the upper left, averaged over 3 x 3 cells."""
+    """Relief of a raster, lit from the upper left and averaged over 3 x 3 cells."""
     covered = np.isfinite(raster.height)
     filled = np.where(covered, raster.height, 0.0)
     weight = ndimage.uniform_filter(covered.astype(float), 3)

@@ -1,4 +1,4 @@
-"""Report of a site: poses, plan, poorly constrained poses, change between visits."""
+"""Report on a site: poses, plan, weakly determined poses, change between visits."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def write(
     motions: Mapping[int, Motion] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write the report of a site as one HTML file."""
+    """Write the report on a site as one HTML file."""
     with style():
         parts: list[Part] = [Paragraph(_summary(site, registration, cloud))]
         parts += [
@@ -71,7 +71,7 @@ def write(
 
 
 def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
-    """Draw the site from above."""
+    """Draw the merged points and scan positions of a site from above."""
     figure = new_figure(7.0, 5.6)
     axes = figure.add_subplot()
     some = _thinned(np.flatnonzero(~cloud.moving))
@@ -123,7 +123,7 @@ def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
 
 
 def errors(cloud: Merged) -> Figure:
-    """Draw the uncertainty of the points from above, with its histogram."""
+    """Draw the uncertainty of points from above, and its histogram."""
     figure = new_figure(7.0, 3.4)
     axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
     some = _thinned(np.flatnonzero(~cloud.moving))
@@ -244,7 +244,7 @@ def _poses(site: Site, registration: Registration) -> Table:
 
 
 def _largest(covariance: Floats) -> tuple[float, float]:
-    """Largest standard uncertainty of position and attitude [mm, mrad]."""
+    """Largest standard uncertainty of position [mm] and attitude [mrad]."""
     shift, turn = (
         np.sqrt(max(float(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1]), 0))
         for k in (0, 3)

@@ -48,11 +48,11 @@ SETTINGS: Any = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Apply the figure style of amulor inside a `with` block, without global change."""
+    """Apply amulor's figure style inside a `with` block, and only there."""
     with matplotlib.rc_context(rc=SETTINGS):
         yield
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure that is not shown in a window."""
+    """Return an empty figure that does not open a window."""
     return Figure(figsize=(width, height), layout="constrained")

@@ -1,4 +1,4 @@
-"""Running scan in the terminal: map in half blocks, progress, advice."""
+"""Running scan in the terminal: map of characters, progress and advice."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ _UNITS = {layer.name: layer.unit for layer in MAPS.values()}
 
 
 def map_name(live: Live, channel: str, layer: str) -> str:
-    """Name of the map to show: after rejection if it has values, else before."""
+    """Name of the map to show: after water rejection if it has values, else before."""
     after = np.isfinite(live.now(channel, layer)).any()
     return layer if after else f"{layer}_before"
 
 
 def shrunk(values: Floats, rows: int, columns: int) -> Floats:
-    """Map resampled to a terminal: block means of finite values, or repeated pixels."""
+    """Map resampled to the size of a terminal: means of blocks, or repeated pixels."""
     times = min(rows // values.shape[0], columns // values.shape[1])
     if times > 1:
         return values.repeat(times, axis=0).repeat(times, axis=1)
@@ -72,7 +72,7 @@ def limits(values: Floats) -> tuple[float, float]:
 
 
 def picture(values: Floats, *, colours: str, plain: bool = False) -> Text:
-    """Map as lines of half blocks, two rows of pixels per line."""
+    """Map as lines of half-block characters, two rows of pixels per line."""
     from rich.text import Text
 
     low, high = limits(values)
@@ -108,7 +108,7 @@ def picture(values: Floats, *, colours: str, plain: bool = False) -> Text:
 def _colour(
     shades: NDArray[np.int_], valid: NDArray[np.bool_], row: int, column: int
 ) -> str | None:
-    """Color of a character cell in the notation of rich, None without a value."""
+    """Color of a character cell in rich's notation; None without a value."""
     if row >= len(valid) or not valid[row, column]:
         return None
     red, green, blue = shades[row, column]
@@ -116,7 +116,7 @@ def _colour(
 
 
 def signal_to_noise(live: Live, channel: str) -> float | None:
-    """Median signal-to-noise ratio of the amplitudes of a channel."""
+    """Median signal-to-noise ratio of a channel's amplitudes [1]."""
     samples = live.recording.samples
     if samples is None or channel not in samples.amulor.polarizations:
         return None
@@ -134,7 +134,7 @@ def signal_to_noise(live: Live, channel: str) -> float | None:
 
 
 def going(status: Mapping[str, Any], *, ratio: float | None, now: datetime) -> str:
-    """Progress of a scan in one line."""
+    """Progress of a running scan in one line of text."""
     done, total = int(status.get("done", 0)), int(status.get("total", 0))
     words = [str(status.get("state", "not begun"))]
     if words[0] == "running":
@@ -167,7 +167,7 @@ def screen(
     plain: bool,
     now: datetime,
 ) -> RenderableType:
-    """Terminal display of a scan."""
+    """Terminal display of a running scan: map, progress and advice."""
     from rich.console import Group
     from rich.text import Text
 

@@ -138,7 +138,7 @@ def phase_correction(
     *,
     modulation_frequency: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the phase correction of samples [rad], and a mask of calibrated ones."""
+    """Return the phase correction of samples [rad], and a mask of corrected samples."""
     nearest = min(
         calibration.frequencies,
         key=lambda entry: abs(entry.modulation_frequency - modulation_frequency),

@@ -54,7 +54,7 @@ _EMPTY = (
 
 
 class Samples:
-    """Samples of one kind as arrays over frequency, polarization and two more axes."""
+    """Samples of one kind, shape (frequency, polarization, row, column)."""
 
     def __init__(self, survey: Survey, first: int, second: int) -> None:
         instrument = survey.instrument
@@ -78,7 +78,7 @@ class Samples:
             self.put(key, record, key.row, key.column)
 
     def put(self, key: Key, record: Record, first: int, second: int) -> None:
-        """Insert one sample; a later take replaces an earlier one."""
+        """Insert one sample; a repeated acquisition replaces an earlier one."""
         at = (
             self._frequency[key.frequency],
             self._pair[key.polarization],
@@ -107,7 +107,7 @@ def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
 
 
 def procedure_of(journal: Journal) -> Procedure:
-    """Return the procedure of a journal."""
+    """Return the acquisition procedure that a journal records."""
     try:
         content = tomllib.loads(entry(journal, "devices")).get("procedure", {})
         # Not the whole file: devices of other packages need not be there any more.
@@ -120,7 +120,7 @@ def procedure_of(journal: Journal) -> Procedure:
 
 
 def entry(journal: Journal, name: str) -> str:
-    """Return an entry of the description of a scan in its journal."""
+    """Return one metadata entry of a scan from its journal."""
     entries = journal.meta()
     if name not in entries:
         raise FormatError(
@@ -168,7 +168,7 @@ def correct(
     modulation_frequency: Floats,
     calibration: Calibration | None,
 ) -> NDArray[np.bool_]:
-    """Subtract dark output and delay; return a mask of uncalibrated samples."""
+    """Correct dark output and phase delay; return a mask of uncalibrated samples."""
     samples["signal"][...] -= dark[0][:, :, None, None]
     outside = np.zeros(samples["signal"].shape, dtype=bool)
     if calibration is None:

@@ -57,7 +57,7 @@ class LockInOutputs:
 
 
 class NidaqOutputs:
-    """Outputs of a National Instruments card, by nidaqmx, without read-back."""
+    """Analog outputs of a National Instruments card (nidaqmx), without read-back."""
 
     def __init__(self, limits: dict[str, tuple[float, float]]) -> None:
         package = _imported("nidaqmx", "mirrors on a card of National Instruments")
@@ -93,7 +93,7 @@ class NidaqOutputs:
 
 
 class LabjackOutputs:
-    """Outputs of a LabJack, by its package ljm, with read-back of its registers."""
+    """Analog outputs of a LabJack (package ljm), with read-back of its registers."""
 
     def __init__(self, address: str | None) -> None:
         package = _imported("labjack.ljm", "mirrors on a LabJack")
@@ -151,11 +151,11 @@ class Mirror:
             )
 
     def angle(self, volts: float) -> float:
-        """Return the angle of the beam at a voltage [V], [rad]."""
+        """Return the beam angle [rad] at a mirror voltage [V]."""
         return float(self._fit(volts))
 
     def volts(self, angle: float) -> float:
-        """Return the voltage for a beam angle [rad]; raise if not calibrated [V]."""
+        """Return the mirror voltage [V] for a beam angle [rad]; raise beyond limits."""
         low, high = self._settings.volts[0], self._settings.volts[-1]
         solutions = [
             float(root.real)
@@ -204,7 +204,7 @@ class AnalogScanner:
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
-        """Turn to a direction; return the one computed from the set voltages [rad]."""
+        """Turn to a direction [rad]; return the direction given by the set voltages."""
         names = (self._settings.azimuth.output, self._settings.elevation.output)
         volts = [
             mirror.volts(angle)

@@ -64,7 +64,7 @@ class Stages:
     def at(
         self, part: ScannerSettings | MountSettings | TargetSettings
     ) -> PiController:
-        """Return the controller of a part; connected once for each address."""
+        """Return the stage controller at a part's address; connect it on first use."""
         assert part.address is not None
         if part.address not in self._controllers:
             link = linked(part, serial_end=PiController.serial_end)

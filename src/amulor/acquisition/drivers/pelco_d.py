@@ -1,4 +1,4 @@
-"""Pan-tilt heads by the protocol Pelco-D: positions in steps of 0.01 degrees."""
+"""Driver of pan-tilt heads with the Pelco-D protocol, in steps of 0.01 degrees."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MOST_OTHERS = 64
 
 
 class Octets(Protocol):
-    """Link for bytes, as the driver needs it."""
+    """Link that sends and receives bytes, as the driver needs it."""
 
     address: str
 
@@ -51,7 +51,7 @@ class Octets(Protocol):
 
 
 def frame(number: int, command: int, value: int = 0) -> bytes:
-    """Return a message: sync, number, two command bytes, two data bytes, checksum.
+    """Return a Pelco-D message: sync, head number, command, data and checksum.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Stages of Physik Instrumente, by the General Command Set 2.0."""
+"""Driver of Physik Instrumente stages, with the General Command Set 2.0."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ class PiController:
         self._link.close()
 
     def _stop(self) -> None:
-        """Halt all axes smoothly, then abruptly any that still moves."""
+        """Halt all axes smoothly, then stop abruptly any axis that still moves."""
         self._link.send("HLT")
         (code,) = self._link.ask("ERR?")
         if code in ("0", str(_STOPPED)) and self._comes_to_rest():
@@ -197,7 +197,7 @@ class _OnController:
         controller.enable(axes)
 
     def identity(self) -> str:
-        """Return controller and axes."""
+        """Return the identity of the controller, and its axes."""
         return f"axis {', '.join(self._axes)} of {self._controller.identity()}"
 
     def make_safe(self) -> None:
@@ -234,7 +234,7 @@ class PiScanner(_OnController):
         return self._directions(across, up)
 
     def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
-        """Start to move to a direction [rad], reached after a time [s]; do not wait.
+        """Start a motion that reaches a direction [rad] after a time [s]; do not wait.
 
         Notes
         -----

@@ -64,7 +64,7 @@ class PymeasureLockIn:
         return self._identity
 
     def prepare(self, *, time_constant: float) -> None:
-        """Set the attributes of the options, and the time constant [s]."""
+        """Set the attributes named in the options, and the time constant [s]."""
         for name, value in self._options.get("prepare", {}).items():
             self._set(name, value)
         self._set(self._options["time_constant"], time_constant)

@@ -1,4 +1,4 @@
-"""Generators, laser drivers and lock-ins by the commands of the devices file."""
+"""Generators, laser drivers and lock-ins with SCPI commands from the devices file."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class _Scpi:
 
 
 class ScpiSource(_Scpi):
-    """Signal generator that modulates the laser, with commands of the devices file."""
+    """Signal generator that modulates the laser, with configured commands."""
 
     def __init__(
         self, link: Conversation, settings: SourceSettings, *, clock: Clock
@@ -116,7 +116,7 @@ class ScpiSource(_Scpi):
 
 
 class ScpiLaser(_Scpi):
-    """Laser diode driver or shutter, with the commands of the devices file."""
+    """Laser diode driver or shutter, with commands from the devices file."""
 
     def __init__(self, link: Conversation, settings: LaserSettings) -> None:
         assert settings.scpi is not None
@@ -194,7 +194,7 @@ _FINER_BELOW = 0.5
 
 
 class ScpiLockIn:
-    """Lock-in amplifier with the commands of the devices file."""
+    """Lock-in amplifier with commands from the devices file."""
 
     def __init__(
         self,

@@ -287,14 +287,14 @@ class Sr865a(Stanford):
         )
 
     def _wait(self, number: int) -> None:
-        """Wait until the buffer has most likely captured the point of this number."""
+        """Wait until the buffer should have captured the point with this number."""
         moment = self._began_after + (number + 0.6) / self._rate
         self._clock.sleep(moment - self._clock.now())
 
     def _points_and_state(
         self, requested: Sequence[int], points: dict[int, complex]
     ) -> Reading:
-        """Read points of the buffer into `points`; return the present reading."""
+        """Read points of the buffer into `points`; return the present outputs."""
         questions = [f"CAPTUREVAL? {number}" for number in requested]
         lines = ["CAPTUREBYTES?", *questions, "CAPTURESTAT?", self._snap(), "LIAS?"]
         sent = self._clock.now()

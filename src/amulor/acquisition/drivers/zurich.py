@@ -147,7 +147,7 @@ def _explained(method: _Method) -> _Method:
 
 
 class ZurichLockIn:
-    """UHFLI or HF2LI: its first input and output, and one or more oscillators.
+    """Lock-in UHFLI or HF2LI: first input and output, and one or more oscillators.
 
     Its demodulators count in volts rms, and their phase falls with delay. Several
     frequencies at once need the option MF: oscillator, demodulator and mixer channel n

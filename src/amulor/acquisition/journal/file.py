@@ -21,7 +21,7 @@ _COPIES = {"survey": "survey.toml", "devices": "devices.toml"}
 
 
 def with_checksums(meta: Mapping[str, str]) -> dict[str, str]:
-    """Return the entries of a description with their checksums added."""
+    """Return the metadata entries of a scan with their checksums added."""
     entries = {name: text for name, text in meta.items() if name != CHECKSUMS}
     sums = {name: _sum(text) for name, text in entries.items()}
     return {**entries, CHECKSUMS: json.dumps(sums, sort_keys=True)}

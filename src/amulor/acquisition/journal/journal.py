@@ -234,7 +234,7 @@ class Journal:
             self._claim = None
 
     def meta(self) -> dict[str, str]:
-        """Return the description of the scan, as written at its start.
+        """Return the metadata of the scan, as written at its start.
 
         Raises
         ------
@@ -249,7 +249,7 @@ class Journal:
             return {str(name): str(text) for name, text in rows}
 
     def note(self, key: str, value: str) -> None:
-        """Add or replace an entry of the description."""
+        """Add or replace a metadata entry of the scan."""
         entries = {**self._entries(), key: value}
         with explained(self._path):
             self._connection.execute("BEGIN IMMEDIATE")
@@ -383,7 +383,7 @@ class Journal:
         return float(result[0] or 0.0)
 
     def begin_segment(self) -> int:
-        """Begin a segment and return its number; mark an open one as interrupted."""
+        """Begin a segment and return its number; mark an unfinished one interrupted."""
         now = _now()
         with explained(self._path):
             self._connection.execute("BEGIN IMMEDIATE")

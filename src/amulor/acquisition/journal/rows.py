@@ -37,7 +37,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 def _pattern(
     names: tuple[str, ...], kinds: tuple[type, ...]
 ) -> tuple[int, struct.Struct, list[int], list[int]]:
-    """Return name checksum, number packing, and the indices of numbers and texts."""
+    """Return a checksum of names, a number packer, and indices of numbers and texts."""
     texts = [place for place, kind in enumerate(kinds) if kind is str]
     numbers = [
         place for place, kind in enumerate(kinds) if kind not in (str, type(None))
@@ -232,7 +232,7 @@ _SEARCHED = 100_000
 
 
 def columns_of(connection: sqlite3.Connection) -> list[str]:
-    """Return the columns of the samples."""
+    """Return the column names of the table of samples."""
     rows = connection.execute("PRAGMA table_info(samples)")
     columns = [str(name) for _, name, *_ in rows]
     required = {"number", CHECKSUM, *Key._fields}

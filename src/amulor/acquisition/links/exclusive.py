@@ -102,7 +102,7 @@ def _cannot_lock(path: Path, address: str, error: Exception) -> InstrumentError:
 
 
 def lock_folder() -> Path:
-    """Return the folder of the locks, the same for all users of this computer."""
+    """Return the folder of device locks, shared by all users of this computer."""
     return Path(tempfile.gettempdir()) / "amulor-devices"
 
 
@@ -164,7 +164,7 @@ def _is_here(address: str) -> bool:
 
 
 def _serial_port(port: str) -> str:
-    """Return the name of a serial port, the same for all links to its device file."""
+    """Return the lock name of a serial port, equal for all names of the same port."""
     with contextlib.suppress(OSError):
         status = os.stat(port)
         if status.st_rdev:
@@ -181,7 +181,7 @@ def _number(text: str) -> str:
 
 
 def _without_alias(address: str) -> str:
-    """Return the lock name of the resource behind a VISA alias, else the text."""
+    """Return the lock name of a VISA alias's resource; other addresses unchanged."""
     if "://" not in address and "{" not in address and "[" not in address:
         with contextlib.suppress(Exception):  # of the library, or none is installed
             visa = importlib.import_module("pyvisa")

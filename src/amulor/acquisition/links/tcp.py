@@ -16,7 +16,7 @@ class LinkLostError(Exception):
 
 
 class Speaker(Protocol):
-    """Simulated device that answers lines."""
+    """Simulated device that answers lines of text."""
 
     def answer(self, line: str) -> Sequence[str | bytes]:
         """Return the answers to one command line, if any.

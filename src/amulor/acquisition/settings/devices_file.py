@@ -145,7 +145,7 @@ class TargetSettings(Linked):
 
 
 class Procedure(Description):
-    """Procedure of a sample: settling, readings, references, tolerances."""
+    """Acquisition procedure: settling, readings, references, tolerances."""
 
     settling: Annotated[float, Field(ge=3, le=50)] = 5.0
     """Wait after each change, in time constants of the lock-in [1]."""

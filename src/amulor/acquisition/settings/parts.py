@@ -19,7 +19,7 @@ Options = dict[str, Any] | None
 
 
 def need(condition: bool, setting: str) -> None:
-    """Raise if a setting that the other settings require is missing."""
+    """Raise if a setting is missing that the other settings require."""
     if not condition:
         raise ValueError(f"{setting} is needed; state it")
 
@@ -90,7 +90,7 @@ Volts = Annotated[Voltage, Field(ge=-100, le=100)]
 
 
 class MirrorSettings(Description):
-    """One mirror: its output, and measured angles of the beam."""
+    """Mirror: its analog output, and beam angles measured at several voltages."""
 
     output: Annotated[str, Field(min_length=1, max_length=100)]
     """Number of an auxiliary output of the lock-in, counted from 1; "Dev1/ao0" of
@@ -130,7 +130,7 @@ SourceDriver = Annotated[str, driver_check("source", "none", "scpi")]
 
 
 class ScpiLaserSettings(Description):
-    """Commands of a laser driver, sent as they are."""
+    """Commands of a laser driver, sent unchanged."""
 
     on: tuple[str, ...] = ("OUTP ON",)
     """Commands that switch the laser on."""
@@ -268,7 +268,7 @@ Bits = Annotated[int, Field(ge=0, lt=2**32)]
 
 
 class ScpiLockInSettings(Description):
-    """Commands of a lock-in; {value} is a number in SI units, {code} a place in a list.
+    """Commands of a lock-in; {value} is a number in SI units, {code} a list index.
 
     Each query has one line as its answer, with numbers separated by commas.
     """
@@ -419,7 +419,7 @@ class DigitiserSettings(Linked):
 
 
 class PanTiltSettings(Description):
-    """Pan-tilt head by Pelco-D: its number, directions and limits."""
+    """Pan-tilt head with the Pelco-D protocol: number, directions and limits."""
 
     number: Annotated[int, Field(ge=1, le=255)] = 1
     """Number of the head, its address on the line [1]."""

@@ -22,7 +22,7 @@ from amulor.survey.counting import background_rate
 
 @dataclass(frozen=True)
 class Fault:
-    """Fault of a simulated device over some readings."""
+    """Fault of a simulated device during a number of readings."""
 
     kind: str
     """Kind: overload, saturation, unlock, lost-link, timeout, stuck, darkness (blocked
@@ -261,7 +261,7 @@ class Bench:
             return self._arrival[name]
 
     def place(self, name: str) -> float:
-        """Return the present position of an axis, also during a motion."""
+        """Return the present position of an axis, also during its motion."""
         with self._lock:
             return self._position_at(name, self._arrive())
 
@@ -362,7 +362,7 @@ class Bench:
         return begin + part * (self._goal[name] - begin)
 
     def _look_ahead(self, now: float) -> None:
-        """Compute when the moving beam enters another place of the scene."""
+        """Compute the times at which the moving beam reaches other scene directions."""
         self._ahead.clear()
         arrival = max(self._arrival["azimuth"], self._arrival["elevation"])
         start = complex(*(self._position_at(name, now) for name in _BEAM))
@@ -467,7 +467,7 @@ class Bench:
         return Tone(frequency, *self._light_at(frequency), 0)
 
     def _light_at(self, frequency: float) -> tuple[Places, Places]:
-        """Return the light at a frequency [Hz] that is not in the survey."""
+        """Return target and water signals at a frequency [Hz] not in the survey."""
         if frequency not in self._others:
             path = "instrument.modulation_frequencies"
             light = self._scene(self.survey.with_({path: [frequency]}))

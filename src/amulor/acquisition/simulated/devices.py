@@ -204,7 +204,7 @@ class SimulatedScanner(_Simulated):
         return self.where()
 
     def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
-        """Start to move to a direction [rad], reached after a time [s]."""
+        """Start a motion that reaches a direction [rad] after a time [s]."""
         self.log.append("sweep")
         away = abs(azimuth - self.bench.place("azimuth"))
         away = max(away, abs(elevation - self.bench.place("elevation")))

@@ -45,7 +45,7 @@ class _Axis:
 
 
 class _RefusedError(Exception):
-    """Refusal of a command, with the code for ERR?."""
+    """Refusal of a command, with the error code that ERR? returns."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)

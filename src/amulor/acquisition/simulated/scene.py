@@ -18,11 +18,11 @@ class LightByDirection(Protocol):
 
     @property
     def azimuth(self) -> NDArray[np.float64]:
-        """Direction of each place to the right, shape (place,) [rad]."""
+        """Azimuth of each beam direction, to the right, shape (place,) [rad]."""
 
     @property
     def elevation(self) -> NDArray[np.float64]:
-        """Direction of each place upwards, shape (place,) [rad]."""
+        """Elevation of each beam direction, upwards, shape (place,) [rad]."""
 
     @property
     def target(self) -> NDArray[np.complex128]:
@@ -30,27 +30,27 @@ class LightByDirection(Protocol):
 
     @property
     def water(self) -> NDArray[np.complex128]:
-        """Peak signal of the water, of the same shape [V]."""
+        """Peak signal of the water, (frequency, polarization, place) [V]."""
 
     @property
     def target_rate(self) -> NDArray[np.float64]:
-        """Photoelectron rate of the target, of the same shape [1/s]."""
+        """Photoelectron rate of the target, (frequency, polarization, place) [1/s]."""
 
     @property
     def water_rate(self) -> NDArray[np.float64]:
-        """Photoelectron rate of the water, of the same shape [1/s]."""
+        """Photoelectron rate of the water, (frequency, polarization, place) [1/s]."""
 
 
 class SceneLight(Protocol):
-    """Light with the target in the beam and in open water."""
+    """Detector signals with the target in the beam, and in open water."""
 
     @property
     def with_target(self) -> LightByDirection:
-        """Light with the target, in the directions of the scan."""
+        """Signals with the target, in the directions of the scan."""
 
     @property
     def open_water(self) -> LightByDirection:
-        """Light without the target, in the directions of shots and scan."""
+        """Signals without the target, in the directions of shots and scan."""
 
 
 #: Function for the light of a survey, such as `amulor.simulation.scene_light`; passed
@@ -77,7 +77,7 @@ class Tone:
 
 
 class Places:
-    """Signals at all places of a scene, with a search for the nearest place."""
+    """Signals of a scene by beam direction, with a search for the nearest direction."""
 
     def __init__(self, light: LightByDirection) -> None:
         self.light = light
@@ -86,7 +86,7 @@ class Places:
         self._cache: dict[tuple[int, int], int] = {}
 
     def nearest(self, azimuth: float, elevation: float) -> int:
-        """Return the number of the place nearest to a direction [rad]."""
+        """Return the index of the scene direction nearest to a beam direction [rad]."""
         key = (round(azimuth / _SAME), round(elevation / _SAME))
         number = self._cache.get(key)
         if number is None:
@@ -95,7 +95,7 @@ class Places:
         return number
 
     def passed(self, start: complex, end: complex) -> list[tuple[float, int]]:
-        """Return path fraction and number of each place that a straight path enters."""
+        """Return path fraction and index of each scene direction on a straight path."""
         towards, path = self._direction - start, end - start
         level = np.abs(towards) ** 2
         slope = -2 * (towards.real * path.real + towards.imag * path.imag)
@@ -120,7 +120,7 @@ class Places:
 def mount_angles(
     survey: Survey, launch: Mapping[str, float], analyser: Mapping[str, float]
 ) -> list[complex]:
-    """Return launch + 1j * analyser angle of each pair; 1000 rad if not set [rad]."""
+    """Return launch + 1j * analyzer angle of each pair [rad]; 1000 rad if not set."""
     pairs = []
     for pair in survey.instrument.polarizations:
         launched, analysed = stokes.pair_states(pair)

@@ -33,7 +33,7 @@ Answer = list[str] | list[bytes]
 
 
 class Capture:
-    """Capture buffer, with the commands CAPTURE...."""
+    """Capture buffer with its commands, such as CAPTURELEN."""
 
     def __init__(
         self,

@@ -55,7 +55,7 @@ class Number(NamedTuple):
 
 
 class SimulatedStanford:
-    """Simulated commands of both models: coded settings, latched status, laser gate."""
+    """Simulated commands that both models share: settings, status bits, laser gate."""
 
     model = ""
     unlocked_bit = 0

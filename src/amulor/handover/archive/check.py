@@ -1,4 +1,4 @@
-"""Check of an archive by its files alone."""
+"""Check of an archive folder, from its files alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SIGNATURES = {".laz": b"LASF", ".las": b"LASF", ".e57": b"ASTM-E57"}
 
 
 def missing_of(folder: Path) -> list[str]:
-    """Return the problems of an archive, each as one line of text.
+    """Return the problems of an archive folder, one line of text each.
 
     Looked for are: the tables with all their fields; for each scan its raw files, its
     registered clouds with as many points as are stated, its matrix, which must be a
@@ -52,7 +52,7 @@ def missing_of(folder: Path) -> list[str]:
 def _field_table(
     folder: Path, name: str, fields: Sequence[str], problems: list[str]
 ) -> dict[str, str]:
-    """Read a table of fields and values, and report missing ones."""
+    """Read a table of fields and values, and report the missing fields."""
     rows = _rows(folder, name, problems)
     values = {row.get("field") or "": (row.get("value") or "").strip() for row in rows}
     if rows:
@@ -158,7 +158,7 @@ def _cloud(path: Path, name: str, points: str) -> list[str]:
 
 
 def _file_problems(folder: Path) -> list[str]:
-    """Return the problems of file names and checksums."""
+    """Return the problems with file names and checksums of an archive."""
     present = {
         path.relative_to(folder).as_posix(): path
         for path in sorted(folder.rglob("*"))
@@ -198,7 +198,7 @@ def _file_problems(folder: Path) -> list[str]:
 
 
 def _inside(folder: Path, name: str) -> bool:
-    """Return whether a path of a table is a file or folder of the archive."""
+    """Return whether a path in a table is a file or folder within the archive."""
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts:
         return False

@@ -1,4 +1,4 @@
-"""Paths of an archive, and the description of its project."""
+"""Project description for an archive, and the paths of the archive's files."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ def matrix_name(project: str, scan: str) -> str:
 
 
 def cloud_name(project: str, scan: str) -> str:
-    """Return the path of the registered cloud of a scan, without its file ending."""
+    """Return the path of a scan's registered point cloud, without the file ending."""
     return f"registered/{project}_{scan}"
 
 
 def raw_folder(scan: str) -> str:
-    """Return the folder of the raw files of a scan."""
+    """Return the folder of a scan's raw files."""
     return f"raw/{scan}"
 
 
@@ -100,7 +100,7 @@ _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,59}$")]
 
 
 class About(Description):
-    """Subject, place, time, persons and instrument of a survey."""
+    """Subject, place, time, persons and instrument of a surveying project."""
 
     name: _Name
     """Name of the project, the start of file names: letters, digits, - and _."""
@@ -141,7 +141,7 @@ class About(Description):
 
 
 class ScanFiles(Description):
-    """Files of one scan of the project."""
+    """Files of one scan in the project."""
 
     name: _Name
     """Name of the scan: letters, digits, - and _."""
@@ -158,7 +158,7 @@ class ScanFiles(Description):
 
 
 class Registration(Description):
-    """Registration of the scans in one frame."""
+    """Method and accuracy of the registration of all scans in one frame."""
 
     method: _Text
     """Method, such as "targets", "cloud to cloud", or "single scan, not registered"."""

@@ -1,4 +1,4 @@
-"""Writing of the archive of a project, complete or not at all."""
+"""Writing of a project's archive folder, complete or not at all."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _FORMATS = {
 
 
 def write_archive(project: Project, folder: Path) -> dict[str, int]:
-    """Write the archive folder of a project for heritage archives.
+    """Write a project's folder in the form that heritage archives require.
 
     After the ADS / Digital Antiquity Guides to Good Practice for laser scanning: raw
     scans as recorded; the registered cloud of each scan as text, LAZ and E57; tables on
@@ -134,7 +134,7 @@ def _frames(project: Project) -> list[imaging.Frame]:
 
 
 def _copy_raw(scan: ScanFiles, hidden: Path) -> list[str]:
-    """Copy raw files unchanged, and return their paths in the archive."""
+    """Copy the raw files of a scan, and return their paths in the archive."""
     place = hidden / layout.raw_folder(scan.name)
     place.mkdir()
     copied = []
@@ -162,7 +162,7 @@ def _scan(
     raw: list[str],
     frame: imaging.Frame,
 ) -> Row:
-    """Write clouds and matrix of a scan, and return its entry in the tables."""
+    """Write cloud and matrix of a scan, and return its row in the archive's tables."""
     survey = readable_survey(image)
     cloud = imaging.point_cloud(image, frame=frame)
     stem = layout.cloud_name(name, scan.name)
@@ -307,7 +307,7 @@ def _file_list(hidden: Path) -> None:
 
 
 def _manifest(hidden: Path) -> None:
-    """Write the checksums of all files, in the form of sha256sum."""
+    """Write the checksums of all files, in the format of sha256sum."""
     lines = [
         f"{layout.digest_of(path)}  {path.relative_to(hidden).as_posix()}"
         for path in sorted(p for p in hidden.rglob("*") if p.is_file())
@@ -336,12 +336,12 @@ def _table(
 
 
 def _day(image: xr.Dataset) -> str:
-    """Return the date of a scan, from the first line of its history."""
+    """Return the date of a scan from the first line of its processing history."""
     lines = str(image.attrs.get("history", "")).splitlines()
     day = lines[0][:10] if lines else ""
     return day if day[:4].isdigit() else "not known"
 
 
 def _spacing(image: xr.Dataset) -> float:
-    """Return the distance between neighboring points [m]."""
+    """Return the median distance between neighboring points of a scan [m]."""
     return products.surface(image).spacing

@@ -1,1 +1,1 @@
-"""Change between two visits to a site, its significance, and motion of objects."""
+"""Change between two visits to a site, its significance, and moved objects."""

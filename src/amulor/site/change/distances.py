@@ -89,7 +89,7 @@ def change(
     *,
     epochs: tuple[str, str] | None = None,
 ) -> Change:
-    r"""Compare two visits to a site.
+    r"""Compute the change between two visits to a site.
 
     Notes
     -----
@@ -164,7 +164,7 @@ def change(
 
 
 def _nothing_common(names: tuple[str, str]) -> CubeError:
-    """Return the error for two visits that share no surface."""
+    """Return the error message for two visits that share no surface."""
     return CubeError(
         f"{names[0]} and {names[1]} see no surface together; look at the start poses "
         "with amulor site check, or set comparison.reach or comparison.radius larger"
@@ -174,7 +174,7 @@ def _nothing_common(names: tuple[str, str]) -> CubeError:
 def _cores(
     cloud: Merged, at: NDArray[np.intp], spacing: float, radius: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return one comparison point for each cell of a surface, its normal and area.
+    """Return a comparison point in each cell of a surface, its normal and its area.
 
     Cells are squares across the axis that the normal is nearest to; layers along that
     axis are surfaces of their own.
@@ -222,7 +222,7 @@ class _Means:
     registration: Registration
 
     def onto(self, names: list[str]) -> Floats:
-        """Return the derivatives in the order of the given unknowns."""
+        """Return the derivatives of heights, in the order of the given unknowns."""
         width = {"pose": 6, "point": 3, "error": 1}
 
         def size(name: str) -> int:
@@ -251,7 +251,7 @@ def _means(
     surfaces: Mapping[str, ScanSurface],
     registration: Registration,
 ) -> _Means:
-    """Return mean heights along normals, their noise, and their derivatives."""
+    """Return mean heights along normals, with noise and derivatives."""
     site = cloud.site
     owner, index, off, along = _in_cylinders(cloud, at, core, normal, radius, reach)
     if not len(index):
@@ -302,7 +302,7 @@ def _in_cylinders(
     radius: float,
     reach: float,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
-    """Return pairs of cylinder and point inside, offset, and distance along it.
+    """Return pairs of cylinder and inner point, with offset, and distance along axis.
 
     Some cylinders at a time: the spheres around them hold many more points.
     """
@@ -362,7 +362,7 @@ def _patches(
     weight: Floats,
     radius: float,
 ) -> _Patches:
-    """Return the heights of curved surfaces fitted to cylinders of points, with errors.
+    """Return heights of curved surfaces fitted to points in cylinders, with errors.
 
     Of second degree, so that two epochs that sample a slope or a bend in other places
     have the same height. Points that scatter more than their noise follow no such
@@ -468,7 +468,7 @@ def regions(change: Change) -> tuple[Region, ...]:
 
 
 def region_of(change: Change, members: NDArray[np.intp]) -> Region:
-    """Return area, mean change and volume of selected points of a comparison.
+    """Return area, mean change and volume of a group of comparison points.
 
     At the rim a change is below its error, place by place, but not as a whole: the
     volume is summed over all places up to a cylinder and a half from the points.
@@ -506,7 +506,7 @@ def region_of(change: Change, members: NDArray[np.intp]) -> Region:
 
 
 def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the volume integral of change over points, and its uncertainty [m^3]."""
+    """Return the volume change summed over points, and its uncertainty [m^3]."""
     place, area = change.position[members], change.area[members]
     # Cylinders closer than their width hold the same points.
     near = cKDTree(place).query_pairs(2 * change.radius, output_type="ndarray")
@@ -522,7 +522,7 @@ def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -> None:
-    """Write a comparison of visits as CSV, one row per point measured in both."""
+    """Write a comparison of visits as CSV, one row per comparison point."""
     compared = np.isfinite(change.value)
     columns = [
         *(change.position[compared].T),

@@ -52,33 +52,33 @@ class Motion:
 
     @property
     def distance(self) -> float:
-        """Length of the translation [m]."""
+        """Length of the object's translation [m]."""
         return float(np.linalg.norm(self.shift))
 
     @property
     def distance_uncertainty(self) -> float:
-        """Standard uncertainty of the distance [m]."""
+        """Standard uncertainty of the length of the translation [m]."""
         return _along(self.shift, self.covariance[:3, :3])
 
     @property
     def angle(self) -> float:
-        """Angle of the rotation [rad]."""
+        """Rotation angle of the object [rad]."""
         return float(np.linalg.norm(self.turn))
 
     @property
     def angle_uncertainty(self) -> float:
-        """Standard uncertainty of the angle [rad]."""
+        """Standard uncertainty of the rotation angle [rad]."""
         return _along(self.turn, self.covariance[3:, 3:])
 
 
 def _along(vector: Floats, covariance: Floats) -> float:
-    """Return the standard uncertainty of the length of a vector."""
+    """Return the standard uncertainty of a vector's length, from its covariance."""
     unit = vector / max(float(np.linalg.norm(vector)), 1e-12)
     return float(np.sqrt(unit @ covariance @ unit))
 
 
 def bodies(places: Sequence[Region]) -> tuple[tuple[int, ...], ...]:
-    """Group regions of change that the motion of one body may have caused.
+    """Group regions of change that one moved object may have caused.
 
     Where it lay the surface is lower, where it lies it is higher: two regions that
     reach each other.
@@ -102,7 +102,7 @@ def bodies(places: Sequence[Region]) -> tuple[tuple[int, ...], ...]:
 
 
 def around(places: Sequence[Region]) -> tuple[Floats, float]:
-    """Return the center of regions, and their extent from it [m]."""
+    """Return the center of several regions, and their radius around it [m]."""
     area = np.array([region.area for region in places])
     centres = np.array([region.centre for region in places])
     middle = np.asarray(area @ centres / area.sum())
@@ -190,7 +190,7 @@ def _object(
     centre: Floats,
     reach: float,
 ) -> Flags | None:
-    """Return the pixels of a scan that lie above the ground around a place."""
+    """Return the pixels of a scan near a point that lie above the ground."""
     place = registration.poses[name].place(corrected(surface, registration.errors))
     away = np.linalg.norm((place - centre)[..., :2], axis=-1)
     with np.errstate(invalid="ignore"):
@@ -216,14 +216,14 @@ def _object(
 
 
 def _to_middle(pair: Pair, middle: Floats) -> Floats:
-    """Return the matrix that converts a motion at a point to a pair's pivot."""
+    """Return the matrix that converts a motion about one point to another point."""
     carried = np.eye(6)
     carried[:3, 3:] = -cross_matrix(pair.pivot - middle)
     return carried
 
 
 def _held(pairs: list[Pair], middle: Floats) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return the projector onto the motions that the pairs constrain, and free motions.
+    """Return the projector onto motions that comparisons constrain, and free motions.
 
     What one pair does not hold another one may, and each of them by itself would leave
     out another turn of a round body.
@@ -329,7 +329,7 @@ def _result(
 
 
 def _best_place(covariance: Floats) -> Floats:
-    """Return the offset at which the translation has the least variance [m].
+    """Return the reference point whose translation has the least variance [m].
 
     The shift at d is t + w x d; d is such that its mean square error is least.
     """

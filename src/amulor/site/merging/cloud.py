@@ -1,4 +1,4 @@
-"""Merged point cloud of a site: covariance of points, confirmation by other scans."""
+"""Merged point cloud of a site, with covariance and confirmation of each point."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def seen_by_others(
     point: Floats,
     sigma: Floats,
 ) -> tuple[Counts, Counts]:
-    """Count the other scans that confirm each point, and those that see through it."""
+    """Count other scans that confirm each point, and scans that see through it."""
     confirmed = np.zeros(len(point), dtype=np.int16)
     through = np.zeros(len(point), dtype=np.int16)
     for peer, surface in surfaces.items():
@@ -74,7 +74,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Merged:
-    """Merged point cloud of all scans in the frame of the site."""
+    """Point cloud merged from all scans, in the frame of the site."""
 
     position: Floats
     """East, north and up of each point, shape (n, 3) [m]."""
@@ -118,7 +118,7 @@ class Merged:
 
 
 def unknowns_of(scan: str, surface: ScanSurface) -> tuple[str, ...]:
-    """Return the names of the adjusted unknowns on which a scan's points depend."""
+    """Return the names of the unknowns that determine a scan's points."""
     return (f"pose {scan}", *(f"error {key}" for key in surface.shared.keys))
 
 
@@ -205,7 +205,7 @@ def _shares(
     sigma: NDArray[np.generic],
     moving: NDArray[np.generic],
 ) -> Floats:
-    """Return the weights of points among those of the same visit and place."""
+    """Return the weight of each point among points of the same visit and position."""
     epochs = np.array([[e.name for e in site.epoch].index(s.epoch) for s in site.scan])
     share = np.ones(len(position))
     precision = 1 / np.maximum(np.asarray(sigma, dtype=float), 1e-9) ** 2
@@ -239,7 +239,7 @@ def _shares(
 def scan_clouds(
     cloud: Merged, registration: Registration, images: dict[str, xr.Dataset]
 ) -> list[xr.Dataset]:
-    """Return one point cloud for each scan, with its pose and its uncertainties."""
+    """Return one point cloud per scan, with pose and point uncertainties."""
     frame = cloud.site.frame
     clouds = []
     for number, scan in enumerate(cloud.site.scan):

@@ -1,4 +1,4 @@
-"""Square LAZ tiles of a merged point cloud, all with the same coordinate offset."""
+"""Square LAZ tiles of a merged point cloud, with a common coordinate offset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Alignment of scans: rough poses scan by scan, then a joint fit with covariance."""
+"""Alignment of scans: rough poses one by one, then a joint fit with covariance."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def align(
     guess: Mapping[str, ScanPose] | None = None,
     visits: Mapping[str, str] | None = None,
 ) -> Alignment:
-    """Align all scans of a site, and test for systematic errors within visits."""
+    """Align all scans of a site, and test each visit for systematic errors."""
     poses = _rough_poses(surfaces, ties, voxel=voxel, guess=guess or {})
     names = list(surfaces)
     start = dict(ties.start)
@@ -187,7 +187,7 @@ def _rough_poses(
     voxel: float | None,
     guess: Mapping[str, ScanPose],
 ) -> dict[str, ScanPose]:
-    """Return rough poses, accurate to a fraction of the point spacing, scan by scan."""
+    """Return rough poses of all scans, within a fraction of the point spacing."""
     starts = {name: start.pose for name, start in ties.start.items()} | dict(guess)
     if ties.fixed is not None:
         starts.setdefault(ties.fixed, ScanPose(np.eye(3), np.zeros(3)))
@@ -243,7 +243,7 @@ def _rough_pose(
     voxel: float,
     spacing: float,
 ) -> ScanPose:
-    """Return the pose that best aligns a scan with others, from several attempts.
+    """Return the best of several attempts to align a scan with the others.
 
     Alignment may end at another object of the same shape. Attempts differ in their
     start and in how far points are matched; the best leaves the least distance in the
@@ -273,7 +273,7 @@ def _rough_pose(
 
 
 def _further_guesses(start: KnownPose, least: float, cloud: Floats) -> list[ScanPose]:
-    """Return more initial poses if the start pose is uncertain by several pixels."""
+    """Return more initial poses if the start pose is uncertain."""
     away = float(np.linalg.norm(cloud.mean(axis=0)))
     starts = []
     turn = float(np.sqrt(start.covariance[5, 5]))
@@ -292,7 +292,7 @@ def _further_guesses(start: KnownPose, least: float, cloud: Floats) -> list[Scan
 
 
 def _misfit(placed: Floats, others: Floats, tree: cKDTree, spacing: float) -> float:
-    """Return the misfit of points to planes of others: 0 aligned, 1 far apart [1]."""
+    """Return the misfit of points to other points' planes: 0 aligned, 1 far off [1]."""
     away, near = tree.query(placed, k=8, distance_upper_bound=4 * spacing)
     met = np.isfinite(away).all(axis=1)
     if not met.any():
@@ -306,7 +306,7 @@ def _misfit(placed: Floats, others: Floats, tree: cKDTree, spacing: float) -> fl
 
 
 def squared_pull(pose: ScanPose, start: KnownPose) -> float:
-    """Return the chi-square of a pose against its start pose, 6 degrees of freedom."""
+    """Return the chi-square of a pose's departure from its start pose [1]."""
     off = departure(pose, start.pose)
     return float(off @ np.linalg.solve(start.covariance, off))
 
@@ -324,7 +324,7 @@ def _best_started(
 
 
 def _first_positions(ties: Ties, poses: Mapping[str, ScanPose]) -> dict[str, Floats]:
-    """Return initial positions of the targets in the site's frame."""
+    """Return initial positions of the targets in the frame of the site [m]."""
     points: dict[str, Floats] = {}
     for centre in ties.centres:
         place = poses[centre.scan].place(centre.position)
@@ -364,7 +364,7 @@ def _neighbours(
 def _refuse_islands(
     names: Sequence[str], overlaps: Sequence[tuple[str, str]], ties: Ties
 ) -> None:
-    """Raise `CubeError` if a scan has no overlap, no target and no start pose."""
+    """Raise `CubeError` if a scan has neither overlap, target nor start pose."""
     scans_of: dict[str, set[str]] = {}
     for centre in ties.centres:
         scans_of.setdefault(centre.target, set()).add(centre.scan)
@@ -389,7 +389,7 @@ def _pairs(
     gate: float | None,
     before: Sequence[Pair],
 ) -> list[Pair]:
-    """Return the comparisons of overlapping scans, limited to points used before."""
+    """Return comparisons of overlapping scans; later ones use the same points."""
     among = {(p.source, p.target): p.source_pixel[p.weight > 0] for p in before}
     comparisons = (
         compared(
@@ -409,7 +409,7 @@ def _pairs(
 def _pair_weights(
     pairs: Sequence[Pair], state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[list[float], tuple[Disagreement, ...]]:
-    """Return the weights of pairs, and the pairs that disagree with all others."""
+    """Return the weight of each scan pair, and pairs that contradict all others."""
     trust, against = [], []
     for pair in pairs:
         change, spread = network.innovation(pair, state, surfaces)

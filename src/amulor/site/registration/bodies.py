@@ -1,4 +1,4 @@
-"""Constrained directions of a rigid motion, and points of moved bodies."""
+"""Motions that surfaces constrain, and points of objects that moved between scans."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ HELD = 6.0
 
 
 def mean_lever(lever: Floats, weight: Floats) -> float:
-    """Return the root mean square distance of points from a reference point [m]."""
+    """Return the root mean square distance of points from a pivot [m]."""
     return float(np.sqrt(np.average((lever**2).sum(axis=1), weights=weight + 1e-300)))
 
 
 def held_directions(
     matrix: Floats, *, unsure: float, length: float
 ) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return the projector onto motions that the surfaces constrain, and free motions.
+    """Return the projector onto motions that surfaces constrain, and free motions.
 
     Noise of normals in both scans makes products whose mean is zero; a direction is
     held if its sum stands out of their scatter.
@@ -58,7 +58,7 @@ _FEWEST = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Points:
-    """Points of one scan compared with surface patches of another; see `pair.Pair`."""
+    """Points of one scan and their distances from surface patches of another."""
 
     smooth: Flags
     """Pixels of the source on smooth surfaces, shape (row, column)."""
@@ -88,14 +88,14 @@ class Points:
     """Number of neighboring points with the same noise of surface normals [1]."""
 
     def unsure(self, weight: Floats) -> float:
-        """Return the scatter of the normal matrix by noise of surface normals."""
+        """Return the scatter of the normal matrix due to noise of surface normals."""
         return float(np.sqrt(self.together * ((self.tilt * weight) ** 2).sum()))
 
 
 def moved_bodies(
     points: Points, weight: Floats, near: Flags, *, misfit: float
 ) -> Flags:
-    r"""Return a mask of the points of bodies that moved relative to the scene.
+    r"""Return a mask of the points on objects that moved relative to the scene.
 
     The part of a body that stands off least passes for noise, pulls the scans along,
     and hides the motion; so a body counts as a whole. It moved if much of it stands
@@ -133,7 +133,7 @@ def moved_bodies(
 
 @dataclass(frozen=True)
 class _Sum:
-    """Normal equations of some points, with their noise."""
+    """Normal equations summed over some points, with their noise."""
 
     matrix: Floats
     gradient: Floats
@@ -145,7 +145,7 @@ class _Sum:
 def _sum(
     points: Points, weight: Floats, at: Flags, columns: Numbers | None = None
 ) -> _Sum:
-    """Return the normal equations of some points, with noise of selected pixels."""
+    """Return the normal equations of some points, and noise from some pixels."""
     z = points.by_source[at, :6] * weight[at, None]
     window = points.window[at]
     if columns is not None:
@@ -168,7 +168,7 @@ def _chance(
     body: Flags,
     misfit: float,
 ) -> float:
-    """Return the probability of such an offset for a body that did not move."""
+    """Return the probability of so large an offset if a body did not move."""
     rest = remaining & ~body
     if int(body.sum()) < _FEWEST or int(rest.sum()) < 2 * _FEWEST:
         return 1.0
@@ -214,7 +214,7 @@ _MOVED = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class Counted:
-    """Weights of the compared points, and the points of moved bodies."""
+    """Weights of compared points, and pixels on moved objects."""
 
     weight: Floats
     """Inverse variance of the distance, 0 for discarded points, shape (n,) [1/m^2]."""
@@ -225,7 +225,7 @@ class Counted:
 
 
 def counted(points: Points, good: Flags, gate: float | None) -> Counted:
-    """Return weights that discard other surfaces, and the scatter over the noise."""
+    """Return the weights of points, 0 on other surfaces, and excess of scatter."""
     sigma = np.sqrt(points.variance.sum(axis=0))
     score = points.distance / sigma
     middle = np.median(score[good])
@@ -251,7 +251,7 @@ def counted(points: Points, good: Flags, gate: float | None) -> Counted:
 def _offset_together(
     points: Points, score: Floats, good: Flags, misfit: float
 ) -> Flags:
-    """Return a mask of points that deviate together with their neighbors."""
+    """Return a mask of points that are displaced along with their neighbors."""
     variance = points.variance
     row, column = np.divmod(points.pixel, points.smooth.shape[1])
     steps = [

@@ -51,7 +51,7 @@ def centre_of(
 
 
 def _at(surface: ScanSurface, place: tuple[int, int], name: str) -> Floats:
-    """Return the point at a picked pixel, or the nearest one with a range."""
+    """Return the point of a picked pixel, or of the nearest pixel with a range [m]."""
     row, column = place
     near = np.zeros(surface.usable.shape, dtype=bool)
     near[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] = True
@@ -81,7 +81,7 @@ def _centre(
     pixels: Flags,
     others: dict[str, Floats] | None = None,
 ) -> Centre:
-    """Return a center with covariance, from its derivatives `gain` by the ranges."""
+    """Return a target's center with covariance, from derivatives by the ranges."""
     shapes = surface.shared.shapes[:, pixels]
     shared = {
         key: np.asarray(gain @ shape)
@@ -145,7 +145,7 @@ def _sphere(
 def _plane(
     surface: ScanSurface, middle: Floats, radius: float, target: Seen
 ) -> tuple[Flags, Floats, Floats]:
-    """Return the pixels of a plane, its inverse-range vector and the covariance.
+    """Return the pixels on a plane, its inverse-range vector, and the covariance.
 
     The plane is m . p = 1; the inverse range along a beam from the origin is m . d.
     """

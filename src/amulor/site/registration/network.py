@@ -1,4 +1,4 @@
-"""Joint adjustment of poses, targets and shared errors: iterations and covariance."""
+"""Joint adjustment of poses, targets and shared errors: iterations, covariance."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Centre:
 
 @dataclass(frozen=True, kw_only=True)
 class KnownPose:
-    """Start pose with its covariance."""
+    """Start pose of a scan with its covariance."""
 
     pose: ScanPose
     """Start pose."""
@@ -45,7 +45,7 @@ class KnownPose:
 
 @dataclass(frozen=True, kw_only=True)
 class KnownPoint:
-    """Control point: known position of a target."""
+    """Control point: target at a known position."""
 
     position: Floats
     """Position in the site, shape (3,) [m]."""
@@ -67,7 +67,7 @@ class KnownDistance:
 
 @dataclass(frozen=True, kw_only=True)
 class Ties:
-    """Observations beside surfaces: start poses, targets, control points, bars."""
+    """Observations other than surfaces: start poses, targets, control points, bars."""
 
     start: Mapping[str, KnownPose]
     """Start poses by scan."""
@@ -84,7 +84,7 @@ class Ties:
 
 @dataclass
 class State:
-    """Current estimates of all unknowns of the adjustment."""
+    """Present estimates of all unknowns of the adjustment."""
 
     poses: dict[str, ScanPose]
     """Poses by scan."""
@@ -95,7 +95,7 @@ class State:
 
 
 class Layout:
-    """Positions of the unknowns in the vector of the adjustment."""
+    """Indices of the unknowns in the vector of the adjustment."""
 
     def __init__(self, state: State, fixed: str | None) -> None:
         self.at: dict[tuple[str, str], slice] = {}
@@ -112,7 +112,7 @@ class Layout:
         self.size = size
 
     def columns(self, kind: str, names: Sequence[str], width: int) -> Numbers:
-        """Return the positions of some unknowns in the vector, -1 for fixed ones."""
+        """Return the indices of some unknowns in the vector; -1 for fixed ones."""
         places = [
             np.arange(self.at[kind, name].start, self.at[kind, name].stop)
             if (kind, name) in self.at
@@ -123,7 +123,7 @@ class Layout:
 
 
 class System:
-    """Normal equations of the adjustment, summed over observations."""
+    """Normal equations of the adjustment, summed over the observations."""
 
     def __init__(self, size: int) -> None:
         self.matrix = np.zeros((size, size))
@@ -132,20 +132,20 @@ class System:
         self.scatter = np.zeros((size, size))
 
     def add(self, at: Numbers, matrix: Floats, gradient: Floats) -> None:
-        """Add the matrix and gradient of an observation; -1 marks fixed unknowns."""
+        """Add matrix and gradient of an observation; index -1 marks fixed unknowns."""
         free = at >= 0
         at = at[free]
         self.matrix[np.ix_(at, at)] += matrix[np.ix_(free, free)]
         np.add.at(self.gradient, at, gradient[free])
 
     def add_prior(self, at: Numbers, matrix: Floats, gradient: Floats) -> None:
-        """Add an observation with its own noise, as information and as variance."""
+        """Add an observation with independent noise, such as a start pose."""
         self.add(at, matrix, gradient)
         free = at >= 0
         self.scatter[np.ix_(at[free], at[free])] += matrix[np.ix_(free, free)]
 
     def project(self, projection: Floats) -> None:
-        """Remove the free directions from the equations added so far."""
+        """Remove unconstrained directions from the equations added so far."""
         self.matrix = projection.T @ self.matrix @ projection
         self.gradient = projection.T @ self.gradient
 
@@ -172,7 +172,7 @@ def step(
     free: int = 0,
     part: float = 1.0,
 ) -> Step:
-    """Take a fraction of a Gauss-Newton step, with at least `free` free directions."""
+    """Compute a Gauss-Newton step, or a part of it, with enough free directions."""
     layout = Layout(state, ties.fixed)
     projection, free = projector(state, pairs, trust, layout, free)
     system = system_of(state, pairs, ties, trust, layout, projection, steady=steady)
@@ -267,7 +267,7 @@ def system_of(
 
 
 def pair_unknowns(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
-    """Return the positions of a pair's unknowns, and its derivatives by them."""
+    """Return the indices of a scan pair's unknowns, and derivatives by them."""
     poses = [state.poses[name] for name in (pair.source, pair.target)]
     relative = np.zeros((6, 12))
     for number, (pose, sign) in enumerate(zip(poses, (1.0, -1.0), strict=True)):
@@ -294,7 +294,7 @@ def projector(
     layout: Layout,
     least: int,
 ) -> tuple[Floats, int]:
-    """Return the projector onto the directions that the surfaces constrain.
+    """Return the projector onto directions that surfaces constrain, and its rank loss.
 
     Directions of all poses at once: a direction that one pair leaves free may be
     constrained by another one, and pairs must not disagree about a free one.
@@ -339,7 +339,7 @@ def _add_centre(system: System, centre: Centre, state: State, layout: Layout) ->
 def centre_derivatives(
     centre: Centre, state: State, layout: Layout
 ) -> tuple[Floats, Floats, Numbers]:
-    """Return the residual of a target's center, its derivatives and their positions."""
+    """Return residual and derivatives of a target's center, and their indices."""
     pose = state.poses[centre.scan]
     arm = pose.turn(centre.position)
     shifts = [pose.turn(shift) for shift in centre.shared.values()]
@@ -372,7 +372,7 @@ def _noise_variance(
     trust: Sequence[float],
     layout: Layout,
 ) -> Floats:
-    """Return the covariance of the gradient by pixel noise of one scan."""
+    """Return the covariance of the gradient due to pixel noise of one scan."""
     parts: list[tuple[Pair, float]] = [
         (pair, weight)
         for pair, weight in zip(pairs, trust, strict=True)
@@ -408,7 +408,7 @@ def _noise_variance(
 def innovation(
     pair: Pair, state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Floats, Floats]:
-    """Return the motion of the source that a pair alone would cause, and covariance."""
+    """Return the pose change that a scan pair alone would cause, and its covariance."""
     x, z = (rows[:, :6] @ pair.held for rows in (pair.by_target, pair.by_source))
     weighted = z * pair.weight[:, None]
     back = np.linalg.pinv(weighted.T @ x, rcond=1e-10)

@@ -1,4 +1,4 @@
-"""Comparison of two scans: distances of points of one from patches of the other.
+"""Comparison of two scans: distances of one scan's points from the other's patches.
 
 Normals are noisy, and noise in both factors of a sum of squares adds up: a flat sea
 bed would look as if it held a scan sideways, and a site would shrink, since a smaller
@@ -80,7 +80,7 @@ class Pair:
 
     @property
     def mean_square(self) -> Floats:
-        """Mean square displacement of points as a quadratic form, shape (6, 6)."""
+        """Mean square displacement of points by a motion, as matrix of shape (6, 6)."""
         lever = self.place - self.pivot
         rows = np.zeros((len(lever), 3, 6))
         rows[..., :3], rows[..., 3:] = np.eye(3), -cross_matrix(lever)
@@ -90,7 +90,7 @@ class Pair:
 
     @property
     def used(self) -> int:
-        """Number of points with nonzero weight."""
+        """Number of points with a weight above 0."""
         return int((self.weight > 0).sum())
 
 
@@ -226,12 +226,12 @@ def compared(
 
 
 def tree_of(surface: ScanSurface) -> cKDTree:
-    """Return the search tree of the smooth points of a scan."""
+    """Return a search tree of the points on smooth surfaces of a scan."""
     return cKDTree(surface.position[surface.smooth])
 
 
 def _chosen(source: ScanSurface) -> Numbers:
-    """Return the smooth pixels of a scan, evenly thinned if they are many."""
+    """Return the pixels on smooth surfaces, evenly thinned if they are many."""
     row, column = np.nonzero(source.smooth)
     step = int(np.ceil(np.sqrt(len(row) / MOST_POINTS)))
     if step > 1:
@@ -242,7 +242,7 @@ def _chosen(source: ScanSurface) -> Numbers:
 
 @dataclass(frozen=True)
 class OnGrid:
-    """Points in the pixel coordinates of a scan."""
+    """Points located on the pixel grid of another scan."""
 
     pixel: Numbers
     off: Floats
@@ -251,7 +251,7 @@ class OnGrid:
     inside: NDArray[np.bool_]
 
     def of(self, selected: NDArray[np.bool_]) -> OnGrid:
-        """Return selected points."""
+        """Return the selected points."""
         return OnGrid(
             self.pixel[selected],
             self.off[selected],
@@ -262,7 +262,7 @@ class OnGrid:
 
 
 def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
-    """Return pixel, offset from it and distance from the patch of each point."""
+    """Return nearest pixel, pixel offset and distance from its patch, for points."""
     shape = target.smooth.shape
     origin, direction = target.origin.reshape(-1, 3), target.direction.reshape(-1, 3)
     slopes = target.steps.reshape(2, 2, -1, 3)
@@ -298,13 +298,13 @@ def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
 
 
 def _terms(target: ScanSurface, off: Floats) -> Floats:
-    """Return the polynomial terms of patches at pixel offsets, shape (term, n)."""
+    """Return the polynomial terms of a patch at pixel offsets, shape (term, n)."""
     row, column = off.T
     return np.array([row**i * column**j for i, j in target.powers])
 
 
 def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
-    """Return the derivatives of a patch's range by the ranges of its pixels."""
+    """Return the derivatives of fitted ranges by the ranges of single pixels."""
     size = target.kernels.shape[1]
     half = size // 2
     shape = target.smooth.shape
@@ -325,7 +325,7 @@ def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
 
 
 def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
-    """Return the shared errors of a scan at points near its pixels, shape (k, n).
+    """Return the effect of a scan's shared errors at points, shape (k, n) [m].
 
     By the range of the point, so that they hold none of the noise of the pixel.
     """
@@ -342,7 +342,7 @@ def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
 
 
 def _tilt(target: ScanSurface, at: OnGrid, normal: Floats) -> Floats:
-    """Return the squared noise of the derivatives from noise of surface normals."""
+    """Return the variance of the derivatives due to noise of surface normals."""
     # Of the slope of a patch, per pixel across it, as an angle of the surface.
     angle = target.slope * target.own.ravel()[at.pixel] / target.spacing
     along = np.abs(_dot(normal, at.direction))

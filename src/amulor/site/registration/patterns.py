@@ -1,4 +1,4 @@
-r"""Tests of scans for errors over rows, columns, range and angle of incidence.
+r"""Tests for systematic range errors over rows, columns, range and incidence angle.
 
 A pose absorbs most of a drift, and the misfit hardly grows. So each pattern is tested
 as one unknown more, with poses and shared errors free to absorb it (data snooping,
@@ -57,7 +57,7 @@ _POWERFUL = non_centrality(1e-4)
 
 @dataclass(frozen=True, kw_only=True)
 class PatternTest:
-    """Test of one pattern of one scan."""
+    """Test of one scan for one kind of systematic range error."""
 
     scan: str
     """Name of the scan."""
@@ -74,7 +74,7 @@ class PatternTest:
 
 
 def pattern_values(surface: ScanSurface) -> Floats:
-    """Values of all patterns, -1 to 1 over a scan, shape (pattern, row, column) [1]."""
+    """Shapes of all tested errors, -1 to 1, shape (pattern, row, column) [1]."""
     shape = surface.distance.shape
     row, column = np.meshgrid(
         *(np.linspace(-1, 1, size) for size in shape), indexing="ij"
@@ -106,7 +106,7 @@ def _mean_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
 
 
 def _scaled(values: Floats, at: NDArray[np.bool_]) -> Floats:
-    """Values between -1 and 1 over some pixels, 0 elsewhere."""
+    """Values scaled to -1 to 1 over selected pixels, 0 elsewhere."""
     low, high = float(values[at].min()), float(values[at].max())
     if high - low < 1e-9:
         return np.zeros(values.shape)
@@ -122,7 +122,7 @@ def pattern_tests(
     *,
     free: int,
 ) -> tuple[PatternTest, ...]:
-    """Test all patterns of all scans, each by itself."""
+    """Test all scans for all kinds of systematic range errors, one at a time."""
     layout = Layout(state, ties.fixed)
     projection, _ = projector(state, pairs, trust, layout, free)
     base = system_of(state, pairs, ties, trust, layout, projection)
@@ -154,7 +154,7 @@ def _tests_of(
     surfaces: Mapping[str, ScanSurface],
     base: tuple[Floats, Floats, Floats],
 ) -> list[PatternTest]:
-    """Test the patterns of one scan."""
+    """Test one scan for all kinds of systematic range errors."""
     inverse, gradient, scatter = base
     count, size = len(shapes), len(gradient)
     by_pattern = []
@@ -207,7 +207,7 @@ def _tests_of(
 
 
 def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
-    """Return the strongest pattern if it is significant among all of a site.
+    """Return the strongest systematic error if significant among all tests.
 
     Others are mostly its shadow: poses carry it into the neighbors of a scan.
     """
@@ -219,7 +219,7 @@ def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
 
 
 def unfit_scan(pairs: Sequence[Pair], scans: Sequence[str]) -> tuple[str, float] | None:
-    """Return the scan that fits no other, while these fit each other, and its misfit.
+    """Return a scan that fits none of the others, which fit each other, and its misfit.
 
     A body that moved leaves the misfit of all other points at 1, and too small a stated
     noise excludes no points; a bent scan does both in each of its pairs. A misfit that

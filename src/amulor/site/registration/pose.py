@@ -1,4 +1,4 @@
-"""Pose of a scan: rotation, position, and small changes."""
+"""Pose of a scan: rotation and position, and small changes of it."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ class ScanPose:
     """Origin of the instrument's axes in the site, shape (3,) [m]."""
 
     def place(self, points: ArrayLike) -> Floats:
-        """Transform points from instrument axes to the site, shape (..., 3) [m]."""
+        """Transform points from instrument axes to the frame of the site [m]."""
         return np.asarray(points, dtype=float) @ self.rotation.T + self.position
 
     def back(self, points: ArrayLike) -> Floats:
-        """Transform points from the site to instrument axes, shape (..., 3) [m]."""
+        """Transform points from the frame of the site to instrument axes [m]."""
         away = np.asarray(points, dtype=float) - self.position
         return np.asarray(away @ self.rotation)
 
     def turn(self, directions: ArrayLike) -> Floats:
-        """Rotate directions from instrument axes to the site, shape (..., 3) [1]."""
+        """Rotate directions from instrument axes to the frame of the site [1]."""
         return np.asarray(np.asarray(directions, dtype=float) @ self.rotation.T)
 
     def changed(self, step: Floats) -> ScanPose:
@@ -55,19 +55,19 @@ class ScanPose:
 
 
 def departure(pose: ScanPose, start: ScanPose) -> Floats:
-    """Return translation [m] and rotation [rad] from a start pose, in site axes."""
+    """Return translation [m] and rotation [rad] from the start pose, in site axes."""
     turn = Rotation.from_matrix(pose.rotation @ start.rotation.T).as_rotvec()
     return np.concatenate([pose.position - start.position, turn])
 
 
 def start_pose(start: StartPose) -> ScanPose:
-    """Return the pose that a site file states as a start pose."""
+    """Return the start pose in a site file as a transformation."""
     frame = frame_of(xr.Dataset(), axes="pose", pose=start.as_pose())
     return ScanPose(frame.rotation, frame.position)
 
 
 def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
-    """Return the covariance of a start pose from its stated uncertainties."""
+    """Return the covariance of a start pose, from the site file's uncertainties."""
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = start.position_uncertainty**2 * np.eye(3)
     heading = np.array([0.0, 0.0, 1.0])
@@ -81,7 +81,7 @@ def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
 
 
 def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
-    """Return the pose that maps points onto others with the least squared distance."""
+    """Return the pose that maps points onto others by least squares."""
     middle, other_middle = from_points.mean(axis=0), to_points.mean(axis=0)
     turn, _ = Rotation.align_vectors(to_points - other_middle, from_points - middle)
     rotation = turn.as_matrix()
@@ -89,7 +89,7 @@ def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
 
 
 def cross_matrix(vectors: Floats) -> Floats:
-    """Return the matrices of the cross product with vectors on the left."""
+    """Return the matrices by which vectors act in a cross product from the left."""
     zero = np.zeros(vectors.shape[:-1])
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.stack(

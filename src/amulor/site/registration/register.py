@@ -80,7 +80,7 @@ def surface_of(site: Site, scan: SiteScan, image: xr.Dataset) -> ScanSurface:
 
 
 def _water_in(image: xr.Dataset) -> str:
-    """Return a key for an image's water: the digest of its survey's water section."""
+    """Return a digest of an image's water settings; equal for scans in equal water."""
     attributes = image.attrs
     text = str(attributes.get("survey", ""))
     at = text.find("[water]")
@@ -146,7 +146,7 @@ def register(
 def _centres(
     site: Site, surfaces: Mapping[str, ScanSurface], images: Mapping[str, xr.Dataset]
 ) -> tuple[tuple[Centre, ...], dict[str, ScanSurface]]:
-    """Return the target centers in scans, and the scans without pixels of targets."""
+    """Return the measured target centers, and the surfaces without target pixels."""
     centres = []
     remaining = dict(surfaces)
     for target in site.target:
@@ -175,7 +175,7 @@ def _guessed(
     control: Mapping[str, KnownPoint],
     fixed: str | None,
 ) -> dict[str, ScanPose]:
-    """Return poses, from targets, of scans without a start pose."""
+    """Return initial poses, computed from targets, of scans without start poses."""
     places = {name: item.position for name, item in control.items()}
     poses = {name: item.pose for name, item in start.items()}
     if fixed is not None:
@@ -269,7 +269,7 @@ def _result(
 def _contradictions(
     site: Site, alignment: Alignment, ties: Ties
 ) -> tuple[Contradiction, ...]:
-    """Return contradicted poses, errors, ties, patterns and scans, worst first."""
+    """Return all values that other observations contradict, worst first."""
     contradicting = []
     for name, start in ties.start.items():
         pose = alignment.state.poses.get(name)
@@ -380,7 +380,7 @@ def _seen_through(
 
 
 def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:
-    """Yield a line for each visit or group of scans without a tie to others."""
+    """Yield a message for each visit or group of scans not connected to others."""
     visit = {scan.name: scan.epoch for scan in site.scan}
     tied = [(pair.source, pair.target) for pair in alignment.pairs]
     tied += [
@@ -424,7 +424,7 @@ def _groups(names: list[str], tied: list[tuple[str, str]]) -> list[list[str]]:
 def _weak_directions(
     result: Registration, ties: Ties, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Weakness, ...]:
-    """Return the directions of poses that only the start poses constrain.
+    """Return the directions of poses that only start poses constrain.
 
     A start pose that is good to a part of a pixel, as of a surveyed station, is enough.
 

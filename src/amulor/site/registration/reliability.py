@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 def non_centrality(chance: float) -> float:
-    """Return the score of an error found at 80 % power, by false-alarm chance [1]."""
+    """Return the normalized error detected with 80 % power, by false-alarm rate [1]."""
     return float(norm.isf(chance / 2) + norm.isf(1 - 0.8))
 
 
@@ -38,7 +38,7 @@ _TURNS = ("about east", "about north", "about up")
 
 @dataclass(frozen=True, kw_only=True)
 class Reliability:
-    """Reliability of one coordinate or angle of an observation (W. Baarda)."""
+    """Reliability of one coordinate or angle of an observation, after W. Baarda."""
 
     observation: str
     """Kind and name of the observation, such as "start a2", "control S1" or "bar S1
@@ -92,7 +92,7 @@ def reliabilities(
 def _observations(
     state: State, layout: Layout, ties: Ties
 ) -> Iterator[tuple[str, tuple[str, ...], Floats, Floats, NDArray[np.intp], Floats]]:
-    """Yield each observation: name, parts, residual, covariance and derivatives."""
+    """Yield name, components, residual, covariance and derivatives of observations."""
     for name, start in ties.start.items():
         residual = departure(state.poses[name], start.pose)
         columns = layout.columns("pose", [name], 6)

@@ -25,7 +25,7 @@ KIND = "amulor site registration 1"
 
 @dataclass(frozen=True, kw_only=True)
 class Weakness:
-    """Direction of a pose that nothing but its start pose constrains."""
+    """Direction of a pose that only its start pose constrains."""
 
     scan: str
     """Name of the scan."""
@@ -38,7 +38,7 @@ class Weakness:
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """Stated value that the scans contradict, with the size of the contradiction."""
+    """Value in the site file that the scans contradict, and by how much."""
 
     scan: str
     """Name of the scan; empty for an error that several share."""
@@ -66,7 +66,7 @@ class Contradiction:
 
     @property
     def sentence(self) -> str:
-        """Message with the scan, the size of the contradiction and a remedy."""
+        """Message with the scan, the size of the contradiction, and a remedy."""
         if self.error == "surface":
             return (
                 f"scan {self.scan!r}: its surface fits none of its neighbors; in each "
@@ -155,7 +155,7 @@ class Registration:
     and scale bars."""
 
     def covariance_of(self, *names: str) -> Floats:
-        """Return the joint covariance of some unknowns, named as in `places`."""
+        """Return the joint covariance of some unknowns, by their names in `places`."""
         width = {"pose": 6, "point": 3, "error": 1}
         at = np.concatenate(
             [
@@ -267,7 +267,7 @@ def read_registration(path: str | Path) -> Registration:
 
 
 def _digest_of(content: dict[str, Any]) -> str:
-    """Return a digest of a file's content, independent of order and white space."""
+    """Return a digest of a file's content; order and white space have no effect."""
     return provenance.digest(json.dumps(content, sort_keys=True).encode())
 
 

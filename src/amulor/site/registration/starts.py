@@ -1,4 +1,4 @@
-"""Test of start poses for swapped axes, degrees taken for radians, and heights."""
+"""Test of start poses for usual mistakes: swapped axes, degrees, and heights."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _CELL, _CELLS = 0.25, 6
 
 @dataclass(frozen=True, kw_only=True)
 class StartFindings:
-    """Errors and notes from the test of a site's start poses."""
+    """Errors and notes that the test of start poses reports."""
 
     mistakes: tuple[str, ...]
     """Start poses under which another convention gives a larger overlap."""
@@ -93,7 +93,7 @@ _READINGS: tuple[tuple[str, Callable[[StartPose], dict[str, object]]], ...] = (
 
 
 def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
-    """Test whether scans overlap better if start poses follow another convention."""
+    """Test whether scans overlap better if start poses are read in another way."""
     starts = {
         scan.name: scan.start
         for scan in site.scan
@@ -174,13 +174,13 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
 def _placed(
     start: StartPose, cloud: Floats, changed: Mapping[str, object] | None = None
 ) -> cKDTree:
-    """Return a search tree of a scan's points, transformed by its start pose."""
+    """Return a search tree of a scan's points, placed by its start pose."""
     pose = start_pose(start.model_copy(update=dict(changed or {})))
     return cKDTree(pose.place(cloud))
 
 
 def _gate(start: StartPose, cloud: Floats) -> float:
-    """Return the largest displacement of points by the start pose's uncertainty [m]."""
+    """Return the largest likely displacement of points by a start pose's error [m]."""
     away = float(np.median(np.linalg.norm(cloud, axis=1)))
     turn = max(start.heading_uncertainty, start.level_uncertainty)
     size = 3 * math.hypot(start.position_uncertainty, away * turn)
@@ -194,7 +194,7 @@ def _agreement(
     placed: Mapping[str, cKDTree],
     gates: Mapping[str, float],
 ) -> float:
-    """Return the mean overlap of scans with other visits and within their own [1]."""
+    """Return the mean overlap of scans with other visits, and within visits [1]."""
     shares_met = []
     for visit_scans in visits.values():
         outside = [peer for peer in placed if peer not in visit_scans]
@@ -229,7 +229,7 @@ def _share(
 def _height_in_words(
     scans: list[str], others: list[str], placed: Mapping[str, cKDTree]
 ) -> str:
-    """Return the height of scans above others in common cells of the plan, as text."""
+    """Return the height of scans above others where both have points, as text."""
     heights = []
     for names in (scans, others):
         points = np.concatenate([placed[name].data for name in names])

@@ -1,4 +1,4 @@
-"""Surface of a scan: smooth patches, normals, and errors shared by pixels."""
+"""Surface of a scan: smooth patches, normals, and range errors that pixels share."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _POWER = {"delay": 0.0, "geometry": 0.0, "group_index": 1.0, "late_echo": 2.0}
 
 @dataclass(frozen=True, kw_only=True)
 class Shared:
-    """Errors of slant ranges that pixels share: shapes times random factors."""
+    """Range errors common to many pixels: shapes, each times a random factor."""
 
     keys: tuple[str, ...]
     """Name of each shape's factor; scans with an equal key share the factor."""
@@ -43,7 +43,7 @@ class Shared:
 def shared_errors(
     image: xr.Dataset, *, scan: str, instrument: str, water: str, drift: float = 0.0
 ) -> Shared:
-    r"""Return the errors of slant ranges that the pixels of a scan share.
+    r"""Return the range errors that the pixels of a scan have in common.
 
     A cosine of the difference of two phases is :math:`\cos a \cos b + \sin a \sin b`,
     so the correlations of reference and water are sums of products of shapes: those of
@@ -102,7 +102,7 @@ def _filled(values: Floats, measured: NDArray[np.bool_]) -> Floats:
 
 
 def _turns(image: xr.Dataset, distance: Floats) -> list[tuple[Floats, Floats]]:
-    """Return cosine and sine of the phase at each frequency, and their slopes [1, 1/m].
+    """Return cosine and sine of the phase at each frequency, and their derivatives.
 
     The squares of the parts add up to 1.
     """
@@ -121,7 +121,7 @@ def _turns(image: xr.Dataset, distance: Floats) -> list[tuple[Floats, Floats]]:
 
 
 def _basis(image: xr.Dataset) -> list[Floats]:
-    """Return parts of the open-water reference's polynomial, squares of sum 1."""
+    """Return basis functions of the open-water polynomial; the sum of squares is 1."""
     shape = image["slant_range"].shape
     if "open_water_degree" not in image.attrs:
         return [np.ones(shape)]
@@ -142,7 +142,7 @@ def _basis(image: xr.Dataset) -> list[Floats]:
 def _principal(
     shapes: list[tuple[Floats, Floats]],
 ) -> list[tuple[Floats, Floats]]:
-    """Return the principal components of shapes, strongest first, with their slopes."""
+    """Return the principal components of error shapes, strongest first, with slopes."""
     if not shapes:
         return []
     flat, slopes = (
@@ -171,7 +171,7 @@ _FEWEST = 50
 
 @dataclass(frozen=True, kw_only=True)
 class ScanSurface:
-    """Surface of a scan in instrument axes (right, down, forward), pixel by pixel."""
+    """Surface of a scan, pixel by pixel, in instrument axes: right, down, forward."""
 
     name: str
     """Name of the scan."""
@@ -234,7 +234,7 @@ def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
 def scan_surface(
     image: xr.Dataset, *, name: str, shared: Shared, window: int = 7
 ) -> ScanSurface:
-    r"""Compute the surface of a range image: patches, normals, shared errors.
+    r"""Compute the surface of a range image: patches, normals and shared errors.
 
     The inverse range of a plane is linear in the direction of the beam, so patches have
     no error by the angle of incidence. Those of second degree (Savitzky and Golay)
@@ -301,12 +301,12 @@ def scan_surface(
 
 
 def _powers(degree: int) -> Numbers:
-    """Return the powers of row and column in a polynomial, lowest first."""
+    """Return the powers of row and column in a polynomial, lowest degree first."""
     return np.array([(n - j, j) for n in range(degree + 1) for j in range(n + 1)])
 
 
 def _kernels(window: int, powers: Numbers) -> Floats:
-    """Return the weights of a least-squares polynomial in a square window."""
+    """Return the weights of a least-squares polynomial fit in a square window."""
     half = window // 2
     row, column = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
     design = np.stack([(row**i * column**j).ravel() for i, j in powers], axis=1)
@@ -321,7 +321,7 @@ def _is_smooth(
     complete: NDArray[np.uint8],
     window: int,
 ) -> Flags:
-    """Return a mask of windows with residuals near noise or near the usual ones."""
+    """Return a mask of windows that a polynomial fits within noise."""
     count = window**2
     half = window // 2
     place = np.arange(-half, half + 1).astype(float)
@@ -350,7 +350,7 @@ def _is_smooth(
 def _normals(
     steps: Floats, direction: Floats, patch: Floats, reach: Floats, smooth: Flags
 ) -> Floats:
-    """Return the unit normals of the patches, towards the instrument."""
+    """Return the unit normals of the surface patches, towards the instrument."""
     ahead, turn = steps
     with np.errstate(divide="ignore", invalid="ignore"):
         slopes = [-patch[1] * reach**2, -patch[2] * reach**2]
@@ -366,7 +366,7 @@ def _normals(
 
 
 def _steps(values: Floats, axis: int) -> Floats:
-    """Return the gradient of values on a grid, per pixel."""
+    """Return the derivative of gridded values along an axis, per pixel."""
     if values.shape[axis] < 2:
         return np.zeros_like(values)
     return np.asarray(np.gradient(values, axis=axis))

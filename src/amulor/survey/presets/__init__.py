@@ -15,7 +15,7 @@ _BASES = ("published", "deduced", "assumed")
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """Published instrument as a survey file with its citation."""
+    """Published instrument: survey file, title and citation."""
 
     name: str
     """Name for `Survey.preset`."""

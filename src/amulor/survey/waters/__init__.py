@@ -1,1 +1,1 @@
-"""Kinds of water, with their optical properties and phase functions."""
+"""Kinds of water: their optical properties and phase functions."""

@@ -1,4 +1,4 @@
-"""Kinds of water whose coefficients follow from a type, a station or ingredients."""
+"""Kinds of water with coefficients from a water type, a station or ingredients."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
 class JerlovWater(WaterState):
-    """Sea water of a Jerlov type.
+    """Sea water of one of Jerlov's optical types.
 
     Examples
     --------
@@ -46,7 +46,7 @@ class JerlovWater(WaterState):
 
 
 class PetzoldWater(WaterState):
-    """Water of a station at which Petzold measured volume scattering functions.
+    """Water at a station where Petzold measured volume scattering functions.
 
     Examples
     --------
@@ -84,7 +84,7 @@ class PetzoldWater(WaterState):
 
 
 class PureWater(WaterState):
-    """Pure fresh or sea water of the stated temperature and salinity.
+    """Pure fresh or sea water of a given temperature and salinity.
 
     Examples
     --------
@@ -104,7 +104,7 @@ class PureWater(WaterState):
 
 
 class Case1Water(WaterState):
-    """Open-ocean (case-1) water, with optical properties from its chlorophyll.
+    """Open-ocean (case-1) water, whose optical properties follow from chlorophyll.
 
     Examples
     --------
@@ -127,7 +127,7 @@ class Case1Water(WaterState):
 
 
 class MilkWater(WaterState):
-    """Milk in pure water, by fat content and volume.
+    """Milk in pure water, given by fat content and volume.
 
     Examples
     --------
@@ -168,7 +168,7 @@ class MilkWater(WaterState):
 
 
 class SphereWater(WaterState):
-    """Spheres of one size in pure water, by Mie scattering.
+    """Pure water with spheres of one size, by Mie scattering.
 
     Examples
     --------
@@ -208,7 +208,7 @@ class SphereWater(WaterState):
 
 
 class WaterLayer(Description):
-    """Layer of water, perpendicular to the forward axis.
+    """Layer of water, perpendicular to the forward axis of the instrument.
 
     Examples
     --------
@@ -278,7 +278,7 @@ class LayeredWater(WaterState):
 
 
 def _kind(description: Any) -> Any:
-    """Return the kind of a water; water without a kind is stated by coefficients."""
+    """Return the kind of a water; without a kind it is described by coefficients."""
     if isinstance(description, dict):
         return description.get("kind") or "coefficients"
     return getattr(description, "kind", None) or "coefficients"

@@ -18,7 +18,7 @@ _Asymmetry = Annotated[float, Field(ge=-0.9999, le=0.999999)]
 
 
 class HenyeyGreenstein(Description):
-    """Henyey-Greenstein phase function.
+    """Henyey-Greenstein phase function, with one asymmetry parameter.
 
     Examples
     --------
@@ -164,7 +164,7 @@ class Petzold(Description):
 
 
 class Rayleigh(Description):
-    """Phase function of molecules, for water without particles.
+    """Phase function of water molecules, for water without particles.
 
     Examples
     --------
@@ -189,7 +189,7 @@ class Rayleigh(Description):
 
 
 class Tabulated(Description):
-    """Your own phase function or volume scattering function, as a table.
+    """User's own phase function or volume scattering function, as a table.
 
     Examples
     --------
@@ -236,7 +236,7 @@ class Tabulated(Description):
         return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
-        """Return a copy that contains the table of its file."""
+        """Return a copy that contains the table read from its file."""
         if self.file is None:
             return self
         columns = files.columns(folder / self.file, count=2, where=where)
@@ -268,5 +268,5 @@ PhaseFunctionStated = Annotated[
 
 @lru_cache(maxsize=64)
 def phase_function(description: PhaseFunctionStated) -> PhaseFunction:
-    """Return the phase function that a survey states, cached."""
+    """Return the phase function that a survey describes; cached."""
     return description.function()

@@ -51,7 +51,7 @@ class LayerOptics:
 
 @dataclass(frozen=True, kw_only=True)
 class WaterOptics:
-    """Absorption, scattering and phase function of a water."""
+    """Absorption, scattering and phase function of water."""
 
     absorption: float
     """Absorption coefficient a [1/m]."""
@@ -71,7 +71,7 @@ class WaterOptics:
 def resolved(
     water: WaterStated, *, wavelength: float, refractive_index: float
 ) -> WaterOptics:
-    """Return absorption, scattering and phase function of a water, cached."""
+    """Return absorption, scattering and phase function of any kind of water; cached."""
     try:
         return _resolved(water, wavelength, refractive_index)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Phase function of any water over all angles, as input of small-angle models."""
+"""Phase function of any kind of water over all angles, for small-angle models."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 def phase_function_of(water: Water | WaterProperties) -> PhaseFunction:
-    r"""Return the phase function of a survey's water over all angles.
+    r"""Return the phase function of a survey's water, for all angles.
 
     With :math:`u = (\cos\theta_s - \cos\theta) / (\cos\theta_s + 1)`, from 0 at the
     split angle to 1 straight back, :math:`\ln p` goes from its value at the split angle
@@ -77,7 +77,7 @@ def phase_function_of(water: Water | WaterProperties) -> PhaseFunction:
 def whole_function_arguments(
     survey: Survey, water: WaterProperties, view: View
 ) -> dict[str, Any]:
-    """Return the arguments that the functions of the small-angle model take.
+    """Return keyword arguments for the functions of the small-angle model.
 
     Water that states moments only gets the phase function that
     `phase_function_of` makes of them. Water that
@@ -112,7 +112,7 @@ def whole_function_arguments(
 
 @lru_cache(maxsize=8)
 def whole_phase_function(water: WaterProperties) -> PhaseFunction:
-    """Return the phase function of a water over all angles, cached."""
+    """Return the phase function of water for all angles; cached."""
     if water.phase_function is None and water.backscatter_vsf == 0:
         # What small angles need is the forward part, which has a curve to join on to.
         water = replace(water, backscatter_vsf=_DARK * water.scattering)
@@ -121,7 +121,7 @@ def whole_phase_function(water: WaterProperties) -> PhaseFunction:
 
 @lru_cache(maxsize=1)
 def _no_scattering() -> dict[str, Any]:
-    """Return the arguments for water without scattering: isotropic phase function."""
+    """Return the phase-function arguments of water that does not scatter."""
     return {"phase_function": isotropic(), "split_angle": np.pi / 2}
 
 
@@ -185,7 +185,7 @@ def _joined(
 
 @lru_cache(maxsize=32)
 def asymmetry_of(moment: float, *, split: float) -> float:
-    """Return the asymmetry with a given second moment below a split angle."""
+    """Return the asymmetry that gives a second moment below a split angle [1]."""
     from scipy.optimize import brentq
 
     def excess(g: float) -> float:

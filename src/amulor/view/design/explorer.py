@@ -1,4 +1,4 @@
-"""Model behind the design page: error map of an instrument, fast enough for sliders."""
+"""Model behind the design page: error maps of an instrument, updated by sliders."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _SLIDERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """Required accuracy at one distance and attenuation of the error map."""
+    """Required accuracy at one distance and attenuation, as marked on the error map."""
 
     distance: float
     """Slant range [m]."""
@@ -64,7 +64,7 @@ class Asked:
 
 
 class Explorer:
-    """Instrument with adjustable parameters, and the map of its range errors."""
+    """Instrument with adjustable parameters, and maps of its range errors."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class Explorer:
         self._waters: dict[str, Survey] = {"own": survey}
 
     def describe(self) -> dict[str, Any]:
-        """Return the initial content of the page."""
+        """Return the initial content of the design page."""
         channels = "+".join(self.survey.instrument.polarizations)
         light = f"{self.survey.instrument.wavelength * 1e9:.0f} nm"
         return {
@@ -139,7 +139,7 @@ class Explorer:
         }
 
     def as_survey(self, settings: Mapping[str, Any], *, water: str = "own") -> str:
-        """Survey file of an instrument as text."""
+        """Text of the survey file for an instrument with the sliders' settings."""
         survey, axes = self._instrument(settings, water)
         frequencies = axes.pop(
             "frequencies", [survey.instrument.modulation_frequencies]
@@ -184,7 +184,7 @@ class Explorer:
         }
 
     def _survey_value(self, name: str) -> float:
-        """Value that the parameter of a slider has in the survey."""
+        """Value in the survey of the parameter that a slider adjusts."""
         instrument = self.survey.instrument
         receiver = instrument.receiver
         apart = np.subtract(receiver.position, instrument.emitter.position)[:2]
@@ -202,7 +202,7 @@ class Explorer:
     def _instrument(
         self, settings: Mapping[str, Any], water: str
     ) -> tuple[Survey, dict[str, Any]]:
-        """Survey in a named water, and the parameters that sliders changed."""
+        """Survey with a water by name, and the parameters that sliders changed."""
         axes: dict[str, Any] = {}
         for name, setting in settings.items():
             if name not in _SLIDERS:
@@ -222,12 +222,12 @@ class Explorer:
     def _asked_of(
         self, settings: Mapping[str, Any], water: str
     ) -> tuple[Survey, dict[str, Any]]:
-        """Survey in a named water, and the arguments of `evaluate` except distances."""
+        """Survey with a water by name, and arguments of `evaluate` except distances."""
         survey, axes = self._instrument(settings, water)
         return survey, {"method": self.method, "interval": self._interval, **axes}
 
     def _in(self, name: str) -> Survey:
-        """Survey with its water replaced by a named water."""
+        """Survey in which the water is replaced by a water of the page, by name."""
         if name not in self._waters:
             if name not in WATERS:
                 raise SurveyError(f"there is no water {name[:40]!r}")
@@ -237,7 +237,7 @@ class Explorer:
     def met(
         self, settings: Mapping[str, Any], *, water: str = "own"
     ) -> list[dict[str, Any]]:
-        """Verdict on each required accuracy, whether it is met and why."""
+        """Verdict on each required accuracy: whether it is met, and why."""
         if not self.asked:
             return []
         survey, common = self._asked_of(settings, water)
@@ -270,7 +270,7 @@ class Explorer:
 def _around(
     values: Sequence[float], usual: tuple[float, float], factor: float
 ) -> tuple[float, float]:
-    """Return the limits of a map axis, wide enough for all required points."""
+    """Return the limits of a map axis, wide enough for all required distances."""
     if not values:
         return usual
     return min(values) / factor, max(values) * factor

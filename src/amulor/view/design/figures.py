@@ -56,7 +56,7 @@ def error_map(
 def error_maps(
     found: Mapping[str, xr.Dataset], *, asked: Sequence[tuple[float, float]] = ()
 ) -> Figure:
-    """Draw several error maps beside each other on one color scale."""
+    """Draw several error maps side by side on one color scale."""
     with style():
         figure = new_figure(1.2 + 2.5 * len(found), 3.1)
         panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
@@ -91,7 +91,7 @@ def _rings(axes: Axes, places: Sequence[tuple[float, float]]) -> None:
 
 
 def _hatched(maps: Sequence[xr.Dataset]) -> list[Patch]:
-    """Legend entries for the hatched regions of the error maps."""
+    """Legend entries for the regions of error maps that are hatched."""
     return [
         Patch(facecolor="#7c7b78", edgecolor="white", hatch=hatch, label=text)
         for name, text, hatch in REGIONS
@@ -158,7 +158,7 @@ def fronts(
     best: int,
     target: float | None = None,
 ) -> Figure:
-    """Draw range error against scan time and highest frequency of candidates."""
+    """Draw range error of candidates against scan time and highest frequency."""
     error = np.asarray(error, dtype=float)
     with style():
         figure = new_figure(7.0, 3.0)

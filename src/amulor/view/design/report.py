@@ -45,7 +45,7 @@ _SHAPE = (72, 44)
 
 @dataclass(frozen=True, kw_only=True)
 class Reasons:
-    """Analyses that support a recommended instrument."""
+    """Analyses that explain why an instrument is recommended."""
 
     trade: Trade
     """Trade-off with other dwell times and frequencies."""
@@ -91,7 +91,7 @@ def waters_of(goal: Goal, chosen: Parameters) -> tuple[float, float]:
 
 
 def figures_of(recommendation: Recommendation, reasons: Reasons) -> dict[str, Figure]:
-    """Figures of the report on a recommended instrument."""
+    """Figures in the report on a recommended instrument."""
     goal = recommendation.goal
     drawings = {"map": _map(goal, recommendation.best, "Recommended")}
     if recommendation.runner_up is not None:

@@ -1,4 +1,4 @@
-"""Browser page: a local server, and pages saved as one file.
+"""Browser page: a local server, and copies saved as one file.
 
 Saving a scan needs no package beyond those of amulor; serving needs the extra `view`.
 """

@@ -1,4 +1,4 @@
-"""Maps of the browser page: names, descriptions, and binary encoding."""
+"""Maps of the browser page: names, descriptions and binary encoding."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from amulor.cube.schema import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 
 @dataclass(frozen=True, kw_only=True)
 class Layer:
-    """Map on the browser page: one value for every pixel of a scan."""
+    """Map on the browser page, with one value for each pixel of a scan."""
 
     name: str
     """Name in URLs."""
@@ -30,7 +30,7 @@ class Layer:
 
     @property
     def is_error(self) -> bool:
-        """Whether the map shows the range uncertainty or a term of it."""
+        """Whether the map shows the range uncertainty or one of its components."""
         return self.kind == "error" or self.name.startswith(("common", "term_"))
 
 
@@ -79,12 +79,12 @@ def flag_words() -> list[dict[str, Any]]:
 
 
 def described(layer: Layer) -> dict[str, Any]:
-    """Properties of a map, as the page needs them."""
+    """Properties of a map that the browser page needs."""
     return asdict(layer)
 
 
 def stored(values: np.ndarray, layer: Layer) -> bytes:
-    """Map values as bytes: flags with 16 bits, others with 32, little-endian."""
+    """Values of a map as little-endian bytes: flags with 16 bits, others with 32."""
     form = "<u2" if layer.kind == "flags" else "<f4"
     return np.ascontiguousarray(values).astype(form).tobytes()
 
@@ -94,12 +94,12 @@ _LEVEL = 4
 
 
 def packed(content: bytes, *, width: int) -> str:
-    """Values of some bytes each, compressed and encoded as base64 text."""
+    """Binary values of `width` bytes, compressed and encoded as base64 text."""
     sorted_bytes = np.frombuffer(content, np.uint8).reshape(-1, width).T.tobytes()
     return base64.b64encode(zlib.compress(sorted_bytes, _LEVEL)).decode()
 
 
 def unpacked(text: str, *, width: int) -> bytes:
-    """Bytes decoded from base64 text that `packed` encoded."""
+    """Binary values decoded from base64 text that `packed` encoded."""
     content = zlib.decompress(base64.b64decode(text))
     return np.frombuffer(content, np.uint8).reshape(width, -1).T.tobytes()

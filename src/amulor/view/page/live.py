@@ -1,4 +1,4 @@
-"""Live view of a running scan from its journal."""
+"""Live view of a running scan, from the growing journal of the scan."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PHASE_ERROR = 0.02
 def quick_layers(
     row: xr.Dataset, signal: NDArray[np.complex128], ending: str
 ) -> dict[str, NDArray[np.float64]]:
-    """Range and amplitude of a newly measured row.
+    """Range and amplitude maps of a newly measured row.
 
     Phases to paths to slant ranges as `amulor.imaging.range_image`, but all frequencies
     with one phase error, and without late light: within what that takes off, the same.
@@ -75,7 +75,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Rows:
-    """New row of one channel, sent to the page before all pixels are recomputed."""
+    """New row of a channel, sent to the page before all pixels are recomputed."""
 
     version: int
     channel: str
@@ -84,7 +84,7 @@ class Rows:
 
 
 class Live:
-    """Live view of a scan folder, read from its growing journal."""
+    """Live view of the folder of a running scan."""
 
     def __init__(
         self, folder: Path, *, clock: Callable[[], float] = time.monotonic
@@ -118,7 +118,7 @@ class Live:
         return list(self._survey.instrument.polarizations)
 
     def start(self) -> None:
-        """Start a thread that follows the journal."""
+        """Start a thread that reads the journal at intervals."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, daemon=True)
             self._thread.start()
@@ -137,7 +137,7 @@ class Live:
             self._stop.wait(POLL)
 
     def look(self) -> None:
-        """Read the new samples of the journal; errors appear in the status."""
+        """Read new samples from the journal; put errors into the status."""
         with self._reading:
             try:
                 self._look()
@@ -174,7 +174,7 @@ class Live:
         self._maybe_all()
 
     def _patched(self) -> list[Rows]:
-        """Newly completed rows, corrected with the last water estimate."""
+        """Newly completed rows, corrected by the last estimate of the water signal."""
         rows = []
         for channel, row in sorted(self._changed):
             if not self._progress.is_complete(channel, row):
@@ -187,7 +187,7 @@ class Live:
         return rows
 
     def _quick(self, channel: str, row: int) -> dict[str, Floats]:
-        """Range and amplitude of a row, corrected with the last water estimate."""
+        """Range and amplitude of a row, corrected by the last water estimate."""
         row_cube = self.recording.one_row(channel, row)
         if row_cube is None:
             return {}
@@ -202,7 +202,7 @@ class Live:
         return layers
 
     def _maybe_all(self) -> None:
-        """Recompute all pixels if there are new samples and the pause has passed."""
+        """Recompute all pixels if samples are new and enough time has passed."""
         now = self._clock()
         pause = max(_AGAIN, self._took / _SHARE)
         finished = self.status.get("state") != "running"
@@ -229,13 +229,13 @@ class Live:
         self._took = self._worked_out_at - begun
 
     def snapshot(self, version: int) -> tuple[int, dict[str, Any], list[Rows]]:
-        """Count of full recomputations, status, and rows newer than a version."""
+        """Return number of recomputations, status, and rows newer than a version."""
         with self._lock:
             rows = [row for row in self._rows.values() if row.version > version]
             return self.pictures, dict(self.status), sorted(rows, key=_by_version)
 
     def now(self, channel: str, name: str) -> Floats:
-        """Return the current map, including rows newer than the last recomputation."""
+        """Return a map including rows measured after the last recomputation."""
         with self._lock:
             recording, rows = self.recording, list(self._rows.values())
         values = np.full(recording.channel().shown.shape, np.nan)
@@ -252,7 +252,7 @@ def _by_version(row: Rows) -> int:
 
 
 def blank(survey: Survey, name: str) -> Recording:
-    """Return a scan without measured pixels."""
+    """Return the page content of a scan without measured pixels."""
     azimuth, elevation, _ = scan_directions(survey)
     nothing = np.full(azimuth.shape, np.nan)
     image = cubes.build(

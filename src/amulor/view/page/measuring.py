@@ -1,4 +1,4 @@
-"""Measurements and products requested by the page."""
+"""Measurements and products that the browser page requests."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from amulor.view.page.recording import Recording
 
 @dataclass(frozen=True, kw_only=True)
 class Made:
-    """Product file for download."""
+    """Product file, ready to download."""
 
     name: str
     """File name."""
@@ -31,13 +31,13 @@ class Made:
 
 
 class Products(Protocol):
-    """Interface of an object that makes product files from range images."""
+    """Interface of a maker of product files from range images."""
 
     def offered(self) -> list[dict[str, Any]]:
-        """Available products with labels, file endings and options, for the page."""
+        """Available products with labels, file endings and options."""
 
     def make(self, image: xr.Dataset, wanted: dict[str, Any], *, stem: str) -> Made:
-        """Make the requested product of a range image as a file."""
+        """Make a requested product of a range image as a file."""
 
 
 #: Pixels with one of these are no part of a surface.
@@ -56,7 +56,7 @@ _FIGURES = {"distance": 2, "height": 2, "angle": 3}
 
 
 def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
-    """Measure a quantity requested by the page."""
+    """Measure the quantity that the page requests."""
     kind = str(request.get("kind", ""))
     channel = str(request.get("channel", recording.channels[0]))
     picture = recording.channel(channel).shown
@@ -158,12 +158,12 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
 
 
 def _or_none(value: Any) -> Any:
-    """Return a value, or None if it is NaN."""
+    """Return a number, or None if it is NaN."""
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _region(picture: Picture, corners: Any) -> list[tuple[int, int]]:
-    """Pixels of a rectangle, evenly thinned if they are many."""
+    """Pixels in a rectangle, evenly thinned if they are many."""
     if not isinstance(corners, list) or len(corners) != 4:
         raise CubeError(
             "a region has a first row and column, and a last row and column"
@@ -210,7 +210,7 @@ def _axis(request: Any) -> tuple[float, float, float]:
 
 
 def _near(places: list[int], reach: int, size: int) -> list[int]:
-    """Row or column indices within reach of the given ones."""
+    """Row or column indices not farther than `reach` from the given ones."""
     return sorted(
         {
             near

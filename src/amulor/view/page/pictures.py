@@ -1,4 +1,4 @@
-"""Range images for the browser page: maps, beams and correlated errors."""
+"""Range images as the browser page needs them: maps, beams, correlated errors."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ _CHECKED = 30_000
 
 
 class BeamReader(Protocol):
-    """Function that returns the beams of selected rows and columns of a scan."""
+    """Function that returns the beams at selected rows and columns of a scan."""
 
     def __call__(self, rows: Numbers, columns: Numbers, /) -> Floats:
-        """Beams of rows and columns, shape (row, column, value)."""
+        """Beams at rows and columns, shape (row, column, value)."""
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Beams on a coarse grid of pixels; the page interpolates between the nodes."""
+    """Beams on a coarse grid of pixels, between which the page interpolates."""
 
     rows: Numbers
     """Row numbers of the nodes, including the first and the last row [1]."""
@@ -52,7 +52,7 @@ class Nodes:
 
 
 def reader_of(image: xr.Dataset) -> BeamReader:
-    """Beam reader of a range image in memory."""
+    """Return a function that reads the beams of a range image in memory."""
 
     def read(rows: Numbers, columns: Numbers) -> Floats:
         part = image.isel(row=rows, column=columns)
@@ -62,7 +62,7 @@ def reader_of(image: xr.Dataset) -> BeamReader:
 
 
 def values_of(part: xr.Dataset) -> Floats:
-    """Beams of a range image as one array."""
+    """Beams of a range image in one array, shape (row, column, value)."""
     beam = geometry_of(part).beam
     base = beam.entry - beam.length_before[..., None] * beam.direction
     angles = np.stack([part["azimuth"].values, part["elevation"].values], axis=-1)
@@ -72,7 +72,7 @@ def values_of(part: xr.Dataset) -> Floats:
 def nodes_of(
     read: BeamReader, shape: tuple[int, int], *, farthest: float, stride: int = 1
 ) -> Nodes:
-    """Coarsest grid of beams that still places every point within a tolerance."""
+    """Coarsest grid of beams that still places all points within a tolerance."""
     step = _FIRST_STEP
     while step > stride:
         nodes = _grid(read, shape, step)
@@ -83,7 +83,7 @@ def nodes_of(
 
 
 def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
-    """Beams between nodes, interpolated as the page does."""
+    """Beams interpolated between the grid nodes, as on the page."""
     up, low = _between(nodes.rows, rows), _between(nodes.columns, columns)
     values = nodes.values.astype(float)
     top = values[up[0]][:, low[0]], values[up[0]][:, low[1]]
@@ -96,7 +96,7 @@ def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
 
 
 def _between(nodes: Numbers, at: Numbers) -> tuple[Numbers, Numbers, Floats]:
-    """Preceding node, following node, and interpolation weight of the latter."""
+    """Grid nodes before and after some indices, and interpolation weight."""
     before = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 1)
     after = np.minimum(before + 1, len(nodes) - 1)
     width = np.maximum(nodes[after] - nodes[before], 1)
@@ -125,11 +125,11 @@ def _error(
 
 
 class Picture(Protocol):
-    """Range image that is read one map at a time."""
+    """Range image from which single maps are read."""
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Numbers of rows and columns."""
 
     @property
     def attributes(self) -> dict[str, Any]:
@@ -137,7 +137,7 @@ class Picture(Protocol):
 
     @property
     def geometry(self) -> dict[str, Any]:
-        """Attributes of the scan geometry."""
+        """Attributes of the scan geometry: positions and refractive indices."""
 
     @property
     def error_unknown(self) -> str:
@@ -147,16 +147,16 @@ class Picture(Protocol):
         """Whether the image has a variable."""
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Values of a variable at a stride of rows and columns."""
+        """Values of a variable at every n-th row and column, n the stride."""
 
     def beams(self) -> BeamReader:
-        """Reader of the image's beams."""
+        """Return a function that reads the beams of the image."""
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
-        """Range image of the given pixels and their surroundings."""
+        """Part of the range image that contains given pixels and their neighbors."""
 
     def place(self, row: int, column: int) -> tuple[int, int]:
-        """Row and column of a scan's pixel in the image that `around` returned."""
+        """Row and column of a scan's pixel within the image from `around`."""
 
     def whole(self) -> xr.Dataset:
         """Whole image in memory; `CubeError` if it is too large."""
@@ -171,7 +171,7 @@ class MemoryPicture:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Numbers of rows and columns."""
         rows, columns = self.image["slant_range"].shape
         return rows, columns
 
@@ -182,7 +182,7 @@ class MemoryPicture:
 
     @property
     def geometry(self) -> dict[str, Any]:
-        """Attributes of the scan geometry."""
+        """Attributes of the scan geometry: positions and refractive indices."""
         return dict(self.image["geometry"].attrs)
 
     @property
@@ -195,15 +195,15 @@ class MemoryPicture:
         return variable in self.image
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Values of a variable at a stride of rows and columns."""
+        """Values of a variable at every n-th row and column, n the stride."""
         return np.asarray(self.image[variable].values[::stride, ::stride])
 
     def beams(self) -> BeamReader:
-        """Reader of the image's beams."""
+        """Return a function that reads the beams of the image."""
         return reader_of(self.image)
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
-        """Whole image, which contains the surroundings of any pixel."""
+        """Whole image, which contains the neighbors of any pixel."""
         return self.image
 
     def place(self, row: int, column: int) -> tuple[int, int]:
@@ -226,7 +226,7 @@ class Channel:
 
     @property
     def shown(self) -> Picture:
-        """Range image used for measuring: after rejection, if there is one."""
+        """Range image used for measurements: after rejection, if available."""
         picture = self.after or self.before
         assert picture is not None
         return picture
@@ -281,7 +281,7 @@ class LargePicture:
         return variable in self._file
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Values of a variable at a stride of rows and columns, floats with 32 bits."""
+        """Values of a variable at every n-th row and column, floats with 32 bits."""
         rows, columns = (-(-size // stride) for size in self.shape)
         kind = self._read(variable, slice(0, 1), slice(0, 1)).dtype.kind
         out = np.empty((rows, columns), np.uint16 if kind in "iu" else np.float32)
@@ -295,7 +295,7 @@ class LargePicture:
         return out
 
     def beams(self) -> BeamReader:
-        """Reader of the image's beams."""
+        """Return a function that reads the beams of the image."""
 
         def read(rows: Numbers, columns: Numbers) -> Floats:
             names = [name for name in _BEAM_NAMES if name in self._file]
@@ -304,7 +304,7 @@ class LargePicture:
         return read
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
-        """Range image of the given rows and columns, and of a coarse grid."""
+        """Range image of given rows and columns, and of a coarse grid."""
         self._kept = [
             np.union1d(
                 np.linspace(0, size - 1, min(size, _MESH)).astype(np.intp),
@@ -320,7 +320,7 @@ class LargePicture:
         return without_unknown_errors(self._part(names, *self._kept))
 
     def place(self, row: int, column: int) -> tuple[int, int]:
-        """Row and column of a scan's pixel in the last image that `around` returned."""
+        """Row and column of a scan's pixel within the last image from `around`."""
         first, second = (
             int(np.searchsorted(indices, value))
             for indices, value in zip(self._kept, (row, column), strict=True)
@@ -378,7 +378,7 @@ _STRUCTURE = ("DIMENSION", "CLASS", "NAME", "REFERENCE", "_Netcdf4", "_FillValue
 
 
 def _plain(attributes: Any) -> dict[str, Any]:
-    """Attributes as plain Python values."""
+    """Attributes converted to plain Python values."""
     plain: dict[str, Any] = {}
     for name, value in attributes.items():
         if name.startswith(_STRUCTURE):
@@ -394,7 +394,7 @@ def _plain(attributes: Any) -> dict[str, Any]:
 
 
 def sharing_of(picture: Picture) -> dict[str, Any] | None:
-    """Parameters from which the page correlates the errors of two pixels."""
+    """Parameters by which the page correlates the errors of two pixels."""
     if not picture.has("slant_range_common_uncertainty") or picture.error_unknown:
         return None
     names = {

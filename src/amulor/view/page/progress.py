@@ -1,4 +1,4 @@
-"""Progress of a scan from its journal, drift of the open-water signal, and advice."""
+"""State of a running scan: progress, drift of the open-water signal, and advice."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CONTRASTS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """Relative change of the open-water signal, with its significance."""
+    """Relative change of the open-water signal and its significance."""
 
     size: float = 0.0
     """Change over the water signal [1]."""
@@ -39,7 +39,7 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Drift of the open-water signal over complete rounds of open-water shots."""
+    """Drift of the open-water signal between rounds of open-water shots."""
 
     elapsed: Sequence[float] = ()
     """Time of each round since the start of the scan [s]."""
@@ -56,7 +56,7 @@ class Drift:
 def drift_of(
     signal: ArrayLike, *, cluster: ArrayLike, elapsed: ArrayLike, rounds: int
 ) -> Drift:
-    """Drift of the open-water signal between rounds of open-water shots.
+    """Drift of the open-water signal between complete rounds of open-water shots.
 
     Each series has a level of its own, the mean of all its rounds, so that no round is
     the one that all others are compared with. Changes of a round are the same in all
@@ -114,7 +114,7 @@ def drift_of(
 
 
 def _two_sided(value: float, error: float, freedom: float) -> float:
-    """Two-sided probability of so large a deviation by chance."""
+    """Probability of at least so large a deviation by chance, two-sided [1]."""
     from scipy.special import stdtr
 
     if value == 0:
@@ -137,7 +137,7 @@ _SHORTEST = 15.0
 
 @dataclass(frozen=True, kw_only=True)
 class Going:
-    """State of a scan: samples, rate, drift, and reason of the end."""
+    """State of a running scan: samples, rate, drift, and reason of its end."""
 
     running: bool
     """Whether a part of the scan is running."""
@@ -175,7 +175,7 @@ _FLAGS = {
 
 
 def advice(going: Going) -> list[str]:
-    """Advice to the operator, most important first."""
+    """Advice to the operator, the most important first."""
     lines = []
     if going.resume is not None:
         lines.append(
@@ -217,7 +217,7 @@ _RECENT = 400
 
 
 class Progress:
-    """Counter of samples, which also stores the scan's signals."""
+    """Counter of a scan's samples, which also stores their signals."""
 
     def __init__(
         self, survey: Survey, meta: Mapping[str, str], *, clock: Callable[[], float]
@@ -266,11 +266,11 @@ class Progress:
 
     @property
     def scanned(self) -> int:
-        """Number of samples of the scan itself [1]."""
+        """Number of samples of the scan, without dark readings and shots [1]."""
         return self._counts[plan.SCAN]
 
     def take(self, key: Key, record: Record) -> tuple[str, int] | None:
-        """Add a sample; return channel and row if it belongs to the scan."""
+        """Add a sample; return channel and row if it is a pixel of the scan."""
         self.seen += 1
         self._counts[key.kind] += 1
         # References after a break, and retakes.
@@ -302,12 +302,12 @@ class Progress:
         return None
 
     def is_complete(self, channel: str, row: int) -> bool:
-        """Whether all pixels of a row have been measured."""
+        """Whether all pixels of a row were measured in a channel."""
         part = self._signal[:, self._channel[channel], row]
         return bool(np.isfinite(part).all())
 
     def row_signal(self, channel: str, row: int) -> NDArray[np.complex128]:
-        """Signals of a row minus the dark signal, shape (frequency, column)."""
+        """Signals of a row without the dark signal, shape (frequency, column) [V]."""
         part = self._signal[:, self._channel[channel], row].copy()
         for frequency, at in self._frequency.items():
             dark = self._dark.get((frequency, channel))
@@ -339,7 +339,7 @@ class Progress:
     def status(
         self, segments: list[dict[str, Any]], *, resume: str | None
     ) -> dict[str, Any]:
-        """State of the scan, for the page."""
+        """State of the scan, as the browser page needs it."""
         now = self._clock()
         last = segments[-1] if segments else {"ended": "", "reason": "not begun"}
         # Devices that are not safe may follow the word.
@@ -392,7 +392,7 @@ class Progress:
         }
 
     def _rate(self, now: float) -> float:
-        """Return the sampling rate over the last minute."""
+        """Return the sampling rate during the last minute [1/s]."""
         recent = [(at, count) for at, count in self._recent if now - at < 60]
         if len(recent) < 2:
             return float("nan")
@@ -401,7 +401,7 @@ class Progress:
 
 
 def _plain(value: Any) -> Any:
-    """Copy of a value for JSON, with None in place of NaN and infinity."""
+    """Copy of a value for JSON, with None for NaN and infinity."""
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Data file for the browser page: maps of each channel before and after rejection."""
+"""Data file on the browser page: maps of each channel, before and after rejection."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def spectrum(
 
 
 def spectra(cubes: Cubes, channel: str, *, most: int) -> dict[str, NDArray[np.float32]]:
-    """Spectra of all pixels of a channel, for a page without a server."""
+    """Amplitude and phase of all pixels of a channel, for a page without a server."""
     encoded = {}
     for name, cube in cubes.items():
         if cube is None or channel not in cube.amulor.polarizations:
@@ -84,7 +84,7 @@ def spectra(cubes: Cubes, channel: str, *, most: int) -> dict[str, NDArray[np.fl
 def _line(
     signal: NDArray[np.complex128], error: NDArray[np.float64] | None
 ) -> dict[str, Any]:
-    """Amplitude and phase of a spectrum as lists."""
+    """Amplitude and phase over frequency, as lists."""
     signal = np.atleast_1d(signal)
     line = {"amplitude": np.abs(signal), "phase": np.angle(signal)}
     if error is not None:
@@ -107,7 +107,7 @@ LONGEST_SIDE = 8192
 
 
 class Recording:
-    """Data file as shown on the page; range images are computed on request."""
+    """Data file as the browser page shows it; range images are computed on request."""
 
     def __init__(
         self,
@@ -151,7 +151,7 @@ class Recording:
         return self._samples
 
     def channel(self, name: str | None = None) -> Channel:
-        """Range images of a channel, by default the first one."""
+        """Range images of a channel; by default of the first channel."""
         chosen = self.channels[0] if name is None else name
         if chosen not in self.channels:
             raise CubeError(
@@ -185,7 +185,7 @@ class Recording:
         return MemoryPicture(image)
 
     def one_row(self, channel: str, row: int) -> xr.Dataset | None:
-        """Water signal and beams of one row."""
+        """Water signal and beams of one row; None if not available."""
         if self._samples is None or channel not in self._samples.amulor.polarizations:
             return None
         cube = self._samples
@@ -207,11 +207,11 @@ class Recording:
 
     @property
     def has_spectrum(self) -> bool:
-        """Whether samples are available in addition to ranges."""
+        """Whether signals at each frequency are available, beside ranges."""
         return self._samples is not None or self._target is not None
 
     def stride(self, channel: str) -> int:
-        """Stride of the rows and columns that are drawn."""
+        """Step between the rows and columns that the page draws."""
         rows, columns = self.channel(channel).shown.shape
         stride = 1
         while (
@@ -245,7 +245,7 @@ class Recording:
         return layers
 
     def layer(self, channel: str, name: str, stride: int) -> NDArray[Any]:
-        """One map at a stride of rows and columns."""
+        """Values of one map at every n-th row and column, n the stride."""
         layers = self.layers(channel)
         if name not in layers:
             raise CubeError(f"{self.name} has no map {name!r} in channel {channel}")
@@ -253,7 +253,7 @@ class Recording:
         return picture.values(variable, stride) if variable else _steps(picture, stride)
 
     def nodes(self, channel: str) -> Nodes:
-        """Beams of a channel on a coarse grid."""
+        """Beams of a channel on a coarse grid of pixels."""
         if channel not in self._nodes:
             self._nodes[channel] = self._nodes_of(channel)
         return self._nodes[channel]
@@ -271,7 +271,7 @@ class Recording:
         )
 
     def describe(self, channel: str | None = None) -> dict[str, Any]:
-        """Return the description of the file that the page needs before any map."""
+        """Return the description of the file, which the page needs before any map."""
         channel = channel or self.channels[0]
         pictures = self.channel(channel)
         picture = pictures.shown
@@ -304,12 +304,12 @@ class Recording:
 
 
 def _water_in(picture: Picture) -> bool:
-    """Whether the water signal is still in the ranges of an image."""
+    """Whether the ranges of an image still contain the water signal."""
     return WATER_NOT_REMOVED in picture.error_unknown
 
 
 def _steps(picture: Picture, stride: int) -> NDArray[Any]:
-    """Range steps: 1 for a step to the next column, plus 2 to the next row."""
+    """Range steps: 1 for a step to the next column, 2 to the next row, 3 for both."""
     names = ["slant_range", "slant_range_uncertainty", "slant_range_common_uncertainty"]
     names += ["slant_range_bound", *(f"{RANGE_PREFIX}{term}" for term in TERMS)]
     maps = {
@@ -349,7 +349,7 @@ def _notes(pictures: Channel) -> list[str]:
 def opened(
     path: Path, *, samples: Path | None = None, interval: Interval = None
 ) -> Recording:
-    """Open a data file for the page."""
+    """Open a data file for the browser page."""
     if is_large(path, variables=["slant_range"]):
         return Recording(path.name, image=large_picture(path), interval=interval)
     cube = read_cube(path)
@@ -366,7 +366,7 @@ def recording_of(
     samples: xr.Dataset | None = None,
     interval: Interval = None,
 ) -> Recording:
-    """Page content of a cube in memory."""
+    """Content of the browser page for a cube in memory."""
     level = str(cube.attrs.get("level"))
     if level == "range_image":
         recording = Recording(name, image=cube, interval=interval)
@@ -393,7 +393,7 @@ def recording_of(
 
 
 def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset | None]:
-    """Return the samples with water, and the target signal if it can be computed."""
+    """Return the samples with water, and the target signal if available."""
     if cube.attrs["level"] == "target_signal":
         return _with_water(cube), cube
     if cube.amulor.open_water is None:
@@ -409,7 +409,7 @@ def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset 
 
 
 def _rejected(cube: xr.Dataset) -> xr.Dataset:
-    """Subtract open water from a scan whose channels may be measured in succession.
+    """Subtract open water from a scan whose channels may be incomplete.
 
     A target that one channel has not seen yet would count as none at all.
     """

@@ -1,4 +1,4 @@
-"""Browser page saved as one file, which opens without a server or network."""
+"""Browser page saved as one file that needs neither server nor network."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def save_page(
 def saved_page(
     recording: Recording, *, measurements: Sequence[Mapping[str, Any]] = ()
 ) -> str:
-    """Browser page of a data file as one HTML text."""
+    """Browser page of a data file as the text of one HTML file."""
     files = static_files()
     scenes = {name: recording.describe(name) for name in _carried(recording)}
     content = {
@@ -85,7 +85,7 @@ def saved_page(
 
 
 def saved_space(space: Space, *, measurements: Sequence[Mapping[str, Any]] = ()) -> str:
-    """Browser page of a point cloud or a mesh as one HTML text."""
+    """Browser page of a point cloud or mesh as the text of one HTML file."""
     scene = space.describe()
     content = {
         "scenes": {"space": scene},
@@ -103,7 +103,7 @@ def saved_space(space: Space, *, measurements: Sequence[Mapping[str, Any]] = ())
 
 
 def _carried(recording: Recording) -> list[str]:
-    """Names of the channels that fit into one saved page."""
+    """Names of the channels that are small enough for one saved page."""
     rows, columns = recording.channel().shown.shape
     room = max(1, MOST_PIXELS // max(rows * columns, 1))
     return recording.channels[:room]
@@ -127,7 +127,7 @@ def _data(name: str, text: str) -> str:
 def _assembled(
     files: Mapping[str, bytes], data: Sequence[str], *, page: str, starts: str
 ) -> str:
-    """Page with all of its files embedded."""
+    """HTML text of a page with all of its files embedded."""
     text = files[f"{page}.html"].decode()
     style = files["page.css"].decode()
     modules = {
@@ -168,7 +168,7 @@ def _assembled(
 
 
 def _modules(files: Mapping[str, bytes], starts: str) -> set[str]:
-    """JavaScript modules that a module imports, directly or not, itself included."""
+    """JavaScript modules that a module needs, directly or indirectly, with itself."""
     modules: set[str] = set()
     pending = [starts]
     while pending:
@@ -180,5 +180,5 @@ def _modules(files: Mapping[str, bytes], starts: str) -> set[str]:
 
 
 def _bare(module: str) -> str:
-    """Return a JavaScript module that imports by name instead of by path."""
+    """Return a JavaScript module that imports others by name instead of by path."""
     return re.sub(r'(from\s+|import\s+)"\./([\w-]+\.js)"', r'\1"page/\2"', module)

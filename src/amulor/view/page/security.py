@@ -1,4 +1,4 @@
-"""Access to the page's server: only this computer's browser with the token.
+"""Access control of the page's server: this computer's browser with a secret token.
 
 A page of another site must not reach it: not by a form or a script (`Origin`), not by a
 name that it lets point here (`Host`), and not without the token of the address.
@@ -42,12 +42,12 @@ _HOST = re.compile(r"(\[(?P<six>[0-9a-fA-F:.]+)\]|(?P<name>[\w.-]+))(:\d{1,5})?"
 
 
 def new_token() -> str:
-    """Random token for the page's URL, which cannot be guessed."""
+    """Random token for the address of the page, which cannot be guessed."""
     return secrets.token_urlsafe(24)
 
 
 def host_of(header: str) -> str:
-    """Name in a `Host` header without port and brackets; empty if it is no host."""
+    """Host name in a `Host` header, without port; empty if the header is invalid."""
     match = _HOST.fullmatch(header)
     return (match["six"] or match["name"]).lower() if match else ""
 
@@ -76,7 +76,7 @@ class Guard:
         self._beyond = beyond
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, refuse, or pass on a request."""
+        """Answer a request, refuse it, or pass it on."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -115,7 +115,7 @@ class Guard:
 
 
 def _limited(receive: Receive) -> Receive:
-    """Receiver that limits the size of a request's body, whatever its header states."""
+    """Receiver that limits the size of a request's body, whatever the header states."""
     remaining = LARGEST_BODY
 
     async def limited() -> Message:

@@ -1,4 +1,4 @@
-"""HTTP server of the page: routes, answers, start and stop."""
+"""HTTP server of the browser page: routes, responses, start and stop."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ _MOST_MEASUREMENTS = 500
 
 
 class Files:
-    """Endpoint for the static files of the page."""
+    """HTTP endpoint for the static files of the page."""
 
     def __init__(self, first: str) -> None:
         self._first = first
         self._files = static_files()
 
     async def index(self, request: Request) -> Response:
-        """Answer with the page."""
+        """Respond with the HTML page."""
         return Response(self._files[self._first], media_type=TYPES[".html"])
 
     async def static(self, request: Request) -> Response:
-        """Answer with a static file."""
+        """Respond with a static file."""
         name = request.path_params["name"]
         if name not in self._files:
             return JSONResponse({"error": "no such file"}, status_code=404)
@@ -57,7 +57,7 @@ class Files:
 
 
 async def measurements_of(request: Request) -> list[dict[str, Any]]:
-    """Measurements in a request to save the page."""
+    """List of measurements in a request to save the page."""
     measurements = (await object_of(request)).get("measurements", [])
     if not isinstance(measurements, list) or len(measurements) > _MOST_MEASUREMENTS:
         raise CubeError(f"at most {_MOST_MEASUREMENTS} measurements are kept")
@@ -67,7 +67,7 @@ async def measurements_of(request: Request) -> list[dict[str, Any]]:
 
 
 async def object_of(request: Request) -> dict[str, Any]:
-    """JSON object of a request."""
+    """JSON object in the body of a request."""
     try:
         content = json.loads(await request.body())
     except (ValueError, RecursionError):
@@ -80,12 +80,12 @@ async def object_of(request: Request) -> dict[str, Any]:
 
 
 def numbers(content: bytes) -> Response:
-    """Response with binary map or point values."""
+    """HTTP response with the binary values of a map or of points."""
     return Response(content, media_type="application/octet-stream")
 
 
 def downloaded(product: Made) -> Response:
-    """Response with a product for download, described in a header."""
+    """HTTP response that downloads a product, with its file name in a header."""
     name = quote(product.name, safe="")
     return Response(
         product.content,
@@ -98,12 +98,12 @@ def downloaded(product: Made) -> Response:
 
 
 async def answered(answer: Callable[[], Response]) -> Response:
-    """Response computed in a thread, or the reason why it failed."""
+    """HTTP response computed in a thread, or the reason for its failure."""
     return await explained(run_in_threadpool(answer))
 
 
 async def explained(answer: Awaitable[Response]) -> Response:
-    """Awaited response, or a response with the reason for its failure."""
+    """HTTP response when it is ready, or the reason for its failure."""
     try:
         return await answer
     except (AmulorError, ValueError) as error:
@@ -111,7 +111,7 @@ async def explained(answer: Awaitable[Response]) -> Response:
 
 
 async def follow(live: Live, socket: WebSocket) -> None:
-    """Send new parts of a scan to a page until the page is closed."""
+    """Send new rows of a scan to a page until the page is closed."""
     live.start()
     gone = asyncio.create_task(_until_gone(socket))
     sent_picture, sent_version = live.pictures, 0
@@ -141,7 +141,7 @@ async def _until_gone(socket: WebSocket) -> None:
 
 
 def message_of(rows: Rows) -> bytes:
-    """Row as a message: length of a JSON head, head, numbers of 32 bits."""
+    """Binary message of a row: length of a JSON head, the head, 32-bit numbers."""
     head = json.dumps(
         {
             "type": "rows",
@@ -244,7 +244,7 @@ def application(
     beyond: bool = False,
     products: Products | None = None,
 ) -> ASGIApp:
-    """ASGI application for the page of a data file, a running scan or a design."""
+    """ASGI application of the page for a file, a running scan or a design."""
     if isinstance(content, Space):
         routes = space_routes(content)
     elif isinstance(content, Explorer):
@@ -389,7 +389,7 @@ def serve(
     token: str | None = None,
     products: Products | None = None,
 ) -> None:
-    """Serve a page until Ctrl-C."""
+    """Serve a browser page until Ctrl-C."""
     with contextlib.closing(_listener(host, port)) as listener:
         address, server = _server(
             content, host, listener, token or new_token(), products
@@ -406,7 +406,7 @@ def background(
     token: str | None = None,
     products: Products | None = None,
 ) -> Iterator[str]:
-    """Serve a page in the background, as in a notebook."""
+    """Serve a browser page in the background, as in a notebook."""
     with contextlib.closing(_listener("127.0.0.1", 0)) as listener:
         address, server = _server(
             content, "127.0.0.1", listener, token or new_token(), products
@@ -423,7 +423,7 @@ def background(
 
 
 def _listener(host: str, port: int) -> socket.socket:
-    """Return the listening socket; requests before the server starts wait in it."""
+    """Return a listening socket; early requests wait in it for the server."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
@@ -446,7 +446,7 @@ def _server(
     token: str,
     products: Products | None,
 ) -> tuple[str, uvicorn.Server]:
-    """URL of a page, and the server for it."""
+    """Address of a page, and the server for it."""
     name = socket.gethostname() if host in _EVERYWHERE else host
     in_address = f"[{name}]" if ":" in name else name
     config = uvicorn.Config(

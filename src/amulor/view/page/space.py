@@ -1,4 +1,4 @@
-"""Point clouds and meshes for the browser page: opened, thinned, described."""
+"""Point clouds and meshes for the browser page: read, thinned and described."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _LENGTHS = ("common", "sigma_x", "sigma_y", "sigma_z")
 
 
 def is_space(path: Path) -> bool:
-    """Whether a file is a cloud or mesh, by its ending or as a cloud in netCDF."""
+    """Whether a file is a cloud or mesh, by its ending or its netCDF level."""
     if path.is_dir():  # of a scan, whatever its name
         return False
     if path.suffix.lower() in ENDINGS:
@@ -65,7 +65,7 @@ def is_space(path: Path) -> bool:
 
 
 def opened(path: Path, *, unit: float | None = None) -> Space:
-    """Open a point cloud or a mesh."""
+    """Open a point cloud or a mesh for the browser page."""
     if not path.is_file():
         raise FormatError(f"{path} does not exist; check the name and the folder")
     ending = path.suffix.lower()
@@ -124,7 +124,7 @@ def _without_unit(path: Path) -> FormatError:
 
 
 def _cloud(path: Path) -> Shape:
-    """Point cloud in amulor's own format."""
+    """Point cloud from a netCDF file of amulor."""
     cloud = read_cube(path)
     if str(cloud.attrs.get("level")) != "point_cloud":
         raise CubeError(f"{path.name} is no point cloud")
@@ -189,7 +189,7 @@ class Space:
 
     @property
     def layers(self) -> list[dict[str, str]]:
-        """Names, labels, units and color scales of the point values."""
+        """Name, label, unit and color scale of each value that points have."""
         entries = []
         for name in self.scalars:
             plain = name.replace("_", " ").capitalize()
@@ -205,7 +205,7 @@ class Space:
         return entries
 
     def values(self, name: str) -> bytes:
-        """Positions, triangles or point values as bytes for the page."""
+        """Positions, triangles or values of the points, as bytes for the page."""
         if name == "position":
             return self.position.tobytes()
         if name == "faces" and self.faces is not None:
@@ -217,7 +217,7 @@ class Space:
         raise CubeError(f"{self.name} has no numbers {name[:40]!r}")
 
     def describe(self) -> dict[str, Any]:
-        """Return the description of the cloud that the page needs before any number."""
+        """Return the description of the cloud, which the page needs before its data."""
         count = len(self.position)
         return {
             "name": self.name,
@@ -269,7 +269,7 @@ class Space:
         return notes
 
     def _spacing(self) -> float:
-        """Typical distance between neighboring points, for the dot size [m]."""
+        """Typical distance between neighboring points, for the size of dots [m]."""
         points = self.position[np.isfinite(self.position).all(axis=1)]
         some = points[:: max(1, len(points) // _SOME)].astype(float)
         if len(some) < 2:
@@ -282,7 +282,7 @@ class Space:
 
 
 def _single(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Values with 32 bits; too large ones become NaN."""
+    """Values with 32 bits; values that are too large become NaN."""
     with np.errstate(over="ignore"):
         single = values.astype("<f4")
     single[~np.isfinite(single)] = np.nan
