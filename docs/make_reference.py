@@ -167,6 +167,11 @@ def flags_page() -> str:
     parts = [
         "# Flags, warnings, error terms",
         "",
+        "A flag marks a pixel or a sample whose result is missing or doubtful. A pixel is",
+        "one direction of the scan. A sample is one reading of the lock-in: one pixel at",
+        "one modulation frequency in one channel (pair of polarizations). An open-water",
+        "reference is a measurement of the same water without a target.",
+        "",
         "This page states the test, the rate of false alarms, the effect and the",
         "remedy of every flag and warning. `amulor explain NAME` prints the same text.",
         "NAME may also be a printed message. `amulor explain FILE --pixel ROW,COLUMN`",
