@@ -183,7 +183,7 @@ def reach(value: ArrayLike, *, name: str, unit: str = "m") -> Array:
 
 
 def measured(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
-    """Return a modulus, uncertainty or count, with NaN for missing measurements.
+    """Return a modulus, uncertainty or count; ValueError if negative, but NaN passes.
 
     Examples
     --------
@@ -195,7 +195,7 @@ def measured(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> 
 
 
 def above_zero(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
-    """Return a measured value above zero, with NaN for missing measurements.
+    """Return a measured value; ValueError unless above zero, but NaN passes.
 
     Examples
     --------
@@ -257,7 +257,7 @@ def broadcast(**arguments: ArrayLike) -> tuple[int, ...]:
 
 
 def one_axis(least: int, **columns: ArrayLike) -> None:
-    """Raise a ValueError unless columns are 1-D, of equal and sufficient length.
+    """Raise a ValueError unless arrays are 1-D, of equal and sufficient length.
 
     Examples
     --------

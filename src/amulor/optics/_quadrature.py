@@ -62,7 +62,7 @@ class Panel(NamedTuple):
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def sine_cosine(x: float) -> tuple[float, float]:
-    """Return sine and cosine for abs(x) < 2e7, in a form that vectorizes."""
+    """Return sine and cosine for abs(x) < 2e7, computed without branches."""
     turns = np.floor(x * (1 / math.pi) + 0.5)
     r = ((x - turns * _PI_1) - turns * _PI_2) - turns * _PI_3
     sign = 1.0 - 2.0 * (turns - 2.0 * np.floor(0.5 * turns))
@@ -164,7 +164,7 @@ def add_panel(
     turn: Array,
     sums: Array,
 ) -> None:
-    """Add one panel's integrals of exp(i w z) times the integrand, w rising.
+    """Add the integrals of exp(i w z) times the integrand over a panel, w rising.
 
     Two rows of work and of turn are overwritten. Below SPLIT of phase over half a panel
     exp(i w z) is a Chebyshev series (Jacobi-Anger), above it the moments of the

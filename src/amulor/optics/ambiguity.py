@@ -176,7 +176,7 @@ def fit(
     longest: Floats,
     doubt: Floats | float = 0.0,
 ) -> tuple[Path, Choices]:
-    """Return the optical path of each pixel, and the scan-wide decisions.
+    """Return the optical path of each pixel, and decisions for the whole scan.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def _solved(
     doubt: Floats | float,
     choices: Choices | None,
 ) -> tuple[Path, Choices]:
-    """Return optical paths, and the decisions, made from these pixels unless given."""
+    """Return optical paths and scan-wide decisions, computing decisions not given."""
     if choices is None:
         order = _by_error(uncertainty, modulation_frequency)
     else:
@@ -268,7 +268,7 @@ def _solved(
 
 
 def _by_error(uncertainty: Floats, modulation_frequency: Floats) -> tuple[int, ...]:
-    """Return frequency indices, sorted by the rising path error of their phases."""
+    """Return frequency indices in order of rising path error."""
     per_phase = speed_of_light / modulation_frequency / (2 * np.pi)
     sigma = np.maximum(uncertainty, _SMALLEST_PHASE_ERROR).reshape(len(per_phase), -1)
     return tuple(int(k) for k in np.argsort(np.nanmedian(sigma, axis=1) * per_phase))
@@ -305,7 +305,7 @@ class _Phases:
 def _wrong(
     path: Path, unsettled: NDArray[np.bool_], phases: _Phases
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return outlying phases of unsettled pixels, and pixels settled without them."""
+    """Return outliers of unsettled pixels, and pixels that agree without them."""
     left_out = path.left_out[:, unsettled]
     strain = path.strain[unsettled]
     cured = np.zeros(strain.size, dtype=bool)
@@ -337,7 +337,7 @@ def _leave_out(
     left_out: NDArray[np.bool_],
     cured: NDArray[np.bool_],
 ) -> None:
-    """Recompute in place the paths of pixels without their outlying phases."""
+    """Recompute the paths of some pixels in place, without their outlying phases."""
     if not cured.any():
         return
     places = np.zeros(unsettled.shape, dtype=bool)
@@ -352,7 +352,7 @@ def _leave_out(
 def _without_each(
     phases: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return misfit, and whether settled, with each frequency omitted in turn."""
+    """Return the misfit, and whether phases agree, without each frequency in turn."""
     strains = np.full(left_out.shape, np.inf)
     settled = np.zeros(left_out.shape, dtype=bool)
     for index in range(len(left_out)):
@@ -385,7 +385,7 @@ def _grouped(
 
 
 def _best_path(phases: _Phases) -> Path:
-    """Return the path of least misfit; phases of infinite error are ignored."""
+    """Return the path of least misfit, ignoring phases of infinite error."""
     phase, modulation_frequency = phases.phase, phases.modulation_frequency
     shortest, longest = phases.shortest, phases.longest
     wavelength = speed_of_light / modulation_frequency
@@ -450,7 +450,7 @@ def _best_path(phases: _Phases) -> Path:
 
 
 def _chi_square_limits(count: int) -> Floats:
-    """Return the largest acceptable misfit by degrees of freedom, starting at 0."""
+    """Return the largest acceptable misfit for 0, 1, 2, ... degrees of freedom."""
     from scipy.special import chdtri
 
     return np.asarray(chdtri(np.arange(count), DISAGREEMENT), dtype=float)

@@ -27,7 +27,7 @@ __all__ = [
 def total_signal(
     target_signal: ArrayLike, water_signal: ArrayLike
 ) -> NDArray[np.complex128]:
-    r"""Return the total signal of a target behind water, a complex sum.
+    r"""Return the complex sum of target signal and water signal.
 
     Parameters
     ----------

@@ -195,7 +195,7 @@ def late_echo(
 
 
 def _at_frequency(rate: Array, excess: Array, unscattered: Array) -> Array:
-    """Return the excess path that the phase of the echo shows [m].
+    """Return the excess path that the echo's phase corresponds to [m].
 
     The rate is that of the phase with the way [rad/m].
     """
@@ -262,7 +262,7 @@ def _excess(
     cross_tilt: Array,
     standoff: Array,
 ) -> Array:
-    """Return excess path by scattering and by aperture [m], unscattered share."""
+    """Return excess paths by scattering and aperture [m], and unscattered fraction."""
     way = depth + standoff
     width = receiver_radius**2 + beam_radius**2
     width = width + (acceptance_angle * way) ** 2 + (beam_divergence * depth) ** 2

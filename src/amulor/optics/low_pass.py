@@ -389,7 +389,7 @@ def _grid(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _closest(residual_sum: NDArray[np.float64], f: NDArray[np.float64]) -> int:
-    """Return the index of the least sum of squares; error if at the grid's end."""
+    """Return the index of the least sum of squares; ValueError at the grid's ends."""
     closest = int(np.argmin(residual_sum))
     if closest in (0, residual_sum.size - 1):
         raise _not_shown(f)
@@ -407,7 +407,7 @@ def _not_shown(f: NDArray[np.float64]) -> ValueError:
 def fit_if_shown(
     modulation_frequency: ArrayLike, amplitude: ArrayLike
 ) -> LowPassFit | None:
-    """Return the fit, or None for a sweep all below or all above the cut-off.
+    """Return a first-order low-pass fit; None if the cut-off is outside the sweep.
 
     Parameters
     ----------

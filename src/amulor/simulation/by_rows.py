@@ -32,7 +32,7 @@ _AT_ONCE = 2**20
 
 @dataclass(kw_only=True)
 class _Plane:
-    """Random numbers of one plane of (row, column), with the number drawn so far."""
+    """Random generator for one plane of (row, column), with its count of draws."""
 
     start: np.random.Generator
     now: np.random.Generator
@@ -40,7 +40,7 @@ class _Plane:
 
 
 class RowNoise:
-    """Random numbers of some rows, equal to those drawn for the whole scan."""
+    """Random generator for some rows, with the numbers drawn for the whole scan."""
 
     def __init__(
         self,

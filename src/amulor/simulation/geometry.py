@@ -30,7 +30,7 @@ class Setup:
 
     @cached_property
     def medium(self) -> rays.Medium:
-        """Indices of the water, and the window if there is one."""
+        """Refractive indices of the water, and the window if there is one."""
         return medium_of(self.survey)
 
     @cached_property
@@ -40,7 +40,7 @@ class Setup:
 
     @cached_property
     def full_rate(self) -> float:
-        """Photoelectron rate if all launched light returned [1/s]."""
+        """Photoelectron rate that would result if all launched light returned [1/s]."""
         return counting.full_rate(self.survey)
 
     @cached_property
@@ -50,7 +50,7 @@ class Setup:
 
     @cached_property
     def volt_per_power(self) -> float:
-        """Peak amplitude at the lock-in if all launched light returned [V]."""
+        """Peak lock-in amplitude that all launched light would cause if it returned [V]."""
         instrument = self.survey.instrument
         return (
             instrument.modulation_depth
@@ -147,7 +147,7 @@ def trace(
 def _brightness(
     survey: Survey, scene: Scene, hits: Hits, beam: rays.Beam, receiver: Floats
 ) -> Floats:
-    """Return the radiance towards the receiver over that of a Lambertian surface."""
+    """Return the radiance towards the receiver relative to a Lambertian surface [1]."""
     bright = scene.texture(hits)
     ray = -beam.direction.reshape(-1, 3)
     for number, target in enumerate(survey.targets):

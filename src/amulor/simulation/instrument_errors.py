@@ -50,7 +50,7 @@ class Chain:
 
     @classmethod
     def of(cls, setup: Setup, rng: np.random.Generator | int) -> Chain | None:
-        """Return a setup's signal chain, None without errors; `rng` is not advanced."""
+        """Return a setup's signal chain, None without errors; `rng` stays unchanged."""
         errors = setup.survey.instrument.errors
         if errors is None:
             return None
@@ -59,7 +59,7 @@ class Chain:
 
     @property
     def survey(self) -> Survey:
-        """Survey with the errors."""
+        """Survey that states the instrument errors."""
         return self.setup.survey
 
     @property
@@ -71,7 +71,7 @@ class Chain:
 
     @property
     def light_setup(self) -> Setup:
-        """Setup at all frequencies that reach the outputs, harmonics included."""
+        """Setup at all frequencies that affect the outputs, including harmonics."""
         if self.errors.clock is None and self.errors.harmonic is None:
             return self.setup
         return Setup(
@@ -137,7 +137,7 @@ class Chain:
     def scan_samples(
         self, target: Light, water: Light, time: Floats, *, rng: lock_in.Noise
     ) -> lock_in.Samples:
-        """Draw the samples of scan rows whose pixels begin at given times."""
+        """Draw lock-in samples of scan rows for given start times of the pixels."""
         rows = self._rows(time)
         shape = (2, *self._plane, self.survey.scan.columns)
         return self._samples(
@@ -151,7 +151,7 @@ class Chain:
         )
 
     def shot_samples(self, water: Light, *, rng: lock_in.Noise) -> lock_in.Samples:
-        """Draw the samples of the open-water shots, in the order of recording."""
+        """Draw lock-in samples of the open-water shots, in the order of recording."""
         count, before = water.mean.shape[-1], self._shots_before
         place = np.arange(count)
         scan = self.survey.scan
@@ -194,7 +194,7 @@ class Chain:
         return self._step * max(scan.rows * scan.columns + shots - 1, 1)
 
     def _rows(self, time: Floats) -> NDArray[np.intp]:
-        """Return the numbers of rows whose pixels begin at given times."""
+        """Return row numbers for given start times of the pixels."""
         row = time.min(axis=-1) / (self._step * self.survey.scan.columns)
         return np.asarray(np.rint(row).astype(np.intp))
 
@@ -215,7 +215,7 @@ class Chain:
         )
 
     def _course(self, time: Floats) -> Floats:
-        """Return the fraction of the total drift that is reached at given times [1]."""
+        """Return the drift at given times as a fraction of the total drift [1]."""
         drift = self.errors.drift
         settling = None if drift is None else drift.settling_time
         if settling is None:
@@ -315,7 +315,7 @@ class Chain:
         return signal
 
     def _demodulated(self, signal: Complex, time: Floats, white: _Draw) -> Complex:
-        """Return the demodulator's outputs for its input signal."""
+        """Return the demodulator's complex output for its input signal."""
         scale, outputs = self.errors.scale_change, self.errors.demodulator
         noise = self.errors.noise
         if scale is not None:
@@ -341,7 +341,7 @@ class Chain:
         return signal
 
     def _pink(self, time: Floats) -> Floats:
-        """Return pink noise of variance 1 at times, (2, frequency, channel, *times).
+        """Return pink noise of variance 1 at given times, for both quadratures.
 
         A sum of tones of equal power whose frequencies are even in the logarithm.
         """

@@ -26,7 +26,7 @@ from amulor.survey.view import View
 
 @dataclass(frozen=True)
 class Light:
-    """Received over launched power, dimensions (frequency, polarization, pixels...)."""
+    """Ratio of received to launched power, (frequency, polarization, pixels...)."""
 
     modulated: NDArray[np.complex128]
     """Received over launched power at each modulation frequency, complex [1]."""
@@ -97,7 +97,7 @@ def water_light(
 
 
 def _model_arguments(setup: Setup, view: View) -> dict[str, Any]:
-    """Return the arguments common to the echo and column methods of a model."""
+    """Return the arguments that a model's methods `echo` and `column` share."""
     return {"survey": setup.survey, "water": setup.water, "view": view}
 
 
@@ -126,7 +126,7 @@ def _column_axes(
 
 
 def _frequencies(survey: Survey) -> NDArray[np.float64]:
-    """Return 0 Hz, for the mean light, and the modulation frequencies [Hz]."""
+    """Return the modulation frequencies, with 0 Hz for the mean light first [Hz]."""
     return np.array([0.0, *survey.instrument.modulation_frequencies])
 
 
@@ -182,7 +182,7 @@ class Noise(Protocol):
 
 
 def draws(survey: Survey) -> list[tuple[str, int]]:
-    """Return the distributions that `sample` draws from, with numbers of planes."""
+    """Return the random distributions of `sample`, with their counts of planes."""
     analysers = len(survey.instrument.polarizations)
     planes = len(survey.instrument.modulation_frequencies) * analysers
     speckled = survey.instrument.receiver.speckle_cells is not None

@@ -144,7 +144,7 @@ class Setting:
 
 
 def fit(setting: Setting) -> SignalModel:
-    """Return the forward model, fitted to all pixels of a scan if it needs a fit.
+    """Return the forward model, fitted to all pixels of a scan if fits are supported.
 
     The fit uses all pixels of a scan of up to `tiles.SAMPLE` pixels, else as many that
     are spread over the scan from edge to edge.
@@ -184,7 +184,7 @@ def _spread(rows: int, columns: int) -> dict[str, NDArray[np.intp]]:
 def _light(
     setting: Setting, directions: tuple[Floats, Floats, Floats], *, model: SignalModel
 ) -> tuple[geometry_of.Geometry, lock_in.Light, lock_in.Light]:
-    """Return the geometry of beams, and their light of targets and water."""
+    """Return the geometry of beams, and the light received from targets and water."""
     setup = setting.light_setup
     tell("following the beams to the targets", 0.0)
     geometry = geometry_of.trace(setting.setup, directions=directions)

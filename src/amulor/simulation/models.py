@@ -76,7 +76,7 @@ class SignalModel(Protocol):
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received over launched power of light from the targets [1].
+        """Return target echo power over launched power [1].
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class SignalModel(Protocol):
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received over launched power of the water in front of `end` [1].
+        """Return backscatter power of water in front of `end` over launched power [1].
 
         Parameters
         ----------
@@ -192,7 +192,7 @@ class UncertainModel(Protocol):
         view: View,
         end: Any,
     ) -> tuple[Complex, Error]:
-        """Return `column` with its standard error, composed like that of `echo`."""
+        """Return `column` with its standard error, real and imaginary part combined."""
         ...
 
 
@@ -240,7 +240,7 @@ class DiffusionModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received over launched power of the water; see `SignalModel`."""
+        """Return water backscatter power over launched power; see `SignalModel`."""
         _refuse_for_diffusion(survey, water)
         return small_angle_diffusion.water_response(
             modulation_frequency,
@@ -305,7 +305,7 @@ class SmallAngleModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received over launched power of the targets; see `SignalModel`."""
+        """Return target echo power over launched power; see `SignalModel`."""
         echo = (
             target_echo.sharp_receiver_target_response
             if has_sharp_receiver(survey)
@@ -326,7 +326,7 @@ class SmallAngleModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received over launched power of the water; see `SignalModel`."""
+        """Return water backscatter power over launched power; see `SignalModel`."""
         column = (
             sharp_receiver.water_response
             if has_sharp_receiver(survey)
@@ -371,7 +371,7 @@ class ClosureModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received over launched power of the targets; see `SignalModel`."""
+        """Return target echo power over launched power; see `SignalModel`."""
         return target_echo.closure_target_response(
             modulation_frequency,
             **surface,
@@ -387,7 +387,7 @@ class ClosureModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received over launched power of the water; see `SignalModel`."""
+        """Return water backscatter power over launched power; see `SignalModel`."""
         return small_angle_closure.water_response(
             modulation_frequency,
             backscatter_vsf=water.backscatter_vsf,

@@ -159,7 +159,7 @@ class Setting:
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """Received over launched power at each frequency, with standard errors."""
+    """Ratio of received to launched power at each frequency, with standard error."""
 
     water: Complex
     """Received over launched power of light that met only water, shape (n,) [1]."""
@@ -362,7 +362,7 @@ class PhotonModel:
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return received over launched power of the targets; see `SignalModel`."""
+        """Return target echo power over launched power; see `SignalModel`."""
         return self.echo_with_error(
             modulation_frequency, survey=survey, water=water, view=view, surface=surface
         )[0]
@@ -401,7 +401,7 @@ class PhotonModel:
         view: View,
         end: Any,
     ) -> Complex:
-        """Return received over launched power of the water; see `SignalModel`."""
+        """Return water backscatter power over launched power; see `SignalModel`."""
         return self.column_with_error(
             modulation_frequency, survey=survey, water=water, view=view, end=end
         )[0]
@@ -529,7 +529,7 @@ class PhotonModel:
         return light
 
     def _reported(self, count: tuple[int, int]) -> Callable[[Progress], None]:
-        """Return a progress callback for the photons of one beam among several."""
+        """Return a progress callback for the photons of one of several beams."""
         tell = _progress.tell if self.progress is None else self.progress
         number, places = count
 
@@ -549,7 +549,7 @@ def _apply(
     value: Complex,
     error: Floats,
 ) -> None:
-    """Multiply the small-angle light of some beams by ratios, and set its error."""
+    """Multiply the small-angle light of some beams by ratios, and store its error."""
     between = [1] * (value.ndim - 1 - selected.ndim)
     ratio, standard_error = factor
     error[..., selected] = abs(value[..., selected]) * standard_error.reshape(

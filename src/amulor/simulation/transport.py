@@ -178,7 +178,7 @@ def relative_amplitude_uncertainty(tally: Tally) -> NDArray[np.float64]:
 
 
 def _moduli(tally: Tally) -> NDArray[np.float64]:
-    """Return each batch's component along the mean signal, shape (batches, n)."""
+    """Return each batch's component along the mean signal, (batch, frequency)."""
     values = tally.batches.sum(axis=1)[:, 0]
     along: NDArray[np.float64] = (
         values * np.conj(tally.signal) / np.abs(tally.signal)

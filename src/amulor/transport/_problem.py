@@ -173,12 +173,12 @@ class Problem:
 
     @cached_property
     def water(self) -> Water:
-        """Water layers in the form of the compiled loops."""
+        """Water layers as an argument of the compiled loops."""
         return water_tables(self.layers, self.edges)
 
     @cached_property
     def beam(self) -> Beam:
-        """Source in the form of the compiled loops."""
+        """Source as an argument of the compiled loops."""
         direction = unit_vector(self.source.direction, name="direction")
         axes = axes_of(direction, name="direction of the source")
         return Beam(
@@ -201,7 +201,7 @@ class Problem:
 
     @cached_property
     def surface(self) -> Surface:
-        """Target in the form of the compiled loops; empty without target."""
+        """Target as an argument of the compiled loops, empty without target."""
         target = self.target
         plane = isinstance(target, PlaneTarget)
         right = [float(component) for component in self.axes[:, 0]]
@@ -227,7 +227,7 @@ class Problem:
 
     @property
     def joined_touch(self) -> float:
-        """Estimated light of a target reflection joined with an adjoint path [1].
+        """Estimated light of a target reflection that is joined with adjoint paths [1].
 
         Omega times reflectance over pi, for a target that faces the receiver; 0 where
         no path of light from the target is scattered on its way. Several times as much
@@ -242,7 +242,7 @@ class Problem:
 
     @cached_property
     def scene(self) -> Scene:
-        """Water, source, target and receiver in the form of the compiled loops."""
+        """Water, source, target and receiver as an argument of the compiled loops."""
         return Scene(
             beam=self.beam, face=self.face, water=self.water, target=self.surface
         )
@@ -316,7 +316,7 @@ def _cells_of(function: Any) -> AngleCells:
 
 @lru_cache(maxsize=8)
 def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
-    """Return alias table, phase function and matrix elements per angle cell."""
+    """Return alias table, phase function and matrix elements for all angle cells."""
     cells = _cells_of(function)
     element = np.zeros((_cells.SIZE, 5))
     if isinstance(function, ScatteringMatrix):

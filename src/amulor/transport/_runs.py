@@ -46,7 +46,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Accumulator:
-    """Results of the batches so far, neighbors merged if there are many.
+    """Results of the batches so far, with neighboring batches merged if many.
 
     What is kept depends on the batches alone, so a run that was resumed has the same
     numbers as one that was not. A batch makes a new accumulator, so an interruption at
@@ -66,7 +66,7 @@ class Accumulator:
 
     @classmethod
     def start(cls, frame: Tally, resume: Tally | None) -> Self:
-        """Return an accumulator, empty or with the batches of a run to resume."""
+        """Return an empty accumulator, or one with the batches of a run to resume."""
         if resume is None:
             return cls(frame=frame, full=frame.batch_size)
         if resume.problem != frame.problem or resume.parts != frame.parts:
@@ -163,7 +163,7 @@ class Accumulator:
 
     @property
     def contribution(self) -> tuple[float, float, float]:
-        """Sum, sum of squares and maximum of the group contributions, all light."""
+        """Sum, sum of squares and maximum of the groups' contributions to all light."""
         if self.contributions is None:
             return (0.0, 0.0, 0.0)
         total, square, largest = (float(value) for value in self.contributions[0, 0])
@@ -413,7 +413,7 @@ class Record:
     def empty(
         cls, attenuation: Array, group_index: float, frequency: Array, frame: Tally
     ) -> Self:
-        """Return an empty record for the parts of a tally."""
+        """Return an empty record with an array for each kind of light in a tally."""
         wavenumber = 2j * np.pi * frequency * group_index / speed_of_light
         steepest = max(float(np.abs(wavenumber).max()), float(attenuation.max()))
         spacing = _STEP / steepest
@@ -429,7 +429,7 @@ class Record:
         )
 
     def arrays(self, orders: int) -> Deposits:
-        """Return the record arrays for the compiled loops."""
+        """Return the record's arrays as an argument of the compiled loops."""
         return Deposits(
             mass=self.mass,
             edge=self.edge,

@@ -202,5 +202,5 @@ class Medium:
 
     @property
     def unbounded(self) -> bool:
-        """Whether the medium is one water that fills all space."""
+        """Whether the medium is a single layer of water that fills all space."""
         return all(math.isinf(edge) for edge in self.edges)

@@ -87,7 +87,7 @@ class MeshTarget:
         return inside
 
     def reach_into(self, centre: Array, axis: Array, radius: float) -> float:
-        """Largest distance from the rim of a disc to the mesh inside it, or 0 [m].
+        """Depth to which a mesh extends into a disc from its rim, 0 if outside [m].
 
         Parameters
         ----------

@@ -229,7 +229,7 @@ class _Run:
 
     @property
     def stated(self) -> dict[str, Any]:
-        """Numbers and names that determine the result of the batches."""
+        """Settings that determine the result of the batches, by name."""
         return {
             "problem": self.problem.digest,
             "technique": asdict(self.technique),

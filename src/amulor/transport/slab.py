@@ -204,7 +204,7 @@ class _Run:
 
 
 def _axes(outward: Array) -> Array:
-    """Return exit directions with their polarization axes, shape (m, 6)."""
+    """Return exit directions with their polarization axes, shape (direction, 6)."""
     polar, azimuth = outward.T
     columns = [
         np.sin(polar) * np.cos(azimuth),

@@ -44,7 +44,7 @@ def analyser_vector(name: str) -> Array:
 
 
 def sums_of(weight: Array) -> Array:
-    """Return sum, sum of squares and maximum of the group contributions."""
+    """Return sum, sum of squares and maximum of the light of groups of histories."""
     light = np.stack([weight.sum(axis=1), weight[:, 0], weight[:, 1]])
     if weight.shape[2] == 4:
         vectors = np.stack([analyser_vector(name) for name in ANALYSERS], axis=-1)
@@ -62,14 +62,14 @@ def sums_of(weight: Array) -> Array:
 
 
 def together(first: Array, second: Array) -> Array:
-    """Return the sums of two sets of group contributions combined."""
+    """Combine the sums and maxima of two sets of group contributions."""
     result = first + second
     result[..., LARGEST] = np.maximum(first[..., LARGEST], second[..., LARGEST])
     return result
 
 
 def outweighs(sums: Array, *, groups: int, unseen: float = 0.0) -> bool:
-    """Return whether one group shifts the mean by more than a standard error."""
+    """Return whether a single group of histories dominates the standard error."""
     if groups < 2:
         return False
     total, square, largest = (float(value) for value in sums)
@@ -253,7 +253,7 @@ class Tally:
         return bool(self.batches.shape[2] == 4)
 
     def _select(self, which: str) -> Complex:
-        """Return batch means of one kind of light, shape (batches, components, n)."""
+        """Return batch means of one kind of light, (batch, component, frequency)."""
         target = np.array([name.startswith("target") for name in self.parts])
         chosen = dict(zip(LIGHT, (np.ones_like(target), ~target, target), strict=True))
         summed: Complex = self.batches[:, chosen[which]].sum(axis=1)
@@ -372,13 +372,13 @@ class Tally:
         return result
 
     def _weight(self) -> Array:
-        """Weights of the squared batch deviations, for the variance of the mean."""
+        """Weights of the batches' squared deviations in the variance of the mean."""
         if self.histories_of.size < 2:
             raise ValueError("an error needs at least two batches, got one")
         return variance_weight(self.histories_of)
 
     def _scatter(self, values: Array) -> Array:
-        """Return the covariance of the mean of real vectors, shape (batches, m)."""
+        """Return the covariance of the mean over batches of real vectors."""
         weight = self.histories_of / self.histories
         centred = values - weight @ values
         result: Array = (centred * self._weight()[:, np.newaxis]).T @ centred
@@ -492,7 +492,7 @@ class Tally:
 
     @property
     def effective_contributions(self) -> float:
-        """Effective number of contributions, by their relative scatter [1]."""
+        """Effective number of contributions, from their sum and sum of squares [1]."""
         total, square, _ = self.contribution
         return total**2 / square if square > 0 else 0.0
 
@@ -504,7 +504,7 @@ class Tally:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Whether a single group dominates the error of all, water or target light.
+        """Whether a single group dominates the error of total, water or target light.
 
         If so, the stated error of at least one of them is likely too small;
         `heavy_tail_of` tells which.
@@ -513,7 +513,7 @@ class Tally:
         return any(self.heavy_tail_of(light) for light in kinds)
 
     def heavy_tail_of(self, light: str = "all", *, analyser: str = "none") -> bool:
-        """Return whether a single group shifts the mean by more than a standard error.
+        """Return whether a single group of histories dominates the error of the light.
 
         Parameters
         ----------
@@ -644,7 +644,7 @@ class Tally:
 def paired(
     batches: Complex, histories_of: NDArray[np.int64]
 ) -> tuple[Complex, NDArray[np.int64]]:
-    """Merge neighboring batches in pairs; an odd last one remains."""
+    """Merge neighboring batches in pairs; an odd last batch is kept."""
     starts = np.arange(0, histories_of.size, 2)
     joined: NDArray[np.int64] = np.add.reduceat(histories_of, starts)
     fraction = histories_of / np.repeat(joined, 2)[: histories_of.size]
@@ -653,7 +653,7 @@ def paired(
 
 
 def variance_weight(histories_of: NDArray[np.int64]) -> Array:
-    """Return weights of squared batch deviations for the variance of the mean.
+    """Return weights of the batches' squared deviations in the variance of the mean.
 
     Free of bias for batches of any sizes; fraction / (batches - 1) for equal ones.
     """
@@ -671,7 +671,7 @@ def _over(error: Array, modulus: Array) -> Array:
 
 
 def _along(signal: Complex, covariance: Array, *, turn: complex) -> Array:
-    """Return the standard error of a signal along its phase times turn."""
+    """Return the standard error of a signal's component along signal * turn."""
     modulus = np.abs(signal)
     unit = (
         np.divide(signal, modulus, out=np.ones_like(signal), where=modulus > 0) * turn

@@ -213,7 +213,7 @@ def _remainder(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _smooth_weight(nu: float, relative_index: float) -> float:
-    """Return the weight of the term in 3 cos^2 - 1."""
+    """Return the weight of the term 3 cos^2(angle) - 1 in the phase function."""
     logs = np.array([_log_delta_pi(relative_index)])
     ratio = -_growth(nu, logs) / _growth(1.0, logs) / np.exp(nu * logs)
     return float(ratio[0]) / (16 * np.pi)

@@ -177,7 +177,7 @@ class Panels:
     def _rule(
         self, low: NDArray[np.float64], high: NDArray[np.float64], *, order: int = 16
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return angles and weights * 2 pi p sin(angle), shape (panel, order)."""
+        """Return quadrature angles, and weights times 2 pi p sin(angle), by panel."""
         nodes, weights = gauss_legendre(order)
         half = (high - low)[:, np.newaxis] / 2
         angle = np.minimum(low[:, np.newaxis] + half * (nodes + 1), np.pi)

@@ -41,7 +41,7 @@ LARGEST_SIZE_PARAMETER = 2e4
 
 
 class Sphere(NamedTuple):
-    """Efficiencies of a sphere: its cross sections over its geometric one.
+    """Mie efficiencies of a sphere: cross sections over the geometric cross section.
 
     Examples
     --------

@@ -286,7 +286,7 @@ def _slope_value(
 def _edges(
     node: NDArray[np.float64], change: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return panels at most 2-fold wide in angle, with limited change of value."""
+    """Return panel edges at most a factor of 2 apart, with limited change of value."""
     start = 1 if node[0] == 0 else 0
     first = node[start]
     parts = [np.geomspace(INNERMOST_ANGLE, first, 2 + int(np.log2(first) + 40))[:-1]]

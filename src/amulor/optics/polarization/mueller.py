@@ -388,7 +388,7 @@ def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
 
 
 def _axes_turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation matrix for Stokes vectors between rotated axes."""
+    """Return the matrix that converts a Stokes vector to rotated axes."""
     cosine, sine = np.cos(2 * angle), np.sin(2 * angle)
     matrix = np.zeros((*angle.shape, 4, 4))
     matrix[..., 0, 0] = matrix[..., 3, 3] = 1

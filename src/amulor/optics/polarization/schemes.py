@@ -273,7 +273,7 @@ def cross_talk(
     receiver: PolarizationArm = IDEAL,
     laser: ArrayLike = (1.0, 0.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:
-    r"""Return the error of a polarizer pair's reading by imperfect components.
+    r"""Return the error of the detected fraction caused by imperfect components.
 
     Parameters
     ----------

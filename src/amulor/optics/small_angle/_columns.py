@@ -247,7 +247,7 @@ def panels(
     partial_sum: float,
     breaks: Sequence[float] = (),
 ) -> tuple[Array, Array, float]:
-    """Return edges of depth panels, overlap F(z) at their nodes, its integral.
+    """Return edges of depth panels, the overlap F(z) at their nodes, and its integral.
 
     light is F(z); on_axis is at least as large but for the loss, and falls with the
     square of the depth beyond the length. The first panel is a step wide; at breaks
@@ -304,7 +304,7 @@ def panels(
 
 @cache
 def depth_rule() -> tuple[Array, Array, Array]:
-    """Return Gauss-Legendre nodes, weights, and the matrix of the last four terms."""
+    """Return Gauss-Legendre nodes, weights, and a matrix for the last four terms."""
     size = 2 * ORDER
     node, weight = legendre.leggauss(size)
     order = np.arange(size)
@@ -502,7 +502,7 @@ def overlap_of(
     phase_function: PhaseFunction,
     split_angle: float,
 ) -> Array:
-    """Return the overlap F(z) for arrays of arguments, by a function of one column."""
+    """Return the overlap F(z) for arrays of arguments, computed column by column."""
     z = np.asarray(checked("depth", depth))
     spread = table(phase_function, split_angle)
     columns = _columns(arguments, depth=z)
@@ -544,7 +544,7 @@ def response_of(
     batched: Many | None = None,
     fewest: int = 2,
 ) -> NDArray[np.complex128]:
-    """Return the water signal for arrays of arguments, by a given column integral.
+    """Return the water signal for arrays of arguments from integrals of columns.
 
     batched gives it for at least the fewest columns that differ only in the view.
     """
@@ -657,7 +657,7 @@ def _views(
 
 
 def _columns(arguments: Arguments, **arrays: Any) -> dict[str, NDArray[Any]]:
-    """Return the arguments as arrays, checked to broadcast with given arrays."""
+    """Return the arguments as arrays, checked to broadcast with further arrays."""
     columns = {name: np.asarray(value) for name, value in arguments.named().items()}
     if any(np.ndim(value) for value in (*columns.values(), *arrays.values())):
         _bounds.broadcast(**arrays, **columns)

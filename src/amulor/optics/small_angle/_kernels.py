@@ -99,7 +99,7 @@ def lost(x: float, split: float, table: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _scattering_end(depth: float, top: float, water: Water, table: Array) -> float:
-    """Return the frequency kappa beyond which scattering leaves no light, or top."""
+    """Return the spatial frequency beyond which no light remains, at most `top`."""
     thickness = water.forward * depth
     if thickness > _SCATTERED_END:
         while (
@@ -127,7 +127,7 @@ def _scattered_at(
     rule: Array,
     work: Array,
 ) -> float:
-    """Return F(z) / pi R^2 gamma^2 of forward-scattered light, axes offset apart."""
+    """Return the overlap of forward-scattered light over pi R^2 gamma^2 at a depth."""
     nodes = rule.shape[1]
     path = z + water.standoff
     area = water.radius_squared + water.angle_squared * path * path
@@ -180,7 +180,7 @@ def aimed(look: Array, water: Water) -> Water:
 def scattered(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill `out` with F(z) / pi R^2 gamma^2 of forward-scattered light.
+    """Fill `out` with the overlap of forward-scattered light over pi R^2 gamma^2.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
     less its unscattered part, docs/theory/water-signal.md: an integral over the spatial
@@ -203,7 +203,7 @@ def scattered(
 def add_panels(
     edge: Array, value: Array, phase_per_depth: Array, rule: Array, sums: Array
 ) -> None:
-    """Add the integrals of exp(i w z) F(z) over panels, for rising w.
+    """Add the integrals of exp(i w z) times the overlap F(z) over panels, w rising.
 
     A row of value holds a panel at its Gauss-Legendre nodes, rising.
     """
@@ -223,7 +223,7 @@ def add_panels(
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def separation(z: float, view: Array, water: Water) -> float:
-    """Return ln(1 + q), with q the squared axis distance over the squared blur.
+    """Return ln(1 + q) for q, the squared axis distance over the squared width.
 
     A view is baseline, tilt and cross tilt.
     """
@@ -263,7 +263,7 @@ def add_columns(
     rules: tuple[Array, Array, Array],
     sums: Array,
 ) -> None:
-    """Add the integrals of exp(i w z) F(z) over many columns, for rising w.
+    """Add the integrals of exp(i w z) times the overlap F(z) of many columns, w rising.
 
     A row of view is baseline, tilt, cross tilt and end of a column; edge has the
     panels, rising; span the start and the width of the cells of each node of them in

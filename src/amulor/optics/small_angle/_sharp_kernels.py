@@ -146,7 +146,7 @@ def _turned(
 
 @numba.njit(cache=True, error_model="numpy")
 def _scattering_end(place: _Place, table: Array) -> float:
-    """Return the spatial frequency beyond which scattering leaves no light."""
+    """Return the spatial frequency beyond which no scattered light remains."""
     depth, thickness, split_angle = place.depth, place.thickness, place.split_angle
     if thickness <= _SCATTERED_END:
         return math.inf
@@ -199,7 +199,7 @@ def _slowest(radius: tuple[float, float, float]) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _widest_turn(low: float, place: _Place, wave: Flags) -> tuple[float, float]:
-    """Return oscillation rate of the smooth factors, and the phase limit per panel."""
+    """Return oscillation rate of the smooth factors, and largest phase of a panel."""
     turn = place.reach if low * place.reach < _SPLIT_END else 0.0
     waves = 0
     for j in range(3):
@@ -221,7 +221,7 @@ def _plain_factors(
     disc: Array,
     value: Complex,
 ) -> float:
-    """Fill `value[0]` with the smooth factors; return that at the last node.
+    """Fill `value[0]` with the smooth factors, and return the last node's without J0.
 
     The tables come one by one, as each access to an array of a bundle is counted.
     """
@@ -337,7 +337,7 @@ def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> 
 
 @numba.njit(cache=True, error_model="numpy")
 def collected(look: Array, water: Water, tables: Tables, out: Array) -> None:
-    """Fill `out` with F(z) / pi R^2 gamma^2, without unscattered light of a thin beam.
+    """Fill `out` with the overlap over pi R^2 gamma^2, less a thin beam's direct light.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
     with the transform of two uniform discs, docs/theory/water-signal.md.

@@ -122,7 +122,7 @@ def effective_radiance(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return the received light of a depth by its angle from exact backscatter.
+    r"""Return received light per solid angle, against the angle from exact backscatter.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def mean_backscatter_vsf(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return the volume scattering function averaged over a depth's received light.
+    r"""Return the volume scattering function averaged over light received from a depth.
 
     Parameters
     ----------

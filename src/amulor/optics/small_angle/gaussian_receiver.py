@@ -416,7 +416,7 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _scattered(depth: Array, column: Column, spread: Table) -> Array:
-    """Return the overlap F(z) of forward-scattered light at each depth [sr]."""
+    """Return the overlap F(z) of beam and receiver for forward-scattered light [sr]."""
     out = np.empty(depth.size)
     water, rule = _water(column, spread), _frequency_rule()
     _kernels.scattered(looks(depth, column), water, spread.cells, bessel(), rule, out)
@@ -515,7 +515,7 @@ def _shared_light(
     *,
     farthest: float,
 ) -> SharedLight:
-    """Return the shared light of a scan; no table if its error is above 1e-6."""
+    """Return the shared light of a scan, without a table if its error exceeds 1e-6."""
     if len(view) < FEWEST:
         return SharedLight(singly=True)
     if column.scattering == 0:
@@ -538,7 +538,7 @@ def _look_up(
     *,
     light: Light | None,
 ) -> NDArray[np.complex128]:
-    """Return the integrals of many columns, scattered light from a table."""
+    """Return the integrals of many columns, with scattered light from a table."""
     names = dict(zip(VIEW, view.T[:, :, None], strict=True))
     plain = _plain(phase_per_depth, column._replace(**names))
     if light is None:

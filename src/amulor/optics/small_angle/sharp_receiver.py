@@ -327,7 +327,7 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _collected(depth: Array, column: Column, spread: Table) -> Array:
-    """Return F(z), without unscattered light if the beam is thin [sr]."""
+    """Return the overlap F(z), less the unscattered light of a thin beam [sr]."""
     water = _kernels.Water(
         loss=column.loss(spread),
         forward=2 * column.scattering * spread.fraction,

@@ -82,7 +82,7 @@ def _lost(x: float, split: float, table: Array) -> tuple[float, float]:
 def _broadened(
     area: float, z: float, clear: float, water: Water, table: Array
 ) -> float:
-    """Return the squared beam width clear + B for a trial width S."""
+    """Return the squared beam width clear + B for a trial squared width S."""
     x = 2.0 * z / math.sqrt(area)
     _, slope = _lost(x, water.split_angle, table)
     return clear + 2.0 * water.forward * z * z * z * slope
@@ -92,7 +92,7 @@ def _broadened(
 def _solution(
     start: float, z: float, clear: float, water: Water, table: Array
 ) -> float:
-    """Return the solution of S = clear + B(S) closest to a start on one side of it.
+    """Solve S = clear + B(S) for the squared width S, stepping from a starting value.
 
     The right side rises with S, so the steps go one way only; a longer one is taken
     along the two before it unless it passes the solution.

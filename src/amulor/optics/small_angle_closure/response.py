@@ -413,12 +413,12 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _departures(depth: Array, column: Column, spread: Table) -> Array:
-    """Return the excess of eq. (29) over the closure, relative to the closure [1]."""
+    """Return the excess light of eq. (29) relative to the closure at each depth [1]."""
     return _lacking(depth, column, spread)[:, 1]
 
 
 def _lacking(depth: Array, column: Column, spread: Table) -> Array:
-    """Return excess of eq. (29) over the closure, absolute and relative."""
+    """Return the excess light of eq. (29) over the closure, absolute and relative."""
     out = np.empty((depth.size, 2))
     _kernels.departures(
         looks(depth, column),
@@ -438,7 +438,7 @@ def _laguerre() -> Array:
 
 
 def _lacked(column: Column, spread: Table) -> float:
-    """Return the relative excess of eq. (29) over the closure for a column [1]."""
+    """Return a whole column's relative excess of eq. (29) over the closure [1]."""
     loss = column.loss(spread) / 2
     across = (column.receiver_radius + column.baseline) / column.acceptance_angle
     faded = _REACH / loss if loss > 0 else np.inf
@@ -480,7 +480,7 @@ def _response(
 
 
 def _meeting(water: small_angle_kernels.Water) -> dict[str, float]:
-    """Return depth and width of the smallest distance of beam and receiver axis [m]."""
+    """Return depth and extent of the closest approach of beam and receiver axis [m]."""
     slant = water.tilt**2 + water.cross_tilt**2
     if slant == 0:
         return {"nearest": -1.0, "narrow": 0.0}

@@ -31,7 +31,7 @@ _EXP = tuple(1.0 / math.factorial(i) for i in range(14))
 
 
 class Geometry(NamedTuple):
-    """Water column and receiver geometry, one row of the table.
+    """Water column and receiver geometry from one row of a table.
 
     The row has the values in the order of these fields, here and in `_columns`.
     """
@@ -164,7 +164,7 @@ def _geometry(row: Array) -> Geometry:
 
 @numba.njit(cache=True, error_model="numpy")
 def _prepare(geometry: Geometry) -> Column:
-    """Return the terms of the integrand, negligible depths excluded."""
+    """Return the terms of the integrand, excluding depths with negligible light."""
     column = Column(
         2.0 * geometry.reduced_attenuation,
         geometry.spreading,
@@ -209,9 +209,9 @@ def _prepare(geometry: Geometry) -> Column:
 
 @numba.njit(cache=True, error_model="numpy")
 def _break_points(column: Column, z_break: Array) -> tuple[int, float, float]:
-    """Fill `z_break`; return its count, the maximum of F(z) and its width.
+    """Fill `z_break`; return its count, and depth and width of the peak of F(z).
 
-    Return -1 for how many if there is no room for them.
+    The count is -1 if the array is too short.
     """
     limit, loss, nearest = column.end, column.loss, column.nearest
     z, before, slope_before = column.start, column.start, -1.0
@@ -282,7 +282,7 @@ def _sample(
     work: Array,
     bits: NDArray[np.int64],
 ) -> None:
-    """Fill rows 0 and 1 of `work` with even and odd part of F(z) over its peak."""
+    """Fill two rows of `work` with even and odd parts of F(z), relative to its peak."""
     loss, spreading, slant = column.loss, column.spreading, column.slant
     aperture, acceptance = column.aperture, column.acceptance
     closest, standoff = column.closest, column.standoff
@@ -340,7 +340,7 @@ def _add_column(
     turn: Array,
     sums: Array,
 ) -> float:
-    """Add one column's integrals of exp(i w z) F(z) / max F, for rising w.
+    """Add one column's integrals of exp(i w z) F(z) over the peak of F, w rising.
 
     Return max F over pi R^2 gamma^2, or NaN if the integral cannot be resolved.
     """
@@ -393,7 +393,7 @@ def _add_column(
 def water_column(
     geometry: Array, phase_per_depth: Array, rule: Array, out: NDArray[np.complex128]
 ) -> int:
-    """Fill `out`[g, f] with the integrals of exp(i w z) F(z) / (pi R^2 gamma^2).
+    """Fill `out` with integrals of exp(i w z) F(z) / (pi R^2 gamma^2) by row and w.
 
     A row of geometry holds the fields of `Geometry` in their order; phase_per_depth,
     w = 2 omega n_g / c [rad/m], has one row for all of them or one for each. Returns

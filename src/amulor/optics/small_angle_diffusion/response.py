@@ -61,7 +61,7 @@ def _light_of(
     start: ArrayLike,
     end: ArrayLike,
 ) -> NDArray[np.complex128]:
-    """Return the backscatter times the depth integral of eq. (46), start to end."""
+    """Return the water signal of eq. (46) between two depths."""
     refuse_behind_receiver(column.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     vsf = checked("backscatter_vsf", backscatter_vsf)

@@ -1,4 +1,4 @@
-"""Compiled batch of photon histories: trace paths, join them, record their light.
+"""Compiled batches of photon histories: tracing, joining of paths, and recording.
 
 Theory: docs/theory/photon-transport.md. Compiled, so that a batch of thousands of
 groups runs without Python, and without the lock that keeps its threads apart.
@@ -110,7 +110,7 @@ def look(state: States, fraction: float, largest: float) -> Ray:
 
 @allocating
 def without_segments(light: Array) -> Paths:
-    """Return arrays for paths, still empty, with given arrays for the light."""
+    """Return empty path arrays that contain given arrays for the light."""
     return Paths(
         np.empty((_ROWS, SEGMENT_COLUMNS)),
         light,
@@ -124,7 +124,7 @@ def without_segments(light: Array) -> Paths:
 def begin_forward(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray]:
-    """Draw first flight and ray of a forward path; fill `now` with its light.
+    """Draw the first flight and ray of a forward path, and fill `now` with its light.
 
     The optical thickness of the flight is exponential. Those of the paths of a group,
     of which this is the number-th, are spread evenly if the plan is stratified.
@@ -142,7 +142,7 @@ def begin_forward(
 def begin_adjoint(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray, Kind]:
-    """Draw first flight, ray and kind of an adjoint path; fill `now` with its light.
+    """Draw first flight, ray and kind of an adjoint path; set its light in `now`.
 
     Its direction is drawn by the cosine law from the acceptance gamma; a pair with it
     counts Omega = pi sin^2 gamma over the number of pairs in the group.
@@ -184,7 +184,7 @@ def join(
 def run_batch(
     state: States, scene: Scene, plan: Plan, record: Record, weight: Array
 ) -> None:
-    """Run groups of histories; add their light to the record, fill `weight` with it.
+    """Trace groups of histories; add their light to the record, and store it by group.
 
     weight has the shape (groups, 2, components): light from water and target. A group
     is that many forward paths, each joined with all of its adjoint paths.

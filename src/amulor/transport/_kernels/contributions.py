@@ -79,7 +79,7 @@ from amulor.transport._kernels.types import (
 def add_at(
     array: Array, part: int, scaled: float, component: int, light: float
 ) -> None:
-    """Distribute light on four nodes around a position, with cubic weights."""
+    """Distribute light over the four nodes around a position, by cubic weights."""
     node = max(int(scaled) - 1, 0)
     a = scaled - node
     b, c, d = a - 1.0, a - 2.0, a - 3.0
@@ -105,7 +105,7 @@ def add_to(total: Array, kind: int, light: Array) -> None:
 def add_beyond(
     record: Record, part: int, low: float, high: float, light: Array
 ) -> None:
-    """Add light with path lengths beyond the last node, phases exact."""
+    """Add light of path lengths beyond the last node, transformed exactly."""
     beyond, wavenumber = record.beyond, record.wavenumber
     for f in range(wavenumber.size):
         q = wavenumber[f]
@@ -188,7 +188,7 @@ def transform(
 
 @kernel
 def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
-    """Draw radius and acceptance of a receiver; random for a Gaussian one.
+    """Return radius and acceptance of a receiver, drawn at random if it is Gaussian.
 
     A Gaussian exp(-s^2 / w^2) is the mean of discs of radius w sqrt(-ln u) over u
     from 0 to 1; so a Gaussian receiver is a sharp one of random size.
@@ -202,7 +202,7 @@ def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
 
 @kernel
 def face_point(state: States, place: Vector, radius: float, slope: float) -> Vector:
-    """Draw a random face point from which a place is in view, with its area weight.
+    """Draw a point of the receiver face that sees a given place, with its area weight.
 
     Returns its two coordinates and the area it stands for, 0 if it does not see the
     place.
@@ -237,7 +237,7 @@ def direct_from_segments(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add light scattered once more on each segment, straight to the receiver.
+    """Add light that is scattered on each segment straight to the receiver.
 
     At z on a segment it is b p(theta) dz / |n_z| times the solid angle of the face,
     the transmission and the weight w_k.
@@ -322,7 +322,7 @@ def direct_from_touches(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add the light of each target reflection that goes straight to the receiver.
+    """Add light of each target reflection that travels straight to the receiver.
 
     It is (reflectance / pi) cos times the solid angle of the face and the
     transmission, the cosine that between the target's normal and the way.
@@ -384,7 +384,7 @@ def direct_from_touches(
 def path_blocked(
     adjoint: Array, row: int, end: Vector, start: float, mesh: Mesh
 ) -> bool:
-    """Return whether the mesh blocks an adjoint path shifted over the face.
+    """Return whether the mesh blocks an adjoint path that is shifted on the face.
 
     end is the shift of the path over the face, and the depth z on its segment in row
     at which it ends; start is the number of the triangle that it ends on, or -1.

@@ -127,7 +127,7 @@ def blocked(place: Vector, end: Vector, start: float, mesh: Mesh) -> bool:
 
 @entry
 def first_triangles(start: Array, way: Array, mesh: Mesh, met: Integers) -> None:
-    """Fill `met` with the index of the nearest triangle on each ray, -1 for none."""
+    """Fill `met` with the index of the first triangle on each ray, -1 for none."""
     for i in range(start.shape[0]):
         place = (start[i, 0], start[i, 1], start[i, 2])
         ahead = (way[i, 0], way[i, 1], way[i, 2])
@@ -199,7 +199,7 @@ def part(
 
 @allocating_entry
 def split(centre: Array, number: Integers, link: Integers, sibling: Integers) -> int:
-    """Build the hierarchy of boxes: fill links and siblings; return the box count.
+    """Build the hierarchy of boxes in the link arrays, and return the box count.
 
     Boxes come before what is in them. sibling of a box is the second one of the two
     in it.

@@ -1,4 +1,4 @@
-"""Compiled photon paths in a slab: random exits, and fixed exit directions.
+"""Compiled photon paths in a slab, with light recorded at random or fixed directions.
 
 The slab is the same all over its planes, so only the depth of a photon is known.
 Theory: docs/theory/photon-transport.md, "What it is checked against". Compiled, as the
@@ -47,7 +47,7 @@ REFLECTED, TRANSMITTED, FIRST_DIRECTION = 0, 1, 2
 
 
 class Light(NamedTuple):
-    """Light incident on a slab, and fixed exit directions."""
+    """Light incident on a slab, and the fixed directions in which to record light."""
 
     incidence: Array
     """Unit vector along the propagation of the incident light."""
@@ -63,7 +63,7 @@ class Light(NamedTuple):
 def way_out(
     z: float, mz: float, edge: Array, attenuation: Array
 ) -> tuple[float, float]:
-    """Return optical thickness and length of the straight exit path of the slab."""
+    """Return optical thickness and length of the straight path out of the slab."""
     depth, length = 0.0, 0.0
     for k in range(attenuation.size):
         low, high = edge[k], edge[k + 1]
@@ -232,7 +232,7 @@ def follow_photons(
     arrival: Arrival,
     now: Array,
 ) -> None:
-    """Trace incident photons one by one, with now as work array of their light."""
+    """Trace incident photons one by one, using `now` as work array for their light."""
     n = (light.incidence[0], light.incidence[1], light.incidence[2])
     axis = projected_frame(n, (1.0, 0.0, 0.0))
     for _ in range(histories):

@@ -84,7 +84,7 @@ def more_rows(array: Array, layers: int) -> Array:
 
 @allocating
 def longer(paths: Paths, layers: int, polarized: bool) -> Paths:
-    """Copy paths into longer arrays, those of unused light excepted."""
+    """Copy paths into longer arrays; light arrays only if polarization is computed."""
     light, touch_light = paths.light, paths.touch_light
     if polarized:
         light, touch_light = more_rows(light, layers), more_rows(touch_light, layers)
@@ -110,7 +110,7 @@ def layer_of(z: float, edge: Array) -> int:
 def surface_ahead(
     ray: Ray, thickness: float, start: float, water: Water, target: Target
 ) -> tuple[float, Vector, float]:
-    """Return distance, normal and triangle of the target ahead on a ray.
+    """Return distance, surface normal and triangle index of the target ahead of a ray.
 
     The distance is infinite if no part of the target is within the optical thickness
     of the flight in the clearest water. start is the triangle that the ray starts on,
@@ -271,7 +271,7 @@ def reflect(
 def scatter(
     state: States, ray: Ray, layer: int, kind: Kind, water: Water, now: Array
 ) -> tuple[Ray, float]:
-    """Draw a scattered ray; return it with its term of the partition sum.
+    """Draw a scattered ray; return it with its term of the weight of joined paths.
 
     The angle is drawn from the phase function p, and |n_z m_z| / (b p) is added, the
     denominator of the weight w_k. The frame in now and the Stokes vector, or the
@@ -312,7 +312,7 @@ def trace(
     paths: Paths,
     now: Array,
 ) -> tuple[bool, Walk]:
-    """Trace a path until it ends, or the arrays are full.
+    """Trace a path until it ends or the arrays are full.
 
     Returns whether it has ended, and where it is. now holds frame and Stokes vector,
     or Mueller matrix, of its light. Adjoint paths go through the target; what of them
@@ -370,7 +370,7 @@ def follow(
     paths: Paths,
     now: Array,
 ) -> Paths:
-    """Trace a path to its end, and extend the arrays as needed; return the paths.
+    """Trace a path to its end, extending the arrays as needed, and return the arrays.
 
     thickness is the optical one of the first flight; now holds the light at its start.
     """
