@@ -40,7 +40,7 @@ class Setup:
 
     @cached_property
     def full_rate(self) -> float:
-        """Photoelectron rate that would result if all launched light returned [1/s]."""
+        """Photoelectron rate if all launched light returned to the receiver [1/s]."""
         return counting.full_rate(self.survey)
 
     @cached_property
@@ -50,7 +50,7 @@ class Setup:
 
     @cached_property
     def volt_per_power(self) -> float:
-        """Peak lock-in amplitude that all launched light would cause if it returned [V]."""
+        """Peak lock-in amplitude if all launched light returned to the receiver [V]."""
         instrument = self.survey.instrument
         return (
             instrument.modulation_depth

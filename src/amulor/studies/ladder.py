@@ -80,12 +80,12 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Name of the case in figures: channel and water."""
+        """Name of the case for figures, from its channel and water."""
         return f"{self.channel} {self.water}"
 
 
 def treads(survey: Survey) -> NDArray[np.intp]:
-    """Return the tread number of each pixel: 1, 2, ... from the left, 0 near edges."""
+    """Return each pixel's tread number, from 1 at the left; 0 near tread edges."""
     stairs = survey.targets[0]
     assert isinstance(stairs, Staircase)
     scan = survey.scan
@@ -250,7 +250,7 @@ def write(
 
 
 def _result(cases: list[Case]) -> str:
-    """Return the conclusion of the study in one sentence."""
+    """Return a sentence with the main result of the study."""
     before, after = cases[-2:]
     return (
         f"Result: in {'milky' if after.water == 'milk' else after.water} water the "

@@ -25,7 +25,7 @@ Role = Literal["test", "set", "own"]
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Statement of the paper, and whether the reproduction agrees with it."""
+    """Statement of the paper, with the result and outcome of its check."""
 
     statement: str
     """Statement, as a sentence."""
@@ -101,7 +101,7 @@ def holds(
     wanted: str,
     role: Role | None = None,
 ) -> Check:
-    """Return the check of a statement without a number."""
+    """Return the check of a statement that is true or false."""
     return Check(
         statement=statement,
         found=found,
@@ -113,7 +113,7 @@ def holds(
 
 
 def _role(place: str) -> Role:
-    """Return the role of a statement that was not used to choose an input number."""
+    """Return the role of a check: test of a paper statement, or check of the study."""
     return "test" if place else "own"
 
 
@@ -129,7 +129,7 @@ class Statements:
     """Statement, place, limits, unit and role of each check, by check name."""
 
     def row(self, name: str, **words: Any) -> dict[str, Any]:
-        """Return the texts of a check, with words filled in."""
+        """Return the texts of a check, with words inserted for placeholders."""
         return {
             key: value.format(**words) if isinstance(value, str) else value
             for key, value in self.checks[name].items()
@@ -147,7 +147,7 @@ class Statements:
         note: str = "",
         **words: Any,
     ) -> Check:
-        """Return the check that a number lies between two limits, with a note on it."""
+        """Return the check that a number lies between two limits, and append a note."""
         row = {"place": "", "low": low, "high": high, **self.row(name, **words)}
         check = within(value=value, uncertainty=uncertainty, **row)
         return replace(check, found=check.found + note)
@@ -155,7 +155,7 @@ class Statements:
     def holds(
         self, name: str, truth: bool, found: str, *, wanted: str = "", **words: Any
     ) -> Check:
-        """Return the check of a statement without a number."""
+        """Return the check of a statement that is true or false."""
         row = {"place": "", "wanted": wanted, **self.row(name, **words)}
         return holds(truth=truth, found=found, **row)
 
@@ -192,7 +192,7 @@ class PaperFigure:
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """Result of a check with one input number at an end of its range."""
+    """Result of a check if one input number is set to an end of its range."""
 
     parameter: str
     """Name of the input number."""
@@ -208,7 +208,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Dependence:
-    """Check, with its results at both ends of each input number's range."""
+    """Check with its results at both ends of the range of each input number."""
 
     figure: int
     """Figure of the paper."""
@@ -219,12 +219,12 @@ class Dependence:
 
     @property
     def flips(self) -> tuple[Change, ...]:
-        """Changes after which a passed check fails, or a failed one passes."""
+        """Changes of input numbers that reverse the outcome of the check."""
         return tuple(c for c in self.changes if c.passed != self.check.passed)
 
     @property
     def strongest(self) -> Change | None:
-        """Change with the largest effect; None without a numeric result."""
+        """Change of an input number with the largest effect; None without numbers."""
         start = self.check.value
         moved = [c for c in self.changes if c.value is not None]
         if start is None or not moved:
@@ -245,7 +245,7 @@ class Dependence:
 
 @dataclass(frozen=True, kw_only=True)
 class Redrawn:
-    """Figure of the paper as redrawn, with its checks."""
+    """Redrawn figure of the paper, with the checks of its statements."""
 
     number: int
     """Figure number in the paper."""
@@ -297,7 +297,7 @@ PARAMETER_HEADER = ("number", "value", "basis", "range", "why")
 
 
 def verdict(check: Check) -> str:
-    """Return the outcome of a check in one or two words."""
+    """Return the outcome of a check as a short text for tables."""
     text = "pass" if check.passed else "FAIL"
     return text if check.role == "test" else f"{text} ({check.role})"
 
@@ -308,7 +308,7 @@ def check_rows(checks: Iterable[Check]) -> Rows:
 
 
 def dependence_rows(dependence: Iterable[Dependence]) -> Rows:
-    """Return table rows of checks that change outcome, as in `DEPENDENCE_HEADER`."""
+    """Return table rows of checks whose outcome depends on an input number."""
     return [
         [
             str(entry.figure),

@@ -35,7 +35,7 @@ def sensitivity(
     folder: Path | None = None,
     progress: Callable[[str, float], None] = lambda step, done: None,
 ) -> tuple[Dependence, ...]:
-    """Vary each assumed or deduced input number to both ends of its range.
+    """Repeat all checks with each assumed input number at both ends of its range.
 
     One number at a time; numbers that a figure does not read are left alone. The
     noise is the same in all, so that a flip is the number's doing.
@@ -93,7 +93,7 @@ def sensitivity(
 
 @dataclass(frozen=True)
 class _End:
-    """One end of the range of an input number."""
+    """Upper or lower end of an input number's range."""
 
     name: str
     value: float
@@ -171,7 +171,7 @@ def _spread_out(
 
 @dataclass(frozen=True, kw_only=True)
 class _Ends:
-    """Files with the outcomes of checks at each end of each input number's range."""
+    """Files of check outcomes, one for each end of each input number's range."""
 
     parameters: tuple[Parameter, ...]
     quick: bool
@@ -215,7 +215,7 @@ def _name(function: Any) -> str:
 
 
 def _begin() -> None:
-    """Prepare a worker process: end with the parent, ignore Ctrl-C.
+    """Set up a worker process to end with its parent and to ignore Ctrl-C.
 
     A run of photons would take an interrupt for the wish to go on with the photons it
     has.
@@ -239,7 +239,7 @@ def _elsewhere(
     figures: Mapping[int, Checks],
     tasks: list[_Task],
 ) -> list[list[_Outcome]]:
-    """Return the outcomes of tasks, computed in a worker process."""
+    """Compute the outcomes of tasks in a worker process."""
     study = _study_here(parameters, quick, seed)
     return [_outcome(study, figures, task) for task in tasks]
 
@@ -259,7 +259,7 @@ def _outcome(
 
 
 def _outcomes(checks: Checks, study: Study, count: int) -> list[_Outcome]:
-    """Return value, text and outcome of each check; all failed after an error."""
+    """Return value, text and outcome of each check; after an error all have failed."""
     try:
         result = checks(study)
     except (AmulorError, ValueError) as problem:

@@ -1,4 +1,4 @@
-"""Study object: input numbers, speed, and cached results shared by the figures."""
+"""Study object: input numbers, and cached results that the figures share."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Study:
         return self.parameters[name].value
 
     def with_parameters(self, parameters: Mapping[str, Parameter]) -> Study:
-        """Return a study with other input numbers that shares the cache."""
+        """Return a study with other input numbers and the same cache."""
         changed = Study(parameters, quick=self.quick, rng=self.seed)
         changed._known = self._known
         return changed

@@ -1,4 +1,4 @@
-"""Test case of the trust study: a scan with a known surface, as users have it."""
+"""Test case of the trust study: samples of a scan, and its true surface."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Samples of a test scan, the user's inputs, and the true slant ranges."""
+    """Samples of a test scan, the user's inputs to its processing, and true ranges."""
 
     samples: xr.Dataset
     """Level `samples`, with the survey that the user believes in."""
@@ -61,7 +61,7 @@ def lateness(
     modulation_frequency: Floats,
     group_index: float,
 ) -> Floats:
-    r"""Return the delay of an echo after the surface, as a slant range [m]."""
+    r"""Return the delay of an echo relative to its surface, as a slant range [m]."""
     frequency = modulation_frequency.reshape(-1, *[1] * optical_path.ndim)
     turn = np.exp(-2j * np.pi * frequency * optical_path / speed_of_light)
     phase = np.angle(echo * turn)

@@ -1,4 +1,4 @@
-"""Rejection methods of the trust study, run as by a user up to the range image."""
+"""Rejection methods of the trust study, from samples to the range image."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ METHODS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Result of a method on a case: target signal and range image, or the refusal."""
+    """Result of a method on a test case: target signal and range image, or refusal."""
 
     target: xr.Dataset | None
     """Target signal."""
@@ -41,7 +41,7 @@ class Outcome:
 
 
 def outcome(method: str, case: Case) -> Outcome:
-    """Run a method on a case and make the range image."""
+    """Reject the water of a test case by a method, and compute the range image."""
     try:
         name, options = VARIANTS.get(method, (method, {}))
         target = rejection.reject(

@@ -93,7 +93,7 @@ _UNITS = {
 def plate(
     distance: float, *, lean: float = 0.0, reflectance: float = 0.1, size: float = 2.0
 ) -> str:
-    """Return a plate, rotated about its upright axis by `lean` degrees, as TOML [m]."""
+    """Return TOML text of a plate, rotated by `lean` degrees about the vertical."""
     return (
         f'[[targets]]\nkind = "plate"\nposition = ["0 m", "0 m", "{distance} m"]\n'
         f'rotation = ["0 deg", "{lean} deg", "0 deg"]\nwidth = "{size} m"\n'
@@ -102,7 +102,7 @@ def plate(
 
 
 def stairs(distance: float, *, reflectance: float, tread: float = 0.03) -> str:
-    """Return a staircase of five treads, as TOML [m]."""
+    """Return TOML text of a staircase of five treads."""
     return (
         f'[[targets]]\nkind = "staircase"\n'
         f'position = ["0 m", "0 m", "{distance} m"]\ntread_width = "{tread} m"\n'
@@ -152,7 +152,7 @@ def survey(
 
 
 def scaled(water: str, factor: float) -> dict[str, float]:
-    """Return a water with absorption and scattering times a factor."""
+    """Return water properties with absorption and scattering multiplied by a factor."""
     coefficients = dict(WATERS[water])
     for name in ("absorption", "scattering"):
         coefficients[name] *= factor

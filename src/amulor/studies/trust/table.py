@@ -22,7 +22,7 @@ FAR = 3.5
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Scores of one method on one case; NaN where no pixel is trusted."""
+    """Scores of one method on one test case, NaN without trusted pixels."""
 
     pixels: int
     """Number of judged pixels with a surface."""
@@ -54,7 +54,7 @@ class Score:
 
 
 def score(case: Case, outcome: Outcome) -> Score:
-    """Score the outcome of a method against the true surfaces."""
+    """Compare a method's range image with the true surfaces, and return its scores."""
     met = np.isfinite(case.surfaces).any(axis=0) & case.judged
     empty = ~np.isfinite(case.surfaces).any(axis=0) & case.judged
     trusted = _trusted(outcome, met.shape)
@@ -104,7 +104,7 @@ def _trusted(outcome: Outcome, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def _nearest(error: Floats) -> Floats:
-    """Return the error relative to the closest surface, shape (row, column)."""
+    """Return the range error to the closest true surface, shape (row, column) [m]."""
     size = np.where(np.isfinite(error), np.abs(error), np.inf)
     chosen = size.argmin(axis=0)
     nearest: Floats = np.take_along_axis(error, chosen[None], axis=0)[0]
@@ -136,7 +136,7 @@ _FAR = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Written:
-    """One row read from a table; NaN where it has no figure."""
+    """Row read from a table, NaN where it has no number."""
 
     scene: str
     """Name of the scene."""
@@ -155,7 +155,7 @@ class Written:
 
 
 def written(text: str) -> Iterator[Written]:
-    """Yield the rows that are read from the text of a table."""
+    """Parse the text of a table, and yield its rows."""
     lines = iter(text.splitlines())
     if not any(line.startswith("scene ") for line in lines):
         raise ValueError("there is no table of the study; it begins with 'scene'")
@@ -178,7 +178,7 @@ def written(text: str) -> Iterator[Written]:
 
 
 def counts(rows: Iterable[Written]) -> str:
-    """Count the rows that meet each requirement, as a table in Markdown."""
+    """Return a Markdown table with the number of rows that meet each requirement."""
     accepted = [row for row in rows if not row.refused and row.scene not in _APART]
     columns = []
     for name, methods in _GROUPS:

@@ -50,7 +50,7 @@ class Profile:
         return int(np.count_nonzero(np.diff(slope[slope != 0]) < 0))
 
     def fraction(self, integrand: Floats) -> Floats:
-        """Return the cumulative fraction of an overlap up to each depth."""
+        """Return the fraction of an overlap's integral up to each depth [1]."""
         area: Floats = cumulative_trapezoid(integrand, self.depth, initial=0.0)
         fraction: Floats = area / area[-1]
         return fraction

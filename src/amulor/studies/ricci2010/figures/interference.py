@@ -69,7 +69,7 @@ def amplitude_checks(study: Study) -> list[Check]:
 
 @styled
 def draw_amplitude(study: Study) -> Figure:
-    """Draw the amplitude of all experiments, before and after water subtraction."""
+    """Draw the amplitude over frequency, before and after water subtraction."""
     figure = new_figure(WIDE, 2.7)
     axes = figure.subplots(1, 3)
     small_angle = study.once(shared.small_angle_sweeps)
@@ -169,7 +169,7 @@ def _spread(apart: Floats) -> str:
 
 
 def _in_better_water(study: Study) -> list[Check]:
-    """Check experiments 2 and 3 with the water signal of eq. (29)."""
+    """Check experiments 2 and 3 with the small-angle model's water signal, eq. (29)."""
     rows = statements(7)
     checks = []
     for sweep in study.once(shared.small_angle_sweeps)[1:]:
@@ -344,7 +344,7 @@ def turns(sweep: Sweep, value: Floats, *, depth: float) -> int:
 
 
 def grows(sweep: Sweep, value: Floats, name: str) -> Check:
-    """Check that the mean of a quantity rises from one period to the next."""
+    """Check that a quantity's mean rises from each interference period to the next."""
     span = sweep.frequency[-1] - sweep.frequency[0]
     count = max(2, int(span / sweep.period))
     edges = sweep.frequency[-1] - sweep.period * np.arange(count, -1, -1.0)
@@ -398,7 +398,7 @@ def _draw_both(
     level: float,
     scale: str,
 ) -> Figure:
-    """Draw a quantity of all experiments, before and after water subtraction."""
+    """Draw a quantity over frequency, before and after water subtraction."""
     figure = new_figure(WIDE, 2.5)
     axes = figure.subplots(1, 3, sharey=True)
     for axis, sweep in zip(axes, study.once(shared.sweeps), strict=True):

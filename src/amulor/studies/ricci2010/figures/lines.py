@@ -36,7 +36,7 @@ _COLOUR = {"VV": COLOURS[0], "VH": COLOURS[1], "RL": COLOURS[2], "RR": COLOURS[3
 
 
 def linear_checks(study: Study) -> list[Check]:
-    """Compare the phase lines of linear polarization with the text of the paper."""
+    """Compare the phase along the plate with the paper, for linear polarization."""
     rows = statements(10)
 
     def drift(name: str) -> Check:
@@ -67,7 +67,7 @@ def linear_checks(study: Study) -> list[Check]:
 
 
 def _overlap(study: Study) -> Check:
-    """Check that the water's share of light is least at pixel 1, largest at 80."""
+    """Check that water light over plate light is least at pixel 1, largest at 80."""
     ratios = [lines.water_over_plate(study, step, "VV") for step in ("b", "c", "d")]
     ends = [(int(np.argmin(r)) + 1, int(np.argmax(r)) + 1) for r in ratios]
     return statements(10).holds(
@@ -82,14 +82,14 @@ def _overlap(study: Study) -> Check:
 
 
 def needed_crossed_share(study: Study) -> float:
-    """Return the cross-polarized share of water light that fits both drifts of (d)."""
+    """Return the cross-polarized fraction of water light that panel (d) needs [1]."""
     m22 = study["m22_target"]
     ratio = _CROSSED / _PARALLEL * (1 - m22) / (1 + m22)
     return ratio / (1 + ratio)
 
 
 def circular_checks(study: Study) -> list[Check]:
-    """Compare the phase lines of circular polarization with the text of the paper."""
+    """Compare the phase along the plate with the paper, for circular polarization."""
     rows = statements(11)
     apart, error = lines.difference(study, "tap", ("RL", "RR"))
     turbid = lines.line(study, "d", "RR")
@@ -137,18 +137,18 @@ def echo_ratio(study: Study) -> float:
 
 
 def draw_linear(study: Study) -> Figure:
-    """Draw the phase lines of linear polarization in all waters."""
+    """Draw the phase along the plate for linear polarization, in all four waters."""
     return _draw_waters(study, ("VV", "VH"))
 
 
 def draw_circular(study: Study) -> Figure:
-    """Draw the phase lines of circular polarization in all waters."""
+    """Draw the phase along the plate for circular polarization, in all four waters."""
     return _draw_waters(study, ("RL", "RR"))
 
 
 @styled
 def _draw_waters(study: Study, pairs: tuple[str, str]) -> Figure:
-    """Draw the phase lines of two polarizer pairs in each of the four waters."""
+    """Draw the phase along the plate for two polarizer pairs, in all four waters."""
     figure = new_figure(WIDE, 4.6)
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     for axis, step in zip(axes.flat, TURBIDITIES, strict=True):
@@ -165,7 +165,7 @@ def _draw_waters(study: Study, pairs: tuple[str, str]) -> Figure:
 
 @styled
 def draw_crossed(study: Study) -> Figure:
-    """Draw the phase lines of VH and RR, and their drifts in other set-ups."""
+    """Draw the phase along the plate for VH and RR, and drifts in other set-ups."""
     figure = new_figure(WIDE, 3.6)
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
     _draw_lines(study, left, "d", ("VH", "RR"), subtracted=False)
@@ -215,7 +215,7 @@ def _draw_lines(
 
 
 def _water_name(study: Study, step: str) -> str:
-    """Return the panel title for a water."""
+    """Return the title of the panel for one water."""
     attenuation = study[TURBIDITIES[step]]
     thickness = attenuation * study["short_distance"]
     name = "tap water" if step == "tap" else "with milk"
@@ -223,7 +223,7 @@ def _water_name(study: Study, step: str) -> str:
 
 
 def _draw_trade_off(study: Study, axis: Axes) -> None:
-    """Draw the phase drifts of VH and RR by set-up, with the paper's values."""
+    """Draw the phase drift of RR over that of VH for all set-ups, and the paper's."""
     low, high = _CROSSED_LIMITS
     axis.fill_between(
         [low, high],

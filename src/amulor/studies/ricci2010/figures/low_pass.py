@@ -95,7 +95,7 @@ def sweep_checks(data: Sweep) -> list[Check]:
 
 
 def _fits(data: Sweep, name: str) -> list[Check]:
-    """Check one kind of low-pass fit, eq. (71), on synthetic data and on curves."""
+    """Check a low-pass fit, eq. (71), to synthetic measurements and to model curves."""
     rows = statements(3)
     squares, first_order = (
         _fit_of(measured, name) for measured in (data.squares, data.first_order)
@@ -142,19 +142,19 @@ def _fits(data: Sweep, name: str) -> list[Check]:
 
 
 def _fit_of(squares: Squares, name: str) -> low_pass.LowPassFit:
-    """Return the low-pass fit of one kind to a synthetic measurement."""
+    """Return the named low-pass fit to a synthetic measurement."""
     return squares.fit if name == FREE else squares.of_power
 
 
 def _of_curve(curve: Curve, name: str) -> tuple[float, float]:
-    """Return the ratio of fitted to half-power cut-off, with standard error."""
+    """Return the ratio of fitted to half-power cut-off, and its standard error."""
     if name == FREE:
         return curve.fitted / curve.cut_off, curve.ratio_error
     return curve.of_power / curve.cut_off, curve.of_power_ratio_error
 
 
 def _draw(data: Sweep) -> Figure:
-    """Draw figure 3 or 4 with amplitudes and cut-offs."""
+    """Draw figure 3 or 4: amplitudes over frequency, and cut-off frequencies."""
     with style():
         figure = new_figure(WIDE, 3.3)
         curve_axis, cut_off_axis = figure.subplots(1, 2, width_ratios=(1.25, 1))

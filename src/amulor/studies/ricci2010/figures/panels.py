@@ -46,7 +46,7 @@ def letter(axes: Iterable[Axes], titles: Iterable[str]) -> None:
 
 
 def mark_synthetic(figure: Figure) -> None:
-    """Write at the foot of a figure that its measurements are simulated."""
+    """Add a note at the foot of a figure that its measurements are simulated."""
     figure.supxlabel(
         "Measured series are synthetic: simulated, with the noise that the study says.",
         fontsize=6,
@@ -73,7 +73,7 @@ _STRIP = 4.0
 
 @dataclass(frozen=True)
 class Relief:
-    """Range image as a surface over the plane of the target."""
+    """Surface of a range image: height of each pixel over the plane of the target."""
 
     right: Floats
     """Positions to the right, shape (row, column) [mm]."""
@@ -84,7 +84,7 @@ class Relief:
 
 
 def relief(image: xr.Dataset, *, origin: float) -> Relief:
-    """Return a range image as a surface over the plane of the target."""
+    """Convert a range image to heights over the plane of the target."""
     cloud = point_cloud(image)
     place = (cloud["row"].values, cloud["column"].values)
     right = origin * np.tan(image["azimuth"].values)
@@ -101,7 +101,7 @@ def masked(surface: Relief, keep: NDArray[np.bool_]) -> Relief:
 
 
 def median(surface: Relief, *, size: int = 5) -> tuple[Relief, float]:
-    """Median of a surface in small squares, and the scatter of pixels about it."""
+    """Return a surface smoothed by a median, and the scatter of pixels about it."""
     half = size // 2
     padded = np.pad(surface.near, half, constant_values=np.nan)
     windows = sliding_window_view(padded, (size, size))
@@ -219,7 +219,7 @@ def _quads(grid: Floats) -> Floats:
 
 
 def _in_strips(quads: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return grid cells, high ones cut into strips, with the cell of each strip.
+    """Cut tall grid cells into strips; return the strips and their cell indices.
 
     A drawing in space puts nearer meshes over farther ones by their middles, which
     fails for one as high as a step.
@@ -237,7 +237,7 @@ def _in_strips(quads: Floats) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def _brightness(corners: Floats) -> Floats:
-    """Return the brightness of each corner: matte surface, lamp and sky light."""
+    """Return each corner's brightness, for a matte surface under lamp and sky light."""
     filled = _bridged(corners[..., 2])
     column = corners[..., 0].mean(axis=0)
     row = corners[..., 1].mean(axis=1)

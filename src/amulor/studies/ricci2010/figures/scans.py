@@ -209,7 +209,7 @@ def profile_checks(study: Study) -> list[Check]:
 
 
 def _in_milk(study: Study) -> list[Check]:
-    """Check the step heights in milk, with polarizers as the only rejection."""
+    """Check the step heights in milk, where only polarizers reject the water."""
     rows = statements(13)
     scan = study.once(polarized_milk)
     crossed, parallel = (scan.off(scan.raw[name]) * 1e3 for name in ("VH", "VV"))
@@ -228,7 +228,7 @@ def _in_milk(study: Study) -> list[Check]:
 
 
 def _phases(study: Study, steps: Steps, words: dict[str, str]) -> list[Check]:
-    """Check the phase steps of the ladder, with a tolerance of 5 %."""
+    """Check the phase steps between treads of the ladder, with a tolerance of 5 %."""
     rows = statements(13)
     # Neighbouring steps share a tread, which makes their mean better than this.
     error = math.sqrt(float(np.sum(steps.uncertainties[1:] ** 2))) / 3
@@ -311,7 +311,7 @@ def draw_profiles(study: Study) -> Figure:
 
 
 def _ladder(study: Study) -> tuple[list[float], list[float]]:
-    """Return the true edges of the treads and their heights [mm]."""
+    """Return the true edges and heights of the ladder's treads [mm]."""
     steps = [study["first_step"], *[study["other_steps"]] * 3]
     heights = np.concatenate([[0.0], np.cumsum(steps)]) * 1e3
     width = study["tread_width"] * 1e3
@@ -399,7 +399,7 @@ def disc_checks(study: Study) -> list[Check]:
 def _outline_checks(
     study: Study, scan: DiscScan, measured: Outlines, words: dict[str, str]
 ) -> list[Check]:
-    """Check three diameters, with a tolerance of one pixel, and the number of holes."""
+    """Check diameters of disc and holes to within a pixel, and the number of holes."""
     rows = statements(15)
     small = measured.small_holes[:4]
     mean = None

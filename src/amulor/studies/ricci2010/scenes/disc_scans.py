@@ -147,7 +147,7 @@ curvature_radius = "{write(study["disc_bend"], "length")}"
 
 
 def bright(image: xr.Dataset) -> Mask:
-    """Return a mask of the pixels above the mid-level of bright and dark ones."""
+    """Return a mask of pixels brighter than midway between bright and dark pixels."""
     intensity = image["intensity"].values
     over: Mask = intensity > _halfway(intensity)
     return over

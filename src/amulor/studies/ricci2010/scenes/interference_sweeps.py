@@ -141,17 +141,17 @@ class Sweep:
 
     @property
     def corrected_contrast(self) -> Floats:
-        """Contrast between subtracted target signal and water signal, eq. (58)."""
+        """Contrast of water-subtracted target signal and water signal, eq. (58)."""
         return interference.contrast(self.subtracted, self.water)
 
 
 def shown(sweep: Sweep) -> slice:
-    """Return the slice of samples to draw, with space between the markers."""
+    """Return a slice that thins samples for drawing, with space between markers."""
     return slice(None, None, max(1, len(sweep.frequency) // 65))
 
 
 def smoothed(value: Floats) -> Floats:
-    """Return a quantity over frequency smoothed against noise, for its extrema."""
+    """Smooth a quantity over frequency, so that its extrema can be found in noise."""
     count = round(_SMOOTHED * (len(value) - 1) / (LAST - FIRST))
     fitted: Floats = savgol_filter(value, count + 1 - count % 2, 2)
     return fitted

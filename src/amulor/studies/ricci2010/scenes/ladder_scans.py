@@ -87,7 +87,7 @@ class LadderScan:
         return wrong
 
     def steps(self, image: xr.Dataset) -> Steps:
-        """Compare a range image with the true ladder."""
+        """Measure step heights and range errors of a range image of the ladder."""
         on = self.treads > 0
         error = np.where(on, image["slant_range"].values - self.truth, np.nan)
         valid = np.isfinite(error)
@@ -224,7 +224,7 @@ def phase_step(study: Study, height: float) -> float:
 def steps_are_faithful(
     study: Study, rows: Statements, name: str, steps: Steps
 ) -> Check:
-    """Check that each step height is right within the apparatus's phase error."""
+    """Check that step heights are right within the phase error of the instrument."""
     interval = ranging.ambiguity_interval(
         study["frequency"], group_index=study["index"]
     )

@@ -58,7 +58,7 @@ class Milk:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """Positions of laser, receiver and plate in the tank: right, down, forward."""
+    """Positions of laser, receiver and plate in the tank, as (right, down, forward)."""
 
     laser: Array
     """Start of the beam, shape (3,) [m]."""
@@ -68,7 +68,7 @@ class Bench:
     """Forward coordinate of the plate [m]."""
 
     def beam(self, place: ArrayLike) -> Array:
-        """Return the beam direction to points on the line, shape (..., 3)."""
+        """Return beam directions to points on the scanned line, shape (..., 3)."""
         x = np.asarray(place, dtype=np.float64)
         end = np.stack([x, 0 * x, np.full_like(x, self.distance)], axis=-1)
         way = end - self.laser
@@ -116,7 +116,7 @@ def milk(study: Study) -> Milk:
 
 
 def _spheres(study: Study, diameter: float, index: float) -> mie.Suspension:
-    """Return Mie scattering of spheres with a given mean diameter; arbitrary scale."""
+    """Return Mie scattering of spheres with a given mean diameter, arbitrary scale."""
     spread = np.sqrt(np.log1p(study["milk_spread"] ** 2))
     step = np.linspace(-3.5, 3.5, 71)
     number = np.exp(-0.5 * step**2)
@@ -215,7 +215,7 @@ WIDER = 2.0
 
 @dataclass(frozen=True, eq=False)
 class LineLight:
-    """Light of one polarizer pair along a line of pixels, per launched light."""
+    """Light behind one polarizer pair along a line of pixels, over launched light."""
 
     water: Complex
     """Light scattered by water only, shape (pixels,) [1]."""
@@ -285,7 +285,7 @@ def _traced(
     target: PlaneTarget | MeshTarget | None,
     wider: float = 1.0,
 ) -> dict[str, Complex]:
-    """Return selected parts of the light by Monte Carlo, shape (n, batches)."""
+    """Return selected parts of the light by Monte Carlo, shape (position, batch)."""
     table = study.once(bench)
     result: dict[str, list[Complex]] = {pair: [] for pair in PAIRS}
     for launched in "VR":
@@ -309,17 +309,17 @@ def _traced(
 
 
 def water_parts(name: str) -> bool:
-    """Return whether a tally part is light multiply scattered by water."""
+    """Return whether a part of a tally is light multiply scattered by water."""
     return name.startswith("water") and name != "water, order 1"
 
 
 def plate_parts(name: str) -> bool:
-    """Return whether a tally part was both reflected by a surface and scattered."""
+    """Return whether a part of a tally is light both reflected and scattered."""
     return name == "target, scattered"
 
 
 def line_light(study: Study, attenuation: float) -> dict[str, LineLight]:
-    """Return the light along a line over the plate, at all pixels.
+    """Return the light at all pixels along a line over the plate, by polarizer pair.
 
     The Monte Carlo runs at Chebyshev's places, three of them if quick and five if not,
     and is joined by a parabola. What it adds varies slower along the line than the
@@ -353,7 +353,7 @@ def line_light(study: Study, attenuation: float) -> dict[str, LineLight]:
 
 
 def open_water(study: Study, attenuation: float) -> dict[str, Complex]:
-    """Return the light along the line in open water, without the plate."""
+    """Return the light along the same line in open water, by polarizer pair."""
     water = medium(study, attenuation)
     nodes, join = _nodes(study)
     histories = 2_048 if study.quick else 32_768
@@ -372,7 +372,7 @@ def _nodes(study: Study) -> tuple[Array, Array]:
 
 
 def _once(study: Study, water: Medium, *, until: float) -> dict[str, Complex]:
-    """Return the singly scattered light at all pixels, from eleven positions."""
+    """Return the singly scattered light at all pixels, interpolated from 11 points."""
     nodes = chebyshev.chebpts2(11)
     join = interpolation(nodes, places() / (LINE / 2), degree=10)
     light = scattered_once(study, water, nodes * LINE / 2, until=until)
@@ -451,7 +451,7 @@ def interpolation(nodes: Array, at: Array, *, degree: int) -> Array:
 
 
 def _passed(matrix: Array, pair: str) -> float:
-    """Return the fraction of reflected light behind the analyzer of a pair."""
+    """Return the fraction of reflected light that passes a polarizer pair."""
     launched, analysed = pair_states(pair)
     return float(0.5 * state(analysed) @ matrix @ state(launched))
 

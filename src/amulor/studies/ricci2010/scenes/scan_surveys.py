@@ -37,7 +37,7 @@ class ScanWater:
 
 @cache
 def table() -> dict[str, dict[str, dict[str, Any]]]:
-    """Return the waters and scans defined in `scans.toml`."""
+    """Return the content of `scans.toml`: definitions of waters and scans."""
     path = resources.files("amulor.studies.ricci2010") / "scans.toml"
     return tomllib.loads(path.read_text(encoding="utf-8"))
 

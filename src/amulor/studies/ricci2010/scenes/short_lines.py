@@ -1,4 +1,4 @@
-"""Phase along a flat plate in four waters, 80 pixels a line, for figures 10 to 12."""
+"""Phase along a flat plate in four waters, for figures 10 to 12."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Line:
 
 
 def _light_of(step: str) -> Callable[[Study], Lines]:
-    """Return the function that computes light over the plate in a water."""
+    """Return a function that computes the light over the plate in a given water."""
 
     def light(study: Study) -> Lines:
         return line_light(study, study[TURBIDITIES[step]])
@@ -63,7 +63,7 @@ def _light_of(step: str) -> Callable[[Study], Lines]:
 
 
 def _open_water_of(step: str) -> Callable[[Study], dict[str, Complex]]:
-    """Return the function that computes light in a water without the plate."""
+    """Return a function that computes the light in a given water without the plate."""
 
     def light(study: Study) -> dict[str, Complex]:
         return open_water(study, study[TURBIDITIES[step]])
@@ -103,7 +103,7 @@ def line(study: Study, step: str, pair: str) -> Line:
 
 
 def standard_error(batches: Array) -> float:
-    """Return the standard error of the mean over batches [degrees, from radians]."""
+    """Convert batch values [rad] to the standard error of their mean [degrees]."""
     return float(np.degrees(np.std(batches) / np.sqrt(batches.size - 1)))
 
 
@@ -125,7 +125,7 @@ def corrected(study: Study, step: str, pair: str) -> Array:
 
 
 def rejected_share(study: Study, step: str, pairs: tuple[str, str]) -> float:
-    """Return the share of the water's light behind the crossed analyzer."""
+    """Return the fraction of the water's light that is cross-polarized [1]."""
     light = study.once(LIGHT[step])
     crossed, parallel = (np.abs(light[pair].water) for pair in pairs)
     return float(np.mean(crossed / (crossed + parallel)))
@@ -146,7 +146,7 @@ def advance_along(signal: Complex) -> Array:
 
 
 def rise_weight() -> Array:
-    """Return pixel weights whose sum with the phase is a fitted line's rise."""
+    """Return pixel weights that give the rise of a line fitted to the phase."""
     pixel = np.arange(PIXELS) - 0.5 * (PIXELS - 1)
     weight: Array = pixel / (pixel @ pixel) * (PIXELS - 1)
     return weight
@@ -161,7 +161,7 @@ SURE = 2.0
 
 
 def drift_check(study: Study, rows: Statements, name: str) -> Check:
-    """Check the drift of a line: its limits, or whether it is flat or moves."""
+    """Check the phase drift along a line: within limits, absent, or present."""
     result = line(study, *name.split("_"))
     kind = rows.checks[name]["kind"]
     check = rows.within(
@@ -190,12 +190,12 @@ def straight_check(study: Study, rows: Statements, step: str, pair: str) -> Chec
 
 
 def surely(check: Check, passed: bool) -> Check:
-    """Return the check with its outcome, two standard errors of margin required."""
+    """Set the outcome of a check, requiring a margin of two standard errors."""
     requirement = f"{check.wanted}, by {SURE:g} standard errors"
     return replace(check, passed=bool(passed), wanted=requirement)
 
 
 def allowing(check: Check, passed: bool) -> Check:
-    """Return the check with its outcome, two standard errors of tolerance allowed."""
+    """Set the outcome of a check, allowing a tolerance of two standard errors."""
     requirement = f"{check.wanted}, within {SURE:g} standard errors"
     return replace(check, passed=bool(passed), wanted=requirement)

@@ -26,7 +26,7 @@ _BRIGHTER = (0.01, 100.0)
 
 @dataclass(frozen=True)
 class SetUp:
-    """Variant of milk, tank or plate."""
+    """Variant of the experiment: kind of milk, tank or plate."""
 
     group: str
     """Varied quantity."""
@@ -38,10 +38,10 @@ class SetUp:
 
 @dataclass(frozen=True, kw_only=True)
 class Drifts:
-    """Phase drifts of a set-up with the most milk, for a VV drift of `PARALLEL`."""
+    """Phase drifts of a set-up with the most milk, for a given drift of VV."""
 
     set_up: SetUp
-    """Variant of milk, tank or plate."""
+    """Variant of the experiment: kind of milk, tank or plate."""
     crossed: float
     """Phase drift of VH [degrees]."""
     crossed_error: float
@@ -117,7 +117,7 @@ def drifts_of(study: Study, set_up: SetUp) -> Drifts:
 
 
 def _drift(light: LineLight, brighter: float) -> tuple[float, float]:
-    """Return the drift of a line with a brighter plate, and its error [degrees]."""
+    """Return a line's phase drift for a brighter plate, and its error [degrees]."""
     signal = light.water + brighter * light.target
     rise = rise_weight()
     return (

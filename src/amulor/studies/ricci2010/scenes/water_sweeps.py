@@ -1,4 +1,4 @@
-"""Water signal of the long tank over modulation frequency, in four models."""
+"""Water signal of the long tank over modulation frequency, by four models."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Water:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Normalized amplitude over frequency in one model, with its cut-offs."""
+    """Normalized amplitude over frequency by one model, with its cut-offs."""
 
     name: str
     """Name of the model."""
@@ -279,7 +279,7 @@ def _sweep(study: Study, *, turbidity: Turbidity) -> Sweep:
 
 
 def _frequencies(study: Study) -> Floats:
-    """Return the frequencies of the curves, evenly spaced like the measured ones."""
+    """Return the frequencies of the curves, in even steps like the measurement's."""
     return np.linspace(study["sweep_first"], study["sweep_last"], _POINTS[study.quick])
 
 
@@ -329,7 +329,7 @@ def _traced(tally: Tally) -> Curve:
 
 
 def _left_out(tally: Tally) -> list[Complex]:
-    """Return the signal with one part of the batches omitted, for each part."""
+    """Return the signals that result from omitting each part of the batches in turn."""
     values = tally.batches.sum(axis=1)[:, 0]
     number = np.arange(values.shape[0])
     signals: list[Complex] = []
@@ -342,7 +342,7 @@ def _left_out(tally: Tally) -> list[Complex]:
 
 
 def _jackknife(left_out: Floats) -> float:
-    """Return the jackknife standard error from values with one part omitted each."""
+    """Return the jackknife standard error, from values that omit each part in turn."""
     return math.sqrt((left_out.size - 1) * float(np.var(left_out)))
 
 

@@ -1,4 +1,4 @@
-"""Reflectance of the white plate of section 8, if the water is turbid by milk."""
+"""Reflectance of the paper's white plate, assuming that milk made the water turbid."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _PARTS = 16
 
 @dataclass(frozen=True)
 class Reflectance:
-    """Plate reflectance that gives the paper's ratio of water signal to echo."""
+    """Plate reflectance that agrees with the paper's ratio of water signal to echo."""
 
     number: int
     """Number of the experiment."""
@@ -53,7 +53,7 @@ class Reflectance:
 
 
 def reflectances(study: Study) -> tuple[Reflectance, ...]:
-    """Return the plate reflectance that each experiment needs in milky water."""
+    """Return the plate reflectance that each experiment implies for milky water."""
     return tuple(study.once(_OF[number]) for number in EXPERIMENTS)
 
 

@@ -20,7 +20,7 @@ _DISTANCE, _LEAN = 2.6, 20.0
 
 
 class _BrokenOff:
-    """Control that interrupts a scan after a number of samples."""
+    """Acquisition control that interrupts a scan after a given number of samples."""
 
     def __init__(self, samples: int) -> None:
         self._remaining = samples

@@ -23,7 +23,7 @@ Maker = Callable[[int, int], Case]
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A scene of the study."""
+    """Scene of the trust study: name, description, and function that simulates it."""
 
     name: str
     """Short name, for the table."""

@@ -68,12 +68,12 @@ Effect = Callable[[Recorded], tuple[Complex, Complex]]
 
 
 def nothing(recorded: Recorded) -> tuple[Complex, Complex]:
-    """Return the outputs of a perfect instrument."""
+    """Return scan and shots unchanged, as recorded by a perfect instrument."""
     return recorded.scan, recorded.shots
 
 
 def leakage(size: float, *, delay: float | None = None) -> Effect:
-    """Leakage of the modulation without light, equal in both channels.
+    """Return an effect: electrical leakage of the modulation, equal in both channels.
 
     Its size is a fraction of the median echo of the first channel.
     Without a delay it has one phase, 0.13 of a turn, and only the scan has it; with a
@@ -90,7 +90,7 @@ def leakage(size: float, *, delay: float | None = None) -> Effect:
 
 
 def walk(degrees: float) -> Effect:
-    """Phase error in proportion to the log of the amplitude [degrees a decade]."""
+    """Return an effect: phase error per decade of amplitude [degrees]."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         def walked(signal: Complex) -> Complex:
@@ -104,7 +104,7 @@ def walk(degrees: float) -> Effect:
 
 
 def aliased_harmonic(size: float) -> Effect:
-    """Third harmonic of the light, aliased to the first by four samples a period."""
+    """Return an effect: third harmonic of the light, aliased to the first harmonic."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         triple = tuple(3 * value for value in FREQUENCIES[recorded.count])
@@ -125,7 +125,7 @@ def aliased_harmonic(size: float) -> Effect:
 
 
 def turbid_layer(thickness: float, *, factor: float = 2.0) -> Effect:
-    """More turbid layer in front of the target, absent from the shots [m]."""
+    """Return an effect: turbid layer in front of the target, absent from the shots."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         near = plate(_DISTANCE - thickness, lean=_LEAN)
@@ -137,7 +137,7 @@ def turbid_layer(thickness: float, *, factor: float = 2.0) -> Effect:
 
 
 def drift(*, degrees: float = 0.0, delay: float = 0.0) -> Effect:
-    """Phase [degrees] or delay [s] that drifts evenly from first to last sample."""
+    """Return an effect: linear drift of phase [degrees] or delay [s] over the scan."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         phase = np.radians(degrees) + 2 * np.pi * recorded.frequency * delay
@@ -149,7 +149,7 @@ def drift(*, degrees: float = 0.0, delay: float = 0.0) -> Effect:
 
 
 def compression(fraction: float) -> Effect:
-    """Gain that falls linearly with the amplitude, by a fraction at the median echo."""
+    """Return an effect: gain that falls linearly with the amplitude."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         def pressed(signal: Complex) -> Complex:
@@ -163,7 +163,7 @@ def compression(fraction: float) -> Effect:
 
 
 def scale_change(degrees: float) -> Effect:
-    """Phase step at amplitudes above the median of the scan [degrees]."""
+    """Return an effect: phase step for amplitudes above the scan's median [degrees]."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         limit = np.median(np.abs(recorded.scan), axis=(2, 3))
@@ -181,7 +181,7 @@ def scale_change(degrees: float) -> Effect:
 def with_effect(
     count: int, seed: int, *, effect: Effect, calibrated: bool = True
 ) -> Case:
-    """Return the tilted plate at 2.6 m with an instrument error in its samples."""
+    """Simulate a tilted plate at 2.6 m, with an instrument error in its samples."""
     recorded = Recorded(count, seed)
     scan, shots = effect(recorded)
     case = case_of(
@@ -204,7 +204,7 @@ def _outputs(cube: xr.Dataset, prefix: str = "") -> Complex:
 
 
 def _with(cube: xr.Dataset, signal: Complex, prefix: str = "") -> xr.Dataset:
-    """Return a cube with other outputs and the same stated errors."""
+    """Return a cube with replaced lock-in outputs and unchanged stated errors."""
     parts = {"in_phase": signal.real, "quadrature": signal.imag}
     return cube.assign(
         {

@@ -19,7 +19,7 @@ _TARGET = plate(2.6, lean=20)
 
 
 def believing(samples: xr.Dataset, believed: Survey) -> xr.Dataset:
-    """Return a cube with another survey as its stated one."""
+    """Return a cube with survey and geometry attributes of another survey."""
     geometry = samples["geometry"].copy()
     geometry.attrs |= geometry_attributes(believed)
     return samples.assign_coords(geometry=geometry).assign_attrs(
@@ -35,22 +35,22 @@ def _wrong(count: int, seed: int, **believed: Any) -> Case:
 
 
 def wrong_turbidity(count: int, seed: int, *, factor: float) -> Case:
-    """Return a plate whose survey overstates absorption and scattering by a factor."""
+    """Simulate a plate whose survey overstates absorption and scattering."""
     return _wrong(count, seed, water=scaled("tank", factor))
 
 
 def wrong_baseline(count: int, seed: int, *, by: float = 0.5) -> Case:
-    """Return a plate whose survey states a baseline that is too long by `by` [cm]."""
+    """Simulate a plate whose survey states a baseline that is too long by `by` [cm]."""
     return _wrong(count, seed, baseline=20 + by)
 
 
 def wrong_axis(count: int, seed: int, *, by: float = 1.0) -> Case:
-    """Return a plate whose survey misstates the receiver azimuth by `by` degrees."""
+    """Simulate a plate whose survey misstates the receiver azimuth by `by` degrees."""
     return _wrong(count, seed, azimuth=-4.0 + by)
 
 
 def wrong_index(count: int, seed: int, *, by: float = 0.002) -> Case:
-    """Return a plate whose survey overstates the group index of the water."""
+    """Simulate a plate whose survey overstates the group index of the water."""
     return _wrong(count, seed, group_index=1.38 + by)
 
 
@@ -64,7 +64,7 @@ _CALIBRATION = {
 
 
 def calibrated(count: int, seed: int, *, make: Callable[[int, int], Case]) -> Case:
-    """Return another case, with uncertainties of the instrument in its survey."""
+    """Return the case from `make`, with calibration uncertainties in its survey."""
     case = make(count, seed)
     believed = case.samples.amulor.survey
     with_calibration = believed.with_({"calibration": _CALIBRATION})

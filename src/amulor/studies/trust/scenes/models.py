@@ -23,31 +23,31 @@ def around(distance: float) -> tuple[float, float]:
 
 
 def flat(count: int, seed: int) -> Case:
-    """Return a plate at 2.6 m, tilted by 20 degrees, with a correct survey."""
+    """Simulate a plate at 2.6 m, tilted by 20 degrees, with a correct survey."""
     planned = survey(count, plate(2.6, lean=20))
     return case_of(simulate(planned, rng=seed), interval=around(2.6))
 
 
 def sloped(count: int, seed: int, *, lean: float) -> Case:
-    """Return a plate at 2.6 m, tilted by `lean` degrees."""
+    """Simulate a plate at 2.6 m, tilted by `lean` degrees."""
     planned = survey(count, plate(2.6, lean=lean, size=3))
     return case_of(simulate(planned, rng=seed), interval=around(2.6))
 
 
 def dark(count: int, seed: int) -> Case:
-    """Return a plate at 2.6 m with a reflectance of 1 %."""
+    """Simulate a plate at 2.6 m with a reflectance of 1 %."""
     planned = survey(count, plate(2.6, lean=20, reflectance=0.01))
     return case_of(simulate(planned, rng=seed), interval=around(2.6))
 
 
 def far(count: int, seed: int) -> Case:
-    """Return a plate beyond the ambiguity interval of 50 MHz, no interval stated."""
+    """Simulate a plate beyond the ambiguity interval, without a stated interval."""
     planned = survey(count, plate(3.0, lean=10))
     return case_of(simulate(planned, rng=seed), interval=None)
 
 
 def far_two(count: int, seed: int) -> Case:
-    """Return a plate at 6.2 m, beyond the 5.43 m that 20 and 80 MHz determine."""
+    """Simulate a plate at 6.2 m, beyond the ambiguity interval of 20 and 80 MHz."""
     planned = survey(
         count,
         plate(6.2, lean=10, reflectance=0.3, size=4),
@@ -64,7 +64,7 @@ def far_two(count: int, seed: int) -> Case:
 
 
 def tall(count: int, seed: int) -> Case:
-    """Return a plate scanned over 9 x 19 degrees, with 9 x 3 open-water shots."""
+    """Simulate a plate scanned over 9 x 19 degrees, with 9 x 3 open-water shots."""
     planned = survey(
         count,
         plate(2.6, size=0.8, reflectance=0.3),
@@ -78,42 +78,42 @@ def tall(count: int, seed: int) -> Case:
 
 
 def wide(count: int, seed: int, *, model: SignalModel = DEFAULT_MODEL) -> Case:
-    """Return a plate scanned over 19 x 4 degrees, with 9 x 3 open-water shots."""
+    """Simulate a plate scanned over 19 x 4 degrees, with 9 x 3 open-water shots."""
     planned = survey(count, plate(2.6, reflectance=0.2), wide=19, tall=4)
     return case_of(simulate(planned, rng=seed, model=model), interval=around(2.6))
 
 
 def wide_photons(count: int, seed: int) -> Case:
-    """Return the plate of the wide scan, with light from photon transport."""
+    """Simulate the plate of scene `wide`, with light from photon transport."""
     return wide(count, seed, model=PhotonModel(relative_error=0.01))
 
 
 def staircase(count: int, seed: int) -> Case:
-    """Return a staircase with a reflectance of 3 % in the water of the test tank."""
+    """Simulate a staircase with a reflectance of 3 % in the water of the test tank."""
     planned = survey(count, stairs(2.4, reflectance=0.03))
     return case_of(simulate(planned, rng=seed), interval=around(2.4))
 
 
 def coastal(count: int, seed: int) -> Case:
-    """Return a plate in Petzold's coastal water, at 1.4 attenuation lengths."""
+    """Simulate a plate in Petzold's coastal water, at 1.4 attenuation lengths."""
     planned = survey(count, plate(3.5, lean=15), water="coastal", azimuth=-3.3)
     return case_of(simulate(planned, rng=seed), interval=around(3.5))
 
 
 def harbour(count: int, seed: int) -> Case:
-    """Return a plate in Petzold's harbor water, at 3.3 attenuation lengths."""
+    """Simulate a plate in Petzold's harbor water, at 3.3 attenuation lengths."""
     planned = survey(count, plate(1.5, lean=15), water="harbour", azimuth=-7)
     return case_of(simulate(planned, rng=seed), interval=around(1.5))
 
 
 def circular(count: int, seed: int) -> Case:
-    """Return a plate in tank water, measured with circular polarization."""
+    """Simulate a plate in tank water, measured with circular polarization."""
     planned = survey(count, plate(2.6, lean=20), pairs=("RR", "RL"))
     return case_of(simulate(planned, rng=seed), interval=around(2.6))
 
 
 def empty(count: int, seed: int) -> Case:
-    """Return water without a target, with a correct survey."""
+    """Simulate water without a target, with a correct survey."""
     return case_of(simulate(survey(count), rng=seed), interval=around(2.6))
 
 
@@ -125,13 +125,13 @@ _SMALL_ANGLE_WATER = {
 
 
 def small_angle(count: int, seed: int, *, split: float) -> Case:
-    """Return a plate simulated by the small-angle model, whole phase function."""
+    """Simulate a plate by the small-angle model, with the whole phase function."""
     samples = _small_angle(count, seed, split, plate(2.6, lean=20))
     return case_of(samples, interval=around(2.6))
 
 
 def small_angle_empty(count: int, seed: int) -> Case:
-    """Return water without a target, simulated by the small-angle model."""
+    """Simulate water without a target, by the small-angle model."""
     return case_of(_small_angle(count, seed, 90.0), interval=around(2.6))
 
 
@@ -145,13 +145,13 @@ def _small_angle(count: int, seed: int, split: float, *targets: str) -> xr.Datas
 
 
 def paper_form(count: int, seed: int) -> Case:
-    """Return a plate by the paper's diffusion form, unlike photon transport."""
+    """Simulate a plate by the diffusion model of Ricci et al., at 2.6 m."""
     planned = survey(count, plate(2.6, lean=20))
     cube = simulate(planned, rng=seed, model=DiffusionModel())
     return case_of(cube, interval=around(2.6))
 
 
 def paper_form_empty(count: int, seed: int) -> Case:
-    """Return water without a target, by the paper's diffusion form."""
+    """Simulate water without a target, by the diffusion model of Ricci et al."""
     cube = simulate(survey(count), rng=seed, model=DiffusionModel())
     return case_of(cube, interval=around(2.6))

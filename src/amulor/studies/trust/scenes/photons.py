@@ -47,7 +47,7 @@ _ORDER = np.array([0, 7, 1, 6, 2, 5, 3, 4])
 
 @dataclass(frozen=True, kw_only=True)
 class Photons:
-    """Received over launched light of water and plate, from photon transport."""
+    """Ratio of received to launched light, of water and plate, by photon transport."""
 
     open_water: Complex
     """Open-water signal, shape (frequencies of `_ALL`,)."""
@@ -107,7 +107,7 @@ def photon_water(
     turbidity: float = 1.0,
     histories: int = 400_000,
 ) -> Case:
-    """Return plates at eight distances under a fixed beam, by photon transport."""
+    """Simulate plates at eight distances in a fixed beam, by photon transport."""
     planned = _survey(count, reflectance=reflectance, turbidity=turbidity)
     light = photons(function, histories, reflectance, turbidity)
     frequency = np.array(planned.instrument.modulation_frequencies)
@@ -186,7 +186,7 @@ def _light(
 def _with_samples(
     cube: xr.Dataset, prefix: str, samples: lock_in.Samples
 ) -> xr.Dataset:
-    """Return a cube with other lock-in outputs."""
+    """Return a cube with replaced lock-in outputs."""
     values: dict[str, Floats] = {
         "in_phase": samples.signal.real,
         "quadrature": samples.signal.imag,

@@ -25,7 +25,7 @@ def _measured(samples: xr.Dataset, prefix: str = "") -> Complex:
 
 
 def _with(samples: xr.Dataset, signal: Complex, prefix: str = "") -> xr.Dataset:
-    """Return samples with other outputs and the same stated errors."""
+    """Return samples with replaced lock-in outputs and unchanged stated errors."""
     return samples.assign(
         {
             f"{prefix}in_phase": samples[f"{prefix}in_phase"].copy(data=signal.real),
@@ -41,7 +41,7 @@ def _true(samples: xr.Dataset, which: str) -> Complex:
 
 
 def spikes(count: int, seed: int, *, fraction: float = 0.03) -> Case:
-    """Return a plate with spikes of 5 to 50 standard errors in some of the samples."""
+    """Simulate a plate, and add spikes of 5 to 50 standard errors to some samples."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     rng = np.random.default_rng(seed + 1000)
     signal = _measured(samples)
@@ -58,7 +58,7 @@ def spikes(count: int, seed: int, *, fraction: float = 0.03) -> Case:
 
 
 def particles(count: int, seed: int, *, fraction: float = 0.04) -> Case:
-    """Return a plate with a bright particle in front of it in some of the samples.
+    """Simulate a plate, with a bright particle in front of it in some samples.
 
     A particle stands anywhere between 0.8 m and the plate and sends back a tenth to
     half of what the plate sends; it moves on before the next frequency is measured,
@@ -77,7 +77,7 @@ def particles(count: int, seed: int, *, fraction: float = 0.04) -> Case:
 
 
 def mixed(count: int, seed: int, *, gap: float) -> Case:
-    """Return two plates at different distances, with mixed pixels at the edge.
+    """Simulate two plates at different distances, with mixed pixels at the edge.
 
     Two columns see both, with 0.4 and 0.6 of the farther one.
     Only these are judged. Either surface counts as right.
@@ -103,7 +103,7 @@ def mixed(count: int, seed: int, *, gap: float) -> Case:
 
 
 def late_instrument(count: int, seed: int, *, delay: float = 1e-10) -> Case:
-    """Return a plate measured with an unknown instrument delay [s]."""
+    """Simulate a plate measured with an unknown instrument delay [s]."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     frequency = samples["modulation_frequency"].values
     turn = np.exp(2j * np.pi * frequency * delay)
@@ -113,7 +113,7 @@ def late_instrument(count: int, seed: int, *, delay: float = 1e-10) -> Case:
 
 
 def understated_noise(count: int, seed: int, *, factor: float = 2.0) -> Case:
-    """Return a plate with all stated errors too small by a factor."""
+    """Simulate a plate, with all stated errors too small by a factor."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     smaller = {}
     for name in samples.data_vars:
@@ -125,14 +125,14 @@ def understated_noise(count: int, seed: int, *, factor: float = 2.0) -> Case:
 
 
 def changed_water(count: int, seed: int, *, change: float = 0.05) -> Case:
-    """Return a plate in water with a stronger signal than its shots, by a fraction."""
+    """Simulate a plate in water whose signal exceeds that of the open-water shots."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     signal = _measured(samples) + change * _true(samples, "water")
     return case_of(_with(samples, signal), interval=around(2.6))
 
 
 def drift(count: int, seed: int, *, change: float) -> Case:
-    """Return a plate in water that drifts, with shots before and after the scan."""
+    """Simulate a plate in drifting water, with shots before and after the scan."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     shots = samples.sizes["shot"]
     # Half of the repeats in each direction before the scan, half after it.
