@@ -33,7 +33,7 @@ TYPICAL_PHASE_UNCERTAINTY = math.radians(0.5)
 def completed(
     observation: Observation, ranges: Ranges, *, fit: LateFit | None = None
 ) -> tuple[Ranges, dict[str, Any], LateFit]:
-    """Subtract late light and add all error terms; also attributes and statistics."""
+    """Return ranges without late light, with error terms, attributes and statistics."""
     slant_range = np.where(ranges.usable, ranges.slant_range, np.nan)
     light, fit = late_light(observation, slant_range, weight=ranges.weight, fit=fit)
     ranges, shared = _without_instrument(observation, ranges)
@@ -84,7 +84,7 @@ def completed(
 def _without_instrument(
     observation: Observation, ranges: Ranges
 ) -> tuple[Ranges, dict[str, Floats]]:
-    """Ranges of a joint estimation less its instrument terms, and these terms.
+    """Ranges of a joint estimation without instrument errors, and these errors.
 
     It counts delay, index and place of the receiver in the common error of its ranges.
     """
@@ -282,7 +282,7 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
 
 
 def age_in_words(days: float) -> str:
-    """Age of a calibration in words, to follow its date."""
+    """Text with the age of a calibration, for use after its date."""
     if math.isnan(days):
         return ""
     return f", {abs(days):.0f} days {'before' if days >= 0 else 'after'} the scan"
@@ -341,7 +341,7 @@ def calibration_terms(
 def instrument_term(
     observation: Observation, weight: Floats, slope: Floats
 ) -> Floats | None:
-    """Return the range error by phase errors of the instrument; None if it has none.
+    """Return the range error by phase errors of the instrument; None if zero.
 
     Leakage, walk and harmonics turn each frequency by an angle of its own, of the
     stated size or of `TYPICAL_PHASE_UNCERTAINTY`, and by as much as the channels differ
@@ -411,7 +411,7 @@ def calibration_age(
 
 
 def _moment(text: str) -> datetime.datetime:
-    """Point in time, in UTC if it has no time zone."""
+    """Point in time parsed from text, in UTC if no time zone is given."""
     moment = datetime.datetime.fromisoformat(text)
     return moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
 

@@ -40,14 +40,14 @@ def own_variance(image: xr.Dataset) -> Floats:
 def with_flag(
     image: xr.Dataset, flag: QualityFlag, pixels: NDArray[np.bool_] | bool
 ) -> xr.Dataset:
-    """Range image with a flag added to some pixels."""
+    """Range image with a flag added to selected pixels."""
     old = image["quality_flag"]
     new = np.where(pixels, old.values | flag, old.values).astype(np.int16)
     return image.assign(quality_flag=old.copy(data=new))
 
 
 def phase_cosines(image: xr.Dataset, distance: Floats) -> Floats:
-    """Cosine of the phase difference of each pair of distances, frequency average."""
+    """Cosine of the phase difference between two distances, mean over frequencies."""
     group_index = float(image["geometry"].attrs["group_index"])
     frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
     turn = np.zeros((len(distance), len(distance)))

@@ -93,7 +93,7 @@ def mixed_pixels(
 
 
 def clear_of_both(image: xr.Dataset, *, reach: int = 2) -> Floats:
-    """Distance of pixels from both adjacent surfaces in standard errors.
+    """Distance of pixels from both adjacent surfaces, in standard errors.
 
     Zero where they lie between none.
     """
@@ -234,7 +234,7 @@ def reached(
     pixel: tuple[int, int],
     reach: int,
 ) -> NDArray[np.bool_]:
-    """Mask of pixels within reach of a given pixel, without a range step between.
+    """Mask of pixels within reach of a given pixel, without a range step in between.
 
     The way goes along the column, then along the row, as on the page.
     """
@@ -362,5 +362,5 @@ def _shifted(values: Floats, axis: int, shift: int) -> Floats:
 
 
 def _smaller(first: Floats, second: Floats) -> Floats:
-    """Element-wise, the value of smaller magnitude."""
+    """Value of smaller magnitude of two arrays, element by element."""
     return np.where(np.abs(first) < np.abs(second), first, second)

@@ -1,4 +1,4 @@
-"""Coordinate frames of products: instrument axes, the same with z up, or the world."""
+"""Coordinate frames of products: instrument, instrument with z upward, or world."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ def _delays(
     weight: Floats,
     fit: LateFit | None,
 ) -> tuple[tuple[Floats, Floats] | None, LateFit, str]:
-    """Least and largest delay per pixel, statistics used, reason if there are none."""
+    """Least and largest delay per pixel, statistics used, and the reason if unknown."""
     fit = _fit(observation, slant_range) if fit is None else fit
     try:
         water = water_properties(survey)

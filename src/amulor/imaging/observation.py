@@ -254,7 +254,7 @@ def noise_scale(
 
 
 def _factor(path: ambiguity.Path, error: Floats) -> tuple[float, float]:
-    """Observed over stated noise, and the standard error of its square.
+    """Ratio of observed to stated noise, and the standard error of its square.
 
     The factor is 1 where there is too little to tell it.
     """

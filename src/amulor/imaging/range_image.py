@@ -135,7 +135,7 @@ def fitted_range_image(
     fit: RangeImageFit | None = None,
     span: Span | None = None,
 ) -> tuple[xr.Dataset, RangeImageFit]:
-    """Range image, and the scan-wide statistics used: `fit`, or the cube's own."""
+    """Range image, and the scan-wide statistics behind it, from `fit` if given."""
     cube = cubes.checked(cube, "target_signal")
     joint = "joint_slant_range" in cube
     if joint and polarization is None:

@@ -106,7 +106,7 @@ def target_cube(
 def present_terms(
     terms: Mapping[str, Covariance], selected: tuple[str, ...] | None = None
 ) -> dict[str, Covariance]:
-    """Return the error terms with the given names; without names, the nonzero ones."""
+    """Return the error terms of given names, or all nonzero terms without names."""
     return {
         name: errors
         for name, errors in terms.items()
@@ -119,7 +119,7 @@ def present_terms(
 
 
 def saturated_in_any(first: xr.Dataset, channels: xr.Dataset) -> xr.Dataset:
-    """Return the first channel, marked saturated where any of the channels is."""
+    """Return the first channel, flagged saturated where any channel is saturated."""
     if "saturated" not in channels:
         return first
     worst = channels["saturated"].values.max(axis=1, keepdims=True)

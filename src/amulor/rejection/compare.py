@@ -462,7 +462,7 @@ def _has_neighbor(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _errors(
     target: xr.Dataset, usable: NDArray[np.bool_], excluded: NDArray[np.bool_]
 ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-    """Return errors of the slant ranges of usable pixels, without excluded samples.
+    """Return range errors of usable pixels, excluding some samples.
 
     Uncertainty and estimated bias of the slant range [m], whether the frequencies
     agree, and the optical path [m].
@@ -535,7 +535,7 @@ def _joint_path(target: xr.Dataset) -> Floats:
 def _disagreement(
     trials: list[_Trial], best: int, cube: xr.Dataset
 ) -> tuple[Row | None, float]:
-    """Return the method with the largest range difference beyond both errors.
+    """Return the method that differs most from the best, beyond the errors of both.
 
     And the median difference, less whole intervals after which phases repeat [m].
     """

@@ -61,7 +61,7 @@ class Covariance:
         )
 
     def part(self, index: Any) -> Covariance:
-        """Return the covariance of the outputs at an index."""
+        """Return the elements of the covariance arrays at an index."""
         return Covariance(
             self.in_phase[index], self.quadrature[index], self.cross[index]
         )
@@ -138,7 +138,7 @@ def times(rows: Floats, matrix: Floats) -> Floats:
 
 
 def isotropic(size: Floats) -> Covariance:
-    """Return the covariance of an error of given size, alike in all directions."""
+    """Return the covariance of independent errors of equal size in both outputs."""
     half = size**2 / 2
     return Covariance(half, half, np.zeros(half.shape))
 

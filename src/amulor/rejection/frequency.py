@@ -33,7 +33,7 @@ _ROOM = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class FrequencyChoice:
-    """The best single frequency of a sweep, with figures of all frequencies."""
+    """Best single frequency of a sweep, with figures of merit of all frequencies."""
 
     modulation_frequency: float
     """The chosen frequency [Hz]."""
@@ -77,7 +77,7 @@ def choose_frequency(
     polarization: str | None = None,
     interval: tuple[float, float] | None = None,
 ) -> FrequencyChoice:
-    r"""Choose the frequency of a sweep with the smallest range error, water included.
+    r"""Choose the frequency with the smallest range error, including the water's.
 
     Parameters
     ----------

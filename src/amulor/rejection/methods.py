@@ -47,7 +47,7 @@ class Needs:
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A rejection method: its function, requirements and fit to a scan.
+    """Rejection method: its function, its requirements, and its fit to a scan.
 
     Examples
     --------
@@ -200,7 +200,7 @@ _WITHOUT = " without shots"
 
 
 def _bare(cube: xr.Dataset) -> xr.Dataset:
-    """Remove the open-water references, after correction of their drift."""
+    """Correct the drift shown by open-water references, then remove them."""
     return cubes.without_groups(without_drift(cube), "open_water")
 
 

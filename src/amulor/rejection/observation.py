@@ -47,14 +47,14 @@ class Observation:
 
     @cached_property
     def saturated(self) -> NDArray[np.bool_] | None:
-        """Overloaded samples; None if the cube does not state them."""
+        """Mask of overloaded samples; None if not recorded."""
         if "saturated" not in self.cube:
             return None
         return np.asarray(self.cube["saturated"].values != 0)
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
-        """Samples with finite values and errors, without overload."""
+        """Mask of samples with finite values and errors, without overload."""
         total = self.cube["in_phase"].values + self.cube["quadrature"].values
         for errors in vars(self.covariance).values():
             total += errors
@@ -65,7 +65,7 @@ class Observation:
 
     @cached_property
     def directions(self) -> tuple[Floats | None, Floats | None]:
-        """Azimuth and elevation of pixels or shots, None where not stated [rad]."""
+        """Azimuth and elevation of pixels or shots, None if not recorded [rad]."""
         azimuth, elevation = (
             self.cube[name].values.astype(float) if name in self.cube else None
             for name in ("azimuth", "elevation")
@@ -88,7 +88,7 @@ class Observation:
 
     @cached_property
     def time(self) -> Floats | None:
-        """Time of each pixel; None unless all are stated and finite [s]."""
+        """Time of each pixel; None if any is missing [s]."""
         if "time" not in self.cube:
             return None
         time = self.cube["time"].values.astype(float)

@@ -180,7 +180,7 @@ _SMALLEST_CONTRAST = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelChoice:
-    """The channel with the smallest range error, with figures of all channels."""
+    """Channel with the smallest range error, with figures of merit of all channels."""
 
     polarization: str
     """The chosen channel."""
@@ -576,7 +576,7 @@ def unmix_stokes(
     target_mueller: ArrayLike,
     water_mueller: ArrayLike,
 ) -> xr.Dataset:
-    r"""Separate target and water by their Mueller matrices, from all analyser states.
+    r"""Separate target and water by their Mueller matrices, from all analyzer states.
 
     Parameters
     ----------

@@ -197,7 +197,7 @@ _OF_MEDIAN = 1.2533
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelPhase:
-    """Phase difference of the target between channels, the median of a scan.
+    """Median phase difference of the targets in a scan between channels.
 
     All channels see one echo. Leakage, a phase that depends on the amplitude and a
     layer of other water turn the channels by different angles.
@@ -231,7 +231,7 @@ def channel_phase(
     *,
     shown: NDArray[np.bool_],
 ) -> ChannelPhase | None:
-    """Estimate the phase difference of the target between channels; None with one.
+    """Estimate the targets' phase difference between channels; None for one channel.
 
     Errors of the pixels average out, those that they share do not.
     """
@@ -343,18 +343,18 @@ def _product(
 
 
 def add(cube: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_]) -> xr.Dataset:
-    """Return a target-signal cube with a flag added to masked samples with a target."""
+    """Add a quality flag to the selected samples of a cube that show a target."""
     return _with_bits(cube, "quality_flag", np.where(where, flag, 0))
 
 
 def add_water_residual(cube: xr.Dataset, cause: NDArray[np.int8]) -> xr.Dataset:
-    """Return a target-signal cube with failed tests of the water signal flagged."""
+    """Flag samples that failed a test of the water signal, and store the causes."""
     with_cause = _with_bits(cube, "water_residual_cause", cause)
     return add(with_cause, QualityFlag.WATER_RESIDUAL, cause != 0)
 
 
 def _with_bits(cube: xr.Dataset, name: str, bits: NDArray[Any]) -> xr.Dataset:
-    """Return a target-signal cube with bits added where samples show a target."""
+    """Add bits to an integer variable of a cube where samples show a target."""
     flag, old = cube["quality_flag"].values, cube[name]
     detected = (flag & (QualityFlag.MISSING | QualityFlag.NO_TARGET)) == 0
     new = np.where(detected, old.values | bits, old.values).astype(old.dtype)

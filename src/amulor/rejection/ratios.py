@@ -22,7 +22,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Ratio:
-    """A depolarization ratio: cross-polarized over co-polarized signal.
+    """Depolarization ratio: cross-polarized over co-polarized signal.
 
     Examples
     --------

@@ -312,7 +312,7 @@ def _single_pixel(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
 def _measured(
     picked: Points, weight: Floats, value: float, gradient: Floats, *, unit: str
 ) -> Measurement:
-    """Measurement, its uncertainty propagated by the gradient at the points."""
+    """Measurement with uncertainty, propagated by the gradient at the points."""
     along = np.einsum("kx,ix,ki->i", gradient, picked.direction, weight)
     variance = float(along @ picked.covariance @ along)
     # A pixel that two points have in common is one and the same noise.

@@ -508,7 +508,7 @@ def _doubt(
 def _slope(
     function: Callable[[Floats], Floats], at: Floats, *, step: float = 1e-6
 ) -> Floats:
-    """Return the derivatives by central differences, shape (results, parameters)."""
+    """Return a function's derivatives by central differences, (result, parameter)."""
     columns = []
     for number in range(len(at)):
         shift = np.zeros_like(at)

@@ -40,7 +40,7 @@ class Section:
 def section(
     surface: Surface, plane: Plane, *, start: ArrayLike, end: ArrayLike
 ) -> Section:
-    r"""Cut a surface along a line of a drawing, perpendicular to its plane.
+    r"""Cut a surface along a line of a drawing, perpendicular to the drawing plane.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ def typical_of(
     shared: Shared,
     instrument: Instrument,
 ) -> tuple[float, float]:
-    """Return the spread that delays echoes [rad^2/m], and the instrument error [m]."""
+    """Return the angular spread that delays echoes [rad^2/m], and a range error [m]."""
     detected = result.detected
     typical = float(np.median(result.depth[detected])) if detected.any() else 0.0
     late_spread = shared.shape.spread
@@ -89,7 +89,7 @@ def typical_of(
 def echo_departs(
     geometry: Geometry, result: Result, shared: Shared, instrument: Instrument
 ) -> bool:
-    """Return whether a departure of the echo from the model flags most pixels."""
+    """Return whether the echo departs from the model enough to flag most pixels."""
     if (
         shared.evidence <= DECISIVE
         or shared.water_departs
@@ -125,7 +125,7 @@ def _variance_of(
 
 
 def cube_of(rows: Observation, scan: Scan, result: Result) -> xr.Dataset:
-    """Return the target-signal cube of some rows, or of a part of them."""
+    """Return the target-signal cube of some rows of a scan, from its estimates."""
     frame, shared = scan.frame, scan.shared
     rows_columns = rows.azimuth.shape
     signal, covariance = rows.signal, rows.covariance

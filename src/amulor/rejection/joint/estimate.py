@@ -234,7 +234,7 @@ def _sampled(
 
 
 def _extent_of(scan: ScanObservation) -> _Extent:
-    """Directions and usable pixels of a scan; errors of zero are refused."""
+    """Return directions and usable pixels of a scan, refusing stated errors of zero."""
     enough, lowest, highest, means = [], [], [], []
     for begin, end in scan.bands:
         rows = scan.tile(begin, end)

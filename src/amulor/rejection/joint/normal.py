@@ -44,7 +44,7 @@ def water_at(
 
 
 def foreground(pixels: Pixels, table: Table, phase_per_path: Floats) -> Complex:
-    """Return the signal of the light from in front of all targets."""
+    """Return the water signal from depths in front of all targets."""
     level = times(coefficients(pixels, table), table.level[:, None])[:, 0]
     turn: Complex = np.exp(1j * pixels.offset[:, None] * phase_per_path)
     return level[:, None] * turn
@@ -82,7 +82,7 @@ _PORTIONS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Normal:
-    """Normal equations of the shared parameters, those of single pixels eliminated."""
+    """Normal equations of the shared parameters, with pixel parameters eliminated."""
 
     matrix: Floats
     """Information, (parameter, parameter)."""

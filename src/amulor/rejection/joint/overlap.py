@@ -124,7 +124,7 @@ def directions_of(
 
 
 def _chebyshev(low: float, high: float, degree: int) -> Floats:
-    """Return the nodes of a degree over an angle; a single one for a constant angle."""
+    """Return the Chebyshev nodes between two angles, or one node for equal angles."""
     count = degree + 1 if high - low > _ONE else 1
     node = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     nodes: Floats = 0.5 * (low + high) + 0.5 * (high - low) * node
@@ -188,7 +188,7 @@ COEFFICIENTS = 3
 
 
 def hats(depth: Floats, knots: Floats) -> Floats:
-    """Return basis functions of a smooth departure, (knot, depth) [1].
+    """Return basis functions of a smooth departure from the model, (knot, depth) [1].
 
     Between the knots they are linear. With normal coefficients their sum is a normal
     process of variance 1, correlated over `_CORRELATION` knots.
@@ -354,7 +354,7 @@ _KEPT = 8
 
 
 class Frame:
-    """View of the receiver over a scan, the input of tables of the water signal."""
+    """Receiver geometry over a scan, from which water-signal tables are computed."""
 
     def __init__(
         self,
@@ -386,7 +386,7 @@ class Frame:
         self._nodes = self._arguments(*self.directions.mesh)
 
     def _nodes_of(self, shape: Shape) -> dict[str, Any]:
-        """Return the arguments of the overlap at the nodes, for the turn of a shape."""
+        """Return overlap arguments at the nodes, for a shape's receiver direction."""
         if not np.any(shape.turn):
             return self._nodes
         turn = tuple(float(value) for value in shape.turn)
@@ -450,7 +450,7 @@ class Frame:
     def _overlap(
         self, depth: Floats, shape: Shape, arguments: dict[str, Any]
     ) -> Floats:
-        """Return the overlap of (direction, depth), without the correction.
+        """Return the overlap before its correction, (direction, depth) [sr].
 
         (29) of Ricci et al. 2010, as rebuilt, with the phase function of the survey's
         water, stretched to the spread of the shape. Where it has none, (43) for the
@@ -497,7 +497,7 @@ class Frame:
         return offset
 
     def late_spread(self, depth: float, spread: float, error: float) -> float:
-        """Return the spread whose mean detour is twice the echo delay [rad^2/m].
+        """Return the angular spread of a mean detour of twice the echo delay [rad^2/m].
 
         In the middle of the scan, by `optics.late_echo`, for water of the survey's
         phase function with a given spread, of some relative error: the mean of it and
@@ -541,7 +541,7 @@ class Frame:
         return np.asarray(np.interp(fraction, total / total[-1], depth))
 
     def middle(self, depth: Floats, shape: Shape) -> Floats:
-        """Return the overlap in the middle of the scan, with the correction [sr]."""
+        """Return the overlap in the middle of the scan, with its correction [sr]."""
         factor = np.exp(shape.correction @ hats(depth, shape.knots))
         overlap: Floats = self.directions.centre @ self.overlap(depth, shape) * factor
         return overlap
@@ -587,7 +587,7 @@ def unseen_beam() -> CubeError:
 
 
 def frame_of(scan: Observation, azimuth: Floats, elevation: Floats) -> Frame:
-    """Return the frame of a scan whose survey describes the receiver."""
+    """Return the receiver geometry of a scan; CubeError if its survey lacks one."""
     if scan.survey is None:
         raise CubeError(
             "the cube has no attribute 'survey', from which the geometry of the "

@@ -129,7 +129,7 @@ FEWEST = 96
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """Times of a scan."""
+    """Begin and duration of a scan."""
 
     rows: int
     """Rows of the scan."""
@@ -320,7 +320,7 @@ class Shared:
         return float(np.exp(self.shot_change))
 
     def shot_signal(self, water_signal: Complex, foreground: Complex) -> Complex:
-        """Return the signal of open-water shots, which may be of other water [V]."""
+        """Return the signal of open-water shots, whose water may differ [V]."""
         signal: Complex = self.shot_factor * water_signal
         if self.shot_departure.size:
             departure = self.strength[:, None] * self.shot_departure
@@ -411,12 +411,12 @@ class Layout:
 
 
 def whitened(weights: Floats, values: Complex) -> Floats:
-    """Return values over their errors, (pixel, channel, outputs)."""
+    """Whiten values by the errors, shape (pixel, channel, output)."""
     return whitened_columns(weights, values[..., None]).reshape(*values.shape[:2], -1)
 
 
 def whitened_columns(weights: Floats, values: Complex) -> Floats:
-    """Return columns over the errors, (pixel, outputs, column)."""
+    """Whiten columns by the errors, shape (pixel, output, column)."""
     xx, xy, yy = (weights[..., k, :, None] for k in range(3))
     root = np.sqrt(xx)
     slant = np.divide(xy, root, out=np.zeros_like(root), where=root > 0)

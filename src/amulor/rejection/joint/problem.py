@@ -76,11 +76,11 @@ class Problem:
         return Problem(self.frame, targets, chosen, self.transfer, self.deepest)
 
     def of(self, targets: Pixels) -> Problem:
-        """Return a copy with other pixels."""
+        """Return a copy with other target pixels."""
         return Problem(self.frame, targets, self.shots, self.transfer, self.deepest)
 
     def with_shots(self, shots: Pixels) -> Problem:
-        """Return a copy with other shots."""
+        """Return a copy with other open-water shots."""
         return Problem(self.frame, self.targets, shots, self.transfer, self.deepest)
 
     def cost(self, state: Shared) -> float:
@@ -148,7 +148,7 @@ class Problem:
         )
 
     def moved(self, state: Shared, step: Floats, layout: Layout) -> Shared:
-        """Return the state after a step, with a new table."""
+        """Return the shared parameters after a step, with a new water-signal table."""
         full = np.zeros(layout.size)
         full[: len(step)] = step
         bounded = full[layout.shape].copy()
@@ -184,7 +184,7 @@ class Problem:
     def local(
         self, state: Shared, paths: Floats | None, pixels: Pixels | None = None
     ) -> Estimates:
-        """Return the best paths and amplitudes of all pixels, or of other ones."""
+        """Return the best paths and amplitudes of all pixels, or of given pixels."""
         start = None if paths is None else np.nan_to_num(paths, nan=0.0)
         pixels = drifted(self.targets if pixels is None else pixels, state.trend)
         return estimate(
@@ -259,7 +259,7 @@ class Problem:
     def scattered(
         self, state: Shared, paths: Floats | None = None, *, neighbours: bool = True
     ) -> tuple[Shared, Estimates]:
-        """Return the state with updated noise and fluctuation, and its estimates.
+        """Update noise and fluctuation; return the state and its estimates.
 
         `paths` are the start of the search; by default all paths are searched.
         """

@@ -29,7 +29,7 @@ _SAME_PLACE = 1e-4
 def shot_directions(
     middle: tuple[float, float], shots: Observation | None
 ) -> tuple[Floats, Floats]:
-    """Return the directions of the shots; the middle of the scan if unknown [rad]."""
+    """Return the directions of the shots, or the scan's middle if unknown [rad]."""
     if shots is None:
         return np.zeros(0), np.zeros(0)
     azimuth, elevation = (
@@ -73,7 +73,7 @@ def open_water_samples(scan: Observation, *, no_target: bool) -> tuple[Frame, Pi
 
 
 def refuse_single_frequency(frequency: Floats) -> None:
-    """Refuse a scan of one frequency."""
+    """Raise a CubeError for a scan with one modulation frequency."""
     if len(frequency) < FEWEST_FREQUENCIES:
         raise CubeError(
             f"the cube has one modulation frequency, {frequency[0] / 1e6:g} MHz; joint "
@@ -83,7 +83,7 @@ def refuse_single_frequency(frequency: Floats) -> None:
 
 
 def refuse_other_windows(origin_z: Floats, frame: Frame) -> None:
-    """Refuse a scan that moves towards its window or away from it.
+    """Raise a CubeError if the emitter moves towards its window or away from it.
 
     Sideways, emitter and receiver move together and see the same water everywhere.
     """
@@ -100,7 +100,7 @@ def refuse_other_windows(origin_z: Floats, frame: Frame) -> None:
 
 
 def refuse_errors_of_zero(errors: Covariance, usable: NDArray[np.bool_]) -> None:
-    """Refuse samples whose stated error is zero."""
+    """Raise a CubeError for samples whose stated error is zero."""
     determinant = errors.in_phase * errors.quadrature - errors.cross**2
     if np.any(usable & ~(determinant > 0)):
         raise CubeError(

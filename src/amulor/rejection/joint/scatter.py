@@ -158,7 +158,7 @@ class _Residuals:
     """Whether only differences between neighbors count as random."""
 
     def sums(self, ratio: float) -> tuple[float, float, float]:
-        """Return squares of differences, degrees of freedom, log determinants.
+        """Return sum of squared differences, degrees of freedom, and log determinants.
 
         For a fluctuation of `ratio` times the scale of the noise.
         """
@@ -275,7 +275,7 @@ class Cleaned:
     def restored(
         self, pixels: Pixels, estimates: Estimates, index: NDArray[np.intp]
     ) -> Cleaned:
-        """Return a copy in which all samples of some pixels count."""
+        """Return a copy in which all samples of selected pixels are used again."""
         if not len(index):
             return self
         usable, unsettled = self.pixels.usable.copy(), self.unsettled.copy()
@@ -308,7 +308,7 @@ def disagrees(estimates: Estimates, typical: float = 1.0) -> Bools:
 def may_be_left_out(
     estimates: Estimates, shape: tuple[int, int], typical: float
 ) -> Bools:
-    """Return the samples (channel, frequency) that disagree in few enough pixels."""
+    """Return the samples that may be omitted, as they disagree in few pixels."""
     wrong = estimates.which[disagrees(estimates, typical)]
     count = np.bincount(wrong, minlength=shape[0] * shape[1])
     usual = float(np.median(count))

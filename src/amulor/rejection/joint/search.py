@@ -115,7 +115,7 @@ _SCALARS = (
 def without_foreground(
     pixels: Pixels, table: Table, *, strength: Complex, phase_per_path: Floats
 ) -> Pixels:
-    """Return samples less the light from in front of all targets."""
+    """Return samples less the water signal from in front of all targets."""
     if not np.any(strength):
         return pixels
     light = foreground(pixels, table, phase_per_path)[:, None] * strength
@@ -146,7 +146,7 @@ _TINY = 1e-12
 
 @dataclass(frozen=True)
 class Pair:
-    """Two surfaces for each of some pixels."""
+    """Fit of two surfaces to each of some pixels."""
 
     cost: Floats
     """Sum of squared errors in units of their standard deviation [1]."""
@@ -250,7 +250,7 @@ def _descend(
     transfer: Complex,
     rate: Floats,
 ) -> tuple[Floats, Floats]:
-    """Return the smallest chi-square and both of its paths."""
+    """Minimize chi-square over both paths of each pixel; return it with the paths."""
     damping = np.full(len(ends), _DAMPING)
     cost, step_of = _linearised(pixels, ends, inverse, front, shared, transfer, rate)
     farthest = 0.5 / rate.max()
@@ -270,7 +270,7 @@ def _descend(
 
 @dataclass(frozen=True)
 class _Step:
-    """Normal equations of two paths, the amplitudes eliminated."""
+    """Normal equations of two paths, with the amplitudes eliminated."""
 
     matrix: Floats
     """Information, (pixel, 2, 2)."""

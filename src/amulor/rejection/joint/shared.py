@@ -119,7 +119,7 @@ class InitialFit:
 
 
 def begin(problem: Problem, turn_width: float, *, by_shots: bool) -> InitialFit:
-    """Fit the shared parameters without model departures, outliers excluded."""
+    """Fit the shared parameters without model departures, excluding outliers."""
     state = first(problem, turn_width, by_shots=by_shots)
     index = np.arange(len(problem.targets))
     sample = index[np.linspace(0, len(index) - 1, min(_FIRST, len(index))).astype(int)]

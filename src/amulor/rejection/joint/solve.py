@@ -147,7 +147,7 @@ def _mixed(
     transfer: Complex,
     rate: Floats,
 ) -> tuple[Cleaned, Floats, Floats]:
-    """Return pixels with two surfaces restored to all their samples, and both paths."""
+    """Restore all samples of pixels with two surfaces; return them and both paths."""
     count = len(pixels)
     near, far = np.full(count, np.nan), np.full(count, np.nan)
     number = (pixels.usable & ~cleaned.pixels.usable).sum(axis=(1, 2))

@@ -49,17 +49,17 @@ class Table:
 
     @cached_property
     def arrays(self) -> WaterTable:
-        """Table of the water signal in the form of the compiled loops."""
+        """Table of the water signal as an argument of the compiled loops."""
         return WaterTable(self.step, to_pairs(self.value), to_pairs(self.slope))
 
 
 def to_pairs(values: Complex) -> Floats:
-    """Return complex numbers as real and imaginary parts, the axis before the last."""
+    """Split complex numbers into real and imaginary parts, on the second-last axis."""
     return np.ascontiguousarray(np.stack([values.real, values.imag], axis=-2))
 
 
 def from_pairs(values: Floats) -> Complex:
-    """Return complex numbers from parts on the axis before the last."""
+    """Join real and imaginary parts on the second-last axis to complex numbers."""
     pairs: Complex = values[..., 0, :] + 1j * values[..., 1, :]
     return pairs
 

@@ -225,7 +225,7 @@ def split_scattering(
 
 
 def _result(frame: Frame, shared: Shared, channels: list[str]) -> WaterFit:
-    """Return a fit with its derived quantities."""
+    """Return a fit of the water with quantities derived from it."""
     count = len(channels)
     size = count + COEFFICIENTS
     relative = np.ones(len(shared.covariance))

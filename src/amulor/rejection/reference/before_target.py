@@ -1,4 +1,4 @@
-"""Water signal in front of the target: open water less the column behind it."""
+"""Water signal in front of the target: open water less the water behind the target."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def turbidity_of(
 
 
 def scaled(survey: Survey, factor: float) -> Survey:
-    """Return a survey with absorption and scattering times a factor."""
+    """Return a survey with absorption and scattering multiplied by a factor."""
     return by_coefficients(survey, factor=factor)
 
 
@@ -501,7 +501,7 @@ class _Fit:
 def _fit(
     phase: Floats, turn: Floats, wavenumber: Floats, weight: Floats
 ) -> _Fit | None:
-    """Fit one change of the water and a path per pixel; None if undetermined."""
+    """Fit a common change of the water and one path per pixel; None if undetermined."""
 
     def summed(values: Floats) -> Floats:
         total: Floats = np.sum(weight * values, axis=(0, 1))

@@ -66,7 +66,7 @@ def fractions(
 def column_of(
     survey: Survey, places: Floats, frequency: Floats, *, paper: bool
 ) -> Column:
-    """Return a table of the fractions behind targets, or their integrals at all pixels.
+    """Return the fractions behind the targets of a scan: a table, or exact integrals.
 
     The quotient of the water signal of `model.water_signal` from the depth on and as a
     whole. Freed of the delay exp(2 i k z) it is smooth in direction and depth, so a
@@ -164,7 +164,7 @@ class _Table:
         self._series.fill(value)
 
     def fractions(self, places: Floats) -> Complex:
-        """Return the fractions at places; outside the table by integration."""
+        """Return the fractions at given places, integrated where outside the table."""
         inside = (places >= self._low[:, None]) & (places <= self._high[:, None])
         within = inside.all(axis=0)
         if within.all():

@@ -42,7 +42,7 @@ _OF_EACH, _OF_LARGEST = 5e-3, 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Interpolation error of planned open-water shots, and how many suffice."""
+    """Interpolation error of planned open-water shots, and a sufficient number."""
 
     error: float
     """Largest error of the interpolation, relative to the largest water signal [1]."""

@@ -207,7 +207,7 @@ class _Problem:
 
 @dataclass(frozen=True, kw_only=True)
 class CutColumns:
-    """Fraction of the open water from behind a cut, over depth and direction."""
+    """Fraction of the open-water signal from beyond a cut, by depth and direction."""
 
     smooth: Complex
     """Fractions without the phase of their depth, shape (frequency, depth, elevation
@@ -267,7 +267,7 @@ def _cut_columns(
     *,
     paper: bool,
 ) -> CutColumns:
-    """Compute the fractions behind cuts from a survey."""
+    """Compute the fractions of open water from beyond cuts, from a survey."""
     properties = water_properties(survey)
     frequency = cube["modulation_frequency"].values
     nearest, farthest = (0.0, np.inf) if interval is None else interval
@@ -297,7 +297,7 @@ def _cut_columns(
 
 
 def _places(angle: Floats, low: float, high: float) -> Floats:
-    """Return the positions of pixels among the nodes of an angle, from 0 on [1]."""
+    """Return the angles of pixels as fractional indices of the nodes [1]."""
     values = angle.ravel()
     if high - low < _ONE:
         return np.zeros(values.size)
@@ -306,5 +306,5 @@ def _places(angle: Floats, low: float, high: float) -> Floats:
 
 
 def _nodes(low: float, high: float) -> Floats:
-    """Return evenly spaced nodes over a span; a single one for a span of zero."""
+    """Return evenly spaced nodes over an interval, or one node if it is empty."""
     return np.linspace(low, high, _DIRECTIONS if high - low >= _ONE else 1)

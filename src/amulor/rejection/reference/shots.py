@@ -398,7 +398,7 @@ def _groups(values: Floats) -> NDArray[np.intp]:
 
 
 def _jitter(cube: xr.Dataset, name: str) -> float:
-    """Return the standard deviation of read angles about the commanded ones [rad]."""
+    """Return the standard deviation of measured from commanded angles [rad]."""
     meant = f"user_commanded_{name}"
     if meant not in cube:
         return 0.0

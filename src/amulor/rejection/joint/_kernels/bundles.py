@@ -32,7 +32,7 @@ class WaterTable(NamedTuple):
 
 
 class Echo(NamedTuple):
-    """Echo H(f) exp(i k p) of a target of amplitude 1: phase per path, transfer."""
+    """Echo H(f) exp(i k p) of a unit target: phase per path, and transfer function."""
 
     phase_per_path: Array
     """k = 2 pi f / c_0, (frequency,) [rad/m]."""
@@ -234,7 +234,7 @@ class Sums(NamedTuple):
 
 
 class WaterModel(NamedTuple):
-    """Water signal s W + s d V of some pixels, and its derivatives; complex."""
+    """Water signal s W + s d V of some pixels, and its derivatives (complex arrays)."""
 
     strength: Array
     """Strength s of each channel, real [V]."""

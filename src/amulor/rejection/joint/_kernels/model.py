@@ -32,7 +32,7 @@ _FIRST, _SECOND, _THIRD = (
 
 @inner(forceinline=True, fastmath={"contract"})
 def fill_turn(path: float, phase_per_path: Array, turn: Array) -> None:
-    """Compute the phasor exp(i k p) of a path, to a unit in the last place.
+    """Compute the phasor exp(i k p) of a path, accurate to the last digit.
 
     By polynomials on a quarter turn, without a branch, so that all frequencies are done
     in parallel lanes. Compiled because the cosine and sine of the mathematical library,

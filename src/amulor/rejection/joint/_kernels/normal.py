@@ -278,7 +278,7 @@ def _eliminate(own: _Own, matrix: Array, vector: Array) -> float:
 def accumulate(
     begin: int, end: int, derivatives: Derivatives, parameters: Parameters, sums: Sums
 ) -> None:
-    """Sum the normal equations of portions of pixels, single pixels eliminated.
+    """Sum the normal equations of portions of pixels, eliminating pixel parameters.
 
     Gauss-Newton for strength, shape and departures, with path and amplitudes of every
     pixel eliminated (Schur complement). A portion is a fixed part of the pixels with a

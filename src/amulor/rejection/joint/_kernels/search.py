@@ -154,7 +154,7 @@ _LEAST_REST = 1e-3
 def most_outlying(
     rate: float, information: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float, int]:
-    """Return the two largest decreases of chi-square without a sample, and its index.
+    """Return the two largest drops of chi-square by omitting a sample, and its index.
 
     r' S^-1 r with the residual r of a sample and the covariance S = V - J C J' that
     is left of its own, V, when the path and the amplitude are fitted to it too; exact
@@ -255,7 +255,7 @@ def starting_costs(
     best: Array,
     strength: Array,
 ) -> None:
-    """Compute chi-square of each pixel with a water signal of its own strength.
+    """Compute each pixel's chi-square, with the water strength fitted to that pixel.
 
     For every path on the grid the amplitudes A_c of the target and s_c of the water are
     fitted channel by channel; `strength` holds s_c at the best path. Compiled because
@@ -556,7 +556,7 @@ def estimate(
     known: Array,
     solutions: Solutions,
 ) -> None:
-    """Estimate the most likely path of each of some pixels.
+    """Estimate the most likely path of each pixel from `begin` to `end`.
 
     Maximum likelihood of A_c H(f) exp(i k p) + s_c W(f, z(p)) over p and A_c >= 0, the
     formula under Notes of `amulor.rejection.joint`. Where `known` holds a path, the
