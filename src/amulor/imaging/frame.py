@@ -215,7 +215,7 @@ def frame_of(
 
 
 def _attitude(pose: Pose) -> Floats:
-    """Rotation of a pose: right, down and forward as columns in east, north, up."""
+    """Rotation matrix of a pose, from (right, down, forward) to (east, north, up)."""
     sine, cosine = np.sin(pose.heading), np.cos(pose.heading)
     level = np.array([sine, cosine, 0.0])
     up = np.array([0.0, 0.0, 1.0])

@@ -164,7 +164,7 @@ def add_panel(
     turn: Array,
     sums: Array,
 ) -> None:
-    """Add the integrals of exp(i w z) times the integrand over a panel, w rising.
+    """Add a panel's integrals of exp(i w z) times the integrand, for rising w.
 
     Two rows of work and of turn are overwritten. Below SPLIT of phase over half a panel
     exp(i w z) is a Chebyshev series (Jacobi-Anger), above it the moments of the

@@ -197,7 +197,7 @@ _OF_MEDIAN = 1.2533
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelPhase:
-    """Median phase difference of the targets in a scan between channels.
+    """Median phase difference between channels, for the targets of a scan.
 
     All channels see one echo. Leakage, a phase that depends on the amplitude and a
     layer of other water turn the channels by different angles.

@@ -198,7 +198,7 @@ class UncertainModel(Protocol):
 
 @dataclass(frozen=True)
 class DiffusionModel:
-    """Diffusion model (43), (46) of Ricci et al. 2010, as rebuilt.
+    """Diffusion model, eqs. (43) and (46) of Ricci et al. 2010.
 
     Takes b_f, b_d and the second moment of the water, and spreads all light alike, what
     was never scattered included. With a split angle of 90 degrees its cut-off is some
@@ -253,7 +253,7 @@ class DiffusionModel:
 
 @dataclass(frozen=True)
 class SmallAngleModel:
-    """Small-angle model (29) of Ricci et al. 2010, as rebuilt: the default.
+    """Small-angle model, eq. (29) of Ricci et al. 2010; the default model.
 
     Takes the whole phase function of the water, and keeps the light that was not
     scattered. Within some percent of photons. Half a millisecond for each pixel.
@@ -343,7 +343,7 @@ class SmallAngleModel:
 
 @dataclass(frozen=True)
 class ClosureModel:
-    """Closure model: fast approximation of the small-angle model (29).
+    """Closure model, a fast approximation of the small-angle model.
 
     Takes the whole phase function, as `SmallAngleModel` does, and puts one Gaussian for
     the light of each depth. Where it holds, the cut-off is at most 30 % higher than

@@ -227,7 +227,7 @@ _MOST_PANELS = 2048  # waiting to be halved, before the integral counts as unset
 def integral(
     phase_per_depth: Array, edges: Array, values: Array
 ) -> NDArray[np.complex128]:
-    """Return the integrals of exp(i w z) F(z) from values of F(z) in panels."""
+    """Return the integrals of exp(i w z) times the overlap F(z), given in panels."""
     order = np.argsort(phase_per_depth)
     sums = np.zeros((2, phase_per_depth.size))
     _kernels.add_panels(edges, values, phase_per_depth[order], RULE, sums)

@@ -66,7 +66,7 @@ class Water(NamedTuple):
 
 @numba.njit(cache=True, error_model="numpy")
 def spread(x: Array, angle: Array, weight: Array, table: Array, out: Array) -> None:
-    """Fill `out` with sums of weight * angle^2 * (1 - mean J0 up to x angle) / x^2."""
+    """Fill `out` with the scattering loss over x^2, summed over scattering angles."""
     for i in range(x.size):
         total = 0.0
         for j in range(angle.size):
@@ -203,7 +203,7 @@ def scattered(
 def add_panels(
     edge: Array, value: Array, phase_per_depth: Array, rule: Array, sums: Array
 ) -> None:
-    """Add the integrals of exp(i w z) times the overlap F(z) over panels, w rising.
+    """Add the integrals of exp(i w z) times the overlap F(z) over panels to `sums`.
 
     A row of value holds a panel at its Gauss-Legendre nodes, rising.
     """
@@ -263,7 +263,7 @@ def add_columns(
     rules: tuple[Array, Array, Array],
     sums: Array,
 ) -> None:
-    """Add the integrals of exp(i w z) times the overlap F(z) of many columns, w rising.
+    """Add the integrals of exp(i w z) times the overlap F(z) of many columns to `sums`.
 
     A row of view is baseline, tilt, cross tilt and end of a column; edge has the
     panels, rising; span the start and the width of the cells of each node of them in

@@ -444,7 +444,7 @@ def _peak(column: Column) -> float:
 def _response(
     phase_per_depth: Array, column: Column, spread: Table
 ) -> NDArray[np.complex128]:
-    """Return the integral of exp(i w z) F(z) over the water column [m sr]."""
+    """Return the depth integral of exp(i w z) times the overlap F(z) [m sr]."""
     plain = _plain(np.append(0.0, phase_per_depth), column)
     if column.end == 0 or column.scattering == 0:
         return plain[1:]
@@ -453,7 +453,7 @@ def _response(
 
 
 def _plain(phase_per_depth: Array, column: Column) -> NDArray[np.complex128]:
-    """Return the integral of exp(i w z) F(z) for unscattered light [m sr]."""
+    """Return the depth integral of unscattered light, by the diffusion model [m sr]."""
     # For a frequency f, w = 4 pi f n / c; here with a group index of 1.
     return np.asarray(
         _beam_loss(column)

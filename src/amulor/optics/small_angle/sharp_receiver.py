@@ -276,7 +276,7 @@ def overlap(
 def _response(
     phase_per_depth: Array, column: Column, spread: Table
 ) -> NDArray[np.complex128]:
-    """Return the integral of exp(i w z) F(z) over the water column [m sr]."""
+    """Return the depth integral of exp(i w z) times the overlap F(z) [m sr]."""
     thin = column.beam_radius == 0 and column.beam_divergence == 0
     total = np.zeros(phase_per_depth.size, dtype=complex)
     partial_sum = 0.0

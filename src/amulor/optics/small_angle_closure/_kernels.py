@@ -288,7 +288,7 @@ def water_column(
     rules: tuple[Array, Array, Array, Array],
     sums: Array,
 ) -> None:
-    """Add the integrals of exp(i w z) F(z) / pi R^2 gamma^2, for rising w.
+    """Add the integrals of exp(i w z) times the overlap over pi R^2 gamma^2.
 
     Compiled, as panels are halved one by one where F(z) asks for it.
     """

@@ -454,7 +454,7 @@ def _lacked(column: Column, spread: Table) -> float:
 def _response(
     phase_per_depth: Array, column: Column, spread: Table, *, lacking: list[float]
 ) -> NDArray[np.complex128]:
-    """Return the integral of exp(i w z) F(z) over the water column [m sr]."""
+    """Return the depth integral of exp(i w z) times the overlap F(z) [m sr]."""
     result = np.zeros(phase_per_depth.size, dtype=complex)
     if column.end == 0:
         return result

@@ -340,7 +340,7 @@ def _add_column(
     turn: Array,
     sums: Array,
 ) -> float:
-    """Add one column's integrals of exp(i w z) F(z) over the peak of F, w rising.
+    """Add a column's integrals of exp(i w z) times the overlap relative to its peak.
 
     Return max F over pi R^2 gamma^2, or NaN if the integral cannot be resolved.
     """
@@ -393,7 +393,7 @@ def _add_column(
 def water_column(
     geometry: Array, phase_per_depth: Array, rule: Array, out: NDArray[np.complex128]
 ) -> int:
-    """Fill `out` with integrals of exp(i w z) F(z) / (pi R^2 gamma^2) by row and w.
+    """Fill `out` with integrals of exp(i w z) times the overlap over pi R^2 gamma^2.
 
     A row of geometry holds the fields of `Geometry` in their order; phase_per_depth,
     w = 2 omega n_g / c [rad/m], has one row for all of them or one for each. Returns

@@ -360,38 +360,38 @@ class Layout:
 
     @property
     def strength(self) -> slice:
-        """Positions of the strengths of the channels."""
+        """Positions of the water strengths of the channels in the parameter vector."""
         return slice(0, self.channels)
 
     @property
     def shape(self) -> slice:
-        """Positions of ln k', ln spread, turn, correction, then drift."""
+        """Positions of all parameters of the shape of the water signal."""
         return slice(self.channels, self.trend.stop)
 
     @property
     def trend(self) -> slice:
-        """Positions of the drift of the strength."""
+        """Positions of the drift of the water strength in the parameter vector."""
         begin = self.rigid + self.knots
         return slice(begin, begin + self.trends)
 
     @property
     def turn(self) -> slice:
-        """Positions of the receiver direction relative to the stated one."""
+        """Positions of the deviation of the receiver direction from the survey."""
         return slice(self.parametric.stop, self.rigid)
 
     @property
     def rigid(self) -> int:
-        """Number of parameters before those of departures from the model."""
+        """Number of parameters before those for departures from the model."""
         return self.channels + COEFFICIENTS + self.turns
 
     @property
     def parametric(self) -> slice:
-        """Positions of strengths, k' and spread."""
+        """Positions of water strengths, reduced attenuation and angular spread."""
         return slice(0, self.channels + COEFFICIENTS)
 
     @property
     def blocks(self) -> tuple[slice, slice, slice]:
-        """Positions of the correction, and of the departures of water and echo."""
+        """Positions of overlap correction, water departure and echo departure."""
         a = self.rigid
         b = self.trend.stop
         c = b + 2 * self.channels * self.frequencies
@@ -404,7 +404,7 @@ class Layout:
 
     @property
     def doubt(self) -> slice:
-        """Positions of the departure of the shots and of their strength."""
+        """Positions of the shots' departure from the scan, and of their strength."""
         begin = self.blocks[2].stop
         count = 2 * self.channels * self.frequencies + 1 if self.doubts else 0
         return slice(begin, begin + count)

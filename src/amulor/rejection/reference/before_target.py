@@ -528,7 +528,7 @@ def not_smaller_than_shots_say(
     fit: WaterFit | None = None,
     span: Span | None = None,
 ) -> tuple[Complex, WaterFit]:
-    """Return unmixed water with amplitudes not below those of the open-water shots.
+    """Return the water signal, with amplitudes raised to those of open-water shots.
 
     Its phases, and the larger of both amplitudes [V], to know how much the water
     fluctuates. What is left of it has the error of the target with the other sign:
@@ -544,7 +544,7 @@ def not_smaller_than_shots_say(
 def not_smaller_than_usual(
     water: Complex, usual: Floats | None = None
 ) -> tuple[Complex, Floats]:
-    """Return unmixed water with amplitudes not below the median over the scan.
+    """Return the water signal, with amplitudes raised to the median over the scan.
 
     As `not_smaller_than_shots_say`, for cubes without shots. Also return the median
     amplitude of each frequency and channel, `usual` if it is stated [V].

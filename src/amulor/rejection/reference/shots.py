@@ -495,7 +495,7 @@ def with_noise_of_shots(
 
 
 def _scale_of(cube: xr.Dataset) -> float:
-    """Return the factor on the stated errors of a cube; 1 if it is applied already."""
+    """Return the factor for a cube's stated errors, 1 if they are scaled already."""
     shots: xr.Dataset | None = cube.amulor.open_water
     if shots is None or shots.sizes["shot"] < FEWEST_SHOTS or NOISE_SCALE in cube.attrs:
         return 1.0

@@ -73,7 +73,7 @@ def nothing(recorded: Recorded) -> tuple[Complex, Complex]:
 
 
 def leakage(size: float, *, delay: float | None = None) -> Effect:
-    """Return an effect: electrical leakage of the modulation, equal in both channels.
+    """Return a function that adds electrical leakage, equal in both channels.
 
     Its size is a fraction of the median echo of the first channel.
     Without a delay it has one phase, 0.13 of a turn, and only the scan has it; with a
@@ -90,7 +90,7 @@ def leakage(size: float, *, delay: float | None = None) -> Effect:
 
 
 def walk(degrees: float) -> Effect:
-    """Return an effect: phase error per decade of amplitude [degrees]."""
+    """Return a function that adds a phase error per decade of amplitude [degrees]."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         def walked(signal: Complex) -> Complex:
@@ -104,7 +104,7 @@ def walk(degrees: float) -> Effect:
 
 
 def aliased_harmonic(size: float) -> Effect:
-    """Return an effect: third harmonic of the light, aliased to the first harmonic."""
+    """Return a function that adds the light's third harmonic, aliased to the first."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         triple = tuple(3 * value for value in FREQUENCIES[recorded.count])
@@ -125,7 +125,7 @@ def aliased_harmonic(size: float) -> Effect:
 
 
 def turbid_layer(thickness: float, *, factor: float = 2.0) -> Effect:
-    """Return an effect: turbid layer in front of the target, absent from the shots."""
+    """Return a function that adds a turbid layer of given thickness [m] to the scan."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         near = plate(_DISTANCE - thickness, lean=_LEAN)
@@ -137,7 +137,7 @@ def turbid_layer(thickness: float, *, factor: float = 2.0) -> Effect:
 
 
 def drift(*, degrees: float = 0.0, delay: float = 0.0) -> Effect:
-    """Return an effect: linear drift of phase [degrees] or delay [s] over the scan."""
+    """Return a function that adds a linear drift of phase [degrees] or delay [s]."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         phase = np.radians(degrees) + 2 * np.pi * recorded.frequency * delay
@@ -149,7 +149,7 @@ def drift(*, degrees: float = 0.0, delay: float = 0.0) -> Effect:
 
 
 def compression(fraction: float) -> Effect:
-    """Return an effect: gain that falls linearly with the amplitude."""
+    """Return a function that reduces the gain by a fraction at the median amplitude."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         def pressed(signal: Complex) -> Complex:
@@ -163,7 +163,7 @@ def compression(fraction: float) -> Effect:
 
 
 def scale_change(degrees: float) -> Effect:
-    """Return an effect: phase step for amplitudes above the scan's median [degrees]."""
+    """Return a function that adds a phase step above the median amplitude [degrees]."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         limit = np.median(np.abs(recorded.scan), axis=(2, 3))
