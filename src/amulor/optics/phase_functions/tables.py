@@ -1,4 +1,4 @@
-r"""Phase functions from tables: measured ones of sea water, or the user's.
+r"""Phase functions from tables: measurements in sea water, or tables of the user.
 
 Between its points a table is a power law, straight on double logarithmic paper. Below
 its first angle there are no data: the power law goes on, and the object says so.

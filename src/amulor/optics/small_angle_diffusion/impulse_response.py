@@ -1,4 +1,4 @@
-"""Distribution of the water signal over time and depth, diffusion model."""
+"""Distribution of the water signal over time and depth, by the diffusion model."""
 
 from __future__ import annotations
 

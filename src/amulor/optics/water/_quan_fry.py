@@ -31,7 +31,7 @@ def index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Arra
 
 
 def group_index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Array:
-    """Return the group index n - L dn/dL, L the wavelength."""
+    """Return the group index n - L dn/dL for wavelength L."""
     inverse = 1e-9 / wavelength
     offset, slope = _terms(temperature, salinity)
     curvature = -3 * 4382.0 * inverse**2 + 4 * 1.1455e6 * inverse**3

@@ -246,7 +246,7 @@ class Scattered:
     def light(
         self, depth: Floats, *, forward_scattering: float, spread: float, offset: Floats
     ) -> Floats:
-        """Return the overlap of scattered light, without reduced attenuation [sr]."""
+        """Return the overlap of scattered light, before reduced attenuation applies [sr]."""
         aside = np.log1p(offset**2 / self._area)
         self._reach(aside)
         terms = self._terms(forward_scattering, spread)
@@ -262,7 +262,7 @@ class Scattered:
         return np.maximum(out, 0.0)
 
     def _terms(self, forward_scattering: float, spread: float) -> Floats:
-        """Return the Chebyshev series over the offset at every node of depth."""
+        """Return Chebyshev series of scattered light over the offset, for each depth node."""
         cached = self._known
         if cached is not None and cached[:2] == (forward_scattering, spread):
             return cached[2]
@@ -328,7 +328,7 @@ def _frequencies(aside: float) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=8)
 def _lost(function: PhaseFunction, split_angle: float) -> Floats:
-    """Return the logarithm of the mean scattered fraction up to x, at steps of ln x."""
+    """Return the log of 1 minus the mean Hankel transform up to x, at steps of ln x."""
     count = int(np.ceil(np.log(_HIGHEST / _LOWEST) * _CELLS)) + 1
     edge = _LOWEST * np.exp(np.arange(count) / _CELLS)
     node, weight = legendre.leggauss(2)

@@ -1,4 +1,4 @@
-"""Detection of targets, outliers, and the scatter between pixels."""
+"""Detection of targets and outliers, and scatter of the samples between pixels."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def way_out(
 
 @kernel
 def meridian(n: Vector) -> Vector:
-    """Return the polarization axis in the plane of n and z, toward larger angles.
+    """Return the polarization axis of direction n that lies in the plane of n and z.
 
     The angle is counted from +z. Along z it is taken at an azimuth of zero.
     """
