@@ -77,7 +77,7 @@ def choose_frequency(
     polarization: str | None = None,
     interval: tuple[float, float] | None = None,
 ) -> FrequencyChoice:
-    r"""Choose the frequency with the smallest range error, including the water's.
+    r"""Choose the frequency with the smallest range error by noise and water.
 
     Parameters
     ----------

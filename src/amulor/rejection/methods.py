@@ -136,7 +136,7 @@ class Method:
         return lambda rows, first: of(without_drift(rows), first)
 
     def without_open_water(self) -> Method:
-        """Return the method that ignores the open-water reference measurements.
+        """Return a copy of the method that ignores open-water reference measurements.
 
         Returns
         -------

@@ -332,7 +332,7 @@ def _product(
     uncertainty: Covariance,
     scale: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the inner product of two signals per pixel, by the inverse covariance."""
+    """Return each pixel's inner product of two signals, by the inverse covariance."""
     product = scale * (
         uncertainty.quadrature * first.real * second.real
         + uncertainty.in_phase * first.imag * second.imag

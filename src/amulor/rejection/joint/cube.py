@@ -73,7 +73,7 @@ def typical_of(
     shared: Shared,
     instrument: Instrument,
 ) -> tuple[float, float]:
-    """Return the angular spread that delays echoes [rad^2/m], and a range error [m]."""
+    """Return angular spread that delays echoes [rad^2/m], and instrument error [m]."""
     detected = result.detected
     typical = float(np.median(result.depth[detected])) if detected.any() else 0.0
     late_spread = shared.shape.spread
@@ -249,7 +249,7 @@ def _intervals_look_alike(shared: Shared, rate: Floats, span: float) -> bool:
 
 
 def _variables(maps: dict[str, Floats]) -> dict[str, xr.Variable]:
-    """Return maps as variables of the schema, with the prefix `joint_`."""
+    """Return maps over pixels as cube variables, with the prefix `joint_`."""
     specs = cubes.LEVELS["target_signal"].variables
     variables = {}
     for short, values in maps.items():

@@ -61,7 +61,7 @@ _SHARED_TAKES = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
-    """Shared parameters, interval and times for the estimates of all pixels."""
+    """Shared parameters, range interval and times for the estimates of all pixels."""
 
     scan: Scan
     """View of the receiver and shared parameters."""

@@ -217,7 +217,7 @@ _CELLS, _LOWEST, _HIGHEST = 8, 0.02, 3e3
 
 
 class Scattered:
-    """Overlap of forward-scattered light, by the small-angle form (29)."""
+    """Overlap of forward-scattered light, by the small-angle model, eq. (29)."""
 
     def __init__(
         self,
@@ -246,7 +246,7 @@ class Scattered:
     def light(
         self, depth: Floats, *, forward_scattering: float, spread: float, offset: Floats
     ) -> Floats:
-        """Return the overlap of scattered light, before reduced attenuation applies [sr]."""
+        """Return the overlap of scattered light, before reduced attenuation [sr]."""
         aside = np.log1p(offset**2 / self._area)
         self._reach(aside)
         terms = self._terms(forward_scattering, spread)
@@ -262,7 +262,7 @@ class Scattered:
         return np.maximum(out, 0.0)
 
     def _terms(self, forward_scattering: float, spread: float) -> Floats:
-        """Return Chebyshev series of scattered light over the offset, for each depth node."""
+        """Return Chebyshev series of scattered light over the offset, by depth node."""
         cached = self._known
         if cached is not None and cached[:2] == (forward_scattering, spread):
             return cached[2]
@@ -497,7 +497,7 @@ class Frame:
         return offset
 
     def late_spread(self, depth: float, spread: float, error: float) -> float:
-        """Return the angular spread of a mean detour of twice the echo delay [rad^2/m].
+        """Return the angular spread that explains the delay of late echoes [rad^2/m].
 
         In the middle of the scan, by `optics.late_echo`, for water of the survey's
         phase function with a given spread, of some relative error: the mean of it and
@@ -550,7 +550,7 @@ class Frame:
 def _scattered_light(
     survey: Survey, properties: WaterProperties, medium: rays.Medium
 ) -> Scattered | None:
-    """Return the small-angle form for the survey's water, if it has one."""
+    """Return the scattered-light overlap for the survey's water; None if unknown."""
     if (
         properties.layers
         or properties.forward_scattering * properties.second_moment == 0

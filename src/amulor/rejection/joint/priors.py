@@ -334,7 +334,7 @@ class Shared:
 
 
 def layout_of(state: Shared) -> Layout:
-    """Return the positions of the parameters of a state."""
+    """Return the positions of shared parameters in the vector of all parameters."""
     channels, frequencies = state.departure.shape
     shape = state.shape
     return Layout(

@@ -231,7 +231,7 @@ class Problem:
     def normal(
         self, state: Shared, estimates: Estimates, layout: Layout, used: int
     ) -> Normal:
-        """Return the normal equations of the first `used` parameters at a state."""
+        """Return the normal equations of the first `used` parameters at a given state."""
         total = Normal.zero(used)
         for group in self.groups(state, estimates):
             total = total + normal_equations(
@@ -259,7 +259,7 @@ class Problem:
     def scattered(
         self, state: Shared, paths: Floats | None = None, *, neighbours: bool = True
     ) -> tuple[Shared, Estimates]:
-        """Update noise and fluctuation; return the state and its estimates.
+        """Update noise and fluctuation, and return shared parameters and estimates.
 
         `paths` are the start of the search; by default all paths are searched.
         """

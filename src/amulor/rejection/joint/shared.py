@@ -108,7 +108,7 @@ _LOOK, _LOOK_STEPS, _MOSTLY = 64, 3, 0.02
 
 @dataclass(frozen=True)
 class InitialFit:
-    """Fit without departures from the model."""
+    """Fit of the shared parameters, without departures from the model."""
 
     problem: Problem
     """Pixels that are no outliers, and the shots."""

@@ -172,7 +172,7 @@ def _mixed(
 
 
 def _variance(slopes: Floats, covariance: Floats) -> Floats:
-    """Return the variances of the paths by the parameters, (pixel,) [m^2]."""
+    """Return the path variances caused by errors of the shared parameters [m^2]."""
     variance: Floats = np.einsum("ni,ni->n", times(slopes, covariance), slopes)
     return variance
 
@@ -220,7 +220,7 @@ def _path_slopes(
 def _common(
     shared: Shared, water: Complex, foreground: Complex, changes: Complex
 ) -> Covariance:
-    """Return the covariance of the water signal by the shared parameters [V^2]."""
+    """Return the water-signal covariance by errors of the shared parameters [V^2]."""
     layout = layout_of(shared)
     channels, frequencies = shared.departure.shape
     shape = (len(water), channels, frequencies)

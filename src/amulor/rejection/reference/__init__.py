@@ -1,1 +1,1 @@
-"""Reference for the water signal: open-water shots, and their cut at the target."""
+"""Reference for the water signal: open-water shots, limited to the target's depth."""

@@ -181,7 +181,7 @@ class _Table:
         return result
 
     def at(self, places: Floats) -> Complex:
-        """Return the fractions at places in the box, shape (frequencies, n)."""
+        """Return the fractions at places inside the table, shape (frequency, n)."""
         value = self._series.at(places)
         value *= np.exp(1j * np.outer(self._phase_per_range, places[2]))
         return value
@@ -302,7 +302,7 @@ def depth(
     interval: tuple[float, float] | None,
     fit: ambiguity.Choices | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], ambiguity.Choices | None]:
-    """Return water depth and optical path to the target, and the frequency choices.
+    """Return water depth and optical path to the target, and choices on frequencies.
 
     Both lengths over (row, column), NaN where the distance is not settled [m]; and the
     choices between frequencies that all pixels share, `fit` if it is given. The signal

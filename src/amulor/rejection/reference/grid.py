@@ -112,7 +112,7 @@ def _refused(scan: Scan, plan: OpenWater) -> str:
 
 
 def _waters(survey: Survey) -> list[Survey]:
-    """Return surveys with the waters that shots may meet, the stated one first."""
+    """Return surveys of possible waters, beginning with the stated water."""
     try:
         described = by_coefficients(survey)
     except AmulorError:

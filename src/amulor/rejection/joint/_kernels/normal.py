@@ -97,7 +97,7 @@ class _Own(NamedTuple):
 
 @inner(forceinline=True)
 def _root(weight: Array, n: int, c: int, f: int) -> tuple[float, float, float]:
-    """Return the Cholesky factor of the weight of a sample: (0, 0), (1, 0), (1, 1)."""
+    """Return the three elements of the Cholesky factor of a sample's weight."""
     root = math.sqrt(weight[n, c, 0, f])
     slant = weight[n, c, 1, f] / root
     return root, slant, math.sqrt(max(weight[n, c, 2, f] - slant * slant, 0.0))

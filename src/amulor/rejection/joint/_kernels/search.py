@@ -53,7 +53,7 @@ def _keep(path: float, level: float, candidates: Candidates) -> bool:
 
 @inner()
 def _sort(candidates: Candidates) -> None:
-    """Sort minima by their level, the lowest first."""
+    """Sort candidate minima by their chi-square, from the lowest."""
     paths, levels = candidates.path, candidates.level
     for k in range(1, CANDIDATES):
         path, level = paths[k], levels[k]
@@ -494,7 +494,7 @@ def _estimate_one(
     candidates: Candidates,
     solutions: Solutions,
 ) -> None:
-    """Estimate the most likely path of one pixel: start, refine, profile.
+    """Estimate the most likely path of one pixel, with amplitudes and uncertainty.
 
     The search takes the fluctuation of open water, or of water up to the path that is
     known; the result that of water up to the path that was found.
