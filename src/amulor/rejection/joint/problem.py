@@ -231,7 +231,7 @@ class Problem:
     def normal(
         self, state: Shared, estimates: Estimates, layout: Layout, used: int
     ) -> Normal:
-        """Return the normal equations of the first `used` parameters at a given state."""
+        """Return the normal equations of the first `used` parameters at a state."""
         total = Normal.zero(used)
         for group in self.groups(state, estimates):
             total = total + normal_equations(
