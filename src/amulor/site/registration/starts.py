@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,10 @@ _LEAST, _MOST = 0.05, 0.3
 _NONE = 0.02
 #: Gain of overlap for which another convention of start poses is named [1].
 _BETTER = 0.25
+#: Conventions with so little less overlap than the best are named with it [1].
+_ALIKE = 0.1
+#: Number of draws of start poses within their stated uncertainties [1].
+_DRAWS = 20
 #: Cells of the plan whose heights are compared [m], and how many there must be [1].
 _CELL, _CELLS = 0.25, 6
 
@@ -132,7 +136,7 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
         if named:
             break
         agreement = _agreement(visits, scans, placed, gates)
-        best, words = agreement + _BETTER, ""
+        gains: dict[str, float] = {}
         for reading, changed in _READINGS:
             try:
                 moved = {
@@ -141,14 +145,33 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
                 }
             except ValidationError:  # such as a pitch beyond upright
                 continue
-            changed_agreement = _agreement(visits, scans, placed | moved, gates)
-            if changed_agreement > best:
-                best, words = changed_agreement, reading
-        if words:
+            gains[reading] = _agreement(visits, scans, placed | moved, gates)
+        best = max(gains.values(), default=0.0)
+        if best <= agreement + _BETTER:
+            continue
+        # Of poor start poses a draw of their errors may gain as much by chance.
+        chance = max(
+            _agreement(visits, scans, placed | drawn, gates)
+            for drawn in _draws({name: starts[name] for name in scans}, samples)
+        )
+        if best <= chance + _BETTER:
+            remarks.append(
+                f"{group}: start poses bring {agreement:.0%} of the points onto other "
+                f"scans, and up to {chance:.0%} within their stated uncertainties; "
+                "they may be too uncertain to start from; measure them better, or add "
+                "three targets to each scan"
+            )
+        else:
+            words = sorted(
+                (text for text, gain in gains.items() if gain > best - _ALIKE),
+                key=lambda text: -gains[text],
+            )
             named |= set(scans)
             mistakes.append(
                 f"{group}: start poses of {', '.join(scans)} bring {agreement:.0%} of "
-                f"their points onto other scans, and {best:.0%} if {words}"
+                f"their points onto other scans, and {best:.0%} if "
+                + " (or: ".join(words)
+                + ")" * (len(words) - 1)
             )
     for name in worse[:1] if len(visits) == 2 else worse:
         scans = visits[name]
@@ -177,6 +200,28 @@ def _placed(
     """Return a search tree of a scan's points, placed by its start pose."""
     pose = start_pose(start.model_copy(update=dict(changed or {})))
     return cKDTree(pose.place(cloud))
+
+
+def _draws(
+    starts: Mapping[str, StartPose], samples: Mapping[str, Floats]
+) -> Iterator[dict[str, cKDTree]]:
+    """Yield search trees of scans at start poses drawn within their uncertainties."""
+    rng = np.random.default_rng(0)  # the same findings each time
+    upright = math.pi / 2 - 1e-9
+    for _ in range(_DRAWS):
+        drawn = {}
+        for name, start in starts.items():
+            shift = rng.normal(scale=start.position_uncertainty, size=3)
+            turn = rng.normal(scale=start.heading_uncertainty)
+            pitch, roll = rng.normal(scale=start.level_uncertainty, size=2)
+            changed = {
+                "position": tuple(np.add(start.position, shift)),
+                "heading": math.remainder(start.heading + turn, 2 * math.pi),
+                "pitch": min(max(start.pitch + pitch, -upright), upright),
+                "roll": math.remainder(start.roll + roll, 2 * math.pi),
+            }
+            drawn[name] = _placed(start, samples[name], changed)
+        yield drawn
 
 
 def _gate(start: StartPose, cloud: Floats) -> float:
