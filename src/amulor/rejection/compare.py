@@ -19,6 +19,7 @@ from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
 from amulor.errors import AmulorError, CubeError
 from amulor.optics import ambiguity, detection, ranging
 from amulor.optics._geometry import Geometry
+from amulor.rejection.channels import CROSS_POLARIZED, PARTNERS
 from amulor.rejection.covariance import covariance_of
 from amulor.rejection.methods import Method, compared_methods, load, method
 from amulor.survey.view import medium_of
@@ -256,8 +257,7 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
             "water as the shots have it; aim at the target, or raise power or dwell"
         )
     if best is None:
-        listed = "; ".join(f"{row.method}: {row.note or 'no pixel'}" for row in rows)
-        raise CubeError(f"no method has a pixel that it can use ({listed})")
+        raise CubeError(_refusal(cube, rows))
     reason = _reason(rows, best, has_shots=cube.amulor.open_water is not None)
     other, disagreement = _disagreement(trials, best, cube)
     if other is not None:
@@ -372,6 +372,36 @@ def _rows(method: Method, cube: xr.Dataset, interval: Interval) -> list[_Trial]:
         _row(method, target.sel(polarization=[name]), interval)
         for name in target.amulor.polarizations
     ]
+
+
+def _refusal(cube: xr.Dataset, rows: list[Row]) -> str:
+    """Return the error message for a cube in which no method has a usable pixel."""
+    channels = cube.amulor.polarizations
+    frequency = cube["modulation_frequency"].values
+    lacks_all = (
+        cube.amulor.open_water is None
+        and not set(channels) & set(CROSS_POLARIZED)
+        and len(frequency) == 1
+    )
+    if lacks_all and all(row.caution is Caution.NOT_RUN for row in rows):
+        crossed = [PARTNERS[name] for name in channels if name in PARTNERS]
+        return (
+            "no method can tell the target from the water in this cube\n"
+            f"  found: channel {', '.join(channels)} at {frequency[0] / 1e6:g} MHz, "
+            "no open-water shots\n"
+            "  needed: open-water shots, a cross-polarized channel "
+            f"({', '.join(crossed) or 'VH'}), or several modulation frequencies\n"
+            "  record one of these and run auto again; amulor reject --method NAME "
+            "says what a single method needs"
+        )
+    methods: dict[str, list[str]] = {}
+    for row in rows:
+        methods.setdefault(row.note or "no pixel", []).append(row.method)
+    listed = "".join(
+        f"\n  {', '.join(dict.fromkeys(names))}: {note}"
+        for note, names in methods.items()
+    )
+    return f"no method has a pixel that it can use{listed}"
 
 
 def _not_run(name: str, reason: str) -> Row:

@@ -151,6 +151,17 @@ def test_a_cube_without_any_target_is_refused(by_hand: Make) -> None:
         rejection.compare(cube)
 
 
+def test_one_channel_at_one_frequency_is_refused_in_a_few_lines(by_hand: Make) -> None:
+    cube = by_hand(frequency=[39e6], channels={"VV": (1.0, 1.0)})
+    with pytest.raises(CubeError) as refused:
+        rejection.compare(cubes.without_groups(cube))
+    lines = str(refused.value).split("\n")
+    assert len(lines) == 4
+    assert max(map(len, lines)) < 120
+    assert "channel VV at 39 MHz, no open-water shots" in lines[1]
+    assert "a cross-polarized channel (VH)" in lines[2]
+
+
 def _where(target: xr.Dataset, rest: xr.Dataset, there: np.ndarray) -> xr.Dataset:
     cube = target.copy(deep=True)
     for name in ("in_phase", "quadrature"):
