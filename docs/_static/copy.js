@@ -7,10 +7,14 @@ document.addEventListener("DOMContentLoaded", () => {
     button.textContent = "Copy";
     button.addEventListener("click", async () => {
       const text = block.textContent;
-      const commands = text.split("\n").filter((line) => line.startsWith("$ "));
-      await navigator.clipboard.writeText(
-        commands.length ? commands.map((line) => line.slice(2)).join("\n") : text,
-      );
+      const commands = [];
+      let continued = false;
+      for (const line of text.split("\n")) {
+        const command = continued || line.startsWith("$ ") || line.startsWith("> ");
+        if (command) commands.push(line.replace(/^[$>] /, ""));
+        continued = command && line.endsWith("\\");
+      }
+      await navigator.clipboard.writeText(commands.join("\n") || text);
       button.textContent = "Copied";
       setTimeout(() => { button.textContent = "Copy"; }, 1500);
     });
