@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder in which all commands of the page have run."""
     folder = tmp_path_factory.mktemp("hand-over")
     shutil.copytree(ROOT / "examples" / "amphora", folder / "examples" / "amphora")
-    text = PAGE.read_text("utf-8")
+    text = re.sub(r" \\\n +", " ", PAGE.read_text("utf-8"))
     blocks = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
     (project,) = [block for block in blocks if "[project]" in block]
     (folder / "project.toml").write_text(project)

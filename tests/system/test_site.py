@@ -28,7 +28,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     make_site.make(folder / "wreck", rows=75)
     commands = re.findall(
-        r"^\$ amulor (.+)$", PAGE.read_text("utf-8"), flags=re.MULTILINE
+        r"^\$ amulor (.+)$",
+        re.sub(r" \\\n +", " ", PAGE.read_text("utf-8")),
+        flags=re.MULTILINE,
     )
     assert len(commands) == 6
     with pytest.MonkeyPatch.context() as patch:
