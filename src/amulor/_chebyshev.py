@@ -45,7 +45,7 @@ class BoxSeries:
         self._terms = np.zeros((0, 0))
 
     def places(self) -> Floats:
-        """Return the interpolation nodes, shape (dimension, node)."""
+        """Return the interpolation nodes within the box, shape (dimension, node)."""
         mesh = np.stack(np.meshgrid(*self._axes, indexing="ij"))
         mesh = mesh.reshape(len(self._axes), -1)
         nodes = self._centre[:, None] + self._half[:, None] * mesh
@@ -83,7 +83,7 @@ class BoxSeries:
 
 @numba.njit(cache=True, nogil=True)
 def _sum_up(scaled: Any, orders: Any, terms: Any, out: Any) -> None:
-    """Fill in the sums of polynomial products, shape (functions, points).
+    """Compute sums of polynomial products, shape (function, point).
 
     Compiled because products of matrices, which numpy has for this, cannot leave out
     what is zero, and make threads of their own.

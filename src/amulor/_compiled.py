@@ -1,4 +1,4 @@
-"""On-disk cache of compiled loops, invalidated when any of their sources changes.
+"""On-disk cache of compiled loops, renewed when any of their sources changes.
 
 Files with compiled loops take numba from here. On disk numba keeps a compiled function
 until its own file changes, and does not see a change in another file whose functions,
@@ -55,7 +55,7 @@ _digests: dict[Path, tuple[object, str]] = {}
 
 
 def keep_fresh(package: Path) -> None:
-    """Make numba check all sources that a compiled function depends on.
+    """Make numba recompile a function when any source that it depends on changes.
 
     To be called before the functions are decorated with `numba.njit(cache=True)`.
     Functions of other packages are stored as numba does it. What is stored of former
@@ -74,7 +74,7 @@ def keep_fresh(package: Path) -> None:
 
 
 def _fresh(place: Any, package: Path) -> Any:
-    """Return numba's cache locator, extended to all source files of a function."""
+    """Return numba's cache locator, extended to check all sources of a function."""
 
     class Fresh(place):  # type: ignore[misc]
         _digest = ""
@@ -161,7 +161,7 @@ def _only_written_by(user: int, folder: Path) -> bool:
 
 
 class _Compiling(event.Listener):
-    """Progress report of the compilation of a loop and of the loops that it calls.
+    """Progress report while a loop, and all loops that it calls, are compiled.
 
     numba compiles one at a time, whichever threads ask for it.
     """
@@ -205,7 +205,7 @@ def _is_loop(value: Any) -> bool:
 
 
 def digest_of(path: Path, package: Path) -> str:
-    """Return a digest of a file and of all imports from its package.
+    """Return a digest of a file and of the package files that it imports.
 
     Only imports at the left margin count: others are for types, or come after the
     decorators. A name of a package that imports lazily is followed to where it is from.
@@ -236,7 +236,7 @@ def _source(path: Path, package: Path) -> tuple[bytes, bytes]:
 
 
 def _import_of(path: Path, package: Path) -> object:
-    """Return an object that differs after each import or reload of a module."""
+    """Return an object that changes with each import or reload of a module."""
     parts = path.relative_to(package.parent).with_suffix("").parts
     name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
     return getattr(sys.modules.get(name), "__spec__", None)
@@ -266,7 +266,7 @@ def _names(imported: bytes) -> list[list[str]]:
 
 
 def _defined(module: str, name: str, package: Path) -> Path | None:
-    """Return the file of a package that defines an imported name."""
+    """Return the file in a package that defines an imported name."""
     file = _file(f"{module}.{name}", package) or _file(module, package)
     if file is None or file != _file(module, package) or file.stem != "__init__":
         return file

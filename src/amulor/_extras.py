@@ -31,7 +31,7 @@ MODULES = {
 
 
 def require(*extras: str, purpose: str) -> None:
-    """Raise if an optional package is missing, before a long computation."""
+    """Raise if optional packages are missing that a computation will need."""
     missing = {
         extra: [
             package

@@ -1,4 +1,4 @@
-"""Names of the entry points of installed packages, without their import."""
+"""Names of the entry points of installed packages, without importing these."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ Listener = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class _Ear:
-    """Progress listener, with the interval of progress that the present work covers."""
+    """Progress listener, and the interval of progress for the present work."""
 
     listener: Listener
     begin: float = 0.0
@@ -36,7 +36,7 @@ _ears: list[_Ear] = []
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Send the progress within the block to a listener function."""
+    """Send progress reports from within the block to a listener function."""
     reached = 0.0
 
     def rising(step: str, share: float) -> None:
@@ -57,7 +57,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def part(begin: float, end: float) -> Iterator[None]:
-    """Map the progress within the block to an interval of the enclosing work."""
+    """Map progress within the block to an interval of the enclosing work."""
     ear = _ear.get()
     if ear is None:
         yield
@@ -80,7 +80,7 @@ def tell(step: str, share: float) -> None:
 
 
 def aside(step: str) -> None:
-    """Report a delay of the present step, or its end, from any thread."""
+    """Report that the present step is delayed, or goes on, from any thread."""
     ear = _ear.get() or (_ears[-1] if _ears else None)
     if ear is not None:
         ear.listener(step or "".join(ear.steps), 0.0)

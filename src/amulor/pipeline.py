@@ -1,4 +1,4 @@
-"""The steps of a scan: samples to target signal to range image to point cloud.
+"""Processing steps of a scan: samples, target signal, range image, point cloud.
 
 A step works on a cube in one piece or on some rows at a time. In one piece, statistics
 of a scan come from all pixels; by rows from a sample of them
@@ -72,7 +72,7 @@ class TiledStep:
 
 
 def reject_step(method: str, **options: Any) -> TiledStep:
-    """Return the processing step that rejects the water signal by a method."""
+    """Return the processing step in which a method rejects the water signal."""
     from amulor import rejection  # images and clouds start without it
 
     chosen = rejection.load(method)
@@ -85,7 +85,7 @@ def reject_step(method: str, **options: Any) -> TiledStep:
 
 
 def image_step(**options: Any) -> TiledStep:
-    """Return the processing step from target signal to range image with flags."""
+    """Return the processing step from target signal to flagged range image."""
     ranges = TiledStep(
         level="target_signal",
         whole=lambda cube: fitted_range_image(cube, **options)[0],
@@ -117,7 +117,7 @@ def steps_from(
     interval: tuple[float, float] | None = None,
     **options: Any,
 ) -> dict[str, TiledStep]:
-    """Return the processing steps from a level up to the range image, by result."""
+    """Return the processing steps from a level up to the range image."""
     steps: dict[str, TiledStep] = {}
     if level == "samples":
         if method is None:
@@ -189,7 +189,7 @@ def run(
 
 
 class Prepared:
-    """Processing step after its fit to a scan, ready for any rows."""
+    """Processing step that was fitted to a scan and can process any rows."""
 
     def __init__(self, step: TiledStep, source: tiles.Source, rows: int) -> None:
         self.rows, self.halo = rows, step.halo
@@ -197,7 +197,7 @@ class Prepared:
         self.treat = step.fit(self.input(source))
 
     def input(self, source: tiles.Source) -> tiles.Source:
-        """Return the input rows of the step, processed by the step before if any."""
+        """Return the input rows of the step, after the step before it."""
         if self._before is None:
             return source
         return _Kept(Made(self._before, source), self.rows)
@@ -220,7 +220,7 @@ class Made(tiles.Derived):
 
 
 class _Kept(tiles.Derived):
-    """Row source with a cache of the last tile, whose rows the next tile reuses."""
+    """Row source that caches its last tile, whose rows the next tile needs."""
 
     def __init__(self, source: tiles.Source, rows: int) -> None:
         super().__init__(source)
@@ -259,7 +259,7 @@ def window(step: TiledStep, source: tiles.Source, rows: int | None = None) -> in
 def run_step(
     step: TiledStep, source: tiles.Source, *, rows: int | None = None
 ) -> Iterator[tuple[int, xr.Dataset]]:
-    """Run a step on a whole cube in memory, or tile by tile on a file."""
+    """Run a step on a whole cube if in memory, else tile by tile."""
     if rows is not None and rows < 1:
         raise ValueError(f"a tile has 1 row at least, got {rows}")
     if rows is None and isinstance(source, tiles.InMemory):
@@ -275,7 +275,7 @@ def run_step(
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """Counts of samples and flags in a file that a processing step wrote."""
+    """Counts of samples and flags in the result of a processing step."""
 
     head: xr.Dataset
     """Variables and attributes without the dimension row."""
@@ -317,7 +317,7 @@ def run_file(
     rows: int | None = None,
     overwrite: bool = False,
 ) -> Summary:
-    """Run a step from file to file, by rows if large or if a tile size is given."""
+    """Run a step from file to file; by rows if large or if a tile size is given."""
     with opened(source, rows, level=step.level) as cube:
         return _written(step, cube, output, rows, overwrite=overwrite)
 
@@ -393,7 +393,7 @@ def reject_file(
 
 
 def _judged(source: tiles.Source, rows: int | None) -> xr.Dataset:
-    """Return the cube on which methods are compared: all of it, or a sample of rows."""
+    """Return the cube for the comparison of methods, thinned if it is large."""
     if rows is None and isinstance(source, tiles.InMemory):
         return source.cube
     return cubes.without_groups(tiles.sample_of(source), "truth")

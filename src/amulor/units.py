@@ -221,7 +221,7 @@ def _angular_power(unit: pint.Unit) -> float:
 
 
 def _registry_for(unit: str) -> pint.UnitRegistry[float]:
-    """Return the unit registry of surveys, or pint's complete one for other units."""
+    """Return the unit registry of surveys, or pint's full one for other units."""
     import pint
 
     registry = _registry(Path(__file__).with_name("units.txt"))
@@ -234,7 +234,7 @@ def _registry_for(unit: str) -> pint.UnitRegistry[float]:
 
 @functools.cache
 def _registry(definitions: Path | str = "") -> pint.UnitRegistry[float]:
-    """Return the unit registry of a definitions file, or pint's own, which is slow."""
+    """Return the unit registry of a definitions file, by default pint's slow one."""
     import pint
 
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(

@@ -258,7 +258,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _with_negative(words: Sequence[str]) -> list[str]:
-    """Join negative numbers to their option, so that -5 is not read as an option."""
+    """Attach negative numbers to their option, so that -5 is not read as an option."""
     tied: list[str] = []
     for word in words:
         below = word[:1] == "-" and word[1:].lstrip(".")[:1].isdigit()

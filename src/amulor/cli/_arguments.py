@@ -20,7 +20,7 @@ class UsageError(AmulorError):
 
 @contextmanager
 def refusing(option: str = "") -> Iterator[None]:
-    """Turn a `ValueError` of a public function into a usage error of an option.
+    """Turn a `ValueError` of a public function into a usage error.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def refusing(option: str = "") -> Iterator[None]:
 
 
 def quantity_of(option: str, text: str, quantity: str) -> float:
-    """Parse an option that is a number with a unit, into SI units.
+    """Parse an option that has a number and a unit, into SI units.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ CUBE_ENDINGS = (".nc", ".nc4")
 
 
 def check_cube_output(path: Path, *, overwrite: bool, inputs: Sequence[Path]) -> None:
-    """Check that an output file can be written as a cube, before a long computation.
+    """Raise if an output file cannot be written as a cube, before a computation.
 
     Parameters
     ----------
@@ -214,5 +214,5 @@ def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
 
 
 def channel_of(text: str | None) -> str | None:
-    """Return a channel name in capitals, as in cubes; "none" (unpolarized) stays."""
+    """Return a channel name in capitals; "none" (unpolarized) stays as it is."""
     return text.upper() if text and text != "none" else text

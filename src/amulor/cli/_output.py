@@ -85,7 +85,7 @@ def print_table(
 
 
 def print_next(command: str) -> None:
-    """Print the usual next command, on a terminal only."""
+    """Print the command that usually follows, on a terminal only."""
     if sys.stdout.isatty():
         print(f"next: {command}")
 
@@ -106,7 +106,7 @@ def print_flags(counts: Mapping[str, int], total: int) -> None:
 
 
 def announcing(name: str = "", *, browser: bool) -> Callable[[str], None]:
-    """Return a function that prints the address of a page, and can open a browser."""
+    """Return a function that prints a page's address and may open a browser."""
 
     def announce(address: str) -> None:
         print(f"{name}{address}\nCtrl-C stops it.", flush=True)

@@ -149,7 +149,7 @@ def _calibration(path: Path) -> Any:
 
 
 def _calibration_of(path: Path) -> Any:
-    """Return the calibration stored in a cube, or None."""
+    """Return the calibration stored in a cube file; None without one."""
     from amulor import io
     from amulor.acquisition import Calibration
 
@@ -216,7 +216,7 @@ def _told(line: str) -> None:
 
 
 class _Interrupts:
-    """Signals during a scan: Ctrl-C pauses, a second one or SIGTERM ends at once.
+    """Handler of signals: Ctrl-C pauses the scan, a second one or SIGTERM ends it.
 
     While devices are made safe after that, no signal but SIGKILL is listened to. What
     the program was started to ignore, as by nohup, stays ignored; but for SIGTERM.
@@ -299,7 +299,7 @@ class _Screen:
         )
 
     def ask(self, text: str) -> str:
-        """Ask a question, with the bar hidden, and return the answer."""
+        """Ask the operator a question, and return the answer."""
         # A live bar keeps back what does not end a line, such as a question.
         if self._bar is not None:
             self._bar.stop()
@@ -339,7 +339,7 @@ def _live(*, quiet: bool) -> Iterator[_Screen]:
 
 
 def words(now: Progress) -> str:
-    """Return rate, remaining time and number of flagged samples in one line.
+    """Return rate, remaining time and flagged samples of a scan as one line.
 
     Parameters
     ----------

@@ -139,7 +139,7 @@ def _print(recommendation: Recommendation, files: list[Path]) -> None:
 
 
 def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
-    """Print an instrument, its requirements and its largest error terms."""
+    """Print an instrument, its requirements and its largest error sources."""
     from amulor.design.requirements import parameters_text, quantity_text
 
     print(f"  {word}: {parameters_text(choice.parameters)}")
@@ -171,7 +171,7 @@ def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
 
 
 def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]]:
-    """Return missed requirements, or the tightest of each kind that is met."""
+    """Return the missed requirements, and the tightest one of each kind that is met."""
     kinds: dict[str, list[Requirement]] = {}
     for requirement in requirements:
         kinds.setdefault(requirement.name.partition(" at ")[0], []).append(requirement)
@@ -263,7 +263,7 @@ def print_reasons(
     report: Path | None,
     figures: Path | None,
 ) -> None:
-    """Print the reasons in a few lines, and the paths of written files."""
+    """Print why the instrument is recommended, and the paths of written files."""
     if reasons is None:
         return
     if reasons.sensitivity is not None:
@@ -293,7 +293,7 @@ def print_reasons(
 
 
 def serve(shown: Explorer, *, port: int, browser: bool) -> None:
-    """Serve the page with sliders until Ctrl-C."""
+    """Serve the design page with its sliders until Ctrl-C."""
     from amulor import _extras
     from amulor.cli._output import announcing
 

@@ -1,4 +1,4 @@
-"""`amulor devices`: simulated devices to rehearse with, and calibration."""
+"""`amulor devices`: simulated devices for a rehearsal, and calibration."""
 
 from __future__ import annotations
 

@@ -245,7 +245,7 @@ def _order(
     line: str | None,
     options: dict[str, object],
 ) -> Order:
-    """Return the product order of the command's options, with lengths in meters."""
+    """Return the product settings from the options of the command, in SI units."""
     from amulor.handover import Order
 
     parsed = {}
@@ -290,7 +290,7 @@ def _chosen(
     good_only: bool,
     without_mixed: bool,
 ) -> tuple[Frame, xr.Dataset]:
-    """Return the frame, and the image without excluded pixels."""
+    """Return the frame for the points, and the image without excluded pixels."""
     from amulor import cube as cubes
     from amulor import imaging, survey
 

@@ -145,7 +145,7 @@ def reject(
 def _print_flags(
     output: Path, share: float, counts: Mapping[str, int], total: int
 ) -> None:
-    """Print the flags of samples, and the next command."""
+    """Print the share of flagged samples, and the next command."""
     from amulor.cli._output import print_flags, print_next
 
     print(f"{output}: target signal, {share:.1%} of the samples flagged")
@@ -161,7 +161,7 @@ def _fraction(option: str, text: str | None) -> float | None:
 
 
 def _as_options(names: Iterable[str]) -> str:
-    """Return the command-line spelling of the options of a method."""
+    """Return the command-line names of a method's options."""
     flags = {"modulation_frequency": "--frequency", "interval": "--nearest, --farthest"}
     words = [
         flags.get(name, f"--{name.replace('_', '-')}")
@@ -188,7 +188,7 @@ def _stated(texts: list[str]) -> dict[str, Any]:
 
 
 def _print_choice(target: xr.Dataset) -> None:
-    """Print the chosen modulation frequency, the reason, and warnings."""
+    """Print the modulation frequency that was chosen, the reason, and warnings."""
     if "frequency_choice" in target.attrs:
         print(target.attrs["frequency_choice"])
         for warning in filter(None, target.attrs["frequency_warnings"].split("; ")):
@@ -198,7 +198,7 @@ def _print_choice(target: xr.Dataset) -> None:
 def _figures(
     output: Path, method: str, target: xr.Dataset, comparison: Comparison | None
 ) -> dict[str, Any]:
-    """Return the method, channels and reasons of a rejection, for JSON."""
+    """Return method, channels and reasons of a rejection for JSON."""
     from dataclasses import asdict
 
     figures: dict[str, Any] = {

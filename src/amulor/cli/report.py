@@ -96,7 +96,7 @@ def report(
 def _shown(
     path: Path, rows: int | None, checks: list[Check]
 ) -> tuple[xr.Dataset, Whole]:
-    """Return a range image, thinned if it is large, and counts over all its pixels."""
+    """Return a range image, thinned if large, and counts over all of its pixels."""
     from amulor import pipeline
     from amulor.imaging import selection
     from amulor.io.netcdf import tile_rows
@@ -106,7 +106,7 @@ def _shown(
 
 
 def _check_of(text: str, number: int) -> Check:
-    """Parse an option with a check distance."""
+    """Parse an option that states a known distance between two pixels."""
     from amulor.imaging.measure import Check
 
     words = text.split()

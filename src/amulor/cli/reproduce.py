@@ -143,7 +143,7 @@ def _interruptible(work: Callable[[], Result]) -> Result:
 
 
 def _leave() -> None:
-    """End the program and its workers, before any file is written."""
+    """End the program and its workers at once, without writing files."""
     import multiprocessing
     import os
     from importlib import import_module

@@ -142,7 +142,7 @@ def register(
 
 
 def _not_good(result: Registration) -> str:
-    """Return an error text with one line for each contradiction in a registration."""
+    """Return the error text of a registration: one line per contradiction."""
     lines = [entry.sentence for entry in result.contradictions]
     return "the poses are not good\n" + "\n".join(lines)
 
@@ -406,7 +406,7 @@ def _sentence(number: int, region: Region, motions: dict[int, Motion]) -> str:
 
 
 def _motion_in_words(motion: Motion) -> str:
-    """Describe translation and rotation of a body, with uncertainties."""
+    """Describe the translation and rotation of an object, with uncertainties."""
     import numpy as np
 
     shift = ", ".join(f"{value * 1e3:+.2f}" for value in motion.shift)
@@ -485,7 +485,7 @@ def report(
 
 @dataclass(frozen=True, kw_only=True)
 class Opened:
-    """Site with its registration and merged scans."""
+    """Site with its registration and its merged point cloud."""
 
     site: Site
     registration: Registration

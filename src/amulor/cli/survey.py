@@ -1,4 +1,4 @@
-"""`amulor survey check` and `amulor survey schema`."""
+"""`amulor survey check` and `amulor survey schema`: survey files checked, described."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def check(
 
 
 def _open_meshes(survey: Survey) -> None:
-    """Read the mesh files of a survey, to report unreadable ones."""
+    """Read the mesh files of a survey, so that unreadable ones are reported."""
     from amulor.errors import MissingExtraError
     from amulor.simulation import scene
     from amulor.survey import Mesh
@@ -125,7 +125,7 @@ _WEAK = 5.0
 
 
 def _expected(survey: Survey) -> tuple[Expectation | None, str]:
-    """Return the expected quality of samples, or the reason why it is unknown."""
+    """Return the expected quality of samples, or why it is unknown."""
     from amulor.errors import AmulorError
     from amulor.simulation import expectation
 
@@ -206,7 +206,7 @@ def _whereabouts(survey: Survey, position: tuple[float, float, float]) -> str:
 
 
 def _water(water: WaterProperties) -> dict[str, Any]:
-    """Return the resolved properties of the water, for JSON."""
+    """Return the water's optical properties at the wavelength, for JSON."""
     from dataclasses import fields
 
     function = water.phase_function
@@ -235,7 +235,7 @@ def _water(water: WaterProperties) -> dict[str, Any]:
 
 
 def _print_water(water: WaterProperties) -> None:
-    """Print the resolved properties of the water."""
+    """Print the water's optical properties at the wavelength."""
     print(
         f"  water: attenuation {water.attenuation:.4g} 1/m, group index "
         f"{water.group_index:.4f}; {water.source}"

@@ -62,7 +62,7 @@ def _work() -> dict[str, Callable[[], object]]:
 
 
 def _scans(moments: Survey, tabulated: Survey) -> list[xr.Dataset]:
-    """Simulate a scan of water described by moments, and one by a phase function."""
+    """Simulate two scans: water given by moments, and by a phase function."""
     from amulor import simulation
 
     for model in (simulation.ClosureModel(), simulation.DiffusionModel()):
@@ -88,7 +88,7 @@ def _images(cubes: list[xr.Dataset]) -> None:
 
 
 def _sweep(moments: Survey, tabulated: Survey) -> None:
-    """Compute the water signal against frequency, with sharp-edged receivers too."""
+    """Compute water signals against frequency, for several forms of receiver."""
     from amulor.simulation import backscatter
 
     sharp = tabulated.with_({"instrument.receiver.edge": "sharp"})
@@ -99,7 +99,7 @@ def _sweep(moments: Survey, tabulated: Survey) -> None:
 
 
 def _design(survey: Survey) -> None:
-    """Evaluate the errors of a survey."""
+    """Predict the range errors of a survey."""
     from amulor.design import evaluate
 
     for method in ("open-water", "joint"):
@@ -114,7 +114,7 @@ def _photons(survey: Survey) -> None:
 
 
 def _ready() -> tuple[int, str]:
-    """Return the number of compiled loops, and the folder that contains them."""
+    """Return the number of compiled loops and the folder of their files."""
     from numba.core.dispatcher import Dispatcher
 
     from amulor._compiled import loops_behind

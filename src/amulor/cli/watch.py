@@ -137,6 +137,6 @@ def _in_lines(live: Live, channel: str, pause: float, *, once: bool) -> None:
 
 
 def _advice(live: Live) -> list[str]:
-    """Return the advice on a scan, and the message of a failed read, as lines."""
+    """Return advice on a running scan, and read errors, as lines of text."""
     lines = [str(line) for line in live.status.get("advice", [])]
     return [*lines, str(live.status["error"])] if "error" in live.status else lines

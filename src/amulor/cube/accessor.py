@@ -81,7 +81,7 @@ def without_groups(cube: xr.Dataset, *groups: str) -> xr.Dataset:
 
 
 def attach(cube: xr.Dataset, part: xr.Dataset, name: str) -> xr.Dataset:
-    """Return a cube with a group added under its prefix.
+    """Return a cube with a group added, its variables under a common prefix.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def attach(cube: xr.Dataset, part: xr.Dataset, name: str) -> xr.Dataset:
 
 
 def flag_counts(cube: xr.Dataset) -> dict[str, int]:
-    """Count the pixels or samples that carry each quality flag.
+    """Count the pixels or samples that have each quality flag.
 
     Parameters
     ----------
@@ -171,12 +171,12 @@ class CubeAccessor:
 
     @property
     def level(self) -> str:
-        """Level of the cube: samples, target_signal, range_image, ..."""
+        """Processing level of the cube: samples, target_signal, range_image, ..."""
         return str(self._cube.attrs["level"])
 
     @property
     def restored(self) -> xr.Dataset:
-        """Cube with all dimensions of its level, after a selection removed some."""
+        """Cube with the dimensions that a selection of single values had removed."""
         return restore_dimensions(self._cube)
 
     @property

@@ -54,7 +54,7 @@ _COMBINED = (
 
 
 def without_unknown_errors(cube: xr.Dataset) -> xr.Dataset:
-    """Return a cube with combined uncertainties set to NaN where the error is unknown.
+    """Return a cube without combined uncertainties where the error is unknown.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def error_unknown(cube: xr.Dataset) -> str:
 
 
 def _words(cube: xr.Dataset) -> str:
-    """Return the reason for an unknown range error, from flags and attributes."""
+    """Return the reason for an unknown range error, from a cube's flags and notes."""
     flag = cube["quality_flag"].values if "quality_flag" in cube else np.zeros(1, int)
     attribute = str(cube.attrs.get(_WORDS, ""))
     reasons = {

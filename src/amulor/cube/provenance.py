@@ -81,7 +81,7 @@ def build(
 
 
 def open_water(variables: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """Build the group of open-water shots, to add to a cube by `accessor.attach`.
+    """Build the group of open-water shots that `accessor.attach` adds to a cube.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ class Source(Protocol):
         ...
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of these rows only."""
+        """Return azimuth and elevation of a range of rows."""
         ...
 
 
@@ -118,7 +118,7 @@ class InMemory:
 
 
 class Derived:
-    """Base of row sources that compute their rows from those of another source.
+    """Base of row sources that process the rows of another source.
 
     Parameters
     ----------
@@ -148,16 +148,16 @@ class Derived:
         return self._source.columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Compute the rows of a tile from those of the source."""
+        """Compute the rows of a tile from the other source."""
         raise NotImplementedError
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of the rows of a tile, as in the source."""
+        """Return azimuth and elevation of rows, as in the other source."""
         return self._source.directions(begin, end)
 
 
 class Changed(Derived):
-    """Row source that applies a function to each tile of another source.
+    """Row source that applies a function to the tiles of another source.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class Changed(Derived):
         self._change = change
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return the rows of a tile, after the function was applied."""
+        """Return the rows of a tile with the function applied."""
         return self._change(self._source.tile(begin, end))
 
 
@@ -294,7 +294,7 @@ _BAND = 8
 
 
 def sample_of(source: Source) -> xr.Dataset:
-    """Return a small cube of bands of rows and columns, spaced over a whole scan.
+    """Return bands of rows and columns from all over a scan, as a smaller cube.
 
     Parameters
     ----------
@@ -357,7 +357,7 @@ def _spread_bands(
 
 
 def _with_gap(strip: xr.Dataset) -> xr.Dataset:
-    """Return rows with one missing row appended."""
+    """Return rows followed by one row of missing samples."""
     last = strip.sizes["row"] - 1
     index = np.append(np.arange(last + 1), last)
     return _without(strip.isel(row=index), row=np.array([last + 1]))
@@ -385,7 +385,7 @@ def _without(cube: xr.Dataset, **places: Indices) -> xr.Dataset:
 
 @dataclass(frozen=True)
 class Span:
-    """Smallest and largest angles of the directions of a scan."""
+    """Smallest and largest azimuth and elevation of a scan."""
 
     azimuth: tuple[float, float]
     """Smallest and largest azimuth [rad]."""
@@ -394,7 +394,7 @@ class Span:
 
 
 def span_of(source: Source | xr.Dataset) -> Span:
-    """Return the span of the directions of all rows of a scan."""
+    """Return the smallest and largest angles of a scan."""
     if isinstance(source, xr.Dataset):
         parts = [source]
     else:
@@ -418,7 +418,7 @@ def fit_on_sample(
     needs_span: bool = True,
     **options: Any,
 ) -> OfRows:
-    """Fit the statistics of a processing step on a sample of a scan's rows.
+    """Fit a processing step to a sample of a scan's rows.
 
     `step(cube, *, fit=None, span=None, **options)` returns its result and the
     statistics that it used: `fit`, or where that is None those of the cube. A step

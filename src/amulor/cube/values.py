@@ -15,7 +15,7 @@ __all__ = ["check_values"]
 
 
 def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
-    """Return a cube with all dimensions of its level; lost ones have length 1.
+    """Return a cube with all dimensions of its level; restored ones have length 1.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def _check_signal(array: xr.DataArray, variable: str, *, name: str) -> None:
 
 
 def _place(values: xr.DataArray, value: float) -> str:
-    """Return the coordinates of the first sample that has a given value, as text."""
+    """Return the coordinates of the first sample with a given value, as text."""
     at = np.unravel_index(int(np.argmax(values.values == value)), values.shape)
     words = [f"{axis} {index}" for axis, index in zip(values.dims, at, strict=True)]
     return f"at {', '.join(words)}"

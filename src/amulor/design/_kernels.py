@@ -96,7 +96,7 @@ KEPT, ONE_FREQUENCY, OPEN_WATER, UNMIX, COMBINED, JOINT = range(6)
 
 
 class Points(NamedTuple):
-    """Pairs of candidate instrument and target distance, one per row."""
+    """Pairs of candidate instrument and target distance, one pair per row."""
 
     number: Floats
     """Numbers of each point, with the columns of `NUMBERS`, shape (point, ...)."""
@@ -176,7 +176,7 @@ _LIGHT_SPEED = 299792458.0
 
 @numba.njit(cache=True, error_model="numpy")
 def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
-    """Compute the signals of a point; return detector output over its linear limit.
+    """Compute the signals of a point; return the detector output over its limit.
 
     Signals are rates of photoelectrons; the phase is that of the delay.
     """
@@ -303,7 +303,7 @@ def fill_columns(
     mean: Floats,
     water: NDArray[np.complex128],
 ) -> None:
-    """Compute the water signals in front of each distance, and of the whole column.
+    """Compute the water signals up to each distance, and of the whole column.
 
     `piece` is that of the logarithm of the overlap, (4, segment, look); `mean` has the
     shape (look, distance + 1), `water` (look, distance + 1, frequency).
@@ -336,7 +336,7 @@ def fill_columns(
 def phase_errors(
     method: int, channel: int, x: Floats, passed: Floats, scratch: Scratch
 ) -> None:
-    """Compute variance and bias of the phases used by a method, and signal modulus.
+    """Compute variance and bias of a method's phases, and the signal modulus.
 
     `passed` holds the shares of target and water that the channels pass, (2, channel).
     The signal that the range is taken of is a sum of channels with real weights.
@@ -369,7 +369,7 @@ def phase_errors(
 def _mix(
     method: int, k: int, x: Floats, passed: Floats, scratch: Scratch, weight: Floats
 ) -> None:
-    """Compute the weights with which channels are summed to the target signal."""
+    """Compute the weights that combine channels to the target signal."""
     of_target = passed[0, 1] / max(passed[0, 0], 1e-12)
     of_water = passed[1, 1] / max(passed[1, 0], 1e-12)
     if method == UNMIX:
@@ -398,7 +398,7 @@ def _mix(
 def _add_noise(
     method: int, k: int, x: Floats, weight: Floats, aim: complex, scratch: Scratch
 ) -> None:
-    """Add the random phase-error terms of one frequency."""
+    """Add the random terms to the phase error of one frequency."""
     square = max(abs(aim), 1e-300) ** 2
     variance = scratch.variance[k]
     for c in range(weight.size):
@@ -423,7 +423,7 @@ def _add_noise(
 def _add_bias(
     method: int, k: int, x: Floats, weight: Floats, aim: complex, scratch: Scratch
 ) -> None:
-    """Add the systematic phase-error terms of one frequency."""
+    """Add the systematic terms to the phase error of one frequency."""
     bias = scratch.bias[k]
     if method in (KEPT, ONE_FREQUENCY):
         for c in range(weight.size):
@@ -451,7 +451,7 @@ _UNKNOWN = 2.0
 def _inverse(
     counting: float, along: complex, floor: float, water: complex, part: float
 ) -> tuple[float, float, float]:
-    """Invert a sample's covariance: in-phase, quadrature and mixed element."""
+    """Invert the covariance of in-phase and quadrature output of a sample."""
     turned = 1j * along * floor
     moved = water * part
     a = counting + turned.real**2 + moved.real**2
@@ -463,7 +463,7 @@ def _inverse(
 
 @numba.njit(cache=True, error_model="numpy")
 def _add(slope: Complex, inverse: tuple[float, float, float], out: Floats) -> None:
-    """Add one sample's Fisher information on the parameters."""
+    """Add the Fisher information of one sample on the parameters."""
     for i in range(slope.size):
         re = inverse[0] * slope[i].real + inverse[2] * slope[i].imag
         im = inverse[2] * slope[i].real + inverse[1] * slope[i].imag
@@ -531,7 +531,7 @@ def range_information(x: Floats, scratch: Scratch, out: Floats, bias: Floats) ->
 
 @numba.njit(cache=True, error_model="numpy")
 def _scaled(matrix: Floats) -> Floats:
-    """Scale a matrix to a unit diagonal, slightly regularized."""
+    """Scale a matrix to a unit diagonal, and regularize it slightly."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
     out = np.empty(matrix.shape)
     for i in range(matrix.shape[0]):
@@ -545,7 +545,7 @@ def _scaled(matrix: Floats) -> Floats:
 def _terms(
     x: Floats, scratch: Scratch, inner: Floats, out: Floats, bias: Floats
 ) -> None:
-    """Divide the range variance among its causes, for known water properties."""
+    """Split the range variance by cause, for known water properties."""
     departed = 0.0
     for k in range(scratch.to_range.size):
         if scratch.to_range[k] == 0.0:
@@ -579,7 +579,7 @@ _COUNTING, _LOST = 0.2, 0.3
 
 @numba.njit(cache=True, error_model="numpy")
 def _phase_variance(k: int, scratch: Scratch) -> float:
-    """Phase variance of one frequency, sum of all random terms [rad^2]."""
+    """Sum of all random error terms in the phase of one frequency [rad^2]."""
     total = 0.0
     for j in range(scratch.variance.shape[1]):
         total += scratch.variance[k, j]

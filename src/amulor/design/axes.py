@@ -73,7 +73,7 @@ Method = Literal["none", "frequency", "open-water", "polarization", "combined", 
 
 @dataclass(frozen=True, kw_only=True)
 class Predicted:
-    """Properties of a rejection method that determine its predicted error."""
+    """Properties of a rejection method from which its error is predicted."""
 
     kernel: int
     """Number of the method in the compiled loops."""
@@ -185,7 +185,7 @@ def arranged(
 
 
 def _axis_values(name: str, value: Any) -> tuple[tuple[str, ...], Floats]:
-    """Dimensions and values of one parameter; SurveyError if out of range."""
+    """Dimensions and values of one parameter; raise SurveyError if out of range."""
     if name not in AXES:
         raise SurveyError(
             f"{name}: is no axis of a design; allowed are {', '.join(AXES)}, "
@@ -219,7 +219,7 @@ def _axis_values(name: str, value: Any) -> tuple[tuple[str, ...], Floats]:
 
 
 def _sets(frequencies: Sequence[Sequence[float]]) -> tuple[list[Floats], list[str]]:
-    """Frequency sets as rows of an array, padded with NaN, and their labels."""
+    """Frequency sets as rows of an array padded with NaN, and labels of the sets."""
     most = max((len(members) for members in frequencies), default=0)
     if min((len(members) for members in frequencies), default=0) < 1:
         raise SurveyError("frequencies: each set needs one frequency at least")

@@ -102,7 +102,7 @@ def box_values(box: Box) -> tuple[float, ...]:
 
 
 def frequency_grid(goal: Goal) -> tuple[float, ...]:
-    """Modulation frequencies that a goal offers for choice, increasing [Hz]."""
+    """Modulation frequencies among which a goal allows a choice, increasing [Hz]."""
     modulation = goal.components.modulation
     if modulation.sets:
         return tuple(sorted({f for members in modulation.sets for f in members}))
@@ -126,7 +126,7 @@ def aim_of_goal(goal: Goal) -> float:
 
 
 def first_choice(goal: Goal) -> Parameters:
-    """Candidate built from the first value of each component choice."""
+    """Candidate with the first listed value of each component."""
     parts = goal.components
     modulation = parts.modulation
     first = modulation.sets[0] if modulation.sets else frequency_grid(goal)[:1]
@@ -184,7 +184,7 @@ def scan_time(goal: Goal, chosen: Parameters) -> float:
 
 
 def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
-    """Mueller matrix scaled to a given element m22 (depolarization)."""
+    """Mueller matrix scaled to a given element m22, which states depolarization."""
     base = matrix(mueller)
     if base[1, 1] == 0:
         base = np.diag([1.0, 1.0, -1.0, -1.0])
@@ -194,7 +194,7 @@ def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
 
 
 def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
-    """Water coefficients at a laser's wavelength over those at the first's [1]."""
+    """Ratio of a laser's water coefficients to those at the first laser [1]."""
     first = goal.components.lasers[0].name
     if chosen.laser == first:
         return {}
@@ -208,7 +208,7 @@ def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
 
 
 def survey_of(goal: Goal, chosen: Parameters) -> Survey:
-    """Survey of a candidate, with a plate as target where the receiver aims."""
+    """Survey of a candidate, with a plate at the distance where the receiver aims."""
     laser = laser_of(goal, chosen.laser)
     detector = goal.detector
     if laser.quantum_efficiency is not None:
@@ -303,7 +303,7 @@ def spreads_of(goal: Goal) -> dict[str, Spread]:
 
 
 def drawn(goal: Goal, count: int | None = None) -> dict[str, Floats]:
-    """Water and target properties drawn at random from a goal's ranges.
+    """Random values of water and target properties from a goal's ranges.
 
     A scrambled Sobol' sequence with a fixed seed, through the inverse distributions:
     the same draws for the same ranges, and evenly spread over them.
@@ -320,7 +320,7 @@ def drawn(goal: Goal, count: int | None = None) -> dict[str, Floats]:
 
 
 def values_at(spread: Spread, share: Floats) -> Floats:
-    """Quantiles of a parameter range at given probabilities."""
+    """Values of a parameter range at given cumulative probabilities."""
     low, high = spread.low, spread.high
     logarithm = spread.distribution.startswith("log")
     if logarithm:

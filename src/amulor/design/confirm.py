@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Photons:
-    """Photon-transport result for the scan's middle beam, relative to the model."""
+    """Signals from photon transport along the middle beam, relative to the model."""
 
     histories: int
     """Number of photon histories [1]."""
@@ -63,7 +63,7 @@ def follow_photons(
     seed: int = 1,
     progress: Callable[[str, float], None] | None = None,
 ) -> Photons:
-    r"""Simulate photon transport along the middle beam of a survey and back.
+    r"""Simulate photon transport for the middle beam of a survey.
 
     A phase :math:`\Delta\varphi` more than that of the model shifts a range by
     :math:`v \Delta\varphi / 4 \pi f`: light that was scattered on its way is late.
@@ -136,7 +136,7 @@ def _reported(
 def _model(
     survey: Survey, water: WaterProperties, traced: Geometry, place: Place
 ) -> tuple[Complex, Complex]:
-    """Echo, and water signal in front of the target, by the small-angle model."""
+    """Echo, and water signal from before the target, by the small-angle model."""
     frequency = np.array(survey.instrument.modulation_frequencies)[:, None, None]
     common: dict[str, Any] = {"survey": survey, "water": water, "view": traced.view}
     surface = {
@@ -180,7 +180,7 @@ def _compared(
 def _ratio(
     light: Complex, covariance: Floats, expected: Complex
 ) -> tuple[Complex, Floats, Floats]:
-    """Ratio of a signal to its prediction, with errors of amplitude and phase."""
+    """Ratio of a signal to its prediction, with amplitude and phase uncertainty."""
     lit = (np.abs(expected) > 0) & (np.abs(light) > 0)
     along = np.where(lit, light, 1.0) / np.where(lit, np.abs(light), 1.0)
     ahead = np.stack([along.real, along.imag], axis=-1)
@@ -321,7 +321,7 @@ def scans(
     repeats: int = 12,
     seed: int = 1,
 ) -> Scans:
-    """Simulate scans, reject the water signal, compare ranges with the prediction."""
+    """Simulate scans, reject the water signal, and compare errors with predictions."""
     if repeats < 3:
         raise ValueError(f"at least 3 scans are needed, got {repeats}")
     errors: list[Floats] = []
@@ -413,7 +413,7 @@ def _truth(survey: Survey, image: xr.Dataset) -> Floats:
 def _differences(
     name: str, simulated: Scans, photons: Photons | None, late: float, accuracy: float
 ) -> list[str]:
-    """Messages about differences between simulation and prediction beyond limits."""
+    """Messages about differences from the prediction that exceed limits."""
     differences = []
     if not simulated.holds:
         differences.append(

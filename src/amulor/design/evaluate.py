@@ -225,7 +225,7 @@ def scheme_of(text: str) -> tuple[str, ...]:
 
 
 def _several(names: str | Sequence[str] | None, default: str) -> tuple[list[str], bool]:
-    """Values of a text parameter as a list, and whether they form a dimension."""
+    """Values of a text parameter as a list, and whether there were several."""
     if names is None:
         return [default], False
     if isinstance(names, str):
@@ -263,7 +263,7 @@ def _variables(
     case: Case,
     wrong_interval: float,
 ) -> dict[str, NDArray[Any]]:
-    """Variables of the result Dataset, as arrays of one shape."""
+    """Variables of the resulting Dataset, as arrays of one shape."""
     column = {name: errors.result[..., k] for k, name in enumerate(kernel.RESULTS)}
     variance = sum(column[name] for name in kernel.RANDOM)
     water_bias_square = sum(column[name] ** 2 for name in kernel.SYSTEMATIC)
@@ -403,7 +403,7 @@ def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def _largest(errors: Any, number: int) -> str:
-    """Name of the largest error source at one distance, ambiguity excluded."""
+    """Name of the largest error source at one distance, without ambiguity."""
     if errors["saturated"].values[number]:
         return "saturation"
     sizes = {

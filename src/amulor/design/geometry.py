@@ -110,7 +110,7 @@ def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
 
 
 def _towards(point: Floats, start: Floats, crossed: rays.Medium) -> Floats:
-    """Direction in front of the window of a ray that reaches a point in the water."""
+    """Direction at which a ray leaves the emitter to reach a point in the water."""
     way = point - start
     if crossed.window_distance is None:
         return np.asarray(way)

@@ -1,4 +1,4 @@
-"""Goal file of a design: required performance and available components, in TOML."""
+"""Goal file of a design: required performance and available components."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ Scheme = Annotated[
 
 
 class _Ascending(Description):
-    """Base of pairs of distances, the nearest below the farthest."""
+    """Base of distance limits: the nearest must be below the farthest."""
 
     nearest: float
     farthest: float
@@ -121,7 +121,7 @@ class _Ascending(Description):
 
 
 class DistanceRange(_Ascending):
-    """Evenly spaced distances."""
+    """Evenly spaced target distances."""
 
     nearest: _Distance
     """Nearest distance [m]."""
@@ -154,7 +154,7 @@ class Accuracy(Description):
 
 
 class Waters(Description):
-    """Water of the goal, with ranges of its properties."""
+    """Water for which the instrument is designed, with ranges of its properties."""
 
     base: WaterStated
     """Base water, described as in a survey."""
@@ -183,7 +183,7 @@ class Waters(Description):
 
 
 class Targets(Description):
-    """Target surfaces, with ranges of their properties."""
+    """Target surfaces of the goal, with ranges of their properties."""
 
     reflectance: FractionSpread
     """Range of the reflectance [1]."""
@@ -381,7 +381,7 @@ class Components(Description):
 
 
 class Assumptions(Description):
-    """Assumed uncertainties of the water when the scan is processed."""
+    """Assumed knowledge of the water when the scan is processed."""
 
     water_change: Annotated[Fraction, Field(ge=0, le=1)] = 0.01
     """Relative change of the water signal between open-water shots and scan [1]."""

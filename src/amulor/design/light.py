@@ -80,7 +80,7 @@ class Looks:
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Water signal per launched power, before polarizers, arrays over (look, ...)."""
+    """Water signal per launched power, without polarizers, arrays over (look, ...)."""
 
     mean: Floats
     """Unmodulated water signal in front of each depth, the whole column last, shape
@@ -98,7 +98,7 @@ def columns(
     depth: Floats,
     frequency: Floats,
 ) -> Columns:
-    r"""Water signals up to each depth, by the small-angle model.
+    r"""Compute water signals up to each depth, by the small-angle model.
 
     :math:`\ln F(z)` of eq. (29) of Ricci et al. 2010, as rebuilt, is computed at 64
     depths for each look and a cubic spline of :math:`\ln z` goes through them. The
@@ -136,7 +136,7 @@ def columns(
 def _log_overlap(
     survey: Survey, water: WaterProperties, looks: Looks, knots: Floats
 ) -> Floats:
-    """Logarithm of the two-way overlap F at the spline knots, shape (look, knot)."""
+    """Logarithm of the two-way overlap F at spline knots, shape (look, knot)."""
     overlap = (
         sharp_receiver.overlap if has_sharp_receiver(survey) else small_angle.overlap
     )
@@ -337,7 +337,7 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Lit:
-    """Signals for all receiver views and distances, and indices of the candidates."""
+    """Signals for all receiver views and distances, with the indices of candidates."""
 
     light: kernel.Light
     """Overlaps, water signals, optical paths and frequencies."""
@@ -363,7 +363,7 @@ def lit(
     joint: bool,
     late: bool = True,
 ) -> Lit:
-    """Compute signals that do not depend on power, dwell, channels and method."""
+    """Compute the signals, which power, dwell, channels and method do not affect."""
     by_axis = values_on_axes(case, values)
     distance, reach = np.unique(values["distance"], return_inverse=True)
     places, place = _places(case, values, distance)
@@ -385,7 +385,7 @@ def lit(
 
 
 def values_on_axes(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
-    """Values of all parameters, those of the survey where not varied."""
+    """Values of all parameters; the survey's value where one is not varied."""
     by_axis = {
         name: np.asarray(value) for name, value in case.survey_values.items()
     } | values
@@ -483,7 +483,7 @@ def _light(
     *,
     joint: bool,
 ) -> tuple[kernel.Light, Floats]:
-    """Signals as input of the compiled loops, and mean square scattering angle."""
+    """Signals for the compiled loops, and the mean square scattering angle."""
     before = distance[0] - float(places[0].depth[0])
     depth = distance - before
     if depth[0] <= 0:

@@ -34,7 +34,7 @@ _LOCK_IN = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Assessed:
-    """Predicted errors of candidates, arrays of one shape."""
+    """Predicted errors of candidates, as arrays of one shape."""
 
     result: Floats
     """Errors of the compiled loops, columns of `RESULTS` along the last axis."""
@@ -154,7 +154,7 @@ def _repetition(frequencies: Floats, group_index: float) -> Floats:
 
 
 def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floats:
-    """Error by uneven reflectance within the laser spot on a sloping target [m]."""
+    """Range error by uneven reflectance in the laser spot on a slope [m]."""
     emitter = case.survey.instrument.emitter
     width = np.hypot(
         emitter.beam_radius or 0.0, (emitter.beam_divergence or 0.0) * distance

@@ -127,7 +127,7 @@ def _error(
     bias: Floats,
     dwell: tuple[int, ...],
 ) -> float:
-    """Range error at the worst distance; infinite if the interval is uncertain [m]."""
+    """Range error at the worst distance [m]; infinite if the interval is unclear."""
     variances = np.stack([variance[k, number] for k, number in enumerate(dwell)])
     biases = np.stack([bias[k, number] for k, number in enumerate(dwell)])
     weight = 1 / np.maximum(variances, 1e-30)
@@ -266,7 +266,7 @@ class Bound:
 
 @dataclass(frozen=True, kw_only=True)
 class Recommendation:
-    """Recommended instrument for a goal.
+    """Recommended instrument for a goal, with alternatives.
 
     Examples
     --------
@@ -323,7 +323,7 @@ def finite(value: Any) -> Any:
 
 
 def _plain_row(row: xr.Dataset) -> dict[str, Any]:
-    """Table row of a candidate as plain values, with frequencies as a list."""
+    """Row of the candidate table as plain values, with frequencies as a list."""
     frequencies = row["modulation_frequency"].values
     plain = {
         str(name): row[name].item() for name in row if name != "modulation_frequency"
@@ -390,7 +390,7 @@ def recommend(
 
 
 def _kind(chosen: Parameters) -> tuple[str, str, str, int]:
-    """Laser, channels, method and frequency count, in which instruments may differ."""
+    """Laser, channels, method and frequency count: the kind of an instrument."""
     return (
         chosen.laser,
         chosen.polarization,
@@ -411,7 +411,7 @@ def _runner_up(result: SearchResult) -> Candidate | None:
 
 
 def _choice(goal: Goal, candidate: Candidate) -> Choice:
-    """Evaluate a candidate: requirements, error terms and best dwell shares."""
+    """Evaluate a candidate: requirements, error terms, best division of the dwell."""
     chosen = candidate.parameters
     survey = survey_of(goal, chosen)
     all_errors = _errors(goal, chosen, survey)
@@ -449,7 +449,7 @@ def _choice(goal: Goal, candidate: Candidate) -> Choice:
 
 
 def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
-    """Errors of an instrument in all draws, at and between the required distances."""
+    """Errors of an instrument in all random waters, over the required distances."""
     distance = np.unique(
         [*goal.asked, *np.linspace(goal.asked[0], goal.asked[-1], _BETWEEN)]
     )
@@ -469,7 +469,7 @@ def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
 
 
 def _between(goal: Goal, errors: xr.DataArray) -> Between:
-    """Largest error over all distances, at the required quantile of the draws."""
+    """Largest error over all distances, at the required quantile of waters."""
     # The value not exceeded in the required share of draws, as in the search.
     error = errors.quantile(goal.accuracy.share, "draw", method="inverted_cdf")
     worst = error.isel(distance=int(error.argmax("distance")))
@@ -477,7 +477,7 @@ def _between(goal: Goal, errors: xr.DataArray) -> Between:
 
 
 def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
-    """Parameters of an instrument that lie at a limit of the goal."""
+    """Parameters of an instrument whose values lie at a limit of the goal."""
     parts = goal.components
     laser = laser_of(goal, chosen.laser)
     edges: list[tuple[str, float, tuple[float, ...]]] = [

@@ -1,4 +1,4 @@
-"""Errors, times and costs of candidates, evaluated over the drawn waters."""
+"""Errors, scan times and costs of candidates, evaluated over random waters."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Grid:
         )
 
     def parameters(self, number: int, like: Parameters) -> Parameters:
-        """Parameters of one candidate; laser, channels and method as in `like`."""
+        """Parameters of one candidate; laser, channels and method come from `like`."""
         b, r, f, p, t, s = np.unravel_index(number, self.shape)
         return replace(
             like,
@@ -118,7 +118,7 @@ class Score:
 
 
 def merits(goal: Goal, score: Score, *, with_intervals: bool = True) -> Floats:
-    """Figure of merit of candidates; smaller is better."""
+    """Figure of merit of candidates, smaller for better ones."""
     merit = _log(score.error.max(axis=1) / goal.accuracy.total_error)
     missed = [
         score.output,
@@ -144,7 +144,7 @@ def _log(ratio: Floats) -> Floats:
 def draws_at(
     goal: Goal, chosen: Parameters, count: int | None = None
 ) -> dict[str, Floats]:
-    """Drawn waters and targets, converted to the wavelength of an instrument."""
+    """Random waters and targets, converted to the wavelength of an instrument."""
     draws = drawn(goal, count)
     scale = water_scale(goal, chosen) if draws else {}
     return {name: values * scale.get(name, 1.0) for name, values in draws.items()}
@@ -314,12 +314,12 @@ def grid_of(chosen: Parameters) -> Grid:
 
 
 def _along(values: Floats, dimension: int) -> Floats:
-    """Values reshaped to lie along one dimension of the grid."""
+    """Values reshaped as one dimension of the grid."""
     return values.reshape([-1 if k == dimension else 1 for k in range(_DIMENSIONS)])
 
 
 def _part(value: NDArray, index: tuple[slice, ...]) -> NDArray:  # type: ignore[type-arg]
-    """Block of an array by index; dimensions of length 1 are kept complete."""
+    """Block of an array by index, in which dimensions of length 1 remain."""
     if value.ndim != _DIMENSIONS:
         return value
     return value[

@@ -55,7 +55,7 @@ class Candidate:
 def allowed(
     sets: tuple[tuple[float, ...], ...], top: float | None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return frequency sets within a laser's limit; if none is, the lowest set."""
+    """Return frequency sets within a laser's limit; the lowest set if none is."""
     good = tuple(members for members in sets if top is None or max(members) <= top)
     return good or (min(sets, key=max),)
 
@@ -111,7 +111,7 @@ def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, in
 def _neighbours(
     now: tuple[float, ...], frequencies: tuple[float, ...], most: int
 ) -> tuple[tuple[float, ...], ...]:
-    """Return a frequency set, and sets with one element added, dropped or exchanged."""
+    """Return a frequency set, and sets that differ from it in one frequency."""
     sets = [now]
     for frequency in frequencies:
         if frequency in now:
@@ -129,7 +129,7 @@ def _neighbours(
 def _dwells(
     goal: Goal, like: Parameters, sets: tuple[tuple[float, ...], ...]
 ) -> tuple[float, ...]:
-    """Dwell times that may be chosen, and those that use the full scan time."""
+    """Dwell times to choose from, and those that use up the scan time."""
     box = goal.components.dwell
     values = {like.dwell, *box_values(box)}
     if not box.values and box.low is not None and box.high is not None:
@@ -228,7 +228,7 @@ def _around(
 
 
 def _single_frequencies(goal: Goal, chosen: Parameters) -> tuple[float, ...]:
-    """Single frequencies within a laser's frequency limit [Hz]."""
+    """Single modulation frequencies that a laser can reach [Hz]."""
     top = laser_of(goal, chosen.laser).top_frequency
     return tuple(t for (t,) in allowed(tuple((f,) for f in frequency_grid(goal)), top))
 
@@ -253,7 +253,7 @@ class SearchResult:
     """Number of candidates evaluated."""
 
     def all_scores(self) -> Score:
-        """Scores of the best candidates, joined, at their worst distance."""
+        """Scores of the best candidates at their worst distance, concatenated."""
         return Score.joined([_worst(candidate.score) for candidate in self.best])
 
 
@@ -345,7 +345,7 @@ def _grid(goal: Goal, laser: str) -> Grid:
 
 
 def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Parameters]:
-    """Choose the candidates from which the search starts: best ones and cheapest."""
+    """Choose candidates to start the search from: the best and the cheapest."""
     chosen: list[int] = []
     alone = not goal.components.modulation.sets and goal.components.modulation.most > 1
     for with_intervals in (True, False) if alone else (True,):
@@ -373,7 +373,7 @@ def _unique(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
-    """Candidates sorted, best first; those that meet all requirements by price."""
+    """Candidates sorted by merit; those that meet all requirements by price first."""
     priced = _priced(goal)
 
     def key(candidate: Candidate) -> tuple[bool, float, float]:
@@ -388,7 +388,7 @@ def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Refine a candidate by optimization; return it and the number of evaluations."""
+    """Optimize the parameters of a candidate; return it and the evaluation count."""
     from scipy.optimize import minimize
 
     names, low, high = _ranges(goal, start.parameters)

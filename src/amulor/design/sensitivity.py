@@ -1,4 +1,4 @@
-"""Sensitivity of the predicted error to uncertain numbers, as Sobol indices."""
+"""Sensitivity of the predicted error to uncertain inputs, as Sobol indices."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Uncertain:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """Sobol indices: shares of uncertain inputs in the variance of the log error."""
+    """Sobol indices of uncertain inputs: fractions of the log error's variance."""
 
     numbers: tuple[Uncertain, ...]
     """Uncertain inputs."""
@@ -108,7 +108,7 @@ class Sensitivity:
 
 
 def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
-    """Uncertain inputs of an instrument when it is used."""
+    """Uncertain inputs of an instrument in use: water, target and assumptions."""
     numbers = [
         Uncertain(
             axis=name,
@@ -222,6 +222,6 @@ def sensitivity(
 
 
 def _indices(samples_of: dict[str, Floats], samples: int) -> tuple[Floats, Floats]:
-    """Total and first-order Sobol indices from errors of drawn inputs."""
+    """Total and first-order Sobol indices, from errors at random inputs."""
     result = stats.sobol_indices(func=samples_of, n=samples)
     return np.ravel(result.total_order), np.ravel(result.first_order)

@@ -29,7 +29,7 @@ __all__ = ["Trade", "Turn", "trade", "what_if"]
 
 
 def front(cost: ArrayLike, error: ArrayLike) -> NDArray[np.intp]:
-    """Return the indices of the Pareto front: no candidate better in cost and error."""
+    """Return the indices of the Pareto-optimal candidates in cost and error."""
     cost, error = np.asarray(cost, dtype=float), np.asarray(error, dtype=float)
     if cost.ndim != 1 or cost.shape != error.shape:
         raise ValueError(
@@ -47,7 +47,7 @@ def front(cost: ArrayLike, error: ArrayLike) -> NDArray[np.intp]:
 
 
 def knee(cost: ArrayLike, error: ArrayLike) -> int | None:
-    """Return the index of the knee of a front, beyond which cost buys little."""
+    """Return the index of a front's knee, beyond which cost buys little accuracy."""
     x, y = (np.log(np.asarray(values, dtype=float)) for values in (cost, error))
     if len(x) < 3 or x[-1] <= x[0] or y[0] <= y[-1]:
         return None
@@ -144,7 +144,7 @@ _HALVINGS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """Value of an assumption at which the runner-up becomes the better instrument."""
+    """Assumption, and the value of it at which the runner-up becomes better."""
 
     label: str
     """Readable name of the assumption."""
@@ -161,7 +161,7 @@ class Turn:
 def what_if(
     goal: Goal, best: Parameters, other: Parameters, *, draws: int = 16
 ) -> tuple[Turn, ...]:
-    """Return the value of each assumption at which another instrument becomes better.
+    """Return the values of assumptions at which another instrument becomes better.
 
     Both are judged as the search judges: those that meet all requirements before those
     that do not, then by cost where the goal states prices, then by error. One
@@ -199,7 +199,7 @@ def _crossing(
     scaled: Callable[[float], Goal | None],
     draws: int,
 ) -> float | None:
-    """Factor nearest to 1 that makes the other instrument better; None if none does."""
+    """Factor nearest to 1 that makes the other instrument better; None without."""
 
     def wins(logarithm: float) -> bool | None:
         changed = scaled(math.exp(logarithm))

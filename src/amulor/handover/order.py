@@ -1,4 +1,4 @@
-"""Settings of a product of a range image, checked before a long computation."""
+"""Settings of a product of a range image, and checks of them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ENDINGS: dict[Product, tuple[str, ...]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Order:
-    """Settings of one product of a range image, such as a mesh or a drawing."""
+    """Settings of one product, such as a mesh or a drawing, of a range image."""
 
     product: Product
     """Kind of product."""

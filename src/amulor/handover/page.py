@@ -41,7 +41,7 @@ _OFFERS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 class PageProducts:
-    """Maker of products from the range image that a page shows.
+    """Maker of downloadable products from the image that a page shows.
 
     A product is written into a folder of its own among the temporary ones, which
     nobody else can read and which is gone before the page gets its answer: the formats'

@@ -1,4 +1,4 @@
-"""Products of a range image: each kind is written by its function."""
+"""Products of a range image, such as meshes and drawings, written to files."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ def write_cloud_parts(
     shape: tuple[int, int],
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud in parts; the file equals one written in one piece."""
+    """Write a point cloud in parts; the file is as if written in one piece."""
     match Path(path).suffix.lower():
         case ".ply":
             write_ply_parts(parts(), count, path, overwrite=overwrite)

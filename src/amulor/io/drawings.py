@@ -75,7 +75,7 @@ class Drawing:
 
 
 def checked(drawing: Drawing, *, name: str) -> Drawing:
-    """Return a drawing; raise unless it has lines and all points are finite."""
+    """Return a drawing; raise if it has no lines or a point is not finite."""
     if not drawing.lines:
         raise FormatError(f"{name}: there is no line to draw")
     for line in drawing.lines:
@@ -85,7 +85,7 @@ def checked(drawing: Drawing, *, name: str) -> Drawing:
 
 
 def sides(line: Line) -> Floats | None:
-    """Return the outline of a line's band, two standard uncertainties to each side."""
+    """Return the outline of a line's band, two standard uncertainties on each side."""
     if line.band is None or len(line.points) < 2:
         return None
     step = np.gradient(line.points, axis=0)

@@ -219,7 +219,7 @@ def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
 
 
 def _pose(matrix: NDArray[np.float64]) -> dict[str, dict[str, float]]:
-    """Pose in the form of E57 files: unit quaternion and translation."""
+    """Pose in the form that E57 files use: unit quaternion and translation."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
@@ -372,11 +372,11 @@ class Records:
         return self._shape[0] * self._shape[1]
 
     def blocks(self) -> Iterator[NDArray[np.void]]:
-        """Yield the records in pixel order, in blocks of `BLOCK` records."""
+        """Yield the E57 records in pixel order, in blocks of `BLOCK` records."""
         return in_blocks((_packed(records) for _, records in self._pieces()), BLOCK)
 
     def _pieces(self) -> Iterator[tuple[xr.Dataset | None, Arrays]]:
-        """Yield parts of the cloud, each with the records of its whole rows."""
+        """Yield parts of the cloud, each with the E57 records of its rows."""
         rows, columns = self._shape
         done = 0
         for part in self._parts():
@@ -400,7 +400,7 @@ class Records:
         yield from self._without_points(done, rows)
 
     def _without_points(self, begin: int, end: int) -> Iterator[tuple[None, Arrays]]:
-        """Yield the records of rows without points, in small blocks."""
+        """Yield the E57 records of rows without points, in small blocks."""
         columns = self._shape[1]
         few = max(1, BLOCK // columns)
         for first in range(begin, end, few):
@@ -455,7 +455,7 @@ def _widen(
 def _in_the_instrument(
     cloud: xr.Dataset,
 ) -> tuple[xr.Dataset, NDArray[np.float64] | None]:
-    """Cloud in instrument axes, and the matrix from these to the cloud's frame."""
+    """Cloud in instrument axes, and the matrix from them to the cloud's frame."""
     if cloud.attrs.get("frame", "instrument") == "instrument":
         return cloud, None
     matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)
@@ -523,7 +523,7 @@ def read_e57(path: Path) -> Shape:
 def _scan(
     file: Any, number: int
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]], list[str], bool]:
-    """Positions, scalars and texts of a scan, and whether it has a pose."""
+    """Positions, point values and texts of a scan, and whether it has a pose."""
     header = file.get_header(number)
     names = set(header.point_fields)
     raw = file.read_scan_raw(number)

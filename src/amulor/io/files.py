@@ -178,7 +178,7 @@ def _synchronise(path: Path) -> None:
 
 
 def synchronise_folder(folder: Path) -> None:
-    """Flush the entries of a folder to disk, if the operating system can."""
+    """Flush a folder's list of files to disk, if the operating system can."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

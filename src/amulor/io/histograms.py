@@ -169,7 +169,7 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
 
 
 def _arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
-    """Arrays of an npz file, renamed to the names of the file format."""
+    """Arrays of an npz file, by their names in the file format."""
     fields = (
         "counts",
         "bin_width_s",
@@ -304,7 +304,7 @@ BLOCK = 2**21
 def checked_frequency(
     histograms: Histograms, modulation_frequency: ArrayLike
 ) -> NDArray[np.float64]:
-    """Modulation frequencies; raise if the histogram bins are too wide for them."""
+    """Return modulation frequencies; raise if histogram bins are too wide for them."""
     path = histograms.path
     try:
         frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=float))

@@ -202,7 +202,7 @@ def _extent(parts: Iterable[xr.Dataset], *, name: str) -> _Extent:
 
 
 def _header(laspy: Any, extent: _Extent, *, name: str) -> tuple[Any, list[Any]]:
-    """Header of a LAS file, and the extra dimensions of its points."""
+    """Header of a LAS file, and the extra dimensions that its points have."""
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.global_encoding.wkt = True  # asked for by this point format, even if unused
     header.system_identifier = "amulor"
@@ -289,7 +289,7 @@ def read_laz(path: Path, *, most: int) -> Shape:
 
 
 def _check_chunks(path: Path) -> None:
-    """Refuse a LAZ file with more chunks than bytes: lazrs would abort the process."""
+    """Raise if a LAZ file has more chunks than bytes: lazrs would abort the process."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(105)

@@ -300,7 +300,7 @@ def _fill(group: Any, part: xr.Dataset) -> None:
 def _listing(
     part: xr.Dataset,
 ) -> tuple[dict[Hashable, dict[str, Any]], dict[str, Any]]:
-    """Attributes of variables and of their group, including coordinate names."""
+    """Attributes of variables and of their group, with the names of coordinates."""
     attributes = {key: dict(variable.attrs) for key, variable in part.variables.items()}
     listed: set[Hashable] = set(part.indexes)
     for key in part.data_vars:
@@ -328,7 +328,7 @@ def _create(
     *,
     shape: tuple[int, ...] | None = None,
 ) -> Any:
-    """Create a variable in a file; if a shape is given, it is filled later."""
+    """Create a variable in a file; with a given shape, it is filled later."""
     import h5py
 
     values = variable.values
@@ -410,7 +410,7 @@ def _decoded(content: bytes, path: Path) -> xr.Dataset:
 
 
 def _check_size(storage: Any, path: Path) -> None:
-    """Refuse a file whose variables are larger than its compressed bytes can hold."""
+    """Raise if variables of a file are larger than its bytes can hold."""
     import h5py
 
     def check(name: str, node: Any) -> None:
@@ -428,7 +428,7 @@ def _check_size(storage: Any, path: Path) -> None:
 
 
 def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
-    """Cube of schema version 1, converted to present variable names."""
+    """Cube of schema version 1, with variables renamed to the present names."""
     former = {
         old: new
         for old, new in schema.FORMER_NAMES.items()
@@ -438,7 +438,7 @@ def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _opened(file: Any, group: str | None, *, by_rows: bool = False) -> xr.Dataset:
-    """Open a group of a file; `by_rows` leaves variables over the rows unread."""
+    """Open a group of a file; by rows, variables with rows stay unread."""
     store = xr.backends.H5NetCDFStore(file, group=group)
     # Units such as "days since 2020-01-01" are left to the schema.
     part = xr.open_dataset(store, decode_times=False, cache=not by_rows)
@@ -531,7 +531,7 @@ class CubeRows:
         return self._columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Cube of a range of rows; raise unless it conforms to the schema."""
+        """Read a range of rows as a cube; raise unless it conforms to the schema."""
         part = cubes.without_unknown_errors(self._read(self._cube, begin, end))
         cubes.check(part, name=f"{self._path}, rows {begin} to {end - 1}")
         return part
@@ -651,7 +651,7 @@ def is_large(
 
 
 def _check_digest(path: Path) -> None:
-    """Refuse a file whose bytes differ from those that amulor wrote."""
+    """Raise if the bytes of a file differ from those that amulor wrote."""
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
@@ -700,7 +700,7 @@ class RowWriter:
         self._written = 0
 
     def put(self, tile: xr.Dataset, begin: int) -> None:
-        """Write a tile of rows, starting at a given row."""
+        """Write a tile of rows that begins at a given row."""
         tile = cubes.checked(tile, name=self._name)
         parts = {"": _root(tile)}
         for group in schema.GROUPS:
@@ -747,7 +747,7 @@ class RowWriter:
             )
 
     def _begun(self, key: str, part: xr.Dataset) -> dict[str, Any]:
-        """Create a group, and write its variables that have no row dimension."""
+        """Create a group in the file, and write its variables without row dimension."""
         _check_storable(part, name=self._name)
         group = self._file.create_group(key) if key else self._file
         sizes = dict(part.sizes)

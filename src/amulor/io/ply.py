@@ -126,7 +126,7 @@ def write_ply_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud to PLY in parts; the file equals one written in one piece."""
+    """Write a point cloud to PLY in parts; the file is as if written in one piece."""
     checked = checked_parts(parts, count, name=f"the cloud for {path}")
     _write(checked, count, path, overwrite=overwrite)
 
@@ -141,7 +141,7 @@ def _write(
     about: Mapping[str, str] | None = None,
     triangles: NDArray[np.void] | None = None,
 ) -> None:
-    """Write checked parts; extra properties and triangles only for a single part."""
+    """Write parts to PLY; triangles and extra properties only with a single part."""
     faces = [] if triangles is None else _face_lines(triangles)
     with (
         atomic_output(Path(path), overwrite=overwrite) as temporary,
@@ -303,7 +303,7 @@ def _comments(file: BinaryIO) -> list[str]:
 
 
 def _check_lines(file: BinaryIO, name: str) -> None:
-    """Refuse a text file with fewer lines than its header declares."""
+    """Raise if a text file has fewer lines than its header declares."""
     lengths: list[int] = []
     for _ in range(_MOST_LINES):
         words = file.readline(4096).split()
@@ -322,7 +322,7 @@ def _check_lines(file: BinaryIO, name: str) -> None:
 
 
 def _columns_of(element: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """Columns of a PLY element by name, in the byte order of this computer."""
+    """Values of a PLY element by name, in the byte order of this computer."""
     data, count = element.get("data", {}), element["length"]
     columns = {}
     for name in element["properties"]:

@@ -127,7 +127,7 @@ def _polarizations(
 def of_one_temperature(
     path: Path, samples: Samples, temperature: float | None
 ) -> Samples:
-    """Return the samples at one temperature; raise if several need a choice."""
+    """Return the samples at one temperature; raise if a choice is needed."""
     measured = samples.temperature[np.isfinite(samples.temperature)]
     refuse_several(path, rounded_temperatures(measured), measured, temperature)
     if temperature is None:
@@ -177,13 +177,13 @@ def distinct(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def groups(ordered: Floats) -> NDArray[np.intp]:
-    """Index of the distinct frequency of each value; values must increase."""
+    """Index of the distinct frequency of each value, for increasing values."""
     border = np.diff(ordered) > _SAME_FREQUENCY * ordered[:-1]
     return np.concatenate([[0], np.cumsum(border)]).astype(np.intp)
 
 
 def places_known_by(samples: Samples) -> Places:
-    """Columns that locate samples in the scan: rows, angles, or their order."""
+    """Columns that tell the pixel of each sample: rows, angles, or only the order."""
     if np.isfinite(samples.row).any():
         return "rows"
     return "angles" if np.isfinite(samples.azimuth).any() else "order"
@@ -198,7 +198,7 @@ def pixels(
     known_by: Places | None = None,
     before: dict[tuple[int, int], int] | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Row and column of each sample, from its row, its angles or its order in time.
+    """Row and column of each sample: as recorded, from angles, or from its order.
 
     Of a part of the samples, `known_by` is what is so of all, and `before` as `turn`
     takes it.
@@ -244,7 +244,7 @@ def turn(
     channel: tuple[NDArray[np.intp], NDArray[np.intp]],
     before: dict[tuple[int, int], int] | None = None,
 ) -> NDArray[np.float64]:
-    """Return, for each sample, the number of earlier samples of the same channel.
+    """Count, for each sample, the earlier samples of the same channel.
 
     `before` says how many came before these, and is told how many there are now.
     """
@@ -270,7 +270,7 @@ def around(signal: Complex) -> list[Complex]:
 
 
 def nearest_distance(signal: Complex) -> Floats:
-    """Distance of each signal to the most similar neighbor [V]; NaN if alone."""
+    """Smallest difference of each signal from a neighbor; NaN without neighbors [V]."""
     nearest = np.full(signal.shape, np.inf)
     for neighbor in around(signal):
         nearest = np.fmin(nearest, np.abs(signal - neighbor))
@@ -279,13 +279,13 @@ def nearest_distance(signal: Complex) -> Floats:
 
 
 def median_of(nearest: Floats) -> float:
-    """Median of the finite distances; NaN if there are none [V]."""
+    """Median of the finite values; NaN if there are none [V]."""
     finite = nearest[np.isfinite(nearest)]
     return float(np.median(finite)) if finite.size else np.nan
 
 
 def off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
-    """Distance of signals from mixtures of two neighbors, and the neighbors' distance.
+    """Distance of signals from mixtures of two neighbors, and between neighbors.
 
     A beam on an edge sees a mixture of both sides. `beside` has the neighbors of each
     sample along its first axis, no numbers where there are none.

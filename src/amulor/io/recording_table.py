@@ -157,7 +157,7 @@ class RecordingMap(Description):
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Read a map from a TOML file."""
+        """Read a map of columns from a TOML file."""
         return toml_file.described(
             toml_file.text_of(path, error=FormatError),
             cls,
@@ -186,11 +186,11 @@ class Table:
         return len(next(iter(self._columns.values())))
 
     def texts(self, name: str) -> Texts:
-        """Values of a column as text."""
+        """Entries of a column as text."""
         return np.char.strip(self._columns[name].astype(str))
 
     def numbers(self, name: str, *, decimal: str = ".") -> Floats:
-        """Values of a column as numbers; NaN for empty cells."""
+        """Entries of a column as numbers; NaN for empty cells."""
         values = self._columns[name]
         if values.dtype.kind in "fiub":
             return values.astype(float)
@@ -267,7 +267,7 @@ def _with_single_spaces(line: str) -> str:
 def _names(
     path: Path, lines: Iterator[Line], settings: TableSettings
 ) -> tuple[list[str], list[Line]]:
-    """Column names, and the line of the first sample if it was already read.
+    """Column names, and the first sample's line if it had to be read to find them.
 
     They stand in a line of texts, or in the last comment before the first sample.
     """
@@ -290,7 +290,7 @@ def _names(
 def _samples(
     path: Path, lines: Iterable[Line], settings: TableSettings, columns: int
 ) -> Iterator[Line]:
-    """Yield the lines of samples; refuse lines with too few columns."""
+    """Yield the lines of samples; raise at lines with too few columns."""
     for number, line in lines:
         if line.isspace() or (settings.comment and line.startswith(settings.comment)):
             continue
@@ -329,7 +329,7 @@ def _parsed(
     places: dict[int, str],
     texts: set[str | None],
 ) -> dict[str, NDArray[Any]]:
-    """Columns by name, as numbers, or as text if any cell is not a number."""
+    """Columns by name: numbers, or text if a cell is not a number."""
     import pandas as pd
 
     read = partial(

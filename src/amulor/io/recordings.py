@@ -56,7 +56,7 @@ _PIXEL = ("row", "column")
 
 @dataclass(frozen=True, kw_only=True)
 class _Gathered:
-    """Mean signals by channel and pixel, with numbers of samples and flags."""
+    """Mean signal of each channel and pixel, with its sample count and flags."""
 
     signal: Complex
     mean: Floats
@@ -65,7 +65,7 @@ class _Gathered:
     flag: NDArray[np.int16]
 
     def rows(self, rows: slice) -> _Gathered:
-        """Mean signals in a range of rows."""
+        """Return the mean signals in a range of rows."""
         return _Gathered(**{key: v[:, :, rows] for key, v in vars(self).items()})
 
 
@@ -147,7 +147,7 @@ class Band:
 
 
 def band_with_neighbours(survey: Survey, rows: tuple[int, int]) -> tuple[int, int]:
-    """Range of rows, widened by the rows that outlier tests compare with."""
+    """Range of rows, widened by the neighbors that outlier tests need."""
     return max(rows[0] - 1, 0), min(rows[1] + 1, survey.scan.rows)
 
 
@@ -157,7 +157,7 @@ def gathered_band(
     at: tuple[NDArray[np.intp], ...],
     rows: tuple[int, int],
 ) -> Band:
-    """Mean signals, uncertainties and directions in a band of rows.
+    """Average the samples in a band of rows: signals, uncertainties, directions.
 
     `samples` has all samples of `band_with_neighbours`, and no others; `at` says where
     they are: frequency, polarization, row and column of the scan.
@@ -243,7 +243,7 @@ def _is_none(signal: Complex) -> NDArray[np.bool_]:
 
 
 def refuse_no_scan(path: Path, *, any_scan: bool) -> None:
-    """Refuse a recording that contains only open-water shots."""
+    """Raise if a recording has open-water shots and no pixels of a scan."""
     if not any_scan:
         raise FormatError(
             f"{path}: holds open-water shots and no sample of the scan; check "
@@ -310,7 +310,7 @@ def _gathered(
 def _direction(
     angle: Floats, at: tuple[NDArray[np.intp], ...], planned: Floats
 ) -> Floats:
-    """Beam direction averaged over all channels; planned direction without samples."""
+    """Beam direction of each pixel: mean over all channels, else as planned [rad]."""
     flat = np.ravel_multi_index(at[2:], planned.shape)
     finite = np.isfinite(angle)
     count = np.bincount(flat[finite], minlength=planned.size)
@@ -320,7 +320,7 @@ def _direction(
 
 
 def _uncertainty(described: RecordingMap, survey: Survey, means: _Gathered) -> Floats:
-    """Return the noise of the in-phase or quadrature mean, without phase floor [V]."""
+    """Return the noise of the mean in-phase or quadrature, without phase floor [V]."""
     takes = np.maximum(means.takes, 1)
     if described.constants.uncertainty is not None:
         return described.constants.uncertainty / np.sqrt(takes)

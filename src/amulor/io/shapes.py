@@ -62,7 +62,7 @@ class Shape:
 def scalars_of(
     columns: Mapping[str, NDArray[Any]],
 ) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Columns as numbers, with the names of `KNOWN`, and names of unused columns."""
+    """Columns as numbers, by their names in `KNOWN`, and names of unused columns."""
     plain = {
         name: name.lower().removeprefix("scalar_").partition("[")[0].strip()
         for name in columns
@@ -88,7 +88,7 @@ def scalars_of(
 
 
 def up_of(statements: Sequence[str], default: Up = "z") -> Up:
-    """Vertical axis that the header lines of a file state."""
+    """Vertical axis of a file's coordinates, as its header lines state."""
     for line in statements:
         if line.startswith("axes:"):
             return "-y" if "y down" in line else "z"
@@ -96,7 +96,7 @@ def up_of(statements: Sequence[str], default: Up = "z") -> Up:
 
 
 def checked(shape: Shape, name: str) -> Shape:
-    """Drop points without finite coordinates, and empty columns; raise if empty."""
+    """Drop points without finite coordinates and empty columns; raise if all go."""
     # Numbers of which none is known, such as errors with the water left in.
     scalars = {k: v for k, v in shape.scalars.items() if np.isfinite(v).any()}
     shape = Shape(**{**vars(shape), "scalars": scalars})
@@ -127,7 +127,7 @@ def checked(shape: Shape, name: str) -> Shape:
 
 
 def thinned(shape: Shape, indices: NDArray[np.intp]) -> Shape:
-    """Point cloud of selected points, without triangles."""
+    """Select points of a cloud, and drop triangles."""
     return Shape(
         position=shape.position[indices],
         scalars={name: values[indices] for name, values in shape.scalars.items()},
@@ -153,7 +153,7 @@ def spread(total: int, most: int) -> NDArray[np.intp]:
 
 
 def read_mesh(path: Path, *, unit: float) -> Shape:
-    """Read an STL, OBJ, OFF or GLB mesh; linked files such as textures stay closed."""
+    """Read an STL, OBJ, OFF or GLB mesh, without linked files such as textures."""
     try:
         import trimesh
     except ImportError as error:
@@ -239,7 +239,7 @@ def checked_parts(
 
 
 def in_blocks(arrays: Iterable[NDArray[Any]], size: int) -> Iterator[NDArray[Any]]:
-    """Yield the elements of arrays in blocks of equal size, apart from the last."""
+    """Yield the elements of several arrays in blocks of equal size."""
     waiting: list[NDArray[Any]] = []
     count = 0
     for array in arrays:
@@ -254,7 +254,7 @@ def in_blocks(arrays: Iterable[NDArray[Any]], size: int) -> Iterator[NDArray[Any
 
 
 def provenance_lines(cloud: xr.Dataset) -> list[str]:
-    """Return description and processing history of a cloud, one statement a line."""
+    """Return description and processing history of a cloud, as lines of text."""
     named = ("title", "source", "history", "amulor_schema_version", "software_versions")
     lines = frame_lines(cloud.attrs)
     for key in named:
@@ -280,7 +280,7 @@ def provenance_lines(cloud: xr.Dataset) -> list[str]:
 
 
 def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
-    """Return the meaning of a product's coordinates, one statement a line."""
+    """Return the meaning of a product's coordinates, as lines of text."""
     lines = [f"axes: {attributes.get('frame_axes', _AXES)}"]
     if attributes.get("frame", "instrument") != "instrument":
         numbers = " ".join(f"{v:.12g}" for v in attributes["frame_matrix"])
@@ -294,7 +294,7 @@ def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
 
 
 def doubtful(cloud: xr.Dataset) -> NDArray[np.bool_]:
-    """Mask of points with a flag that makes their range doubtful."""
+    """Mask of points with flags that make their range doubtful."""
     if "quality_flag" not in cloud:
         return np.zeros(cloud.sizes["point"], dtype=bool)
     flags = cloud["quality_flag"].values.astype(np.int64)

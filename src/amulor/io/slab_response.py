@@ -1,4 +1,4 @@
-"""Frequency response of slabs, from light pulses with and without the slab."""
+"""Frequency response of slabs, from light pulses with and without a slab."""
 
 from __future__ import annotations
 
@@ -272,7 +272,7 @@ def mean_delay(slabs: Slabs) -> NDArray[np.float64]:
 def _ratio(
     slabs: Slabs, weight: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
-    """Frequency response of slabs, and variances of real and imaginary logarithm."""
+    """Frequency response of slabs, and variances of its logarithm's two parts."""
     level = slabs.background[:, np.newaxis]
     bins = weight.shape[1]
     # Less one, so that at low frequencies small numbers are added and not the

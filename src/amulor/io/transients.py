@@ -33,7 +33,7 @@ _PARTS = 64
 
 
 def overlap_of(sums: Floats) -> Floats:
-    r"""Overlapping echoes within the bin-wise minimum of several scenes [counts].
+    r"""Photon counts in the scenes' bin-wise minimum that are probably echoes.
 
     Scenes :math:`B + E_1`, :math:`B + E_2` have the minimum
     :math:`B + \min(E_1, E_2)`: where one echo has not ended when the other begins, the
@@ -84,7 +84,7 @@ _FOAM_LICENCE = "MIT, (c) 2020 Stanford University"
 
 @dataclass(frozen=True, kw_only=True)
 class _Known:
-    """Properties of a published data set that its file does not contain."""
+    """Acquisition details of a published data set, which its file lacks."""
 
     title: str
     scan_side: float | None = None
@@ -356,7 +356,7 @@ def medium_from_minimum(
 
 
 def _evenly(shots: Coefficients) -> Coefficients:
-    """Return the signals with one covariance, the average over all of them."""
+    """Return the signals with their covariance averaged over all of them."""
 
     def mean(part: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.broadcast_to(part.mean(axis=-1, keepdims=True), part.shape)

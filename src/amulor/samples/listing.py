@@ -55,11 +55,11 @@ class Sample:
 
     @property
     def size(self) -> int:
-        """Total size of its files [bytes]."""
+        """Total size of the files [bytes]."""
         return sum(len(self.read(name)) for name in self.files)
 
     def read(self, name: str) -> bytes:
-        """Return the content of one of its files.
+        """Return the content of one of the files.
 
         Parameters
         ----------

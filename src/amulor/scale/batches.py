@@ -1,4 +1,4 @@
-"""Batches of photons computed on a cluster, each a file with a record of its inputs."""
+"""Batches of photons computed on a cluster, each saved with its inputs."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ __all__ = ["spread_batches"]
 
 
 class Run(Protocol):
-    """Photon transport run that can compute any batch of its photons, by number."""
+    """Photon transport run that computes batches of photons by number."""
 
     @property
     def stated(self) -> dict[str, Any]:
         """Inputs of the run, as numbers and text."""
 
     def __call__(self, number: int) -> Batch:
-        """Compute the batch of photons with this number."""
+        """Compute the batch of photons with a given number."""
 
 
 @contextmanager
@@ -40,7 +40,7 @@ def spread_batches(
     scheduler: str,
     workers: int | None = None,
 ) -> Iterator[Spread]:
-    """Compute the batches of a photon transport run on the workers of a cluster.
+    """Compute the batches of a photon transport run on a cluster.
 
     Notes
     -----
@@ -66,7 +66,7 @@ def spread_batches(
 def _batches(
     client: Any, folder: Path, run: Run, first: int, end: int
 ) -> Iterator[Batch]:
-    """Yield computed batches in the order of their numbers."""
+    """Yield the computed batches in the order of their numbers."""
     paths = in_order(client, folder, _Batches(run=run), first, end)
     for number, path in enumerate(paths, start=first):
         with np.load(path, allow_pickle=False) as arrays:
@@ -83,13 +83,13 @@ def _batches(
 
 @dataclass(frozen=True, kw_only=True)
 class _Batches:
-    """Batches of photons as numbered work items, each with an output file."""
+    """Batches of photons as work items for a cluster, each with an output file."""
 
     run: Run
     file: str = "batch.npz"
 
     def made_of(self, number: int) -> dict[str, Any]:
-        """Return the inputs of a batch, for its record."""
+        """Return the inputs from which a batch is computed."""
         return {**self.run.stated, "batch": number}
 
     def write(self, number: int, path: Path) -> None:
@@ -98,7 +98,7 @@ class _Batches:
 
 
 def _write(batch: Batch, path: Path) -> None:
-    """Write a batch to a file, equal bytes for equal batches."""
+    """Write a batch to a file, with equal bytes for equal batches."""
     arrays: dict[str, Any] = {
         "histories": np.int64(batch.histories),
         "signal": batch.signal,

@@ -100,7 +100,7 @@ def _level_of(path: Path) -> str:
 
 
 class _Rows:
-    """Rows of an output file, computed tile by tile."""
+    """Rows of an output file, which are computed tile by tile."""
 
     def __init__(
         self, source: tiles.Source, step: Step, of: Callable[[int, int], xr.Dataset]
@@ -136,7 +136,7 @@ def _simulated(text: str, path: Path, seed: int) -> SimulatedRows:
 
 @dataclass(frozen=True)
 class _Known:
-    """Cache key of a step that is fitted to a cube: step, path and file identity."""
+    """Cache key of a step fitted to a cube: step, path and identity of the file."""
 
     key: str
     step: Step
@@ -158,7 +158,7 @@ def _prepared(scan: _Known) -> Prepared:
 
 
 def splits(task: Task) -> tuple[str, ...]:
-    """Return the files of a scan that are large enough to compute in row ranges."""
+    """Return the files of a scan that are large enough for work by row ranges."""
     try:
         steps = chain(task)
         sizes = _sizes(steps[0])
@@ -171,7 +171,7 @@ def splits(task: Task) -> tuple[str, ...]:
 
 
 def _sizes(step: Step) -> tiles.Source:
-    """Return the numbers of rows, columns and channels of a step's input file."""
+    """Return row count, column count and channels of a step's input file."""
     if step.how["step"] == "simulate":
         survey = Survey.from_toml(step.of)
         instrument = survey.instrument
@@ -261,7 +261,7 @@ def _put(writer: Any, first: int, file: Path, step: Step) -> None:
 
 
 def _in_order(file: Path) -> list[str]:
-    """Return the variable names of a cube file in their stored order, groups too."""
+    """Return all variable names of a cube file, in the order of the file."""
     import h5py
 
     with h5py.File(file, "r") as storage:

@@ -57,7 +57,7 @@ _PLACED = np.dtype([("sample", _SAMPLE), ("at", "i8", (4,))])
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedSummary:
-    """Summary of an imported recording: lengths and flagged samples."""
+    """Size of an imported cube, and counts of flagged samples."""
 
     sizes: dict[str, int]
     """Lengths of the dimensions of the cube [1]."""
@@ -151,7 +151,7 @@ def _spilled(
 
 @dataclass(kw_only=True)
 class _Known:
-    """Axes of a recording, and properties of its samples as a whole."""
+    """Axes of a recording, and facts about its samples as a whole."""
 
     temperature: float | None
     pairs: list[str] = field(default_factory=list)
@@ -325,7 +325,7 @@ def _median_of(path: Path) -> float:
 
 
 def _ranked(path: Path, rank: int) -> float:
-    """Return the number of a given rank in a file, by 16-bit radix selection."""
+    """Return the value with a given rank in a file, by 16-bit radix selection."""
     value = 0
     for shift in (48, 32, 16, 0):
         counts = np.zeros(2**16, dtype=np.int64)

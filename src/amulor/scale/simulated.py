@@ -19,7 +19,7 @@ __all__ = ["SimulatedSummary", "simulate_file"]
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSummary:
-    """Size of a simulated cube, beams that meet a target, and saturated samples."""
+    """Size of a simulated cube, and fractions of beams and samples."""
 
     sizes: dict[str, int]
     """Lengths of the dimensions of the cube [1]."""

@@ -1,4 +1,4 @@
-"""All steps of all scans of a site, on this computer or on a cluster.
+"""Processing of all scans of a site, on this computer or on a cluster.
 
 What is done stays done: each file is recorded with its digest and with what it was made
 of. A run that begins again, after a worker or the scheduler has died, takes up what it
@@ -45,7 +45,7 @@ __all__ = ["Done", "Task", "is_made", "run_site", "work", "work_on_rows"]
 
 
 def work(task: Task, until: str | None = None) -> Done:
-    """Process a scan: samples, target signal, range image, cloud."""
+    """Process a scan from samples to point cloud."""
     set_up_worker()
     record = Record(Path(task.folder))
     record.tidy()
@@ -67,7 +67,7 @@ def is_made(task: Task, name: str) -> bool:
 
 
 def work_on_rows(task: Task, name: str, begin: int, end: int) -> str:
-    """Compute some rows of a file of a scan; `work` joins the rows later."""
+    """Compute some rows of a file; `work` joins the rows of the scan later."""
     set_up_worker()
     try:
         with dated(datetime.datetime.fromisoformat(task.started)):
@@ -120,7 +120,7 @@ def run_site(
 
 
 def _started(folder: Path) -> str:
-    """Return the time at which a run was first started, from its folder."""
+    """Return the time at which the run in a folder was first started."""
     path = folder / "run.json"
     try:
         started = str(json.loads(path.read_text("utf-8"))["started"])
@@ -182,7 +182,7 @@ class _Spread:
         self._next(_Underway(task=task, stages=stages))
 
     def _next(self, scan: _Underway) -> None:
-        """Check if the next file of a scan exists; after the last, finish the scan."""
+        """Check if the next file of a scan exists; after the last one, end the scan."""
         if scan.stages:
             self._submit("asked", scan, is_made, scan.stages[0])
         else:
@@ -196,7 +196,7 @@ class _Spread:
         self.futures.add(future)
 
     def after(self, future: Any, error: str) -> Done | None:
-        """Continue a scan after one of its tasks; return its result at the end."""
+        """Continue a scan after a finished task; return the result at its end."""
         scan, kind = self._known.pop(future.key)
         answer = None if error else future.result()
         name = scan.stages[0] if scan.stages else ""

@@ -1,4 +1,4 @@
-"""Tasks of a site, scan by scan, with a record of finished files."""
+"""Processing tasks of a site, one per scan, with a record of finished files."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class Done:
-    """Result of the processing of a scan."""
+    """Result of the processing of a scan: files, and error if any."""
 
     name: str
     """Name of the scan."""
@@ -135,7 +135,7 @@ class Record:
         return path
 
     def identity(self, path: Path) -> str:
-        """Return the digest of a recorded file, or size and time of another file."""
+        """Return a recorded file's digest; size and time of other files."""
         if path.parent == self._folder and path.name in self._steps:
             return self._steps[path.name]["digest"]
         try:
@@ -157,7 +157,7 @@ class Record:
         )
 
     def done(self, name: str, *, error: str = "") -> Done:
-        """Return the result of the scan."""
+        """Return the result of a scan: its files, new files, and the error if any."""
         return Done(
             name=name, files=dict(self._now), made=tuple(self._new), error=error
         )
@@ -193,7 +193,7 @@ LOCAL = "local"
 
 
 def set_up_worker() -> None:
-    """Set the threads of compiled loops in a worker, and stop its profiler."""
+    """Set the thread count of compiled loops in a worker, and stop its profiler."""
     try:
         import distributed
 
@@ -214,7 +214,7 @@ def set_up_worker() -> None:
 
 @contextmanager
 def cluster_client(scheduler: str, workers: int | None) -> Iterator[Any]:
-    """Connect to a cluster, or start one on this machine."""
+    """Connect to a cluster, or start one on this computer."""
     import distributed
 
     # Its functions have no types.
@@ -246,7 +246,7 @@ def cluster_client(scheduler: str, workers: int | None) -> Iterator[Any]:
 
 
 class Work(Protocol):
-    """Computation in numbered items that workers of a cluster share."""
+    """Computation in numbered items that the workers of a cluster compute."""
 
     @property
     def file(self) -> str:
@@ -318,7 +318,7 @@ def _do(packed: bytes, number: int, folder: str) -> None:
 
 @lru_cache(maxsize=2)
 def _unpacked(packed: bytes) -> Work:
-    """Return the unpacked computation; cached for all items of a worker."""
+    """Return the unpickled computation; cached for all items of a worker."""
     import distributed.protocol
 
     dask: Any = distributed

@@ -68,12 +68,12 @@ class StartPose(Description):
     """Standard uncertainty of pitch and of roll [rad]."""
 
     def as_pose(self) -> Pose:
-        """Return the start pose as a pose in the format of surveys."""
+        """Return the start pose in the format of survey files."""
         return Pose.model_validate(self.model_dump())
 
 
 def _installed(method: str) -> str:
-    """Return the name of a rejection method; ValueError if it is not installed."""
+    """Return the name of a rejection method; raise ValueError if not installed."""
     installed = _plugins.names(_plugins.REJECTION)
     if method not in installed:
         raise ValueError(
@@ -88,7 +88,7 @@ def _list_methods(schema: dict[str, Any]) -> None:
 
 
 class Processing(Description):
-    """Settings by which a cube is processed to a range image."""
+    """Settings for processing a cube to a range image."""
 
     method: Annotated[
         str, AfterValidator(_installed), Field(json_schema_extra=_list_methods)
@@ -148,7 +148,7 @@ class SiteScan(Description):
 
 
 class Place(Description):
-    """Pixel of a scan at which a target appears."""
+    """Pixel at which a target appears in a scan."""
 
     scan: Name
     """Name of the scan."""

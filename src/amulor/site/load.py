@@ -24,7 +24,7 @@ def range_image_of(scan: SiteScan) -> xr.Dataset:
 
 
 def check_level(level: str, *, processed: bool, name: str) -> None:
-    """Raise unless a file is a range image or can be processed to one."""
+    """Raise unless a file is a range image, or can be processed to a range image."""
     if level == "range_image":
         return
     if level not in ("samples", "target_signal"):

@@ -20,7 +20,7 @@ def integration_time(survey: Survey) -> float:
 
 
 def full_rate(survey: Survey) -> float:
-    """Return the photoelectron rate if the receiver got all launched light [1/s]."""
+    """Return the photoelectron rate for all launched light at the receiver [1/s]."""
     instrument, detector = survey.instrument, survey.instrument.detector
     return float(
         detection.photoelectron_rate(
@@ -72,7 +72,7 @@ def counting_variance(
 
 
 def photon_noise_volt(survey: Survey) -> float:
-    """Return the factor V in the counting variance V A / m at amplitude A [V]."""
+    """Return the constant V of the counting variance V A / m at amplitude A [V]."""
     volt = survey.instrument.detector.volt_per_photoelectron_rate
     time = integration_time(survey)
     return float(detection.photon_noise(time, volt_per_photoelectron_rate=volt))

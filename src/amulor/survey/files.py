@@ -19,12 +19,12 @@ class NamesFile(Protocol):
     """Interface of survey sections that name a file."""
 
     def settled(self, folder: Path, *, where: str) -> Any:
-        """Return a copy with full paths, or with the contents of the named files."""
+        """Return a copy with full file paths, or with the contents of the files."""
         ...
 
 
 def settled(description: _Described, folder: Path, *, where: str) -> _Described:
-    """Return a survey section with full paths, or with the contents of its files."""
+    """Return a survey section with full file paths, or the contents of its files."""
     copy = _settled(description, folder, where=f"{where}: ", path="")
     return copy  # type: ignore[no-any-return]
 

@@ -59,7 +59,7 @@ PolarizationPair = Annotated[str, Field(pattern=f"^({stokes.PAIR_PATTERN})$")]
 
 
 class Emitter(Description):
-    """Emitter: origin of the beam, and its direction at scan angles of zero.
+    """Emitter: origin of the beam, and beam direction at scan angles of zero.
 
     Examples
     --------

@@ -21,7 +21,7 @@ _Delay = Annotated[Time, Field(ge=-1e-3, le=1e-3)]
 
 
 class Pointing(Description):
-    """Pointing error: true beam directions that differ from those recorded."""
+    """Pointing error: the true beam directions differ from the recorded ones."""
 
     jitter: Annotated[Angle, Field(ge=0, le=0.5)] = 0.0
     """Standard deviation of azimuth and of elevation from pixel to pixel [rad]."""
@@ -31,14 +31,14 @@ class Pointing(Description):
 
 
 class Clock(Description):
-    """Clock error: true modulation frequencies that differ from those recorded."""
+    """Clock error: the true modulation frequencies differ from the recorded ones."""
 
     frequency_error: Annotated[Fraction, Field(ge=-0.1, le=0.1)]
     """True frequency divided by recorded frequency, minus 1 [1]."""
 
 
 class Harmonic(Description):
-    """Harmonic of the modulated light that adds to the output at the fundamental.
+    """Harmonic of the modulation that adds to the output at the fundamental.
 
     Its phasor is the complex conjugate for the orders 3 and 7, as with four samples a
     period.
@@ -77,7 +77,7 @@ class Counting(Description):
 
 
 class Compression(Description):
-    """Gain compression: gain that falls linearly with the amplitude."""
+    """Gain compression: the gain falls linearly with the amplitude."""
 
     fraction: _Share
     """Relative loss of gain at the amplitude `amplitude` [1]. The gain never falls
@@ -149,7 +149,7 @@ class ScaleChange(Description):
 
 
 class Demodulator(Description):
-    """Offset, gain error, phase error and resolution of the two lock-in outputs."""
+    """Offsets, gain and phase errors, and resolution of the two lock-in outputs."""
 
     in_phase_offset: Annotated[Voltage, Field(ge=-1e4, le=1e4)] = 0.0
     """Offset of the in-phase output [V]."""
@@ -177,7 +177,7 @@ class OutputNoise(Description):
 
 
 class InstrumentErrors(Description):
-    """Errors of the instrument in a simulation; each is off by default.
+    """Instrument errors in a simulation; each is off by default.
 
     They act in the order in which they stand here. Rejection and ranging do not read
     them: an error is what the survey's other sections do not say.

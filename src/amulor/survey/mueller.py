@@ -28,7 +28,7 @@ SURFACES: dict[str, tuple[float, float, float]] = {
 
 
 def keeping(m22: float) -> tuple[float, float, float]:
-    """Return (m22, m33, m44) in backscatter by randomly oriented particles."""
+    """Return (m22, m33, m44) for backscatter by randomly oriented particles."""
     return m22, -m22, 1.0 - 2.0 * m22
 
 
@@ -51,7 +51,7 @@ def matrix(description: Any) -> NDArray[np.float64]:
 
 
 def _named(description: Any) -> Any:
-    """Return a Mueller matrix; ValueError for names without published values."""
+    """Return a Mueller matrix by name; ValueError if no values were published."""
     if isinstance(description, str) and description not in SURFACES:
         raise ValueError(
             f"found {description!r}, for which no published Mueller matrix is known "

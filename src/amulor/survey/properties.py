@@ -145,7 +145,7 @@ _POLARIZATION_KEPT = (1.0, -1.0, -1.0)
 
 
 def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
-    """Return a survey whose water is described by coefficients and moments."""
+    """Return a survey with its water described by coefficients and moments."""
     water = survey.water
     if isinstance(water, Water):
         changed = water.model_copy(
@@ -187,7 +187,7 @@ def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
 
 @lru_cache(maxsize=8)
 def _tabulated(function: PhaseFunction) -> Tabulated:
-    """Return a phase function as a table for surveys; cached for each function."""
+    """Return a phase function as a table for survey files; cached."""
     angle = np.concatenate(
         [np.geomspace(_INNERMOST, _WIDE, _HEAD)[:-1], np.linspace(_WIDE, np.pi, _REST)]
     )
@@ -200,7 +200,7 @@ def _tabulated(function: PhaseFunction) -> Tabulated:
 
 
 def indices(survey: Survey) -> tuple[float, float]:
-    """Return phase and group index of the water, as stated or from its state."""
+    """Return phase index and group index of the water, as stated or from its state."""
     water, wavelength = survey.water, survey.instrument.wavelength
     state = state_of(water)
     phase_index, group_index = water.refractive_index, water.group_index
@@ -257,7 +257,7 @@ _POINTS = 41
 
 
 def _spread(survey: Survey, spans: Mapping[str, tuple[float, float]]) -> float:
-    """Return the root mean square error of the group index over ranges of state [1]."""
+    """Return the index error that unknown temperature and salinity cause [1]."""
     state = state_of(survey.water)
     if not spans:
         return 0.0

@@ -134,7 +134,7 @@ def _rotation(angles: tuple[float, float, float]) -> Floats:
 def _boxes(
     target: Plate | Staircase | Disc | Mesh,
 ) -> list[tuple[Floats, Floats]] | None:
-    """Return corners of boxes that enclose a target, in axes of the target [m]."""
+    """Return the corners of boxes that enclose a target, in the target's axes [m]."""
     if isinstance(target, Plate):
         half = np.array([target.width / 2, target.height / 2, 0.0])
         return [(-half, half)]

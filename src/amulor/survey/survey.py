@@ -289,7 +289,7 @@ def changed(content: Any, changes: Mapping[str, Any], *, name: str) -> Any:
 
 
 def _at(table: Any, part: str, *, path: str, name: str) -> Any:
-    """Return the entry of a table or list at one element of a path."""
+    """Return the entry of a table or list for one element of a path."""
     if isinstance(table, dict):
         return table.get(part)
     if not part.isdigit() or int(part) >= len(table):

@@ -111,7 +111,7 @@ _NEEDED = {
 
 
 def _location(loc: tuple[Any, ...], content: Any) -> list[Any]:
-    """Return the path of an error in a file, without the names of type choices."""
+    """Return the path of an error in a file, without the names of alternatives."""
     location: list[Any] = []
     value = content
     for position, part in enumerate(loc):
@@ -137,7 +137,7 @@ def _at(location: list[Any], content: Any) -> Any:
 
 
 def _bound(value: Any, limit: float) -> str:
-    """Return a limit as text, in the unit that the file uses for the value."""
+    """Return a limit as text, in the unit of the value in the file."""
     if isinstance(value, str):
         return units.write_like(limit, value)
     return f"{limit:g} in SI units" if isinstance(value, float) else f"{limit:g}"

@@ -1,4 +1,4 @@
-"""View of the receiver on a survey's beams, as input of the signal models."""
+"""Geometry of the receiver relative to the beams, as input of the signal models."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SMALLEST_COSINE = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Geometry of receiver relative to the beams, arrays over the beams."""
+    """Geometry of the receiver relative to each beam, arrays over the beams."""
 
     baseline: Floats
     """Distance between receiver and beam at depth zero [m]."""
@@ -72,7 +72,7 @@ def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
 
 
 def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
-    """Return the view of the receiver for beams of given directions.
+    """Return the geometry of the receiver relative to beams of given directions.
 
     The signal models are small-angle models. They also count the delay of the water
     along the beam, twice the depth, where the way back to a receiver aside is longer:
@@ -237,7 +237,7 @@ def refuse_beam_and_edges(survey: Survey, *, model: str) -> None:
 
 
 def geometry_attributes(survey: Survey) -> dict[str, Any]:
-    """Return indices, window and positions of an instrument as cube attributes."""
+    """Return refractive indices, window and positions as cube attributes."""
     medium = medium_of(survey)
     attributes: dict[str, Any] = {
         "group_index": medium.group_index,

@@ -1,4 +1,4 @@
-"""Water described by its coefficients, and the fields common to all kinds of water."""
+"""Water described by coefficients, and the fields that all kinds of water have."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
 class WaterState(Description):
-    """Temperature, salinity and other fields common to all kinds of water."""
+    """Temperature, salinity and other fields that all kinds of water have."""
 
     split_angle: Annotated[Angle, Field(gt=0, le=math.pi)] = math.pi / 2
     """Scattering below this angle counts as forward, scattering beyond it as diffuse

@@ -43,7 +43,7 @@ def instrument_and_water(images: Mapping[str, xr.Dataset]) -> list[Part]:
 
 
 def registration(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Table of instrument poses, from the surveys of range images."""
+    """Table of instrument poses, as stated in the surveys of range images."""
     rows = []
     for name, image in images.items():
         survey = readable_survey(image)
@@ -276,7 +276,7 @@ def error_budgets(images: Mapping[str, xr.Dataset]) -> list[Part]:
 
 
 def _key(budget: ErrorBudget) -> str:
-    """Caption of the error-budget chart, with only the terms that are drawn."""
+    """Caption that explains the bars of an error-budget chart."""
     parts = ["Standard uncertainty of each term, median over the usable pixels."]
     if any(line.term.name in _SHARED for line in budget.lines):
         parts.append("Dark terms are shared by pixels; a mean does not reduce them.")

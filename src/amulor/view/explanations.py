@@ -64,7 +64,7 @@ class Explanation:
 
 
 def explanations() -> dict[str, Explanation]:
-    """All explanations by name, flags of pixels first."""
+    """All explanations by name, with the flags of pixels first."""
     limits, texts = _limits(), ("meaning", "compared", "chance", "remedy")
     by_name = {
         name: Explanation(
@@ -110,7 +110,7 @@ def find(words: str) -> list[Explanation]:
 
 
 def _limits() -> dict[str, Any]:
-    """Values that replace the placeholders in explanations, such as limits."""
+    """Limits and false-alarm rates that replace placeholders in explanations."""
     from amulor.imaging import edges, outliers
     from amulor.optics import ambiguity
     from amulor.rejection import quality, subtraction
@@ -194,14 +194,14 @@ def lines_of(explanation: Explanation) -> list[str]:
 
 
 def hint(names: Iterable[str]) -> str:
-    """Command that explains some flags, to append to a message."""
+    """Command that explains the given flags, for use in a message."""
     first = next(iter(names), "")
     name = first.upper().replace(" ", "_")
     return f"amulor explain {name}" if name else ""
 
 
 def default_of(function: object, name: str) -> float:
-    """Default value of a function's argument, which is a limit in the explanations."""
+    """Default value of a function's argument, quoted as a limit in explanations."""
     value = inspect.signature(function).parameters[name].default  # type: ignore[arg-type]
     return float(value)
 
@@ -212,7 +212,7 @@ def _tail(sigma: float) -> float:
 
 
 def _share(share: float) -> str:
-    """Small fraction in words that precede a noun, such as "2 % of the"."""
+    """Small fraction in words, to stand before a noun, such as "2 % of the"."""
     if share >= 1e-3:
         return f"{share * 100:.2g} % of the"
     return f"1 of {float(f'{1 / share:.2g}'):,.0f}"
@@ -278,7 +278,7 @@ def reasons(path: Path, row: int, column: int) -> dict[str, list[Reason]]:
 
 
 def _of_samples(tile: xr.Dataset, channel: int) -> Iterator[Reason]:
-    """Yield the flags of a channel's samples; a flag at all frequencies only once."""
+    """Yield the flags of a channel's samples, each flag once for all frequencies."""
     cube = tile.isel(polarization=[channel])
     frequencies = cube["modulation_frequency"].values
     at: dict[Reason, tuple[float, ...]] = {}
@@ -300,7 +300,7 @@ def _of_image(tile: xr.Dataset, row: int, column: int) -> Iterator[Reason]:
 
 
 def _numbers_of(part: xr.Dataset) -> dict[str, float]:
-    """Variables of a sample or pixel that have a single value, by name."""
+    """Single-valued variables of a sample or pixel, by name."""
     numbers = {
         str(name): float(variable.item())
         for name, variable in part.data_vars.items()
@@ -313,7 +313,7 @@ def _numbers_of(part: xr.Dataset) -> dict[str, float]:
 
 
 def _phases(sample: xr.Dataset) -> dict[str, float]:
-    """Phase uncertainty of a sample, and its phase error by residual water [rad]."""
+    """Phase uncertainty of a sample, and phase error by residual water [rad]."""
     signal = sample.amulor.signal.values
     errors = covariance_of(sample)
     measured = np.isfinite(signal)
@@ -343,7 +343,7 @@ class _Test:
     unit: str = "1"
 
     def of(self, flag: QualityFlag, causes: WaterResidualCause) -> bool:
-        """Whether this test explains a flag with these causes."""
+        """Whether this test explains a flag that has the given causes."""
         if isinstance(self.flag, WaterResidualCause):
             return flag == QualityFlag.WATER_RESIDUAL and self.flag in causes
         return self.flag == flag

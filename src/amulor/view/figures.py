@@ -82,7 +82,7 @@ def signal_images(cube: xr.Dataset, *, frequency: int = 0) -> Figure:
 
 
 def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
-    """Draw slant range before and after water rejection, uncertainty and flags.
+    """Draw slant range before and after rejection, and uncertainty and flags.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def image_overview(image: xr.Dataset) -> Figure:
 
 
 def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
-    """Draw all rows of range images as line profiles, one over the other.
+    """Draw all rows of range images as superimposed line profiles.
 
     Of more rows than can be told apart, the median and the bands that hold 68 and 95
     of 100 rows are drawn.

@@ -105,7 +105,7 @@ class Listing:
 
 @dataclass(frozen=True)
 class Interactive:
-    """Interactive page inside a report; a picture replaces it on paper.
+    """Interactive page inside a report, replaced by a picture on paper.
 
     Examples
     --------

@@ -155,7 +155,7 @@ def _paper(wide: float, high: float, scale: float) -> tuple[str, float, float]:
 
 
 def _rounded(value: float) -> float:
-    """Smallest number of the series 1, 2, 5, 10, ... that is at least a value."""
+    """Smallest number of the series 1, 2, 5, 10, 20, ... not below a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(s * power for s in (1, 2, 5, 10) if s * power >= value * 0.999))
 
@@ -276,7 +276,7 @@ def _colour_bar(
 
 
 def _relief(raster: Raster) -> NDArray[np.uint8]:
-    """Relief of a raster, lit from the upper left and averaged over 3 x 3 cells."""
+    """Shaded relief of a raster, lit from the upper left, averaged over 3 x 3 cells."""
     covered = np.isfinite(raster.height)
     filled = np.where(covered, raster.height, 0.0)
     weight = ndimage.uniform_filter(covered.astype(float), 3)

@@ -143,7 +143,7 @@ def errors(cloud: Merged) -> Figure:
 
 
 def change_map(change: Change, places: Sequence[Region]) -> Figure:
-    """Draw the change between visits from above, its significance and distribution."""
+    """Draw the change between visits from above, with significance and histogram."""
     figure = new_figure(7.0, 3.6)
     axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
     both = np.isfinite(change.value)
@@ -244,7 +244,7 @@ def _poses(site: Site, registration: Registration) -> Table:
 
 
 def _largest(covariance: Floats) -> tuple[float, float]:
-    """Largest standard uncertainty of position [mm] and attitude [mrad]."""
+    """Largest standard uncertainties of position [mm] and attitude [mrad]."""
     shift, turn = (
         np.sqrt(max(float(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1]), 0))
         for k in (0, 3)

@@ -38,7 +38,7 @@ _UNITS = {layer.name: layer.unit for layer in MAPS.values()}
 
 
 def map_name(live: Live, channel: str, layer: str) -> str:
-    """Name of the map to show: after water rejection if it has values, else before."""
+    """Name of the map to show: after water rejection if available, else before."""
     after = np.isfinite(live.now(channel, layer)).any()
     return layer if after else f"{layer}_before"
 

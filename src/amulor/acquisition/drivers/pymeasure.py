@@ -1,4 +1,4 @@
-"""Lock-in amplifiers driven by pymeasure, configured by attribute names."""
+"""Lock-in amplifiers driven by pymeasure, with settings named in the options."""
 
 from __future__ import annotations
 

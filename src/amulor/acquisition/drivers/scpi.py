@@ -19,7 +19,7 @@ from amulor.errors import InstrumentError
 
 
 class _Scpi:
-    """SCPI instrument that answers ``*IDN?``, with a lock if one is configured."""
+    """SCPI instrument that answers ``*IDN?``, locked for one program if configured."""
 
     def __init__(
         self, link: Conversation, words: ScpiLaserSettings | ScpiSourceSettings

@@ -37,7 +37,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 def _pattern(
     names: tuple[str, ...], kinds: tuple[type, ...]
 ) -> tuple[int, struct.Struct, list[int], list[int]]:
-    """Return a checksum of names, a number packer, and indices of numbers and texts."""
+    """Return the layout of a row: name checksum, number format, indices by type."""
     texts = [place for place, kind in enumerate(kinds) if kind is str]
     numbers = [
         place for place, kind in enumerate(kinds) if kind not in (str, type(None))

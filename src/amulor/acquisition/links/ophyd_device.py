@@ -166,7 +166,7 @@ class OphydDevice:
         return self.call(f"tell its {path}", lambda: value_of(part))
 
     def set(self, path: str, value: Any, *, timeout: float | None = None) -> None:
-        """Set a part of the device and wait for completion."""
+        """Set the value of a part of the device, and wait for completion."""
         part = self.part(path)
         self.call(f"set {path} to {value}", lambda: part.set(value), timeout=timeout)
 

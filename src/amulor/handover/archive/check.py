@@ -19,7 +19,7 @@ _SIGNATURES = {".laz": b"LASF", ".las": b"LASF", ".e57": b"ASTM-E57"}
 
 
 def missing_of(folder: Path) -> list[str]:
-    """Return the problems of an archive folder, one line of text each.
+    """Return the problems of an archive folder, one line of text per problem.
 
     Looked for are: the tables with all their fields; for each scan its raw files, its
     registered clouds with as many points as are stated, its matrix, which must be a
@@ -52,7 +52,7 @@ def missing_of(folder: Path) -> list[str]:
 def _field_table(
     folder: Path, name: str, fields: Sequence[str], problems: list[str]
 ) -> dict[str, str]:
-    """Read a table of fields and values, and report the missing fields."""
+    """Read a table of fields and values; report fields that are missing."""
     rows = _rows(folder, name, problems)
     values = {row.get("field") or "": (row.get("value") or "").strip() for row in rows}
     if rows:

@@ -74,17 +74,17 @@ FILE_FIELDS = ("file", "format", "bytes", "what it is")
 
 
 def matrix_name(project: str, scan: str) -> str:
-    """Return the path of the registration matrix of a scan."""
+    """Return the path of a scan's registration matrix in the archive."""
     return f"registration/{project}_GRmatrices_{scan}.txt"
 
 
 def cloud_name(project: str, scan: str) -> str:
-    """Return the path of a scan's registered point cloud, without the file ending."""
+    """Return the path of a scan's point cloud in the archive, without ending."""
     return f"registered/{project}_{scan}"
 
 
 def raw_folder(scan: str) -> str:
-    """Return the folder of a scan's raw files."""
+    """Return the path of the folder with a scan's raw files."""
     return f"raw/{scan}"
 
 

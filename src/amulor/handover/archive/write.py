@@ -106,7 +106,7 @@ def _fill(project: Project, hidden: Path) -> dict[str, int]:
 
 
 def _frames(project: Project) -> list[imaging.Frame]:
-    """Return the frame of the points of each scan; raise if they differ."""
+    """Return the frame of each scan's points; raise if the frames differ."""
     frames = []
     for scan in project.scans:
         image = io.read_cube(scan.image)

@@ -174,7 +174,7 @@ def _nothing_common(names: tuple[str, str]) -> CubeError:
 def _cores(
     cloud: Merged, at: NDArray[np.intp], spacing: float, radius: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return a comparison point in each cell of a surface, its normal and its area.
+    """Return position, normal and area of one comparison point per surface cell.
 
     Cells are squares across the axis that the normal is nearest to; layers along that
     axis are surfaces of their own.
@@ -222,7 +222,7 @@ class _Means:
     registration: Registration
 
     def onto(self, names: list[str]) -> Floats:
-        """Return the derivatives of heights, in the order of the given unknowns."""
+        """Return the derivatives of mean heights, one column per named unknown."""
         width = {"pose": 6, "point": 3, "error": 1}
 
         def size(name: str) -> int:
@@ -302,7 +302,7 @@ def _in_cylinders(
     radius: float,
     reach: float,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
-    """Return pairs of cylinder and inner point, with offset, and distance along axis.
+    """Return cylinder and index of each point inside, its offset, and the offset along.
 
     Some cylinders at a time: the spheres around them hold many more points.
     """
@@ -450,7 +450,7 @@ class Region:
 
 
 def regions(change: Change) -> tuple[Region, ...]:
-    """Return the regions of significant change, the largest area first."""
+    """Return the regions of significant change, largest area first."""
     at = np.flatnonzero(change.significant)
     if len(at) < _FEWEST_POINTS:
         return ()

@@ -72,7 +72,7 @@ class Motion:
 
 
 def _along(vector: Floats, covariance: Floats) -> float:
-    """Return the standard uncertainty of a vector's length, from its covariance."""
+    """Return the standard uncertainty of a vector along its own direction."""
     unit = vector / max(float(np.linalg.norm(vector)), 1e-12)
     return float(np.sqrt(unit @ covariance @ unit))
 
@@ -102,7 +102,7 @@ def bodies(places: Sequence[Region]) -> tuple[tuple[int, ...], ...]:
 
 
 def around(places: Sequence[Region]) -> tuple[Floats, float]:
-    """Return the center of several regions, and their radius around it [m]."""
+    """Return the common center of regions, and the radius that encloses them [m]."""
     area = np.array([region.area for region in places])
     centres = np.array([region.centre for region in places])
     middle = np.asarray(area @ centres / area.sum())
@@ -223,7 +223,7 @@ def _to_middle(pair: Pair, middle: Floats) -> Floats:
 
 
 def _held(pairs: list[Pair], middle: Floats) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return the projector onto motions that comparisons constrain, and free motions.
+    """Return the projector onto motions that scan pairs determine, and other motions.
 
     What one pair does not hold another one may, and each of them by itself would leave
     out another turn of a round body.
@@ -329,7 +329,7 @@ def _result(
 
 
 def _best_place(covariance: Floats) -> Floats:
-    """Return the reference point whose translation has the least variance [m].
+    """Return the reference point for which the translation is most certain [m].
 
     The shift at d is t + w x d; d is such that its mean square error is least.
     """

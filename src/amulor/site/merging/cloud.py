@@ -108,7 +108,7 @@ class Merged:
 
     @property
     def sigma(self) -> Floats:
-        """Standard uncertainties of the coordinates, shape (n, 3) [m]."""
+        """Standard uncertainties of the point coordinates, shape (n, 3) [m]."""
         return np.asarray(np.sqrt(np.einsum("nii->ni", self.covariance)))
 
     def of_epoch(self, epoch: str) -> Flags:
@@ -118,7 +118,7 @@ class Merged:
 
 
 def unknowns_of(scan: str, surface: ScanSurface) -> tuple[str, ...]:
-    """Return the names of the unknowns that determine a scan's points."""
+    """Return the names of the fitted unknowns on which a scan's points depend."""
     return (f"pose {scan}", *(f"error {key}" for key in surface.shared.keys))
 
 
@@ -205,7 +205,7 @@ def _shares(
     sigma: NDArray[np.generic],
     moving: NDArray[np.generic],
 ) -> Floats:
-    """Return the weight of each point among points of the same visit and position."""
+    """Return point weights, smaller where scans of the same visit overlap."""
     epochs = np.array([[e.name for e in site.epoch].index(s.epoch) for s in site.scan])
     share = np.ones(len(position))
     precision = 1 / np.maximum(np.asarray(sigma, dtype=float), 1e-9) ** 2

@@ -273,7 +273,7 @@ def _rough_pose(
 
 
 def _further_guesses(start: KnownPose, least: float, cloud: Floats) -> list[ScanPose]:
-    """Return more initial poses if the start pose is uncertain."""
+    """Return initial poses around an uncertain start pose."""
     away = float(np.linalg.norm(cloud.mean(axis=0)))
     starts = []
     turn = float(np.sqrt(start.covariance[5, 5]))
@@ -314,7 +314,7 @@ def squared_pull(pose: ScanPose, start: KnownPose) -> float:
 def _best_started(
     ties: Ties, guess: Mapping[str, ScanPose], names: Sequence[str]
 ) -> str:
-    """Return the name of the scan with the most accurate start pose."""
+    """Return the name of the scan whose start pose is most certain."""
     started = [name for name in names if name in ties.start]
     if not started:
         return next(iter(guess), names[0])
@@ -340,7 +340,7 @@ def _neighbours(
     trees: Mapping[str, cKDTree],
     overlap: float,
 ) -> list[tuple[str, str]]:
-    """Return the pairs of scans that overlap, with the finer scan second."""
+    """Return the pairs of overlapping scans; the second scan has finer points."""
     names = list(surfaces)
     overlaps = []
     for number, first in enumerate(names):
@@ -389,7 +389,7 @@ def _pairs(
     gate: float | None,
     before: Sequence[Pair],
 ) -> list[Pair]:
-    """Return comparisons of overlapping scans; later ones use the same points."""
+    """Compare overlapping scans; repeated comparisons use the points of the last."""
     among = {(p.source, p.target): p.source_pixel[p.weight > 0] for p in before}
     comparisons = (
         compared(
@@ -409,7 +409,7 @@ def _pairs(
 def _pair_weights(
     pairs: Sequence[Pair], state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[list[float], tuple[Disagreement, ...]]:
-    """Return the weight of each scan pair, and pairs that contradict all others."""
+    """Return the weight of each scan pair, and pairs that contradict the others."""
     trust, against = [], []
     for pair in pairs:
         change, spread = network.innovation(pair, state, surfaces)

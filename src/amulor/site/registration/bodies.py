@@ -23,7 +23,7 @@ def mean_lever(lever: Floats, weight: Floats) -> float:
 def held_directions(
     matrix: Floats, *, unsure: float, length: float
 ) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return the projector onto motions that surfaces constrain, and free motions.
+    """Return the projector onto motions that surfaces determine, and other motions.
 
     Noise of normals in both scans makes products whose mean is zero; a direction is
     held if its sum stands out of their scatter.
@@ -58,7 +58,7 @@ _FEWEST = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Points:
-    """Points of one scan and their distances from surface patches of another."""
+    """Points of one scan, with their distances from surface patches of another."""
 
     smooth: Flags
     """Pixels of the source on smooth surfaces, shape (row, column)."""
@@ -88,7 +88,7 @@ class Points:
     """Number of neighboring points with the same noise of surface normals [1]."""
 
     def unsure(self, weight: Floats) -> float:
-        """Return the scatter of the normal matrix due to noise of surface normals."""
+        """Return the error of the normal matrix due to noise of surface normals."""
         return float(np.sqrt(self.together * ((self.tilt * weight) ** 2).sum()))
 
 
@@ -145,7 +145,7 @@ class _Sum:
 def _sum(
     points: Points, weight: Floats, at: Flags, columns: Numbers | None = None
 ) -> _Sum:
-    """Return the normal equations of some points, and noise from some pixels."""
+    """Return the normal equations summed over selected points, with their noise."""
     z = points.by_source[at, :6] * weight[at, None]
     window = points.window[at]
     if columns is not None:
@@ -168,7 +168,7 @@ def _chance(
     body: Flags,
     misfit: float,
 ) -> float:
-    """Return the probability of so large an offset if a body did not move."""
+    """Return the probability of a body's offset if the body did not move."""
     rest = remaining & ~body
     if int(body.sum()) < _FEWEST or int(rest.sum()) < 2 * _FEWEST:
         return 1.0
@@ -225,7 +225,7 @@ class Counted:
 
 
 def counted(points: Points, good: Flags, gate: float | None) -> Counted:
-    """Return the weights of points, 0 on other surfaces, and excess of scatter."""
+    """Weight points by their noise, discard other surfaces, and find moved objects."""
     sigma = np.sqrt(points.variance.sum(axis=0))
     score = points.distance / sigma
     middle = np.median(score[good])

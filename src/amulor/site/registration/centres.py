@@ -81,7 +81,7 @@ def _centre(
     pixels: Flags,
     others: dict[str, Floats] | None = None,
 ) -> Centre:
-    """Return a target's center with covariance, from derivatives by the ranges."""
+    """Return a target's center and its covariance, from derivatives by pixel ranges."""
     shapes = surface.shared.shapes[:, pixels]
     shared = {
         key: np.asarray(gain @ shape)
@@ -145,7 +145,7 @@ def _sphere(
 def _plane(
     surface: ScanSurface, middle: Floats, radius: float, target: Seen
 ) -> tuple[Flags, Floats, Floats]:
-    """Return the pixels on a plane, its inverse-range vector, and the covariance.
+    """Fit a plane around a point; return its pixels, parameters and covariance.
 
     The plane is m . p = 1; the inverse range along a beam from the origin is m . d.
     """

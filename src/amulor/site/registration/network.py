@@ -84,7 +84,7 @@ class Ties:
 
 @dataclass
 class State:
-    """Present estimates of all unknowns of the adjustment."""
+    """Present estimates of all unknowns: poses, target positions and shared errors."""
 
     poses: dict[str, ScanPose]
     """Poses by scan."""
@@ -112,7 +112,7 @@ class Layout:
         self.size = size
 
     def columns(self, kind: str, names: Sequence[str], width: int) -> Numbers:
-        """Return the indices of some unknowns in the vector; -1 for fixed ones."""
+        """Return the vector indices of named unknowns; -1 for fixed unknowns."""
         places = [
             np.arange(self.at[kind, name].start, self.at[kind, name].stop)
             if (kind, name) in self.at
@@ -145,7 +145,7 @@ class System:
         self.scatter[np.ix_(at[free], at[free])] += matrix[np.ix_(free, free)]
 
     def project(self, projection: Floats) -> None:
-        """Remove unconstrained directions from the equations added so far."""
+        """Remove directions that the observations leave undetermined."""
         self.matrix = projection.T @ self.matrix @ projection
         self.gradient = projection.T @ self.gradient
 
@@ -172,7 +172,7 @@ def step(
     free: int = 0,
     part: float = 1.0,
 ) -> Step:
-    """Compute a Gauss-Newton step, or a part of it, with enough free directions."""
+    """Update all unknowns by a Gauss-Newton step, or by a part of one."""
     layout = Layout(state, ties.fixed)
     projection, free = projector(state, pairs, trust, layout, free)
     system = system_of(state, pairs, ties, trust, layout, projection, steady=steady)
@@ -232,7 +232,7 @@ def system_of(
     *,
     steady: bool = False,
 ) -> System:
-    """Return the normal equations of surfaces, start poses, targets and scale bars."""
+    """Return the normal equations of all observations."""
     system = System(layout.size)
     for pair, weight in zip(pairs, trust, strict=True):
         at, spread = pair_unknowns(pair, state, layout)
@@ -267,7 +267,7 @@ def system_of(
 
 
 def pair_unknowns(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
-    """Return the indices of a scan pair's unknowns, and derivatives by them."""
+    """Return vector indices of a scan pair's unknowns, and derivatives by them."""
     poses = [state.poses[name] for name in (pair.source, pair.target)]
     relative = np.zeros((6, 12))
     for number, (pose, sign) in enumerate(zip(poses, (1.0, -1.0), strict=True)):
@@ -294,7 +294,7 @@ def projector(
     layout: Layout,
     least: int,
 ) -> tuple[Floats, int]:
-    """Return the projector onto directions that surfaces constrain, and its rank loss.
+    """Return the projector onto determined directions, and the number of others.
 
     Directions of all poses at once: a direction that one pair leaves free may be
     constrained by another one, and pairs must not disagree about a free one.
@@ -339,7 +339,7 @@ def _add_centre(system: System, centre: Centre, state: State, layout: Layout) ->
 def centre_derivatives(
     centre: Centre, state: State, layout: Layout
 ) -> tuple[Floats, Floats, Numbers]:
-    """Return residual and derivatives of a target's center, and their indices."""
+    """Return the residual of a target's center, derivatives, and vector indices."""
     pose = state.poses[centre.scan]
     arm = pose.turn(centre.position)
     shifts = [pose.turn(shift) for shift in centre.shared.values()]
@@ -372,7 +372,7 @@ def _noise_variance(
     trust: Sequence[float],
     layout: Layout,
 ) -> Floats:
-    """Return the covariance of the gradient due to pixel noise of one scan."""
+    """Return the gradient covariance that the pixel noise of one scan causes."""
     parts: list[tuple[Pair, float]] = [
         (pair, weight)
         for pair, weight in zip(pairs, trust, strict=True)
@@ -408,7 +408,7 @@ def _noise_variance(
 def innovation(
     pair: Pair, state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Floats, Floats]:
-    """Return the pose change that a scan pair alone would cause, and its covariance."""
+    """Return the pose change that one scan pair alone would cause, with covariance."""
     x, z = (rows[:, :6] @ pair.held for rows in (pair.by_target, pair.by_source))
     weighted = z * pair.weight[:, None]
     back = np.linalg.pinv(weighted.T @ x, rcond=1e-10)

@@ -80,7 +80,7 @@ class Pair:
 
     @property
     def mean_square(self) -> Floats:
-        """Mean square displacement of points by a motion, as matrix of shape (6, 6)."""
+        """Mean square displacement of the points per squared motion, shape (6, 6)."""
         lever = self.place - self.pivot
         rows = np.zeros((len(lever), 3, 6))
         rows[..., :3], rows[..., 3:] = np.eye(3), -cross_matrix(lever)
@@ -251,7 +251,7 @@ class OnGrid:
     inside: NDArray[np.bool_]
 
     def of(self, selected: NDArray[np.bool_]) -> OnGrid:
-        """Return the selected points."""
+        """Return a selection of the points."""
         return OnGrid(
             self.pixel[selected],
             self.off[selected],
@@ -262,7 +262,7 @@ class OnGrid:
 
 
 def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
-    """Return nearest pixel, pixel offset and distance from its patch, for points."""
+    """Locate points on the grid of a scan: pixel, offset, and distance from patch."""
     shape = target.smooth.shape
     origin, direction = target.origin.reshape(-1, 3), target.direction.reshape(-1, 3)
     slopes = target.steps.reshape(2, 2, -1, 3)
@@ -304,7 +304,7 @@ def _terms(target: ScanSurface, off: Floats) -> Floats:
 
 
 def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
-    """Return the derivatives of fitted ranges by the ranges of single pixels."""
+    """Return the derivatives of a fitted range by the ranges in its window."""
     size = target.kernels.shape[1]
     half = size // 2
     shape = target.smooth.shape
@@ -342,7 +342,7 @@ def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
 
 
 def _tilt(target: ScanSurface, at: OnGrid, normal: Floats) -> Floats:
-    """Return the variance of the derivatives due to noise of surface normals."""
+    """Return the variance of derivatives that noise of surface normals causes."""
     # Of the slope of a patch, per pixel across it, as an angle of the surface.
     angle = target.slope * target.own.ravel()[at.pixel] / target.spacing
     along = np.abs(_dot(normal, at.direction))

@@ -74,7 +74,7 @@ class PatternTest:
 
 
 def pattern_values(surface: ScanSurface) -> Floats:
-    """Shapes of all tested errors, -1 to 1, shape (pattern, row, column) [1]."""
+    """Shapes of all tested range errors, -1 to 1, (pattern, row, column) [1]."""
     shape = surface.distance.shape
     row, column = np.meshgrid(
         *(np.linspace(-1, 1, size) for size in shape), indexing="ij"
@@ -106,7 +106,7 @@ def _mean_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
 
 
 def _scaled(values: Floats, at: NDArray[np.bool_]) -> Floats:
-    """Values scaled to -1 to 1 over selected pixels, 0 elsewhere."""
+    """Values scaled to the interval -1 to 1 over selected pixels, 0 elsewhere."""
     low, high = float(values[at].min()), float(values[at].max())
     if high - low < 1e-9:
         return np.zeros(values.shape)
@@ -122,7 +122,7 @@ def pattern_tests(
     *,
     free: int,
 ) -> tuple[PatternTest, ...]:
-    """Test all scans for all kinds of systematic range errors, one at a time."""
+    """Test each scan for each kind of systematic range error."""
     layout = Layout(state, ties.fixed)
     projection, _ = projector(state, pairs, trust, layout, free)
     base = system_of(state, pairs, ties, trust, layout, projection)
@@ -207,7 +207,7 @@ def _tests_of(
 
 
 def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
-    """Return the strongest systematic error if significant among all tests.
+    """Return the strongest range error of all tests, if it is significant.
 
     Others are mostly its shadow: poses carry it into the neighbors of a scan.
     """
@@ -219,7 +219,7 @@ def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
 
 
 def unfit_scan(pairs: Sequence[Pair], scans: Sequence[str]) -> tuple[str, float] | None:
-    """Return a scan that fits none of the others, which fit each other, and its misfit.
+    """Return the only scan that fits no other, with its misfit; else None.
 
     A body that moved leaves the misfit of all other points at 1, and too small a stated
     noise excludes no points; a bent scan does both in each of its pairs. A misfit that

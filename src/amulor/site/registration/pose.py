@@ -39,7 +39,7 @@ class ScanPose:
         return np.asarray(np.asarray(directions, dtype=float) @ self.rotation.T)
 
     def changed(self, step: Floats) -> ScanPose:
-        """Return the pose after a translation [m] and rotation [rad] in site axes.
+        """Return the pose after a translation [m] and rotation [rad] about site axes.
 
         The six numbers are east, north, up of either; the turn is about `position`.
         """
@@ -48,7 +48,7 @@ class ScanPose:
 
     @property
     def matrix(self) -> Floats:
-        """Transformation of homogeneous coordinates, shape (4, 4)."""
+        """Matrix from homogeneous instrument coordinates to the site, shape (4, 4)."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position
         return matrix
@@ -61,7 +61,7 @@ def departure(pose: ScanPose, start: ScanPose) -> Floats:
 
 
 def start_pose(start: StartPose) -> ScanPose:
-    """Return the start pose in a site file as a transformation."""
+    """Return the transformation that belongs to a start pose of a site file."""
     frame = frame_of(xr.Dataset(), axes="pose", pose=start.as_pose())
     return ScanPose(frame.rotation, frame.position)
 
@@ -81,7 +81,7 @@ def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
 
 
 def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
-    """Return the pose that maps points onto others by least squares."""
+    """Return the least-squares pose that maps points onto their counterparts."""
     middle, other_middle = from_points.mean(axis=0), to_points.mean(axis=0)
     turn, _ = Rotation.align_vectors(to_points - other_middle, from_points - middle)
     rotation = turn.as_matrix()
@@ -89,7 +89,7 @@ def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
 
 
 def cross_matrix(vectors: Floats) -> Floats:
-    """Return the matrices by which vectors act in a cross product from the left."""
+    """Return the matrices that multiply other vectors as a cross product."""
     zero = np.zeros(vectors.shape[:-1])
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.stack(
@@ -117,7 +117,7 @@ def aligned(
     voxel: float,
     reach: float,
 ) -> ScanPose:
-    """Return a pose that aligns points with others, from a start pose.
+    """Align points with other points, from a start pose; return the pose found.
 
     Planes to planes, from coarse voxels to fine ones. Its sum of squares
     is no information matrix (errors 40 to 85 times too small), so that nothing but the

@@ -80,7 +80,7 @@ def surface_of(site: Site, scan: SiteScan, image: xr.Dataset) -> ScanSurface:
 
 
 def _water_in(image: xr.Dataset) -> str:
-    """Return a digest of an image's water settings; equal for scans in equal water."""
+    """Return a digest of an image's water settings; equal water gives equal digests."""
     attributes = image.attrs
     text = str(attributes.get("survey", ""))
     at = text.find("[water]")
@@ -175,7 +175,7 @@ def _guessed(
     control: Mapping[str, KnownPoint],
     fixed: str | None,
 ) -> dict[str, ScanPose]:
-    """Return initial poses, computed from targets, of scans without start poses."""
+    """Compute initial poses from targets, for scans without start poses."""
     places = {name: item.position for name, item in control.items()}
     poses = {name: item.pose for name, item in start.items()}
     if fixed is not None:
@@ -269,7 +269,7 @@ def _result(
 def _contradictions(
     site: Site, alignment: Alignment, ties: Ties
 ) -> tuple[Contradiction, ...]:
-    """Return all values that other observations contradict, worst first."""
+    """Return all contradictions between observations, worst first."""
     contradicting = []
     for name, start in ties.start.items():
         pose = alignment.state.poses.get(name)
@@ -346,7 +346,7 @@ def _seen_through(
     ties: Ties,
     surfaces: Mapping[str, ScanSurface],
 ) -> Iterator[Contradiction]:
-    """Yield a contradiction for each scan with pairs that look through each other.
+    """Yield a contradiction for each scan that looks through surfaces of others.
 
     Of both scans of a pair, the scan with more such pairs is named; of equal numbers,
     the scan farther from its start pose.
@@ -424,7 +424,7 @@ def _groups(names: list[str], tied: list[tuple[str, str]]) -> list[list[str]]:
 def _weak_directions(
     result: Registration, ties: Ties, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Weakness, ...]:
-    """Return the directions of poses that only start poses constrain.
+    """Return pose directions that nothing but start poses determines.
 
     A start pose that is good to a part of a pixel, as of a surveyed station, is enough.
 
@@ -476,6 +476,6 @@ def _weak_directions(
 
 
 def _relative_to_prior(covariance: Floats, prior: Floats) -> Floats:
-    """Return a covariance normalized by the prior covariance."""
+    """Return a covariance in units of the prior standard uncertainties [1]."""
     inverse = np.linalg.inv(np.linalg.cholesky(prior))
     return np.asarray(inverse @ covariance @ inverse.T)

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 def non_centrality(chance: float) -> float:
-    """Return the normalized error detected with 80 % power, by false-alarm rate [1]."""
+    """Return the standardized error found with 80 % power, by false-alarm rate [1]."""
     return float(norm.isf(chance / 2) + norm.isf(1 - 0.8))
 
 
@@ -92,7 +92,7 @@ def reliabilities(
 def _observations(
     state: State, layout: Layout, ties: Ties
 ) -> Iterator[tuple[str, tuple[str, ...], Floats, Floats, NDArray[np.intp], Floats]]:
-    """Yield name, components, residual, covariance and derivatives of observations."""
+    """Yield name, components, residual, covariance and derivatives by observation."""
     for name, start in ties.start.items():
         residual = departure(state.poses[name], start.pose)
         columns = layout.columns("pose", [name], 6)

@@ -25,7 +25,7 @@ KIND = "amulor site registration 1"
 
 @dataclass(frozen=True, kw_only=True)
 class Weakness:
-    """Direction of a pose that only its start pose constrains."""
+    """Pose direction that nothing but the start pose determines."""
 
     scan: str
     """Name of the scan."""
@@ -66,7 +66,7 @@ class Contradiction:
 
     @property
     def sentence(self) -> str:
-        """Message with the scan, the size of the contradiction, and a remedy."""
+        """Message that names the scan, the size of the contradiction, and a remedy."""
         if self.error == "surface":
             return (
                 f"scan {self.scan!r}: its surface fits none of its neighbors; in each "

@@ -49,7 +49,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class _Look:
-    """Points of a scan along the beams of another one, of the same visit."""
+    """Points of a scan compared along the beams of another scan of the same visit."""
 
     compared: Flags
     front: Flags
@@ -58,11 +58,11 @@ class _Look:
 
     @property
     def share(self) -> float:
-        """Part of the compared points in front of the surface [1]."""
+        """Fraction of the compared points that lie in front of the surface [1]."""
         return float(self.front.sum() / max(int(self.compared.sum()), 1))
 
     def in_front(self, points: Flags) -> bool:
-        """Whether many of the compared points are in front, counting some points."""
+        """Whether many of the compared points lie in front of the surface."""
         least = max(_FEWEST, _SHARE * int(self.compared.sum()))
         return int((self.front & points).sum()) >= least
 
@@ -118,7 +118,7 @@ def _middle(surface: ScanSurface) -> Floats:
 
 
 def _nearest_range(surface: ScanSurface, result: Registration) -> Floats:
-    """Least range of each pixel and its neighbors [m]; minus infinity beside gaps."""
+    """Smallest range of each pixel and its neighbors [m]; -infinity beside gaps."""
     away = corrected(surface, result.errors) - _middle(surface)
     reach = np.where(surface.usable, np.linalg.norm(away, axis=-1), -np.inf)
     return np.asarray(
@@ -134,7 +134,7 @@ def _look(
     tree: cKDTree,
     depth: Floats,
 ) -> _Look:
-    """Compare usable points of a scan with the nearest range of another around them."""
+    """Compare a scan's points with the smallest range of another scan around them."""
     surface, other = surfaces[source], surfaces[target]
     pixel = np.flatnonzero(surface.usable)
     pixel = pixel[:: max(len(pixel) // _MOST, 1)]

@@ -205,7 +205,7 @@ def _placed(
 def _draws(
     starts: Mapping[str, StartPose], samples: Mapping[str, Floats]
 ) -> Iterator[dict[str, cKDTree]]:
-    """Yield search trees of scans at start poses drawn within their uncertainties."""
+    """Yield search trees of scans at random start poses within their uncertainties."""
     rng = np.random.default_rng(0)  # the same findings each time
     upright = math.pi / 2 - 1e-9
     for _ in range(_DRAWS):
@@ -274,7 +274,7 @@ def _share(
 def _height_in_words(
     scans: list[str], others: list[str], placed: Mapping[str, cKDTree]
 ) -> str:
-    """Return the height of scans above others where both have points, as text."""
+    """Return the height of scans above overlapping others, as text."""
     heights = []
     for names in (scans, others):
         points = np.concatenate([placed[name].data for name in names])

@@ -121,7 +121,7 @@ def _turns(image: xr.Dataset, distance: Floats) -> list[tuple[Floats, Floats]]:
 
 
 def _basis(image: xr.Dataset) -> list[Floats]:
-    """Return basis functions of the open-water polynomial; the sum of squares is 1."""
+    """Return basis functions of the open-water fit; their squares add up to 1."""
     shape = image["slant_range"].shape
     if "open_water_degree" not in image.attrs:
         return [np.ones(shape)]
@@ -142,7 +142,7 @@ def _basis(image: xr.Dataset) -> list[Floats]:
 def _principal(
     shapes: list[tuple[Floats, Floats]],
 ) -> list[tuple[Floats, Floats]]:
-    """Return the principal components of error shapes, strongest first, with slopes."""
+    """Return the principal components of error shapes with slopes, strongest first."""
     if not shapes:
         return []
     flat, slopes = (
@@ -321,7 +321,7 @@ def _is_smooth(
     complete: NDArray[np.uint8],
     window: int,
 ) -> Flags:
-    """Return a mask of windows that a polynomial fits within noise."""
+    """Return a mask of pixels whose window a polynomial fits within the noise."""
     count = window**2
     half = window // 2
     place = np.arange(-half, half + 1).astype(float)

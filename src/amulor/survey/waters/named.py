@@ -1,4 +1,4 @@
-"""Kinds of water with coefficients from a water type, a station or ingredients."""
+"""Kinds of water whose coefficients follow from type, station or ingredients."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ class MilkWater(WaterState):
 
 
 class SphereWater(WaterState):
-    """Pure water with spheres of one size, by Mie scattering.
+    """Pure water with spheres of one size, which scatter after Mie.
 
     Examples
     --------
@@ -278,7 +278,7 @@ class LayeredWater(WaterState):
 
 
 def _kind(description: Any) -> Any:
-    """Return the kind of a water; without a kind it is described by coefficients."""
+    """Return the kind of a water; without one it is described by coefficients."""
     if isinstance(description, dict):
         return description.get("kind") or "coefficients"
     return getattr(description, "kind", None) or "coefficients"

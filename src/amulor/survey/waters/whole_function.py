@@ -185,7 +185,7 @@ def _joined(
 
 @lru_cache(maxsize=32)
 def asymmetry_of(moment: float, *, split: float) -> float:
-    """Return the asymmetry that gives a second moment below a split angle [1]."""
+    """Return the asymmetry that has a given second moment below the split angle [1]."""
     from scipy.optimize import brentq
 
     def excess(g: float) -> float:

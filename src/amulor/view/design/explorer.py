@@ -53,7 +53,7 @@ _SLIDERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """Required accuracy at one distance and attenuation, as marked on the error map."""
+    """Required accuracy at one distance and attenuation, a point on the error map."""
 
     distance: float
     """Slant range [m]."""
@@ -139,7 +139,7 @@ class Explorer:
         }
 
     def as_survey(self, settings: Mapping[str, Any], *, water: str = "own") -> str:
-        """Text of the survey file for an instrument with the sliders' settings."""
+        """Survey file, as text, of an instrument with the settings of the sliders."""
         survey, axes = self._instrument(settings, water)
         frequencies = axes.pop(
             "frequencies", [survey.instrument.modulation_frequencies]
@@ -184,7 +184,7 @@ class Explorer:
         }
 
     def _survey_value(self, name: str) -> float:
-        """Value in the survey of the parameter that a slider adjusts."""
+        """Value that the survey has for the parameter of a slider."""
         instrument = self.survey.instrument
         receiver = instrument.receiver
         apart = np.subtract(receiver.position, instrument.emitter.position)[:2]
@@ -202,7 +202,7 @@ class Explorer:
     def _instrument(
         self, settings: Mapping[str, Any], water: str
     ) -> tuple[Survey, dict[str, Any]]:
-        """Survey with a water by name, and the parameters that sliders changed."""
+        """Survey with the named water, and the parameters that sliders changed."""
         axes: dict[str, Any] = {}
         for name, setting in settings.items():
             if name not in _SLIDERS:
@@ -222,12 +222,12 @@ class Explorer:
     def _asked_of(
         self, settings: Mapping[str, Any], water: str
     ) -> tuple[Survey, dict[str, Any]]:
-        """Survey with a water by name, and arguments of `evaluate` except distances."""
+        """Survey with the named water, and arguments of `evaluate` except distances."""
         survey, axes = self._instrument(settings, water)
         return survey, {"method": self.method, "interval": self._interval, **axes}
 
     def _in(self, name: str) -> Survey:
-        """Survey in which the water is replaced by a water of the page, by name."""
+        """Survey in which the water is replaced by a water of the given name."""
         if name not in self._waters:
             if name not in WATERS:
                 raise SurveyError(f"there is no water {name[:40]!r}")

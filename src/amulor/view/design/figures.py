@@ -91,7 +91,7 @@ def _rings(axes: Axes, places: Sequence[tuple[float, float]]) -> None:
 
 
 def _hatched(maps: Sequence[xr.Dataset]) -> list[Patch]:
-    """Legend entries for the regions of error maps that are hatched."""
+    """Legend entries for the hatched regions of error maps."""
     return [
         Patch(facecolor="#7c7b78", edgecolor="white", hatch=hatch, label=text)
         for name, text, hatch in REGIONS
@@ -158,7 +158,7 @@ def fronts(
     best: int,
     target: float | None = None,
 ) -> Figure:
-    """Draw range error of candidates against scan time and highest frequency."""
+    """Draw the range error of candidates against scan time and highest frequency."""
     error = np.asarray(error, dtype=float)
     with style():
         figure = new_figure(7.0, 3.0)

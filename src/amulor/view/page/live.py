@@ -37,7 +37,7 @@ _PHASE_ERROR = 0.02
 def quick_layers(
     row: xr.Dataset, signal: NDArray[np.complex128], ending: str
 ) -> dict[str, NDArray[np.float64]]:
-    """Range and amplitude maps of a newly measured row.
+    """Range map and amplitude map of a newly measured row.
 
     Phases to paths to slant ranges as `amulor.imaging.range_image`, but all frequencies
     with one phase error, and without late light: within what that takes off, the same.
@@ -75,7 +75,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Rows:
-    """New row of a channel, sent to the page before all pixels are recomputed."""
+    """Newly measured row of a channel, sent to the page before a full recomputation."""
 
     version: int
     channel: str
@@ -174,7 +174,7 @@ class Live:
         self._maybe_all()
 
     def _patched(self) -> list[Rows]:
-        """Newly completed rows, corrected by the last estimate of the water signal."""
+        """Newly completed rows, corrected by the last estimate of the water."""
         rows = []
         for channel, row in sorted(self._changed):
             if not self._progress.is_complete(channel, row):
@@ -187,7 +187,7 @@ class Live:
         return rows
 
     def _quick(self, channel: str, row: int) -> dict[str, Floats]:
-        """Range and amplitude of a row, corrected by the last water estimate."""
+        """Range and amplitude of a row, corrected by the last estimate of the water."""
         row_cube = self.recording.one_row(channel, row)
         if row_cube is None:
             return {}
@@ -252,7 +252,7 @@ def _by_version(row: Rows) -> int:
 
 
 def blank(survey: Survey, name: str) -> Recording:
-    """Return the page content of a scan without measured pixels."""
+    """Return the page content of a scan in which no pixel is measured."""
     azimuth, elevation, _ = scan_directions(survey)
     nothing = np.full(azimuth.shape, np.nan)
     image = cubes.build(

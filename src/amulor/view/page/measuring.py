@@ -31,7 +31,7 @@ class Made:
 
 
 class Products(Protocol):
-    """Interface of a maker of product files from range images."""
+    """Interface of an object that makes product files from range images."""
 
     def offered(self) -> list[dict[str, Any]]:
         """Available products with labels, file endings and options."""
@@ -56,7 +56,7 @@ _FIGURES = {"distance": 2, "height": 2, "angle": 3}
 
 
 def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
-    """Measure the quantity that the page requests."""
+    """Compute the measurement that the page requests, such as a distance."""
     kind = str(request.get("kind", ""))
     channel = str(request.get("channel", recording.channels[0]))
     picture = recording.channel(channel).shown
@@ -210,7 +210,7 @@ def _axis(request: Any) -> tuple[float, float, float]:
 
 
 def _near(places: list[int], reach: int, size: int) -> list[int]:
-    """Row or column indices not farther than `reach` from the given ones."""
+    """Row or column indices within `reach` of the given indices."""
     return sorted(
         {
             near

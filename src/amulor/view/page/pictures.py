@@ -1,4 +1,4 @@
-"""Range images as the browser page needs them: maps, beams, correlated errors."""
+"""Range images as the browser page needs them: maps, beams, error correlations."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def values_of(part: xr.Dataset) -> Floats:
 def nodes_of(
     read: BeamReader, shape: tuple[int, int], *, farthest: float, stride: int = 1
 ) -> Nodes:
-    """Coarsest grid of beams that still places all points within a tolerance."""
+    """Coarsest grid of beams from which the page can still place points accurately."""
     step = _FIRST_STEP
     while step > stride:
         nodes = _grid(read, shape, step)
@@ -96,7 +96,7 @@ def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
 
 
 def _between(nodes: Numbers, at: Numbers) -> tuple[Numbers, Numbers, Floats]:
-    """Grid nodes before and after some indices, and interpolation weight."""
+    """Index of the nodes before and after each index, and interpolation weights."""
     before = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 1)
     after = np.minimum(before + 1, len(nodes) - 1)
     width = np.maximum(nodes[after] - nodes[before], 1)
@@ -125,7 +125,7 @@ def _error(
 
 
 class Picture(Protocol):
-    """Range image from which single maps are read."""
+    """Range image from which maps are read one at a time."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -304,7 +304,7 @@ class LargePicture:
         return read
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
-        """Range image of given rows and columns, and of a coarse grid."""
+        """Range image of the given rows and columns, and of a coarse grid elsewhere."""
         self._kept = [
             np.union1d(
                 np.linspace(0, size - 1, min(size, _MESH)).astype(np.intp),

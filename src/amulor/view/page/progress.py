@@ -27,7 +27,7 @@ _CONTRASTS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """Relative change of the open-water signal and its significance."""
+    """Relative change of the open-water signal, with its significance."""
 
     size: float = 0.0
     """Change over the water signal [1]."""
@@ -217,7 +217,7 @@ _RECENT = 400
 
 
 class Progress:
-    """Counter of a scan's samples, which also stores their signals."""
+    """Counter and store of the samples of a running scan."""
 
     def __init__(
         self, survey: Survey, meta: Mapping[str, str], *, clock: Callable[[], float]

@@ -202,16 +202,16 @@ class Recording:
 
     @property
     def cubes(self) -> dict[str, xr.Dataset | None]:
-        """Cubes before and after water rejection, as far as available."""
+        """Cubes before and after water rejection; None for a missing cube."""
         return {"before": self._samples, "after": self._target}
 
     @property
     def has_spectrum(self) -> bool:
-        """Whether signals at each frequency are available, beside ranges."""
+        """Whether signals at each modulation frequency are available."""
         return self._samples is not None or self._target is not None
 
     def stride(self, channel: str) -> int:
-        """Step between the rows and columns that the page draws."""
+        """Step in rows and columns at which the page draws pixels."""
         rows, columns = self.channel(channel).shown.shape
         stride = 1
         while (
@@ -393,7 +393,7 @@ def recording_of(
 
 
 def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset | None]:
-    """Return the samples with water, and the target signal if available."""
+    """Return the samples with water, and the target signal if it can be computed."""
     if cube.attrs["level"] == "target_signal":
         return _with_water(cube), cube
     if cube.amulor.open_water is None:

@@ -103,7 +103,7 @@ def saved_space(space: Space, *, measurements: Sequence[Mapping[str, Any]] = ())
 
 
 def _carried(recording: Recording) -> list[str]:
-    """Names of the channels that are small enough for one saved page."""
+    """Names of the channels that fit into one saved page."""
     rows, columns = recording.channel().shown.shape
     room = max(1, MOST_PIXELS // max(rows * columns, 1))
     return recording.channels[:room]
@@ -127,7 +127,7 @@ def _data(name: str, text: str) -> str:
 def _assembled(
     files: Mapping[str, bytes], data: Sequence[str], *, page: str, starts: str
 ) -> str:
-    """HTML text of a page with all of its files embedded."""
+    """HTML text of a page in which all of its files are embedded."""
     text = files[f"{page}.html"].decode()
     style = files["page.css"].decode()
     modules = {
@@ -168,7 +168,7 @@ def _assembled(
 
 
 def _modules(files: Mapping[str, bytes], starts: str) -> set[str]:
-    """JavaScript modules that a module needs, directly or indirectly, with itself."""
+    """JavaScript modules that a module imports, directly or not, and that module."""
     modules: set[str] = set()
     pending = [starts]
     while pending:

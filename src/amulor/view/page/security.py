@@ -1,4 +1,4 @@
-"""Access control of the page's server: this computer's browser with a secret token.
+"""Access control of the page's server: requests need a secret token.
 
 A page of another site must not reach it: not by a form or a script (`Origin`), not by a
 name that it lets point here (`Host`), and not without the token of the address.
@@ -61,7 +61,7 @@ def _is_number(host: str) -> bool:
 
 
 class Guard:
-    """Middleware that refuses requests without token, from elsewhere, or too large."""
+    """Middleware that refuses requests without token, from other sites, or too big."""
 
     def __init__(
         self,

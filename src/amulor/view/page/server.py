@@ -103,7 +103,7 @@ async def answered(answer: Callable[[], Response]) -> Response:
 
 
 async def explained(answer: Awaitable[Response]) -> Response:
-    """HTTP response when it is ready, or the reason for its failure."""
+    """HTTP response that is awaited, or the reason for its failure."""
     try:
         return await answer
     except (AmulorError, ValueError) as error:
@@ -141,7 +141,7 @@ async def _until_gone(socket: WebSocket) -> None:
 
 
 def message_of(rows: Rows) -> bytes:
-    """Binary message of a row: length of a JSON head, the head, 32-bit numbers."""
+    """Binary message of a row: size of the JSON header, the header, 32-bit numbers."""
     head = json.dumps(
         {
             "type": "rows",

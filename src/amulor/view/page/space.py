@@ -189,7 +189,7 @@ class Space:
 
     @property
     def layers(self) -> list[dict[str, str]]:
-        """Name, label, unit and color scale of each value that points have."""
+        """Names, labels, units and color scales of the values at points."""
         entries = []
         for name in self.scalars:
             plain = name.replace("_", " ").capitalize()
@@ -282,7 +282,7 @@ class Space:
 
 
 def _single(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Values with 32 bits; values that are too large become NaN."""
+    """Values converted to 32 bits; values that are too large become NaN."""
     with np.errstate(over="ignore"):
         single = values.astype("<f4")
     single[~np.isfinite(single)] = np.nan
