@@ -45,7 +45,7 @@ COMMANDS = {
     ),
     "water fit": (
         "water:fit",
-        "Fit the water of a cube: attenuation, spread of the light, cut-off.",
+        "Fit the water of a cube: attenuation, angular spread of light, cut-off frequency.",
     ),
     "simulate": (
         "simulate:simulate",
