@@ -45,7 +45,7 @@ COMMANDS = {
     ),
     "water fit": (
         "water:fit",
-        "Fit the water of a cube: attenuation, angular spread of light, cut-off frequency.",
+        "Fit the water of a cube: attenuation, angular spread, cut-off frequency.",
     ),
     "simulate": (
         "simulate:simulate",

@@ -124,7 +124,7 @@ def fit(
     no_target: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Fit the water of a cube: attenuation, angular spread of light, cut-off frequency.
+    """Fit the water of a cube: attenuation, angular spread, cut-off frequency.
 
     Parameters
     ----------

@@ -75,7 +75,7 @@ def write_deviation(
 
 
 def compare(surface: products.Surface, order: Order) -> products.Deviation:
-    """Compute the deviations of a scan from the reference in an order."""
+    """Compute the deviations of a scan from the reference that an order names."""
     assert order.against is not None
     if order.against.suffix.lower() == ".nc":
         earlier = io.read_cube(order.against)

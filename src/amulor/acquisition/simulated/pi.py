@@ -1,4 +1,4 @@
-"""Simulated stage controller by the General Command Set 2.0."""
+"""Simulated stage controller with the General Command Set 2.0."""
 
 from __future__ import annotations
 

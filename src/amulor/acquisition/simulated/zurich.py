@@ -111,7 +111,7 @@ class SimulatedUhfli:
         return SimulatedNode(self, name)
 
     def handle(self, path: str, *value: Any) -> Any:
-        """Set or read a node, a setting or a measured value of the data server."""
+        """Set or read a node of the data server: a setting or a measured value."""
         if value:
             self._set(path, value[0])
             return None

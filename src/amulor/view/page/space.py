@@ -189,7 +189,7 @@ class Space:
 
     @property
     def layers(self) -> list[dict[str, str]]:
-        """Names, labels, units and color scales of the values at points."""
+        """Names, labels, units and color scales of the values that points have."""
         entries = []
         for name in self.scalars:
             plain = name.replace("_", " ").capitalize()
