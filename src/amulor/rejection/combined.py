@@ -190,15 +190,15 @@ def combined(
     interval : tuple of float, optional
         Nearest and farthest slant range that are possible [m].
     target_ratio : float, optional
-        Cross-polarized over co-polarized signal of the target, between 0 and 1 [1];
-        estimated, with its uncertainty, if left out; an estimate within its error of 0
-        or 1 is that.
+        Cross-polarized over co-polarized signal of the target, between 0 and 1 [1]; if
+        omitted, it is estimated with its uncertainty. An estimate that exceeds 0 or 1
+        by less than its error is set to this limit.
     target_ratio_uncertainty : float
-        Standard uncertainty of what is stated [1].
+        Standard uncertainty of the stated ratio [1].
     water_change : float
         Relative standard deviation by which the water signal at a pixel may differ from
         the reference in both channels alike, beyond its fluctuation from sample to
-        sample [1]. The larger, the more the result rests on polarization.
+        sample [1]. A larger value gives polarization more weight.
     column_uncertainty : float, optional
         As in `open_water` [1].
 
@@ -210,19 +210,19 @@ def combined(
     Raises
     ------
     CubeError
-        If the two channels or the open-water shots are not there, or the ratio cannot
-        be estimated or is beyond 0 or 1 by more than its error.
+        If one of the channels or the open-water shots are missing. Also if the ratio
+        cannot be estimated, or lies outside 0 to 1 by more than its error.
     ValueError
         If the ratio is out of range, or an uncertainty is.
 
     Notes
     -----
-    What subtraction leaves in the channels is :math:`T + \delta` and
-    :math:`r_t T + r_w \delta`, with the depolarization ratios r of target and water,
-    the latter from the reference itself, and water :math:`\delta` that was not in it.
-    Generalised least squares with the inverse covariance of both channels, in which
-    :math:`\delta` is an error that they share: :math:`\delta = 0` gives the weighted
-    mean of the channels, a large one gives unmixing.
+    After subtraction the channels contain :math:`T + \delta` and :math:`r_t T + r_w
+    \delta`. The factors r are the depolarization ratios of target and water, the latter
+    from the reference; :math:`\delta` is water that the reference lacks. The target
+    signal T follows by generalized least squares with the covariance of both channels,
+    in which :math:`\delta` is a shared error. With :math:`\delta = 0` the result is the
+    weighted mean of the channels; for a large one it is unmixing.
     """
     return _combine(
         cube,

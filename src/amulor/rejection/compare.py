@@ -194,9 +194,9 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     Returns
     -------
     Comparison
-        One row for each method and channel; methods that cannot run have a row that
-        says why. What a method says about its own errors is all that counts: no truth
-        is read.
+        One row for each method and channel. Methods that cannot run have a row with the
+        reason. Only the errors that the methods state are compared, never the truth of
+        a simulation.
 
     Raises
     ------
@@ -205,13 +205,14 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
 
     Notes
     -----
-    Recommended is the smallest error, bias and noise together, among the methods that
-    trust at least nine tenths of the pixels that the best of them trusts: those without
-    a flag whose frequencies agree, beside at least one other. Of errors within a
-    twentieth of each other the simpler method wins. A bias that nothing tells counts as
-    infinite. The joint estimation is tried without the shots, too, where with them it
-    trusts few pixels and the shots show no error of the instrument. Where the ranges of
-    another method differ by more than four of both errors, the difference is stated.
+    The recommended method has the smallest error, bias and noise together, among the
+    methods that trust at least nine tenths as many pixels as the best one. A trusted
+    pixel has no flag, its frequencies agree, and a neighbor is trusted, too. Of errors
+    within a twentieth of each other the simpler method wins. An unknown bias counts as
+    infinite. If the joint estimation trusts few pixels with the shots, and these show
+    no error of the instrument, it is tried without shots as well. If the ranges of
+    another method differ by more than four times both errors, the comparison states the
+    difference.
     """
     cube = cubes.checked(cube, "samples")
     candidates, broken = compared_methods()
@@ -293,18 +294,19 @@ def auto(
     interval : tuple of float, optional
         Nearest and farthest slant range that are possible [m].
     comparison : Comparison, optional
-        From `compare`, if it was run before.
+        Result of `compare`, if it was run before.
 
     Returns
     -------
     xarray.Dataset
-        Level `target_signal` with the recommended channel; the attributes
-        `rejection_method` and `rejection_reason` say which method it was, and why.
+        Level `target_signal` with the recommended channel. The attributes
+        `rejection_method` and `rejection_reason` state the method and the reason for
+        it.
 
     Raises
     ------
     CubeError
-        As `compare`.
+        As in `compare`.
 
     Examples
     --------

@@ -84,7 +84,7 @@ def choose_frequency(
     cube : xarray.Dataset
         Level `samples`, with open-water shots.
     polarization : str, optional
-        Channel to judge; the one with the smallest error by default.
+        Channel to evaluate, by default the channel with the smallest error.
     interval : tuple of float, optional
         Nearest and farthest slant range that are possible [m].
 
@@ -96,17 +96,18 @@ def choose_frequency(
     Raises
     ------
     CubeError
-        If there are no open-water shots, the channel is not there, or no pixel shows a
+        If there are no open-water shots, the channel is missing, or no pixel shows a
         target at any frequency.
 
     Notes
     -----
-    Amplitude, signal-to-optical-noise ratio and contrast (54) of Ricci et al. 2010, as
-    rebuilt, are largest where target and water are in phase, and there the water does
-    not turn the phase. The water signal falls beyond its cut-off and the target's does
-    not, so high frequencies suffer less, but repeat sooner. The choice is the smallest
-    error of the slant range, random error and shift together, among the frequencies
-    that alone settle the interval; among all if none does.
+    Amplitude, signal-to-optical-noise ratio and contrast, eq. (54) of Ricci et al.
+    2010, are largest where target and water are in phase. There the water does not
+    shift the phase. The water signal falls above its cut-off and the target signal does
+    not. High frequencies therefore suffer less, but their phase repeats at shorter
+    distances. The chosen frequency has the smallest error of the slant range, random
+    error and shift together. Only frequencies that resolve the ambiguity interval alone
+    are compared, or all if there are none.
 
     Examples
     --------
@@ -263,7 +264,7 @@ def frequency(
     cube : xarray.Dataset
         Level `samples`, with open-water shots.
     modulation_frequency : float, optional
-        Which one to keep, as it stands in the cube [Hz]. By default that of
+        Frequency to keep, exactly as in the cube [Hz]. By default the result of
         `choose_frequency`.
     interval : tuple of float, optional
         Nearest and farthest slant range that are possible [m].
@@ -288,7 +289,7 @@ def frequency(
     Raises
     ------
     CubeError
-        As `choose_frequency`, or if the cube has no such frequency.
+        As in `choose_frequency`, or if the cube has no such frequency.
 
     Examples
     --------

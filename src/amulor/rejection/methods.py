@@ -116,18 +116,18 @@ class Method:
         source : Source
             The scan.
         **options
-            As in a call.
+            Options of the method, as in a call.
 
         Returns
         -------
         callable
-            From rows of the scan, and the number of the first of them, to their target
-            signal: bit for bit that of the whole scan, whatever rows come together.
+            Function of some rows of the scan and the number of their first row. It
+            returns their target signal, bit for bit as in processing the whole scan.
 
         Raises
         ------
         AmulorError, ValueError
-            As a call.
+            As in a call of the method.
         """
         accepted = self._accepted(options)
         if self.fitter is None:
@@ -141,7 +141,7 @@ class Method:
         Returns
         -------
         Method
-            Its name ends in "without shots".
+            Method whose name ends in "without shots".
         """
         fit = self.fit
 
@@ -167,13 +167,13 @@ class Method:
         Parameters
         ----------
         options : mapping of str to object
-            None counts as not stated. An interval may be stated for every method, and
-            serves those that use one.
+            Options by name. An option that is None counts as not stated. Every method
+            accepts an interval, even if it uses none.
 
         Returns
         -------
         tuple of str
-            Their names.
+            Names of the options that the method lacks.
         """
         accepted = {*self.options, "interval"}
         return tuple(
@@ -210,7 +210,8 @@ def method(name: str, **declared: Any) -> Callable[[_Function], _Function]:
     Parameters
     ----------
     name : str
-        As the entry point of the group `amulor.rejection`.
+        Name of the method, equal to that of its entry point in the group
+        `amulor.rejection`.
     **declared
         Fields of `Method`: `needs`, `simplicity`, `keeps_one_frequency`,
         `distrusts_open_water`, `fitter`.
@@ -224,12 +225,12 @@ def method(name: str, **declared: Any) -> Callable[[_Function], _Function]:
     Notes
     -----
     A scan that is larger than memory is processed some rows at a time. A method that
-    uses a statistic of the whole scan (a median, a threshold, what another method
-    estimates) declares a `fitter`: it is called once with the source of the rows and
-    the options, estimates the statistics, for instance from the cube
-    `amulor.cube.tiles.sample_of(source)`, and returns the function that processes rows
-    with them; its second argument is the number of the first row. Without a `fitter`
-    the method is called with some rows at a time.
+    uses a statistic of the whole scan, such as a median or a threshold, declares a
+    `fitter`. The fitter is called once with the source of the rows and the options. It
+    estimates the statistics, for instance from the cube
+    `amulor.cube.tiles.sample_of(source)`, and returns a function of some rows and the
+    number of their first row. Without a `fitter` the method is called with some rows at
+    a time.
 
     Examples
     --------
@@ -279,7 +280,7 @@ def names() -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        In alphabetical order; those of other packages among them.
+        Names in alphabetical order, including methods of other packages.
 
     Examples
     --------
@@ -296,13 +297,13 @@ def load(name: str) -> Method:
     Parameters
     ----------
     name : str
-        One of `names`, or that with " without shots" for a method that `auto` tries
-        without the open-water reference measurements.
+        One of `names`. With " without shots" appended, the method ignores the
+        open-water reference measurements.
 
     Returns
     -------
     Method
-        As it is declared.
+        Method as declared.
 
     Raises
     ------
@@ -371,8 +372,8 @@ def reject(
     Raises
     ------
     AmulorError, ValueError
-        As the method; CubeError if there is none of this name, ValueError for an option
-        that it does not have.
+        As raised by the method. CubeError for an unknown name, ValueError for an option
+        that the method lacks.
 
     Examples
     --------

@@ -81,7 +81,7 @@ def open_water(
     column_uncertainty : float, optional
         Relative standard uncertainty of the survey's water behind the target, such as
         0.2 [1]. By default the shots correct the survey's turbidity, and the
-        uncertainty of this correction is taken.
+        uncertainty of this correction is used.
     put_back : bool
         Whether to add the water behind the target again, which the shots contain and
         the samples do not. If False, it is only estimated, in the `residual_`
@@ -116,14 +116,14 @@ def open_water(
         scan goes beyond their directions, or the water changed by more than a fifth
         between the first and the last.
     ValueError
-        If the interval is empty or holds far too many ambiguity intervals, or the
+        If the interval is empty or contains far too many ambiguity intervals, or the
         uncertainty of the column is not between 0 and 1.
 
     Notes
     -----
     Eqs. (55)-(58) of [1]_, computed as a difference of phasors, which needs no choice
     of a quadrant. A significant drift (1 of 1000 by chance) is an error with a
-    rectangular distribution of its size. Phases that disagree show water that is
+    rectangular distribution of its size. Phases that disagree reveal water that is
     stronger than its reference. Flags:
 
     - `NO_TARGET`: no significant echo, decided before the water behind the target is

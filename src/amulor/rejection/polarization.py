@@ -89,8 +89,8 @@ def keep_water(cube: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Level `target_signal`, every sample flagged `NO_OPEN_WATER`: what a picture
-        looks like before rejection.
+        Level `target_signal`, with the unchanged signal and every sample flagged
+        `NO_OPEN_WATER`. It shows the picture before rejection.
 
     Examples
     --------
@@ -124,8 +124,8 @@ def cross_polarized(cube: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Level `target_signal` with these channels only. The water signal that is left
-        is not known, so every sample is flagged `NO_OPEN_WATER`.
+        Level `target_signal` with these channels only. The residual water signal is
+        unknown, so every sample is flagged `NO_OPEN_WATER`.
 
     Raises
     ------
@@ -221,9 +221,9 @@ def choose_channel(
 
     Notes
     -----
-    A crossed channel has less water, but less of the target too: which one wins
-    depends on the noise. Judged by random error and shift of the slant range together,
-    both with the water left in, at the frequency that serves each channel best.
+    A crossed channel contains less water, but also less of the target. Which channel is
+    better depends on the noise. The criterion is random error and shift of the slant
+    range together, without water subtraction, at the best frequency of each channel.
 
     Examples
     --------
@@ -411,16 +411,16 @@ def polarization(
     target_ratio, water_ratio : float, optional
         Cross-polarized over co-polarized signal of target and water, between 0 and 1
         and different from each other; :math:`(1 - m_{22}) / (1 + m_{22})` for linear
-        light on a diagonal Mueller matrix [1]. What is left out is estimated, with its
-        uncertainty, by `target_ratio` and `water_ratio`; an estimate within its error
-        of 0 or 1 is that.
+        light on a diagonal Mueller matrix [1]. An omitted ratio is estimated with its
+        uncertainty, by `target_ratio` or `water_ratio`. An estimate that exceeds 0 or 1
+        by less than its error is set to this limit.
     target_ratio_uncertainty, water_ratio_uncertainty : float
-        Standard uncertainties of what is stated; what they add to the error is common
-        to all pixels [1].
+        Standard uncertainties of the stated ratios [1]. The errors that they cause are
+        common to all pixels.
     water_fluctuation : float, optional
-        Relative change of the water signal from sample to sample, which differs in
-        the two channels since they are measured one after the other [1]. Taken from
-        the open-water shots by default, and needed if the cube has none.
+        Relative change of the water signal from sample to sample, which differs in the
+        two channels since they are measured one after the other [1]. By default it is
+        estimated from the open-water shots. It is needed if the cube has none.
 
     Returns
     -------
@@ -430,11 +430,12 @@ def polarization(
     Raises
     ------
     CubeError
-        If the two channels are not there, nothing tells how the water fluctuates, or
-        a ratio that is left out cannot be estimated or is beyond 0 or 1 by more than
-        its error.
+        If one of the channels is missing, or the fluctuation of the water is unknown.
+        Also if an omitted ratio cannot be estimated, or lies outside 0 to 1 by more
+        than its error.
     ValueError
-        If the stated ratios are equal or out of range: then no unmixing is possible.
+        If a stated ratio is out of range, or both are equal, which makes unmixing
+        impossible.
 
     Notes
     -----
@@ -508,27 +509,28 @@ def stokes_vectors(cube: xr.Dataset, *, launched: str) -> xr.DataArray:
     Parameters
     ----------
     cube : xarray.Dataset
-        Level `samples` or `target_signal`, with at least four analyser states that
-        tell a Stokes vector, such as V, H, P and R.
+        Level `samples` or `target_signal`, with at least four analyzer states that
+        determine a Stokes vector, such as V, H, P and R.
     launched : str
-        State that was launched: the first letter of the channels to take.
+        Launched state: the first letter of the channels to use.
 
     Returns
     -------
     xarray.DataArray
-        Complex, dimensions (stokes, modulation_frequency, row, column), the first
-        component the signal without an analyser [V].
+        Complex, dimensions (stokes, modulation_frequency, row, column) [V]. The first
+        component is the signal without an analyzer.
 
     Raises
     ------
     CubeError
-        If the analyser states do not tell a Stokes vector.
+        If the analyzer states do not determine a Stokes vector.
 
     Notes
     -----
-    Each component of (59) of Ricci et al. 2010, as rebuilt, is a power and so has a
-    modulation of its own, amplitude and phase. An ideal analyser with the Stokes
-    vector a passes :math:`\\tfrac12 \\mathbf a \\cdot \\mathbf S`; least squares.
+    Each Stokes component, eq. (59) of Ricci et al. 2010, is a power, so that it has its
+    own modulation amplitude and phase. The vector is fitted by least squares. An ideal
+    analyzer with the Stokes vector a passes
+    :math:`\\tfrac12 \\mathbf a \\cdot \\mathbf S`.
 
     Examples
     --------
@@ -581,9 +583,9 @@ def unmix_stokes(
     Parameters
     ----------
     cube : xarray.Dataset
-        Level `samples`, with two analyser states or more of one launched state.
+        Level `samples`, with two or more analyzer states for one launched state.
     launched : str
-        State that was launched: the first letter of the channels to take.
+        Launched state: the first letter of the channels to use.
     target_mueller, water_mueller : array_like, shape (4, 4)
         Reduced Mueller matrices straight backwards [1].
 
@@ -596,17 +598,17 @@ def unmix_stokes(
     Raises
     ------
     CubeError
-        If there are fewer than two analyser states, or both matrices make the same
-        light of what is launched.
+        If there are fewer than two analyzer states, or both matrices turn the launched
+        light into the same state.
     ValueError
         If a matrix is not (4, 4).
 
     Notes
     -----
-    Generalised least squares of :math:`y_c = t_c T + w_c W` with the fractions t and w
-    that the analysers pass, (60) and (69) of Ricci et al. 2010, as rebuilt; with four
-    states it is the fit of the Stokes vector by those of target and water. The
-    fluctuation of the water is taken from the open-water shots, if there are any.
+    Generalized least squares of :math:`y_c = t_c T + w_c W`, in which t and w are the
+    fractions that the analyzers pass, eqs. (60) and (69) of Ricci et al. 2010. With
+    four states this fits the measured Stokes vector by those of target and water. The
+    fluctuation of the water is estimated from the open-water shots, if there are any.
 
     Examples
     --------

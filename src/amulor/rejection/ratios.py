@@ -73,7 +73,7 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
     Returns
     -------
     Ratio
-        One for all frequencies.
+        Ratio for all frequencies.
 
     Raises
     ------
@@ -82,9 +82,10 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
 
     Notes
     -----
-    Least squares of the cross-polarized on the mean co-polarized signal, frequency by
-    frequency, and their mean weighted by the scatter that the samples show: it holds
-    the noise of the instrument and the fluctuation of the water in both channels.
+    At each frequency the cross-polarized signal is fitted to the mean co-polarized
+    signal by least squares. The ratio is the mean over frequencies, weighted by the
+    scatter of the samples. This scatter includes the noise of the instrument and the
+    fluctuation of the water in both channels.
 
     Examples
     --------
@@ -148,8 +149,9 @@ def target_ratio(
     Returns
     -------
     Ratio
-        One for all pixels; where they differ by more than their errors, the spread is
-        part of the uncertainty. So is a phase between the channels.
+        Ratio for all pixels. If pixels differ by more than their errors, the
+        uncertainty includes their differences. It also includes a phase between the
+        channels.
 
     Raises
     ------
@@ -158,10 +160,10 @@ def target_ratio(
 
     Notes
     -----
-    Open water is subtracted in each channel. With what is left,
-    :math:`r = \sum w\, \mathrm{Re}(T_a^* T_b) / \sum w (|T_a|^2 - \sigma_a^2)`: taking
-    the variance off removes the bias by noise in the denominator. The error of the
-    reference, which all pixels share, is carried through with its sign unknown.
+    Open water is subtracted in each channel. With the remaining signals,
+    :math:`r = \sum w\, \mathrm{Re}(T_a^* T_b) / \sum w (|T_a|^2 - \sigma_a^2)`:
+    subtracting the variance removes the bias by noise in the denominator. The error of
+    the reference, which all pixels share, is propagated with unknown sign.
 
     Examples
     --------

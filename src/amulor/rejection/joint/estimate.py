@@ -341,43 +341,44 @@ def joint(
         If the cube has a single frequency, no survey, errors that are zero, a
         receiver that does not see the beam, or a scan that moves towards a window.
     ValueError
-        If the interval is empty or holds far too many ambiguity intervals, or the
+        If the interval is empty or contains far too many ambiguity intervals, or the
         transfer is not one number above zero for each frequency.
 
     Notes
     -----
-    In channel c and at frequency f a pixel shows
+    The signal of a pixel in channel c at frequency f is
     :math:`A_c H(f) e^{2 \pi i f p / c_0} + s_c W(f; k', b_f \langle\theta^2\rangle,
-    z)`, with the optical path p and the depth z of the target, and W the water signal
-    (29) of [1]_, as rebuilt, that ends there, by the phase function of the survey's
-    water, stretched in angle; (46) where that water has none. Strengths and shape of W
-    belong to the whole scan. A smooth factor on its overlap, light from in front of all
-    targets and departures of the echo at each frequency, with priors whose widths the
-    data choose, stand for what the model does not know; their uncertainty is part of
-    that of the result. A random change of the water signal from sample to sample is
-    estimated from the scatter. Light that is scattered on its way to the target arrives
-    late; what `echo_transfer` does not hold of that is in the slant range, and in its
-    uncertainty.
+    z)`, with the optical path p and the depth z of the target. W is the water signal in
+    front of this depth, eq. (29) of [1]_, for the phase function of the survey's water
+    with a scaled angle. For water without a phase function it is eq. (46). Strengths
+    and shape of W belong to the whole scan. Three terms describe effects that the model
+    lacks: a smooth factor on the overlap, light from in front of all targets, and
+    departures of the echo at each frequency. The data determine the widths of their
+    priors, and their uncertainty is part of the result's. A random change of the water
+    signal from sample to sample is estimated from the scatter. Light that is scattered
+    between instrument and target arrives late. The part of this delay that
+    `echo_transfer` omits remains in the slant range, and its uncertainty covers it.
 
-    Open-water shots may be of other water: their strength and, at each frequency, a
-    departure from the water of the scan have priors whose widths the data choose.
-    What the samples cannot tell widens the intervals: delay, group index, place of
-    the receiver and late echoes move all ranges together
-    (`slant_range_common_uncertainty`). The direction of the receiver is estimated with
-    its prior, and the scale of the stated noise from differences between neighbouring
-    pixels; see decision 11. The strength of the water may change smoothly with the time
-    of the pixels.
+    The water of the open-water shots may differ from that of the scan. Their strength,
+    and a departure at each frequency, have priors whose widths the data determine.
+    Errors that the samples cannot show widen the intervals. Delay, group index,
+    receiver position and late echoes shift all ranges together
+    (`slant_range_common_uncertainty`). The receiver direction is estimated with its
+    prior. The scale of the stated noise is estimated from differences between
+    neighboring pixels; see decision 11. The strength of the water may change smoothly
+    over the time of the scan.
 
-    Samples that disagree with the rest of their pixel are left out, a third of them at
-    most, and flagged `OUTLIER`; so is the whole pixel where it stays open which samples
-    are wrong. `MIXED`: two surfaces explain a pixel and one does not, from three
-    frequencies on; see decision 14.
+    Samples that disagree with the others of their pixel are omitted, at most a third of
+    them, and flagged `OUTLIER`. If it is unclear which samples are wrong, the whole
+    pixel is flagged. With three or more frequencies, `MIXED` marks pixels that two
+    surfaces explain and one does not; see decision 14.
 
-    Flags: `NO_TARGET` where open water explains the samples about as well;
-    `AMBIGUOUS` where another interval is likelier than 3e-4; `WATER_RESIDUAL` where
-    the samples contradict the model (chi-square beyond chance 1e-4) or the departures
-    that the scan shows move the path by ten times its other uncertainty, 0.3 of it if
-    the echo alone departs. What they move it by is part of the uncertainty.
+    Other flags: `NO_TARGET` if open water explains the samples about as well;
+    `AMBIGUOUS` if another interval has a probability above 3e-4; `WATER_RESIDUAL` if
+    the samples contradict the model, with a p-value of chi-square below 1e-4.
+    `WATER_RESIDUAL` is also set if departures seen in the scan shift the path by ten
+    times its other uncertainty. If only the echo departs, 0.3 times is enough. The
+    shift is part of the uncertainty.
 
     References
     ----------

@@ -113,13 +113,13 @@ def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
         Level `samples`, with open-water shots at three modulation frequencies or more
         and the attribute `survey`, of which the instrument is used.
     no_target : bool, optional
-        True if nothing stood in the beam: then the samples themselves are open water,
-        and shots are not needed.
+        Whether the scan itself shows open water, without a target. Shots are then not
+        needed.
 
     Returns
     -------
     WaterFit
-        Coefficients, what follows from them, and what of it the data settle.
+        Coefficients, derived quantities, and which of them the data determine.
 
     Raises
     ------
@@ -128,11 +128,11 @@ def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
 
     Notes
     -----
-    Maximum likelihood with the model and the weak priors of `joint`. The signal knows
-    the scattering only by :math:`k' = a + b_d`, by :math:`b_f \langle\theta^2\rangle`
-    and, while some light is not scattered, by :math:`b_f`; `split_scattering`
-    goes on from there where the phase function is known. The strength holds the
-    calibration of the instrument and cannot be told apart from the backscatter without
+    Maximum likelihood with the model and the weak priors of `joint`. The signal depends
+    on scattering only through :math:`k' = a + b_d`, :math:`b_f \langle\theta^2\rangle`
+    and, as long as some light is unscattered, :math:`b_f`. `split_scattering` separates
+    absorption and scattering if the phase function is known. The strength contains the
+    calibration of the instrument, and cannot be separated from the backscatter without
     it.
 
     Examples

@@ -22,11 +22,11 @@ def with_open_water(cube: xr.Dataset, reference: xr.Dataset) -> xr.Dataset:
     Parameters
     ----------
     cube : xarray.Dataset
-        Level `samples`; shots that it has are replaced.
+        Level `samples`. Its open-water shots are replaced, if it has any.
     reference : xarray.Dataset
         Level `samples`, of the same water by the same instrument. Its open-water shots
-        are taken; if it has none, all its pixels are, in the order in which they were
-        recorded: a scan with the target away.
+        are used. Without shots it must be a scan without a target; all its pixels are
+        then used, in the order of recording.
 
     Returns
     -------
