@@ -229,13 +229,13 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
     Returns
     -------
     ErrorBudget
-        Medians over the pixels that state their uncertainty; not a number without any.
-        With the water left in none does, and there are no lines.
+        Medians over the pixels with a known uncertainty, NaN without such pixels.
+        Without water rejection no uncertainty is known, and the budget has no lines.
 
     Notes
     -----
-    Shares are medians of the ratios, so that they need not add up to 1 exactly. An
-    image that was made before there were terms has no lines.
+    Shares are medians of ratios, so their sum may differ from 1. Images from versions
+    without error terms have no lines.
 
     Examples
     --------

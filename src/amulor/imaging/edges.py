@@ -42,10 +42,11 @@ def mixed_pixels(
     image : xarray.Dataset
         Level `range_image`.
     significance : float
-        How many standard errors a pixel must stand off both surfaces, above 0 [1].
+        Least distance of a mixed pixel from both surfaces, in standard errors, above 0
+        [1].
     reach : int
-        Over how many pixels an edge may be smeared to either side, at least 1: the
-        beam's width over the spacing of the pixels, rounded up [1].
+        Number of pixels over which an edge may be blurred to either side, at least 1:
+        beam width over pixel spacing, rounded up [1].
 
     Returns
     -------
@@ -59,15 +60,16 @@ def mixed_pixels(
 
     Notes
     -----
-    A beam that meets two surfaces returns the sum of two phasors, whose phase lies
+    A beam that meets two surfaces returns the sum of two phasors. Its phase lies
     between theirs as long as they are less than half an ambiguity interval apart. A
     pixel counts as mixed if its range lies between the surfaces to its left and right,
-    or above and below, and clear of both: of their nearest pixels and of the straight
-    lines through the next two or four pixels. Noise alone counts, since what neighbors
-    share cancels. An edge that runs along rows or columns is looked at in means of five
-    pixels along it as well, where these lie on a straight line within their noise: so a
-    gap of a few times the noise is seen. Several frequencies see mixed pixels by
-    themselves: their phases disagree, and `range_image` flags them `AMBIGUOUS`.
+    or above and below, and away from both. It must be away from their nearest pixels
+    and from straight lines through the next two or four pixels. Only noise counts as
+    error, since errors that neighbors share cancel. An edge along rows or columns is
+    examined in means of five pixels along it as well, if these lie on a straight line
+    within their noise. Such means reveal steps of a few times the noise. With several
+    frequencies the phases of a mixed pixel disagree, and `range_image` flags it
+    `AMBIGUOUS`.
 
     Examples
     --------
@@ -126,8 +128,8 @@ def flag_mixed(
     Returns
     -------
     xarray.Dataset
-        The image with the variable `user_mixed`, 1 where a pixel is mixed; there its
-        `quality_flag` says `MIXED` as well.
+        The image with the variable `user_mixed`, 1 where a pixel is mixed. Mixed pixels
+        have the flag `MIXED` in `quality_flag`, too.
 
     Raises
     ------

@@ -124,12 +124,12 @@ class Frame:
         -------
         ndarray, shape (6, n, 3)
             Shift by one standard uncertainty of east, north, up, heading, pitch and
-            roll; 0 for what is not stated, see `unknown`. Independent of each other,
-            and the same error for all points [m].
+            roll; 0 for quantities without stated uncertainty, see `unknown`. The six
+            errors are independent of each other; each is common to all points [m].
 
         Notes
         -----
-        First order: a turn by a small angle about the unit axis w shifts p by
+        First order: a rotation by a small angle u about the unit axis w shifts p by
         :math:`u\, w \times (p - p_0)`.
         """
         at = np.asarray(points, dtype=float)
@@ -167,12 +167,12 @@ def frame_of(
     Parameters
     ----------
     image : xarray.Dataset
-        With its survey, where the pose comes from that.
+        Range image, with its survey if the pose is read from it.
     axes : str
         "instrument": x right, y down, z forward. "z-up": x right, y forward, z up, for
         an instrument that stands level. "pose": x east, y north, z up.
     pose : amulor.survey.Pose, optional
-        Where the instrument stands; by default what the image's survey says.
+        Pose of the instrument, by default from the image's survey.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def frame_of(
     Raises
     ------
     CubeError
-        If a pose is needed and nobody states one.
+        If a pose is needed and neither argument nor survey states it.
 
     Examples
     --------

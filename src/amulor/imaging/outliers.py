@@ -57,15 +57,15 @@ def outlying_pixels(
     image : xarray.Dataset
         Level `range_image`.
     significance : float
-        How many standard errors a pixel must stand off the line through its neighbors
-        in each of four ways, above 0 [1].
+        Least deviation of an outlier from the line through its neighbors in each of
+        four directions, in standard errors, above 0 [1].
 
     Returns
     -------
     ndarray of bool, shape (row, column)
-        False where a pixel has no range. One with fewer than two ways to compare stands
-        alone where at most two of the eight pixels around it have a range, and neither
-        of them the same.
+        False where a pixel has no range. A pixel that can be compared in fewer than two
+        directions is an outlier if it is isolated: at most two of the eight pixels
+        around it have a range, and none a similar one.
 
     Raises
     ------
@@ -75,27 +75,26 @@ def outlying_pixels(
     Notes
     -----
     Along rows, columns and both diagonals the range is compared with the mean of its
-    two neighbors, at the rim with the straight continuation of the next two. A pixel
-    is an outlier if it stands off to the same side in all of these ways, by
-    `significance` standard errors and by three times as much as pixels around it do on
-    average over their ways, in the median: so rough is the surface. Edges, ridges and
-    ropes go on in one of the ways and are none. What neighbors share cancels and does
-    not count.
+    two neighbors, at the border with the straight continuation of the next two. A pixel
+    is an outlier if it deviates to the same side in all these directions, by
+    `significance` standard errors and by three times the roughness of the surface. The
+    roughness is the median, over the pixels around it, of their mean deviation. Edges,
+    ridges and ropes continue in one direction and are no outliers. Errors that
+    neighbors share cancel and do not count.
 
-    Where more pixels stand off than chance makes, as among spikes and particles, those
-    that stand off less are likely to be outliers as well. The median of a pixel's ways
-    is compared with its standard error, or with what it is around where that is more;
-    each of its ways must have half of it, or be off it by less than 2.5 errors of its
-    own line. At the rim, where one way at least has neighbors on both sides, others
-    are continued through the next four. The smallest excess from 2.5 standard errors on
-    is taken beyond which chance makes at most a tenth of the outliers that are there,
-    known ones included [1]_. Outliers are no neighbors of others for this, and since
-    those that are found no longer are, it is done twice. Among pixels that are all
-    right this marks one in 10^4.
+    If more pixels deviate than chance explains, as with spikes and particles, smaller
+    deviations are likely to be outliers as well. A pixel's median deviation over the
+    directions is divided by its standard error, or by that around it if larger. Each
+    direction must show at least half of this deviation, or differ from it by less than
+    2.5 errors of its line. At the border, lines are continued through the next four
+    pixels if at least one direction has neighbors on both sides. The limit is the
+    smallest excess, from 2.5 standard errors on, beyond which chance causes at most a
+    tenth of all outliers [1]_. Known outliers do not serve as neighbors, so the search
+    runs twice. In data without outliers it flags one pixel in 10^4.
 
-    Where nothing can be seen, noise passes for a target here and there. Such a pixel
-    has no neighbor at the same range: within four standard errors and what a surface
-    four times as deep as wide falls by. A rope one pixel wide has.
+    Where there is no target, noise occasionally passes for one. Such a pixel has no
+    neighbor at a similar range: within four standard errors plus the slope of a surface
+    four times as deep as wide. The pixels of a rope one pixel wide have such neighbors.
 
     References
     ----------
@@ -227,7 +226,7 @@ def flag_outliers(image: xr.Dataset, *, significance: float = 3.0) -> xr.Dataset
     Returns
     -------
     xarray.Dataset
-        The image with other flags.
+        The image with `OUTLIER` added to the flags of outlying pixels.
 
     Raises
     ------

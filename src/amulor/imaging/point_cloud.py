@@ -21,24 +21,24 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
         Level `range_image`.
     frame : Frame, optional
         Axes of the points, from `frame_of`; by default x right, y down, z forward in
-        the axes of the instrument, in which the emitter stands at its
-        `emitter_position`.
+        the axes of the instrument, in which the emitter is at its `emitter_position`.
 
     Returns
     -------
     xarray.Dataset
-        Level `point_cloud`. `row` and `column` say which pixel a point comes from, the
-        attribute `scan_shape` how many rows and columns the scan has, `frame_matrix`
-        (16 numbers, row by row) how the instrument's axes turned into those of the
-        points. Points lie on the beam as bent by the window.
+        Level `point_cloud`. `row` and `column` are the pixel of each point. The
+        attribute `scan_shape` is the number of rows and columns of the scan. The
+        attribute `frame_matrix` (16 numbers, row by row) transforms from the
+        instrument's axes to those of the points. Points lie on the beam as refracted by
+        the window.
 
     Notes
     -----
-    `x_uncertainty` and its like are :math:`u_x^2 = d_x^2 u_r^2 + \sum_k s_{kx}^2` with
-    the beam's direction d, the standard uncertainty of the slant range and the shifts s
-    by the stated errors of the pose. Directions of the beams count as known. Errors of
-    the three coordinates of a point are one and the same error, that of its range, so
-    they are correlated fully.
+    The uncertainty of x is :math:`u_x^2 = d_x^2 u_r^2 + \sum_k s_{kx}^2`, and likewise
+    for y and z. Here d is the direction of the beam, :math:`u_r` the standard
+    uncertainty of the slant range, and s are shifts by the stated errors of the pose.
+    Beam directions are assumed to be exact. The errors of a point's three coordinates
+    all result from its range error, so they are fully correlated.
 
     Examples
     --------

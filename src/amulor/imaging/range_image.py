@@ -75,7 +75,7 @@ def range_image(
     cube : xarray.Dataset
         Level `target_signal`. All its frequencies are used together.
     polarization : str, optional
-        Channel to take; needed if there are several.
+        Channel to use; needed if there are several.
     interval : tuple of float, optional
         Nearest and farthest slant range that are possible [m]. By default from 0 to
         where the phases repeat, if the targets of the cube's survey lie in between.
@@ -85,7 +85,7 @@ def range_image(
     xarray.Dataset
         Level `range_image`:
 
-        - Pixels with an unusable flag are not-a-number.
+        - Pixels with an unusable flag are NaN.
         - If the water was not removed, or the ambiguity interval is unknown, the
           errors are unknown and the combined uncertainties are NaN.
         - If neither an interval nor the survey determines the ambiguity interval,
@@ -95,20 +95,20 @@ def range_image(
     Raises
     ------
     CubeError
-        If the channel is not there, or has to be chosen.
+        If the channel is missing, or must be chosen among several.
     ValueError
-        If the interval is empty or holds far too many ambiguity intervals.
+        If the interval is empty or contains far too many ambiguity intervals.
 
     Notes
     -----
-    The optical path follows from (1) of [1]_, and the slant range from the path by the
-    geometry of emitter, receiver and window. `slant_range_uncertainty` comes from the
-    uncertainty of the samples, `slant_range_photon_limit` is (2) with the photons that
-    the target alone sent, `slant_range_bias` the shift by the water signal estimated
-    to be left in, `slant_range_wrong_interval` the probability that another interval
-    within the limits is the right one. Where the phases of several frequencies scatter
-    more than stated, the stated noise is enlarged, and the attribute `noise_scale` says
-    by what factor.
+    The optical path follows from eq. (1) of [1]_, and the slant range from the path and
+    the geometry of emitter, receiver and window. `slant_range_uncertainty` is
+    propagated from the uncertainty of the samples. `slant_range_photon_limit` is eq.
+    (2) for the photons of the target alone. `slant_range_bias` is the shift by the
+    estimated residual water signal. `slant_range_wrong_interval` is the probability
+    that another ambiguity interval within the limits is right. If the phases of several
+    frequencies scatter more than stated, the stated noise is multiplied by the
+    attribute `noise_scale`.
 
     References
     ----------

@@ -33,16 +33,17 @@ def leave_out(
     image : xarray.Dataset
         Level `range_image`.
     good_only : bool
-        Leave out all pixels that carry any flag.
+        Whether to discard all pixels with any flag.
     largest_uncertainty : float, optional
-        Leave out pixels whose combined standard uncertainty is larger [m].
+        Largest combined standard uncertainty; pixels above it are discarded [m].
     mixed : bool
-        Leave out mixed pixels and outliers, whose points hang where nothing is.
+        Whether to discard mixed pixels and outliers, whose points lie off any surface.
 
     Returns
     -------
     xarray.Dataset
-        Those pixels flagged `MISSING`; the history says how many were taken, and why.
+        The image with these pixels flagged `MISSING`; its history states their number
+        by reason.
 
     Raises
     ------

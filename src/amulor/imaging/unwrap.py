@@ -35,25 +35,25 @@ def unwrapped_range_image(
     cube : xarray.Dataset
         Level `target_signal`.
     interval : tuple of float
-        Nearest and farthest slant range that are possible [m]. May hold several
-        ambiguity intervals, but each connected surface must fit into it in one way
-        only.
+        Nearest and farthest slant range that are possible [m]. It may contain several
+        ambiguity intervals, but each connected surface must fit into it at a single
+        distance.
     polarization : str, optional
-        Channel to take; needed if there are several.
+        Channel to use; needed if there are several.
     modulation_frequency : float, optional
-        Frequency to use, as it stands in the cube [Hz]. By default the one with the
-        smallest error of the range.
+        Frequency to use, exactly as in the cube [Hz]. By default the frequency with the
+        smallest range error.
 
     Returns
     -------
     xarray.Dataset
-        Level `range_image`. Surfaces that fit into the interval in no way or in
-        several are flagged `AMBIGUOUS` and hold no number.
+        Level `range_image`. Surfaces that fit into the interval at several distances,
+        or at none, are flagged `AMBIGUOUS` and are NaN.
 
     Raises
     ------
     CubeError
-        If the channel or the frequency is not there, or has to be chosen.
+        If the channel or the frequency is missing, or must be chosen among several.
     MissingExtraError
         If scikit-image is not installed.
     ValueError
@@ -61,12 +61,13 @@ def unwrapped_range_image(
 
     Notes
     -----
-    A fallback: several frequencies settle the interval pixel by pixel, without any
-    assumption about the scene (`range_image`). Here neighbors are taken to differ by
-    less than half an ambiguity interval, by the reliability-ordered unwrapping of
-    scikit-image (M. A. Herraez et al., Appl. Opt. 41, 7437 (2002)); a step of the scene
-    that is higher comes out too low by whole intervals, which nothing can show. Parts
-    of the picture that unusable pixels separate are unwrapped on their own.
+    This is a fallback for a single frequency. Several frequencies resolve the interval
+    pixel by pixel, without any assumption about the scene (`range_image`). Here
+    neighbors are assumed to differ by less than half an ambiguity interval. The method
+    is the reliability-ordered unwrapping of scikit-image (M. A. Herraez et al., Appl.
+    Opt. 41, 7437 (2002)). A larger step of the scene is too small by whole intervals in
+    the result, without any sign of it. Regions that unusable pixels separate are
+    unwrapped independently.
 
     Examples
     --------

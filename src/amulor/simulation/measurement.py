@@ -40,13 +40,13 @@ def simulate(
     Parameters
     ----------
     survey : Survey
-        What is measured, and with what.
+        Water, targets, instrument and scan.
     rng : numpy.random.Generator or int
-        Source of the noise; a whole number is a seed and is written into the cube.
+        Random generator of the noise, or a seed, which is stored in the cube.
     model : SignalModel
         Forward model of target and water light: `SmallAngleModel()` with the whole
-        phase function, its fast `ClosureModel()`, `DiffusionModel()`, the form of
-        the paper, or a `PhotonModel`, which follows photons.
+        phase function (default), its fast approximation `ClosureModel()`, the paper's
+        `DiffusionModel()`, or a `PhotonModel` with photon transport.
 
     Returns
     -------
@@ -56,15 +56,15 @@ def simulate(
     Raises
     ------
     SurveyError
-        If the water's indices cannot be computed, a mesh cannot be read, or the model
-        needs more of the water than the survey says.
+        If the water's indices cannot be computed, a mesh cannot be read, or the survey
+        lacks a property of the water that the model needs.
     MissingExtraError
         If there are targets and the extra `scene` is not installed.
 
     Notes
     -----
-    Target and water signal share the kernel (43) or (29) of Ricci et al. 2010, as
-    rebuilt; the column ends at the target. Reflections at a window are left out.
+    Target and water signal use the same model, eq. (43) or (29) of Ricci et al. 2010.
+    The water column ends at the target. Reflections at a window are neglected.
 
     Examples
     --------

@@ -85,9 +85,9 @@ class SignalModel(Protocol):
         survey : Survey
             Instrument and water.
         water : WaterProperties
-            Its optical numbers.
+            Optical properties of the water.
         view : View
-            How the receiver looks at each beam.
+            Geometry of the receiver relative to each beam.
         surface : dict
             `depth`, `optical_path`, `return_path`, `reflectance`, `cosine` of
             `amulor.optics.target_echo.target_response`, over the beams.
@@ -117,17 +117,16 @@ class SignalModel(Protocol):
         survey : Survey
             Instrument and water.
         water : WaterProperties
-            Its optical numbers.
+            Optical properties of the water.
         view : View
-            How the receiver looks at each beam.
+            Geometry of the receiver relative to each beam.
         end : array_like
             Depth at which the column ends, over the beams or one for all [m].
 
         Returns
         -------
         ndarray of complex
-            Over frequencies and beams, with the phase counted from where the water
-            begins.
+            Ratio over frequencies and beams, with phases from the start of the water.
         """
         ...
 
@@ -200,9 +199,10 @@ class UncertainModel(Protocol):
 class DiffusionModel:
     """Diffusion model, eqs. (43) and (46) of Ricci et al. 2010.
 
-    Takes b_f, b_d and the second moment of the water, and spreads all light alike, what
-    was never scattered included. With a split angle of 90 degrees its cut-off is some
-    1.5 times that of photons, and a far echo a quarter of theirs.
+    It uses the coefficients b_f and b_d and the second moment of the water. All light
+    is spread alike, including light that was never scattered. With a split angle of 90
+    degrees its cut-off is some 1.5 times that of photon transport, and a distant echo a
+    quarter as strong.
 
     Examples
     --------
@@ -255,8 +255,9 @@ class DiffusionModel:
 class SmallAngleModel:
     """Small-angle model, eq. (29) of Ricci et al. 2010; the default model.
 
-    Takes the whole phase function of the water, and keeps the light that was not
-    scattered. Within some percent of photons. Half a millisecond for each pixel.
+    It uses the whole phase function of the water, and treats unscattered light
+    separately. It agrees with photon transport within some percent, and takes half a
+    millisecond for each pixel.
 
     Examples
     --------
@@ -345,10 +346,11 @@ class SmallAngleModel:
 class ClosureModel:
     """Closure model, a fast approximation of the small-angle model.
 
-    Takes the whole phase function, as `SmallAngleModel` does, and puts one Gaussian for
-    the light of each depth. Where it holds, the cut-off is at most 30 % higher than
-    that of (29) and the echo at most 30 % lower. Elsewhere, as for receivers that
-    accept little and stand aside, an `AmulorWarning` asks for `SmallAngleModel`.
+    It uses the whole phase function, as `SmallAngleModel` does, and approximates the
+    light at each depth by one Gaussian. Where it is valid, the cut-off is at most 30 %
+    higher than that of eq. (29), and the echo at most 30 % lower. Elsewhere, as for
+    receivers with a small acceptance angle far from the beam, an `AmulorWarning`
+    recommends `SmallAngleModel`.
 
     Examples
     --------

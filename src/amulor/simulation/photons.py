@@ -312,11 +312,11 @@ class Factor:
 class PhotonModel:
     """Photon transport with all orders of scattering: slow reference model.
 
-    Photons are followed for a few beams and depths of the survey. Between these the
-    ratio of what they bring to the small-angle form (29) is interpolated, a smooth
-    function near 1, which carries their late echo and all that is scattered twice by
-    large angles. The errors of photons and of the interpolation, found at places
-    between, are stated with the light and count in the samples' uncertainty.
+    Photons are simulated for a few beams and depths of the survey. For all others the
+    ratio of their light to that of the small-angle model, eq. (29), is interpolated.
+    This ratio is a smooth function near 1. It includes late echoes and light scattered
+    twice by large angles. The errors of photon transport and of the interpolation,
+    tested between the nodes, are part of the samples' uncertainty.
 
     Examples
     --------

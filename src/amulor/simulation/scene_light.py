@@ -73,7 +73,7 @@ def scene_light(
     survey : Survey
         Water, targets, instrument and scan.
     model : SignalModel
-        Forward model; the small-angle form with the whole phase function by default.
+        Forward model, by default the small-angle model with the whole phase function.
 
     Returns
     -------
@@ -193,14 +193,14 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
     Parameters
     ----------
     survey : Survey
-        What is to be measured, and with what.
+        Water, targets, instrument and scan.
     model : SignalModel
-        Forward model; the small-angle form with the whole phase function by default.
+        Forward model, by default the small-angle model with the whole phase function.
 
     Returns
     -------
     Expectation
-        From at most 25 x 25 beams, spread evenly from edge to edge.
+        Statistics of at most 25 x 25 beams, evenly spaced over the scan.
 
     Raises
     ------
@@ -211,8 +211,9 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
 
     Notes
     -----
-    The uncertainty is that of one sample: counting, dark counts, daylight and the phase
-    floor; the water's fluctuation is not noise of the instrument.
+    The uncertainty is that of a single sample: photon noise, dark counts, daylight and
+    the phase floor. The fluctuation of the water is no noise of the instrument and is
+    excluded.
 
     Examples
     --------
