@@ -257,10 +257,10 @@ class ErrorGoal:
     def reached(self, tally: Tally) -> bool:
         """Return whether a tally meets the error goal.
 
-        It is asked after 16 batches and then after sqrt(2) times as many each time, so
-        that a run that looks good by chance is seldom caught at it; and the error has
-        to be as small with one standard error of its own added, 1 / sqrt(2 (n - 1)) of
-        it for n batches.
+        A run checks its goal after 16 batches, then each time after sqrt(2) times as
+        many. With so few checks a run seldom stops early by chance. The goal must be
+        met by the error plus its own standard error, which is 1 / sqrt(2 (n - 1)) of it
+        for n batches.
         """
         if tally.next_batch not in CHECKS:
             return False

@@ -20,8 +20,8 @@ class Layer:
     Raises
     ------
     ValueError
-        If a coefficient is below zero or not finite, both are zero in a layer without
-        end, or the thickness is not above zero.
+        If a coefficient is below zero or not finite, both are zero in an unbounded
+        layer, or the thickness is not above zero.
 
     Examples
     --------
@@ -68,14 +68,14 @@ class Layer:
 class Medium:
     """Stack of water layers along the forward axis.
 
-    Light that leaves the first or the last layer is lost: there is black, with the
-    same refractive index. Rays are straight.
+    Light that leaves the first or the last layer is absorbed. All layers have the same
+    refractive index, so that rays are straight.
 
     Raises
     ------
     ValueError
-        If there is no layer, an inner layer has no end, some layers carry matrices
-        and some do not, or light could travel for ever.
+        If there is no layer, an inner layer is unbounded, only some layers have
+        scattering matrices, or light could travel forever.
 
     Examples
     --------
@@ -149,14 +149,14 @@ class Medium:
         absorption, scattering : float
             Coefficients a and b [1/m].
         phase_function : PhaseFunction or ScatteringMatrix
-            How it scatters.
+            Phase function, or scattering matrix for polarized light.
         group_index : float
             Group index [1].
 
         Returns
         -------
         Medium
-            One layer without end.
+            Medium of one unbounded layer.
         """
         layer = Layer(
             absorption=absorption, scattering=scattering, phase_function=phase_function
@@ -172,16 +172,16 @@ class Medium:
         Parameters
         ----------
         layers : sequence of Layer
-            From the first that light travelling forward meets.
+            Layers in the order in which light passes them forward.
         group_index : float
             Group index [1].
         top : float
-            Where the first layer begins on the forward axis [m].
+            Beginning of the first layer on the forward axis [m].
 
         Returns
         -------
         Medium
-            The layers, with nothing before and behind them.
+            Medium of these layers, with absorbing space before and behind them.
         """
         return cls(layers=tuple(layers), group_index=group_index, top=top)
 

@@ -28,16 +28,15 @@ _PROBES = np.array(
 class MeshTarget:
     """Lambertian surface of triangles, reflective on both sides.
 
-    Light does not pass it. The order of a triangle's corners does not matter: the
-    side that the light comes from is the one that reflects it. Light may be reflected
-    any number of times.
+    The surface is opaque. Both sides of a triangle reflect, so the order of its corners
+    does not matter. Light may be reflected any number of times.
 
     Raises
     ------
     ValueError
-        If there is no triangle, a face names a vertex that does not exist or is
-        without area, two faces are the same triangle, the reflectance is outside of 0
-        to 1, or the matrix cannot exist.
+        If there is no triangle, a face refers to a missing vertex or has no area, two
+        faces are identical, the reflectance is outside of 0 to 1, or the matrix is not
+        physical.
 
     Examples
     --------
@@ -94,7 +93,7 @@ class MeshTarget:
         centre, axis : ndarray
             Centre of the disc [m], and unit vector perpendicular to it.
         radius : float
-            Its radius [m].
+            Radius of the disc [m].
         """
         height = (self.corners - centre) @ axis
         inplane = self.corners - centre - height[..., np.newaxis] * axis

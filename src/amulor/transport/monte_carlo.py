@@ -105,7 +105,7 @@ def simulate(
     medium : Medium
         Water. In bounded or layered water the receiver looks along the forward axis.
     source : Source
-        Beam that enters it.
+        Laser beam that enters the water.
     receiver : DiscReceiver or GaussianReceiver
         Receiver in the water.
     modulation_frequency : array_like
@@ -118,33 +118,38 @@ def simulate(
     target : PlaneTarget or MeshTarget, optional
         Surface that reflects; light does not pass it.
     relative_error : float or ErrorGoal, optional
-        Stop when the relative error is as small: of all light at the first frequency,
-        or as the goal says [1]. Asked at a few fixed numbers of batches only, and with
-        the error's own uncertainty added, so that stopping does not bias the result.
+        Relative error at which the run stops: that of all light at the first frequency,
+        or as an `ErrorGoal` defines it [1]. It is checked at a few fixed numbers of
+        batches only, with the error's own uncertainty added, so that stopping does not
+        bias the result.
     longest_time : float, optional
-        Stop after that time [s]. Where it stops depends on the machine.
+        Time after which the run stops [s]. The number of histories then depends on the
+        machine.
     resume : Tally, optional
-        Run of the same problem and seed to go on with; `histories` counts its own
-        as well.
+        Earlier run of the same problem and seed to continue; `histories` includes those
+        of that run.
     technique : Technique, optional
-        How paths are drawn and joined.
+        Options for sampling and joining paths.
     threads : int, optional
-        Batches at work at once; by default as many as there are processors.
+        Number of batches computed at the same time, by default the number of
+        processors.
     keep_record : bool
         Whether to keep the record of path lengths.
     progress : callable, optional
         Called with a `Progress` after each batch.
     spread : callable, optional
-        Has batches worked on elsewhere, such as what
-        `amulor.scale.batches.spread_batches` gives; by default threads, here. Takes a
-        function and two numbers, and yields what the function makes of the numbers from
-        the first up to the second, in their order. The result is the same.
+        Function that distributes batches over a cluster, such as the result of
+        `amulor.scale.batches.spread_batches`; by default threads of this process are
+        used. It takes a function and two numbers, and yields the function's results for
+        the numbers from the first up to the second, in order. It does not change the
+        result.
 
     Returns
     -------
     Tally
-        Received per launched light, with its errors. If it is interrupted from the
-        keyboard after the first two batches, what was done is returned, marked so.
+        Received light relative to launched light, with its errors. If the run is
+        interrupted from the keyboard after the first two batches, the result so far is
+        returned, marked as interrupted.
 
     Raises
     ------
@@ -153,12 +158,12 @@ def simulate(
 
     Notes
     -----
-    Solves the transport equation, eq. (6) of [1]_, with all orders of scattering.
-    Paths from the source and from the receiver are joined: as the water is the same
-    all over a plane, a path from the receiver may be shifted over its face until it
-    meets the path from the source, and the range of depths at which it does is
-    summed exactly; where a mesh may hide it, it is tried at one of these depths. The
-    way is described in the theory pages.
+    Solves the transport equation, eq. (6) of [1]_, with all orders of scattering. Paths
+    from the source and from the receiver are joined. As the water is uniform over each
+    plane, a path from the receiver may be shifted over the receiver face until it meets
+    the path from the source. The range of depths at which they meet is integrated
+    exactly. If a mesh may block the path, one of these depths is sampled instead. The
+    theory pages describe the method.
 
     References
     ----------

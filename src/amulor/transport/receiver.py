@@ -32,8 +32,8 @@ class Source:
     Raises
     ------
     ValueError
-        If a width is below zero, the divergence above 0.5 rad, the direction without
-        length or along the axis to the right, or the polarization cannot exist.
+        If a width is below zero, the divergence above 0.5 rad, the direction is zero or
+        along the axis to the right, or the polarization is not physical.
 
     Examples
     --------
@@ -171,8 +171,8 @@ class PlaneTarget:
     Raises
     ------
     ValueError
-        If the reflectance is outside of 0 to 1, the normal without length, or the
-        matrix cannot exist.
+        If the reflectance is outside of 0 to 1, the normal is zero, or the matrix is
+        not physical.
 
     Examples
     --------

@@ -54,12 +54,12 @@ class ScatteringMatrix:
         Angles of the elements, rising from 0 to pi, shape (n,) [rad].
     elements : ndarray
         Columns m12, m22, m33, m34 and m44 over the first element, shape (n, 5) [1].
-        They are linear in the angle between those given.
+        They are interpolated linearly in the angle.
 
     Raises
     ------
     ValueError
-        If shapes or angles do not fit, or a matrix cannot exist.
+        If shapes or angles do not match, or a matrix is not physical.
 
     Examples
     --------
@@ -109,12 +109,12 @@ class ScatteringMatrix:
         Parameters
         ----------
         cells : int
-            Number of even steps of the angle in the table, at least 16.
+            Number of equal angle steps of the table, at least 16.
 
         Returns
         -------
         ScatteringMatrix
-            Without depolarization.
+            Scattering matrix without depolarization.
         """
         angle = np.linspace(0, np.pi, cells + 1)
         return cls(rayleigh_phase(), angle, _compact(rayleigh(angle)))
@@ -131,7 +131,7 @@ class ScatteringMatrix:
         Returns
         -------
         ScatteringMatrix
-            With the angles of the suspension.
+            Scattering matrix at the angles of the suspension.
         """
         matrix = suspension.mueller(suspension.angle)
         return cls(suspension.phase_function, suspension.angle, _compact(matrix))
@@ -154,7 +154,7 @@ class ScatteringMatrix:
         Returns
         -------
         ScatteringMatrix
-            Linear in the angle between the angles given.
+            Scattering matrix, interpolated linearly in the angle.
 
         Raises
         ------

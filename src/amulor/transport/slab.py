@@ -63,21 +63,20 @@ def reflection_and_transmission(
     polarization : str or array_like
         State or Stokes vector of the light, parallel to that plane.
     outward : array_like, optional
-        Directions in which the radiant intensity is asked for, as pairs of polar
-        angle to the forward axis, not pi / 2, and azimuth from the right, shape
-        (m, 2) [rad].
+        Directions of the radiant intensities to compute, as pairs of polar angle to the
+        forward axis, not pi / 2, and azimuth from the right, shape (m, 2) [rad].
     threads : int, optional
-        Batches at work at once.
+        Number of batches computed at the same time.
     progress : callable, optional
         Called with a `Progress` after each batch.
 
     Returns
     -------
     Tally
-        Parts "reflected" and "transmitted" (with unscattered light), per light that
-        falls in, and "direction 1" to "direction m", radiant intensity of scattered
-        light per light that falls in [1/sr]. Stokes vectors refer to the plane of the
-        direction and the forward axis.
+        Parts "reflected" and "transmitted" (with unscattered light), relative to the
+        incident light [1]. Parts "direction 1" to "direction m" are the radiant
+        intensity of scattered light, relative to the incident light [1/sr]. Stokes
+        vectors refer to the plane of the direction and the forward axis.
 
     Raises
     ------
@@ -86,9 +85,9 @@ def reflection_and_transmission(
 
     Notes
     -----
-    Photons are followed until they are absorbed or leave. A direction gets a local
-    estimate at each scattering: the phase function times the transmission on the
-    straight way out.
+    Photons are traced until they are absorbed or leave. Each scattering event adds a
+    local estimate to each direction: the phase function times the transmission of the
+    straight path out.
 
     Examples
     --------

@@ -91,9 +91,9 @@ Complex = NDArray[np.complex128]
 class PathRecord:
     """Received light by path length, for evaluation at other frequencies.
 
-    Light of all lengths in a bin counts at its middle. A phasor that is summed over
-    the bins is wrong by at most an eighth of the square of the phase across a bin
-    times the unmodulated light: 3e-4 at the highest frequency of the run.
+    All light in a bin is assigned to the middle of the bin. A phasor summed over the
+    bins is wrong by at most an eighth of the squared phase across a bin, relative to
+    the unmodulated light: 3e-4 at the highest frequency of the run.
 
     Examples
     --------
@@ -137,24 +137,24 @@ class PathRecord:
         group_index : float
             Group index of the run [1].
         more_absorption : float
-            What to add to the absorption coefficient in all layers, not below 0: less
-            absorption would need paths that the run has not followed [1/m].
+            Increase of the absorption coefficient in all layers, not below 0 [1/m].
+            Less absorption would need paths that the run has not traced.
 
         Returns
         -------
         ndarray
-            Water and target together, shape (n, components) [1]. Without errors; the
-            scatter is that of the run.
+            Light of water and target together, shape (n, components) [1]. Its errors
+            are those of the run.
 
         Raises
         ------
         ValueError
-            If the absorption added is below zero.
+            If the added absorption is below zero.
 
         Notes
         -----
-        Eq. (9) of Ricci et al. 2010 (:doi:`10.1155/2010/958360`), as rebuilt: a path
-        of length L counts :math:`e^{(i \omega / v - a) L}`.
+        Eq. (9) of Ricci et al. 2010 (:doi:`10.1155/2010/958360`): a path of length L
+        contributes :math:`e^{(i \omega / v - a) L}`.
         """
         if not more_absorption >= 0:
             raise ValueError(
@@ -341,7 +341,7 @@ class Tally:
         """Covariance of `signal` between frequencies, real and imaginary parts.
 
         Shape (2 n, 2 n), all real parts first [1]. All frequencies share the same
-        paths, so their errors belong together.
+        paths, so their errors are correlated.
         """
         values = self._select("all")[:, 0]
         return self._scatter(np.concatenate([values.real, values.imag], axis=1))
@@ -390,13 +390,13 @@ class Tally:
         Parameters
         ----------
         analyser : str
-            Name of a state of `amulor.optics.polarization.stokes.state`. The parallel
-            axis is that to the right of the receiver.
+            Name of a state of `amulor.optics.polarization.stokes.state`. Its parallel
+            axis points to the right of the receiver.
 
         Returns
         -------
         signal : ndarray
-            Light behind the analyser, shape (n,) [1].
+            Light behind the analyzer, shape (n,) [1].
         covariance : ndarray
             Of its real and imaginary part, shape (n, 2, 2) [1].
 
@@ -457,8 +457,8 @@ class Tally:
         Returns
         -------
         ndarray
-            At each frequency, shape (n,); root of the sum of the variances of real
-            and imaginary part, infinite where no such light has come [1].
+            Relative error at each frequency, shape (n,): root of the sum of the
+            variances of real and imaginary part, infinite without such light [1].
 
         Raises
         ------
@@ -473,8 +473,8 @@ class Tally:
     def relative_error(self) -> Array:
         """Relative standard error of `signal` at each frequency, shape (n,) [1].
 
-        Root of the sum of the variances of real and imaginary part; infinite where
-        no light has come.
+        Root of the sum of the variances of real and imaginary part; infinite without
+        light.
         """
         return self.relative_error_of()
 
@@ -507,7 +507,7 @@ class Tally:
         """Whether a single group dominates the error of total, water or target light.
 
         If so, the stated error of at least one of them is likely too small;
-        `heavy_tail_of` tells which.
+        `heavy_tail_of` determines which.
         """
         kinds = LIGHT if self.contributions is not None else LIGHT[:1]
         return any(self.heavy_tail_of(light) for light in kinds)
@@ -525,19 +525,19 @@ class Tally:
         Returns
         -------
         bool
-            If so, the stated errors are likely too small, at all frequencies: what a
-            group brings has the same modulus at each. The standard error is that of
-            all other groups. For light of the target it is also true if the event
-            that brings most of it far away, a touch that an adjoint path meets, would
-            outweigh the error, be it that none has happened yet. True as well where the
-            error is more than 18 %, that of 30 equal contributions. Always true of a
-            single batch, which has no errors, and never of plane layers, where
-            contributions are not kept.
+            True if one group shifts the mean by more than the standard error of all
+            other groups. The stated errors are then likely too small at all
+            frequencies, since a group contributes the same modulus to each. It is also
+            true for an error above 18 %, that of 30 equal contributions. For target
+            light it is true as well if a target reflection joined with an adjoint path
+            would exceed the error, even if none has occurred. It is always true for a
+            single batch, which has no errors. It is never true for plane layers, whose
+            contributions are not recorded.
 
         Raises
         ------
         ValueError
-            If there is no such light or state, or the run does not tell.
+            If there is no such light or state, or the run did not record it.
         """
         if light not in LIGHT:
             raise ValueError(f"light must be one of {', '.join(LIGHT)}; got {light!r}")
@@ -568,14 +568,14 @@ class Tally:
         Parameters
         ----------
         path : float
-            Length to add, below zero to take away [m].
+            Additional path length, negative for a shorter path [m].
         group_index : float
-            Group index on it [1].
+            Group index along this path [1].
 
         Returns
         -------
         Tally
-            With all phases moved on; it cannot go on.
+            Tally with shifted phases. It cannot be resumed.
         """
         wave = 2j * np.pi * self.modulation_frequency * group_index / speed_of_light
         return replace(
@@ -597,13 +597,14 @@ class Tally:
         Returns
         -------
         Tally
-            All batches of both, joined in pairs if there are many; it cannot go on
-            and has no record of path lengths.
+            Tally with the batches of both runs, merged in pairs if there are many. It
+            cannot be resumed and has no record of path lengths.
 
         Raises
         ------
         ValueError
-            If the problems, frequencies or parts differ, or a seed is in both.
+            If the problems, frequencies or parts differ, or both runs used the same
+            seed.
         """
         if self.problem != other.problem or self.parts != other.parts:
             raise ValueError("only runs of the same problem can be merged")
