@@ -106,10 +106,10 @@ def optical_path(
     modulation_frequency : ndarray, shape (frequencies,)
         Modulation frequencies [Hz].
     shortest, longest : ndarray, shape (...)
-        Limits between which the optical path must lie, but for its error [m].
+        Limits of the optical path, apart from its error [m].
     doubt : ndarray or float
-        Phase errors that the frequencies may have beyond their uncertainty, such as
-        water signal left in; they excuse disagreement and change nothing else [rad].
+        Possible phase errors beyond the uncertainty, such as by residual water signal
+        [rad]. They only permit larger disagreement between frequencies.
     choices : Choices, optional
         Scan-wide choices, from `fit` on the pixels of a whole scan or a sample of it;
         by default from these pixels.
@@ -122,22 +122,22 @@ def optical_path(
     Raises
     ------
     ValueError
-        If the limits hold so many ambiguity intervals that no phase can choose.
+        If the limits contain too many ambiguity intervals for the phases to resolve.
 
     Notes
     -----
     Each candidate is the path of the most precise frequency plus whole wavelengths of
     the modulation. It is refined by the weighted mean of all frequencies, unwrapped
-    about it, and judged by the sum of squared phase errors: maximum likelihood for
-    normal errors. The same sums give the probability that another candidate is the
-    right one, all of them alike beforehand. At the ends of a full ambiguity interval
-    both ends are candidates, so a path within a few standard errors of them is not
-    settled; nor is one that is outside by more than two.
+    about the candidate. Its misfit is the sum of squared phase errors: maximum
+    likelihood for normal errors. The same sums give the probability that another
+    candidate is right, with equal prior probabilities. At the ends of a full ambiguity
+    interval both ends are candidates. A path within a few standard errors of an end is
+    therefore not settled, nor is a path outside by more than two.
 
-    With three frequencies at least, where all of them disagree and all but one agree,
-    that one is an outlier and is left out; up to a third of the frequencies, one after
-    the other. Where more than 15 % of the pixels would lose a frequency, none does:
-    what they have in common is no chance.
+    With three or more frequencies, a frequency is an outlier if all together disagree
+    and all others agree. Outliers are excluded one after the other, up to a third of
+    the frequencies. If more than 15 % of the pixels would lose a frequency, none does:
+    such errors are not random.
 
     Examples
     --------
@@ -186,8 +186,8 @@ def fit(
     Returns
     -------
     tuple of Path and Choices
-        The path is that of `optical_path`; the choices let other rows of the same scan
-        be solved as these pixels were.
+        Path as from `optical_path`, and choices by which other rows of the same scan
+        are solved alike.
 
     Examples
     --------

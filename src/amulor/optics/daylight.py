@@ -24,8 +24,8 @@ def daylight_radiance(
     Parameters
     ----------
     radiance : array_like
-        Spectral radiance just below the surface, from where the receiver looks, not
-        negative [W/(m^2 sr m)].
+        Spectral radiance just below the surface, along the receiver's line of sight,
+        not negative [W/(m^2 sr m)].
     depth : array_like
         Depth of the instrument below the surface, not negative [m].
     diffuse_attenuation : array_like
@@ -43,8 +43,8 @@ def daylight_radiance(
 
     Notes
     -----
-    :math:`L_d(z) = L_d(0) \, e^{-K_d z}`, ref. [1] of this module, for water that is
-    the same all the way and deeper than the first few metres.
+    :math:`L_d(z) = L_d(0) \, e^{-K_d z}`, ref. [1] of this module, for uniform water
+    below the first few meters.
 
     Examples
     --------
@@ -73,7 +73,8 @@ def daylight_rate(
     Parameters
     ----------
     radiance : array_like
-        Spectral radiance from where the receiver looks, not negative [W/(m^2 sr m)].
+        Spectral radiance along the receiver's line of sight, not negative [W/(m^2 sr
+        m)].
     wavelength : array_like
         Wavelength in vacuum, above zero [m].
     bandwidth : array_like
@@ -84,15 +85,15 @@ def daylight_rate(
         Solid angle of the field of view, in the medium of the radiance, not negative
         [sr].
     transmission : array_like
-        Of the optics before the photocathode, 0 to 1 [1].
+        Transmission of the optics before the photocathode, 0 to 1 [1].
     quantum_efficiency : array_like
         Photoelectrons per photon, above 0 to 1 [1].
 
     Returns
     -------
     ndarray
-        Mean rate, of the broadcast shape [1/s]. It carries no modulation: it adds to
-        the shot noise (`amulor.optics.detection.quadrature_variance`) alone.
+        Mean rate, of the broadcast shape [1/s]. It is not modulated and only adds to
+        the shot noise (`amulor.optics.detection.quadrature_variance`).
 
     Raises
     ------
@@ -103,7 +104,7 @@ def daylight_rate(
     -----
     :math:`r_b = \frac{\eta\lambda}{hc} T L_d \Delta\lambda \Sigma_r \Omega_r`. Area
     times solid angle times the square of the index is the same before and behind a
-    window, so a radiance of the water goes with the solid angle in the water.
+    window, so a radiance in water belongs with the solid angle in water.
 
     Examples
     --------

@@ -90,10 +90,10 @@ def effective_integration_time(
     Parameters
     ----------
     duration : array_like
-        Time T over which the settled output is averaged, not negative [s]. Zero
-        is a single reading.
+        Time T over which the settled output is averaged, not negative [s]. Zero means a
+        single reading.
     time_constant : array_like
-        Time constant of the one-pole output filter, not negative [s]. Zero is no
+        Time constant of the one-pole output filter, not negative [s]. Zero means no
         filter.
 
     Returns
@@ -167,8 +167,8 @@ def settled_integration_time(
     Returns
     -------
     ndarray
-        Effective time of what the dwell leaves, of the broadcast shape [s]. A dwell
-        that leaves nothing still takes one reading.
+        Effective integration time after settling, of the broadcast shape [s]. A dwell
+        shorter than the settling still gives one reading.
 
     Raises
     ------
@@ -268,8 +268,8 @@ def photon_noise(
     Returns
     -------
     ndarray
-        Voltage V such that light of the peak amplitude A and the modulation depth m
-        has the counting variance :math:`V A / m` in either output, of the broadcast
+        Voltage V such that light of the peak amplitude A and the modulation depth m has
+        the photon-noise variance :math:`V A / m` in either output, of the broadcast
         shape [V].
 
     Raises
@@ -303,7 +303,7 @@ def speckle_contrast(speckle_cells: ArrayLike) -> NDArray[np.float64]:
     Parameters
     ----------
     speckle_cells : array_like
-        Number M of speckles that the aperture takes in, at least 1 [1].
+        Number M of speckles that the aperture collects, at least 1 [1].
 
     Returns
     -------
@@ -318,8 +318,8 @@ def speckle_contrast(speckle_cells: ArrayLike) -> NDArray[np.float64]:
     Notes
     -----
     :math:`1 / \sqrt M`, J. W. Goodman, Speckle Phenomena in Optics (2007), chapter 4:
-    the power of M speckles is gamma distributed. A lit spot of the area S at the
-    distance d makes speckles of about :math:`(\lambda d)^2 / S`.
+    the power of M speckles is gamma distributed. An illuminated spot of area S at
+    distance d causes speckles of an area of about :math:`(\lambda d)^2 / S`.
 
     Examples
     --------
@@ -424,8 +424,8 @@ def phase_uncertainty(
            = \frac{Q^2 \sigma_I^2 + I^2 \sigma_Q^2 - 2 I Q \sigma_{IQ}}
                   {(I^2 + Q^2)^2}.
 
-    Holds while the result is well below 1 rad; beyond, the wrapped phase scatters
-    less than this says.
+    Holds while the result is well below 1 rad; beyond, the wrapped phase scatters less
+    than this.
 
     Examples
     --------
@@ -471,8 +471,8 @@ def amplitude_uncertainty(
     Returns
     -------
     ndarray
-        Standard deviation, of the broadcast shape [unit of the signal]. Where the
-        signal is zero, the largest that any direction of it would give.
+        Standard deviation, of the broadcast shape [unit of the signal]. For a zero
+        signal, the largest value over all directions.
 
     Raises
     ------

@@ -55,7 +55,8 @@ def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
     modulation_frequency : array_like, shape (n,)
         Frequencies that increase, at least three [Hz].
     value : array_like, shape (n,)
-        The quantity; noise makes extrema of its own, so smooth measured sweeps first.
+        Values of the curve. Noise causes additional extrema, so smooth measured sweeps
+        first.
 
     Returns
     -------
@@ -71,8 +72,8 @@ def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
 
     Notes
     -----
-    Those of the interference of target and water, eqs. (50)-(54) of Ricci et al. 2010,
-    as rebuilt, are as far apart as `separation` says.
+    Extrema of the interference of target and water, eqs. (50)-(54) of Ricci et al.
+    2010, as rebuilt, are spaced by `separation`.
 
     Examples
     --------
@@ -114,8 +115,8 @@ def group_depth(
     Returns
     -------
     ndarray, shape (n,)
-        Group depth z_w at each frequency, along the receiver axis, from where the
-        phase is counted [m].
+        Group depth z_w at each frequency, along the receiver axis, from the origin of
+        the phase [m].
 
     Raises
     ------
@@ -127,10 +128,10 @@ def group_depth(
     Notes
     -----
     :math:`z_w = (v / 2)\, d\varphi_w / d\omega`, as a target at the depth z has the
-    phase :math:`2 \omega z / v`. At zero frequency it is the mean depth of the
-    signal. The derivative is that of the parabola through three samples, with an error
-    of the square of their distance. Where a response goes through a deep minimum the
-    group depth can be negative: it is no place.
+    phase :math:`2 \omega z / v`. At zero frequency it is the mean depth of the signal.
+    The derivative is that of the parabola through three samples. Its error grows with
+    the square of their spacing. At a deep minimum of a response the group depth can be
+    negative: it is no physical depth.
 
     Examples
     --------
@@ -170,7 +171,7 @@ def separation(
     Parameters
     ----------
     distance : array_like
-        Distance d of the target, from where the phase is counted [m].
+        Distance d of the target, from the origin of the phase [m].
     group_depth : array_like
         Group depth z_w of the water signal between the maxima, as `group_depth`
         returns it; below the distance [m].
@@ -190,9 +191,9 @@ def separation(
 
     Notes
     -----
-    :math:`\Delta f = v / 2 (d - z_w)`: a full turn of the angle :math:`\psi` of
-    eq. (51) of Ricci et al. 2010 [1]_, as rebuilt, at a group depth that hardly
-    changes on the way. With :math:`z_w = 0` it would be too short.
+    :math:`\Delta f = v / 2 (d - z_w)`: a full turn of the angle :math:`\psi` of eq.
+    (51) of Ricci et al. 2010 [1]_, as rebuilt, for a nearly constant group depth. With
+    :math:`z_w = 0` the period would be too short.
 
     References
     ----------

@@ -1,8 +1,7 @@
 r"""Excess delay of an echo by forward scattering between instrument and target.
 
-Light that small scattering angles bend off its way and back takes a longer way than
-the straight one. The receiver sees it with the light that was not scattered, and the
-phase of the sum says a distance that is too long.
+Light scattered by small angles takes a longer path than unscattered light. The receiver
+detects both, and the phase of their sum gives a distance that is too long.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ def late_echo(
     scattering : array_like
         Scattering coefficient b of the water, forward and diffuse [1/m].
     phase_function : PhaseFunction
-        Phase function of the water; what it scatters beyond the split angle is lost.
+        Phase function of the water; light scattered beyond the split angle is lost.
     split_angle : float
         Angle between the forward and the diffuse part, above 0 to pi [rad].
     group_index : array_like
@@ -93,9 +92,9 @@ def late_echo(
     Returns
     -------
     ndarray
-        Slant range of the phase less that of the straight way from the middle of the
-        beam to the middle of the aperture, of the broadcast shape [m]. Not a number
-        where the receiver sees nothing of the echo.
+        Slant range of the phase less that of the straight path between the centers of
+        beam and aperture, of the broadcast shape [m]. NaN where the receiver does not
+        see the echo.
 
     Raises
     ------
@@ -119,26 +118,26 @@ def late_echo(
 
        \hat S_1 = -\tfrac12 \hat S \int_0^z (\nabla^2 \Phi_s + |\nabla \Phi_s|^2) \, ds
 
-    which integrates to tables of :math:`\hat p_f` and its integrals. The mean excess
-    way :math:`\ell` that scattering adds and the unscattered share u of the echo
-    give its phase at a frequency, that of unscattered and scattered light together,
+    which integrates to tables of :math:`\hat p_f` and its integrals. The phase of
+    unscattered and scattered light together follows from the mean excess path
+    :math:`\ell` by scattering and the unscattered fraction u of the echo,
 
     .. math::
 
        \arg \exp N \Bigl[\Bigl(1 - \frac{i \omega \ell}{v N k}\Bigr)^{-k} - 1\Bigr],
        \quad N = -\ln u, \quad k = 0.1.
 
-    Here N is the mean number of scatterings of received light, each of which adds a
-    delay from a gamma distribution; its shape k is empirical, from photon transport,
-    and does not count below some 50 MHz. Where the receiver sees all of a plane, half
-    of :math:`\ell` is :math:`b_f \langle\theta^2\rangle z^2 / 4`.
+    Here N is the mean number of scattering events of received light. Each adds a delay
+    from a gamma distribution. Its shape k is empirical, from photon transport, and has
+    no effect below some 50 MHz. If the receiver sees all of a plane, half of
+    :math:`\ell` is :math:`b_f \langle\theta^2\rangle z^2 / 4`.
 
     Against photon transport (Petzold, Fournier-Forand, Henyey-Greenstein 0.95 and a
     two-term function; b z of 0.6 to 3.2; a surface of reflectance 0.1) the root mean
     square relative difference is 0.06 to 0.11 up to 150 MHz, 0.16 at 400 MHz and 0.29
-    at 1 GHz. Light that goes to and fro between water and surface is not counted: at
-    reflectance 1 it adds 0.08 to 0.4 of the delay at 1.6 m. For surfaces that face the
-    instrument within about half a radian.
+    at 1 GHz. Light scattered repeatedly between water and surface is neglected: at
+    reflectance 1 it adds 0.08 to 0.4 of the delay at 1.6 m. Valid for surfaces that
+    face the instrument within about half a radian.
 
     References
     ----------

@@ -1,11 +1,10 @@
 """Low-pass behavior of the water signal: cut-off frequency and first-order fits.
 
-`cut_off`, `cut_off_of_sweep` and `cut_off_of_narrow_receiver` give where the modulus is
-at half power: of a response that can be evaluated, of one known at some frequencies
-only, and in closed form. `fit` and `fit_if_shown` give the parameter of the first-order
-low-pass that comes closest to measured amplitudes, its level free; `fit_of_power` that
-which comes closest to their squares, the largest taken as 1. All differ for most
-receivers; say which one a cut-off is.
+`cut_off`, `cut_off_of_sweep` and `cut_off_of_narrow_receiver` return the frequency at
+half power: of a response function, of a sweep, and in closed form. `fit` and
+`fit_if_shown` fit a first-order low-pass with free level to measured amplitudes.
+`fit_of_power` fits it to their squares, relative to the largest. For most receivers
+these cut-offs differ, so state which one is meant.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ def cut_off(
         Takes an array of modulation frequencies [Hz] and returns the complex
         response or its amplitude, of the same shape, in any unit.
     maximum_frequency : float, optional
-        Highest frequency to look at, above zero [Hz].
+        Highest frequency to examine, above zero [Hz].
 
     Returns
     -------
@@ -71,12 +70,11 @@ def cut_off(
 
     Notes
     -----
-    The half-power point of :math:`\Gamma(\omega)`, eq. (47) of Ricci et al. 2010
-    [1]_, as rebuilt: an amplitude ratio of :math:`1 / \sqrt 2`, since the optical
-    power is what oscillates. For a response other than eq. (49) it is not the
-    parameter of `fit`; both are worth reporting. The response is looked at in
-    steps of 1.2 %, from a millionth of the maximum frequency on; a dip narrower
-    than a step can be missed.
+    The half-power point of :math:`\Gamma(\omega)`, eq. (47) of Ricci et al. 2010 [1]_,
+    as rebuilt: an amplitude ratio of :math:`1 / \sqrt 2`, since the optical power is
+    what oscillates. For a response other than eq. (49) it is not the parameter of
+    `fit`; both are worth reporting. The response is sampled in steps of 1.2 %, from a
+    millionth of the maximum frequency on; a dip narrower than a step can be missed.
 
     References
     ----------
@@ -139,8 +137,8 @@ def cut_off_of_sweep(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> f
     Returns
     -------
     float
-        Where the amplitude is :math:`1 / \sqrt 2` of that at zero frequency, by a
-        straight line between neighbours; NaN if it does not fall so far [Hz].
+        Frequency at which the amplitude is :math:`1 / \sqrt 2` of that at zero
+        frequency, by linear interpolation; NaN if it does not fall so far [Hz].
 
     Raises
     ------
@@ -151,8 +149,8 @@ def cut_off_of_sweep(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> f
     Notes
     -----
     As `cut_off`, for a response that was simulated or measured at some frequencies
-    only: the half-power point of eq. (47) of Ricci et al. 2010 [1]_, as rebuilt. The
-    straight line costs a fraction of about :math:`(\Delta f / f_c)^2 / 8`.
+    only: the half-power point of eq. (47) of Ricci et al. 2010 [1]_, as rebuilt. Linear
+    interpolation causes a relative error of about :math:`(\Delta f / f_c)^2 / 8`.
 
     References
     ----------
@@ -222,17 +220,16 @@ def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
     Raises
     ------
     ValueError
-        If the shapes differ, there are fewer than three different frequencies, a
-        value is negative or not finite, or the amplitudes do not show where they
-        fall.
+        If the shapes differ, there are fewer than three different frequencies, a value
+        is negative or not finite, or the amplitudes show no low-pass behavior.
 
     Notes
     -----
-    Least squares, all points with equal weight, of :math:`A(f) = A(0) [1 + (f /
-    f_c)^2]^{-1/2}`, eq. (71) of Ricci et al. 2010 [1]_, as rebuilt, with
-    :math:`A(0)` and :math:`f_c` free. The standard error takes deviations from
-    the form as independent noise. Fitted to the response of a receiver beside the
-    laser, :math:`f_c` lies well below the half-power point (`cut_off`);
+    Least squares, all points with equal weight, of
+    :math:`A(f) = A(0) [1 + (f / f_c)^2]^{-1/2}`, eq. (71) of Ricci et al. 2010 [1]_, as
+    rebuilt, with :math:`A(0)` and :math:`f_c` free. The standard error treats
+    deviations from this form as independent noise. Fitted to the response of a receiver
+    beside the laser, :math:`f_c` lies well below the half-power point (`cut_off`);
     `fit_of_power` lies near it.
 
     References
@@ -300,24 +297,24 @@ def fit_of_power(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPa
     Returns
     -------
     LowPassFit
-        Cut-off, its standard error, and the largest amplitude, which stands for that
-        at zero frequency.
+        Cut-off, its standard error, and the largest amplitude, used as that at zero
+        frequency.
 
     Raises
     ------
     ValueError
-        As of `fit`.
+        As for `fit`.
 
     Notes
     -----
-    Least squares, all points with equal weight, of :math:`[A(f) / A_0]^2 = [1 + (f /
-    f_c)^2]^{-1}`, the square of eq. (71) of Ricci et al. 2010 [1]_, as rebuilt, with
-    :math:`f_c` free and :math:`A_0` the largest of the data: the paper normalises
-    measured sweeps to their maximum and speaks of power where it defines the cut-off.
-    The squares weigh what lies near half power, where `fit` weighs the long tail of
-    small amplitudes: for the receiver beside the laser it comes within some 5 % of the
-    half-power point (`cut_off`). The largest of noisy data is above the truth, which
-    lowers the cut-off.
+    Least squares, all points with equal weight, of
+    :math:`[A(f) / A_0]^2 = [1 + (f / f_c)^2]^{-1}`, the square of eq. (71) of Ricci et
+    al. 2010 [1]_, as rebuilt, with :math:`f_c` free and :math:`A_0` the largest of the
+    data: the paper normalizes measured sweeps to their maximum and defines the cut-off
+    by power. The squares emphasize samples near half power, whereas `fit` emphasizes
+    the long tail of small amplitudes. For a receiver beside the laser the result is
+    within some 5 % of the half-power point (`cut_off`). The maximum of noisy data is
+    biased upwards, which lowers the cut-off.
 
     References
     ----------
@@ -417,8 +414,8 @@ def fit_if_shown(
     Returns
     -------
     LowPassFit or None
-        As of `fit`; None where that refuses the data, or where its cut-off is not
-        between the lowest and the highest frequency, so that it is extrapolated.
+        As from `fit`; None if `fit` raises an error, or if the cut-off is extrapolated
+        beyond the lowest or the highest frequency.
 
     Notes
     -----
@@ -515,7 +512,7 @@ def cut_off_of_narrow_receiver(
     Notes
     -----
     :math:`f_c = v k' / 2 \pi`, eq. (49) of Ricci et al. 2010 [1]_, as rebuilt. The
-    factor 2 of the way there and back is in loss and delay alike and drops out.
+    factor 2 of the two-way path occurs in loss and delay alike, and cancels.
 
     References
     ----------

@@ -1,7 +1,7 @@
 r"""Modulated light over time: launched power, received power, attenuation.
 
-A complex response, received per launched power, says it all in frequency; here it is
-turned into the power that a detector sees from one moment to the next.
+A complex response is received over launched power at a modulation frequency. These
+functions convert it to the power at a detector over time.
 
 References
 ----------
@@ -184,7 +184,7 @@ def complex_attenuation(
     Parameters
     ----------
     attenuation : array_like
-        Attenuation coefficient k = a + b, or the reduced one, not negative [1/m].
+        Attenuation coefficient k = a + b, or reduced attenuation, not negative [1/m].
     modulation_frequency : array_like
         Frequency of the intensity modulation, not negative [Hz].
     group_index : array_like
@@ -194,7 +194,8 @@ def complex_attenuation(
     -------
     ndarray of complex
         :math:`k - i \omega n_g / c`, of the broadcast shape [1/m]; over a path L the
-        signal goes as :math:`\exp(-L)` times it, so the phase grows with the path.
+        signal changes by the factor exp of -L times this coefficient, so the phase
+        grows with the path.
 
     Raises
     ------
@@ -203,10 +204,11 @@ def complex_attenuation(
 
     Notes
     -----
-    What takes the time out of the transport equation, eqs. (7) and (9) of Ricci et al.
-    2010 (ref. [1] of this module), as rebuilt and conjugated: any steady solution
-    becomes that for modulated light if k is replaced by this, with the scattering
-    coefficient as it is. The albedo then is b over it, complex, and smaller.
+    This coefficient eliminates the time from the transport equation, eqs. (7) and (9)
+    of Ricci et al. 2010 (ref. [1] of this module), as rebuilt and conjugated. Any
+    steady solution becomes that for modulated light if this coefficient replaces k and
+    the scattering coefficient b is unchanged. The albedo, b over this coefficient, is
+    then complex and smaller.
 
     Examples
     --------

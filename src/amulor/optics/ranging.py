@@ -272,9 +272,9 @@ def range_per_phase(
 ) -> NDArray[np.float64]:
     r"""Return the slant range per unit of phase delay.
 
-    Turns errors of a phase into errors of the slant range, with their sign if they
-    have one, frequency by frequency. Twice the value at a group index of 1 is the
-    two-way optical path that belongs to a phase, whatever media the light crosses.
+    It converts phase errors to errors of the slant range, including their sign, for
+    each frequency. Twice the value at a group index of 1 is the two-way optical path
+    that belongs to a phase, whatever media the light crosses.
 
     Parameters
     ----------
@@ -316,18 +316,18 @@ def phase_shift(signal: ArrayLike, *, residual: ArrayLike) -> NDArray[np.float64
     Parameters
     ----------
     signal : array_like
-        Complex signal with the residual in it, any unit.
+        Complex signal that includes the residual, any unit.
     residual : array_like
-        Complex signal that does not belong to the target, such as the water signal
-        that rejection left in, same unit.
+        Complex signal that does not belong to the target, such as the residual water
+        signal after rejection, same unit.
 
     Returns
     -------
     ndarray
         Phase with the residual less phase without it, wrapped to -pi..pi, of the
         broadcast shape [rad]; times `range_per_phase` the shift of the slant range.
-        Zero, to rounding, where the residual is; NaN where one of the two is NaN, or
-        both are zero.
+        Zero, to rounding, for a zero residual; NaN if one of the two is NaN, or both
+        are zero.
 
     Notes
     -----

@@ -126,7 +126,8 @@ def enter_water(position: ArrayLike, unit_vector: ArrayLike, *, medium: Medium) 
 
     Notes
     -----
-    Snell's law keeps the part of the vector along the window times the index.
+    By Snell's law the index times the component of the vector along the window is
+    constant.
 
     Examples
     --------
@@ -200,22 +201,22 @@ def return_length(
     Parameters
     ----------
     point : array_like, last axis (3,)
-        Where the light comes from, in the water [m].
+        Origin of the light, in the water [m].
     receiver : array_like, last axis (3,)
-        Where it is collected [m].
+        Position of the receiver [m].
     medium : Medium
         Indices and window.
 
     Returns
     -------
     ndarray
-        Each part of the bent way times its group index [m].
+        Length times group index, summed over the parts of the refracted path [m].
 
     Notes
     -----
     With a window the ray is found by Newton's method in the tangent of its angle in
-    air: the sideways distance it covers rises steadily and without an inflection that
-    could throw the iteration off, since all indices are above that of air.
+    air: its lateral distance rises monotonically and without inflection, since all
+    indices are above that of air, so that the iteration converges.
 
     Examples
     --------
@@ -245,7 +246,7 @@ def return_distance(
     Returns
     -------
     ndarray
-        Length of the part of the bent way that lies in water [m].
+        Length of the part of the refracted path in water [m].
 
     Examples
     --------
@@ -317,12 +318,12 @@ def optical_path(
     Parameters
     ----------
     slant_range : array_like
-        Distance from the start of the beam along the (bent) beam; below that of the
-        start of the water it counts as there [m].
+        Distance from the start of the beam along the (refracted) beam [m]. A distance
+        before the water is replaced by that of the start of the water.
     beam : Beam
         The beam in the water, from `enter_water`.
     receiver : array_like, last axis (3,)
-        Where the light is collected [m].
+        Position of the receiver [m].
     medium : Medium
         Indices and window.
 
@@ -370,22 +371,22 @@ def slant_range_of_path(
     beam : Beam
         The beam in the water, from `enter_water`.
     receiver : array_like, shape (3,)
-        Where the light is collected [m].
+        Position of the receiver [m].
     medium : Medium
         Indices and window.
 
     Returns
     -------
     ndarray
-        Distance from the start of the beam along the (bent) beam [m]; not a number
-        where no point of the beam in the water has so short a path.
+        Distance from the start of the beam along the (refracted) beam [m]; NaN if no
+        point of the beam in the water has so short a path.
 
     Notes
     -----
-    Without a window the point lies on an ellipsoid around emitter and receiver and
-    the distance is closed: with the path :math:`L`, the baseline vector :math:`b` and
-    the unit vector :math:`u`, :math:`s = (L^2 - b^2) / 2 (L - u \cdot b)`. With a
-    window the closed form of an unbent way starts a secant iteration.
+    Without a window the point lies on an ellipsoid around emitter and receiver and the
+    distance has a closed form: with the path :math:`L`, the baseline vector :math:`b`
+    and the unit vector :math:`u`, :math:`s = (L^2 - b^2) / 2 (L - u \cdot b)`. With a
+    window a secant iteration starts from the closed form for a straight path.
 
     Examples
     --------
@@ -447,12 +448,12 @@ def path_limits(
     Parameters
     ----------
     interval : tuple of float, optional
-        Nearest and farthest slant range [m]; from 0 to what the frequencies together
-        settle if None.
+        Nearest and farthest slant range [m]; by default from 0 to the unambiguous range
+        of all frequencies together.
     beam : Beam
         The beam in the water, from `enter_water`.
     receiver : array_like, last axis (3,)
-        Where the light is collected [m].
+        Position of the receiver [m].
     medium : Medium
         Indices and window.
     modulation_frequency : array_like, shape (n,)
@@ -470,8 +471,8 @@ def path_limits(
 
     Notes
     -----
-    Frequencies settle what the smallest among them and their differences settles. A
-    range of 0 means the start of the water.
+    The unambiguous range is that of the smallest among the frequencies and their
+    differences. A range of 0 means the start of the water.
 
     Examples
     --------

@@ -38,12 +38,12 @@ def oren_nayar(
     reflection : array_like
         Angle of the reflected light against the normal, 0 to pi / 2 [rad].
     azimuth : array_like
-        Angle about the normal between where the light comes from and where it goes; 0
-        straight back, -pi to pi [rad].
+        Angle about the normal between the directions to the source and to the observer;
+        0 straight back, -pi to pi [rad].
     roughness : array_like
         Standard deviation of the slope angle of the facets, 0 to 1 [rad].
     reflectance : array_like
-        Of the facets, 0 to 1 [1].
+        Reflectance of the facets, 0 to 1 [1].
 
     Returns
     -------
@@ -70,8 +70,8 @@ def oren_nayar(
            \left[1 - \cos\varphi \left(\frac{2 \beta}{\pi}\right)^2\right].
 
     A fit to the integrals over the facets for :math:`\sigma` up to about 0.7; a smooth
-    surface is Lambert's. At a reflectance of 1 and slants up to 1.2 rad it sends back
-    up to 0.64 % more than it gets.
+    surface follows Lambert's law. At a reflectance of 1 and angles up to 1.2 rad it
+    reflects up to 0.64 % more power than it receives.
 
     Examples
     --------
@@ -127,8 +127,8 @@ def fresnel_transmission(
     Returns
     -------
     ndarray
-        Transmitted over incident power, of the broadcast shape [1]; 0 where all is
-        reflected.
+        Transmitted over incident power, of the broadcast shape [1]; 0 for total
+        reflection.
 
     Raises
     ------

@@ -2,7 +2,7 @@ r"""Echo of a diffuse surface, attenuated by the water, in four models.
 
 One function for each model of the water: a Lambertian plane returns
 :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with the overlap F of that model,
-or, where the way back is stated, F of the ways out and back.
+or, if the return path is stated, with F for the paths out and back.
 """
 
 from __future__ import annotations
@@ -64,13 +64,13 @@ def target_response(
     depth : array_like
         Water between instrument and surface, along the beam [m].
     optical_path : array_like
-        Group index times length, out and back [m]; twice `depth` times the group
-        index where emitter and receiver stand together in the water.
+        Group index times length, out and back [m]; twice `depth` times the group index
+        if emitter and receiver are together in the water.
     reflectance : array_like
         Fraction of the light that the surface sends back diffusely, 0 to 1 [1].
     cosine : array_like
-        Cosine between the normal of the surface and the way to the receiver, 0 to 1
-        [1].
+        Cosine of the angle between the surface normal and the path to the receiver, 0
+        to 1 [1].
     absorption, forward_scattering, diffuse_scattering : array_like
         Coefficients a, b_f, b_d of the water [1/m].
     second_moment : array_like
@@ -82,8 +82,8 @@ def target_response(
     standoff : array_like
         As in `small_angle_diffusion.overlap` [m].
     return_path : array_like, optional
-        Water between surface and receiver, on the way back [m]. If not given, small
-        angles: the way back is as long as `depth`, whatever the baseline.
+        Length of the return path in water from surface to receiver [m]. By default it
+        equals `depth`, whatever the baseline, as for small angles.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def target_response(
 
     See Also
     --------
-    small_angle_target_response : Keeps the light that was not scattered.
+    small_angle_target_response : Treats unscattered light separately.
 
     Notes
     -----
@@ -106,22 +106,22 @@ def target_response(
     rebuilt. The small-angle model holds for surfaces that face the instrument within
     about half a radian.
 
-    Where the way back r is given, the aperture appears under the solid angle
-    :math:`\Sigma_r \cos\alpha / r^2`, with the angle :math:`\alpha` between that way
-    and the receiver's axis. So the echo has :math:`\cos\alpha_*\, F`, with the depth
-    :math:`(d + r) / 2` for what the water takes and spreads,
-    :math:`\zeta = r +` standoff, and the offset :math:`\zeta \alpha`, where
+    For a given return path r, the aperture has the solid angle
+    :math:`\Sigma_r \cos\alpha / r^2`, with the angle :math:`\alpha` between that path
+    and the receiver's axis. The echo is then proportional to :math:`\cos\alpha_*\, F`.
+    Attenuation and scattering in F are those of the depth :math:`(d + r) / 2`. The
+    distance is :math:`\zeta = r +` standoff, and the offset :math:`\zeta \alpha`, where
     :math:`\zeta \sin\alpha` is the distance of the spot from the axis. The angle
     :math:`\alpha_* = \alpha \gamma^2 \zeta^2 / (R^2 + \gamma^2 \zeta^2)` is that at the
     part of the aperture that receives most. In clear water this is exact for an
-    aperture that is small against the width of the view. Without r, the echo of a
-    receiver aside falls with the depth instead of the way back: 1.0 % too bright at
-    2 m and a baseline of 0.2 m, 16 % at 1 m and 0.4 m.
+    aperture that is small against the width of the view. Without r, the echo at a
+    receiver with a baseline depends on the depth instead of the return path: 1.0 % too
+    bright at 2 m and a baseline of 0.2 m, 16 % at 1 m and 0.4 m.
 
-    The diffusion form spreads the unscattered light with the rest. For
-    Henyey-Greenstein scattering with g = 0.95, split at 90 degrees, and a = 0.15 1/m,
-    b = 0.35 1/m, 3.9 m are left with 0.22 to 0.28 of the echo of traced rays; split
-    at 10 degrees, with 0.73 to 0.76.
+    The diffusion model spreads unscattered light like scattered light. For
+    Henyey-Greenstein scattering with g = 0.95, split at 90 degrees, and a = 0.15 1/m, b
+    = 0.35 1/m, the echo at 3.9 m is 0.22 to 0.28 of that of traced rays; split at 10
+    degrees, it is 0.73 to 0.76.
 
     References
     ----------
@@ -228,8 +228,8 @@ def small_angle_target_response(
     Notes
     -----
     :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with F of eq. (29) of Ricci et
-    al. 2010 [1]_, as rebuilt. Surfaces that face the instrument within about half a
-    radian, and scattering mostly below some 30 degrees. For Henyey-Greenstein
+    al. 2010 [1]_, as rebuilt. Valid for surfaces that face the instrument within about
+    half a radian, and scattering mostly below some 30 degrees. For Henyey-Greenstein
     scattering with g = 0.95, split at 90 degrees, a = 0.15 1/m, b = 0.35 1/m and a
     plane at 3.9 m it has 1.02 to 1.03 times the echo of traced rays.
 
@@ -341,15 +341,15 @@ def closure_target_response(
 
     See Also
     --------
-    small_angle_target_response : What this stands for; slower.
+    small_angle_target_response : Exact model, slower.
 
     Notes
     -----
     :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with F of
-    `small_angle_closure.overlap`, the closure of eq. (29) of Ricci et al. 2010 [1]_,
-    as rebuilt. Surfaces that face the instrument within about half a radian. Where
-    `small_angle_closure.departure` is at most 0.25 the echo is 0.7 to 1 of that of
-    eq. (29); elsewhere it may be next to nothing.
+    `small_angle_closure.overlap`, the closure of eq. (29) of Ricci et al. 2010 [1]_, as
+    rebuilt. Valid for surfaces that face the instrument within about half a radian.
+    Where `small_angle_closure.departure` is at most 0.25 the echo is 0.7 to 1 of that
+    of eq. (29); elsewhere it may be almost zero.
 
     References
     ----------
@@ -447,7 +447,7 @@ def sharp_receiver_target_response(
     baseline, receiver_radius : array_like
         Distance of emitter and receiver; radius of the circular aperture [m].
     acceptance_angle : array_like
-        Semi-angle of the cone that the receiver takes in, in water [rad].
+        Semi-angle of the receiver's acceptance cone, in water [rad].
     beam_radius, beam_divergence, tilt, cross_tilt, standoff : array_like
         As in `small_angle_sharp_receiver.water_response` [m, rad, rad, rad, m].
     return_path : array_like, optional
@@ -471,9 +471,10 @@ def sharp_receiver_target_response(
     Notes
     -----
     :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with F of eq. (29) of Ricci et
-    al. 2010 [1]_, as rebuilt, for a uniform disc and a uniform cone. Where these see
-    all of the spot, clear water gives the lidar equation, reflectance over pi times
-    aperture over distance squared, exactly; a Gaussian receiver never quite does.
+    al. 2010 [1]_, as rebuilt, for a uniform disc and a uniform cone. If the receiver
+    sees the whole spot, the echo in clear water is exactly that of the lidar equation,
+    reflectance over pi times aperture over distance squared. For a Gaussian receiver it
+    is so only approximately.
 
     References
     ----------
