@@ -232,7 +232,7 @@ def quadrature_variance(
     of which adds :math:`\langle\cos^2\rangle = 1/2`. T must hold many periods of
     the modulation. With the amplitude :math:`m r` the phase error is
     :math:`\sqrt{2} / m \sqrt{N}`, the photon limit of eq. (2) of Ricci et al. 2010,
-    as rebuilt.
+    as rederived.
 
     Examples
     --------

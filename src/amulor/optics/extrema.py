@@ -73,7 +73,7 @@ def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
     Notes
     -----
     Extrema of the interference of target and water, eqs. (50)-(54) of Ricci et al.
-    2010, as rebuilt, are spaced by `separation`.
+    2010, as rederived, are spaced by `separation`.
 
     Examples
     --------
@@ -192,8 +192,8 @@ def separation(
     Notes
     -----
     :math:`\Delta f = v / 2 (d - z_w)`: a full turn of the angle :math:`\psi` of eq.
-    (51) of Ricci et al. 2010 [1]_, as rebuilt, for a nearly constant group depth. With
-    :math:`z_w = 0` the period would be too short.
+    (51) of Ricci et al. 2010 [1]_, as rederived, for a nearly constant group depth.
+    With :math:`z_w = 0` the period would be too short.
 
     References
     ----------

@@ -3,7 +3,7 @@ r"""Interference of target and water signal: their complex sum and its contrast.
 The signals are complex, in phase + i quadrature = amplitude * exp(+i phase), with
 the phase the delay behind the reference. Equation numbers are those of R. Ricci et
 al., EURASIP J. Adv. Signal Process. 2010, 958360, doi:10.1155/2010/958360, as
-rebuilt.
+rederived.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def total_signal(
 
     Notes
     -----
-    Eq. (50) of Ricci et al. 2010, as rebuilt,
+    Eq. (50) of Ricci et al. 2010, as rederived,
     :math:`A e^{i\varphi} = A_t e^{i\varphi_t} + A_w e^{i\varphi_w}`.
 
     Examples
@@ -74,7 +74,7 @@ def target_signal(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.comp
 
     Notes
     -----
-    Eqs. (55)-(57) of Ricci et al. 2010, as rebuilt, are this difference in
+    Eqs. (55)-(57) of Ricci et al. 2010, as rederived, are this difference in
     amplitude and phase (`target_amplitude_and_phase`).
 
     Examples
@@ -114,7 +114,7 @@ def phase_error(
     Notes
     -----
     :math:`\varphi - \varphi_t = \arg(1 + A_w e^{i\varphi_w} / A_t e^{i\varphi_t})`
-    from eq. (50) of Ricci et al. 2010, as rebuilt. For :math:`A_w < A_t` it
+    from eq. (50) of Ricci et al. 2010, as rederived. For :math:`A_w < A_t` it
     stays within :math:`\pm\arcsin(A_w / A_t)`. Where the two cancel the phase of
     the sum, and with it the value returned, has no meaning.
 
@@ -161,7 +161,7 @@ def signal_to_optical_noise_ratio(
 
     Notes
     -----
-    Eqs. (54) and (58) of Ricci et al. 2010, as rebuilt,
+    Eqs. (54) and (58) of Ricci et al. 2010, as rederived,
     :math:`\mathrm{SNR} = A / A_w`. The noise meant is the light scattered by the
     water, not the random current noise of eq. (2).
 
@@ -205,7 +205,7 @@ def contrast(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    Eqs. (54) and (58) of Ricci et al. 2010, as rebuilt,
+    Eqs. (54) and (58) of Ricci et al. 2010, as rederived,
     :math:`C = (A - A_w) / (A + A_w)`, which is
     :math:`(\mathrm{SNR} - 1) / (\mathrm{SNR} + 1)`.
 
@@ -260,7 +260,7 @@ def total_amplitude_and_phase(
 
     Notes
     -----
-    Eq. (51) of Ricci et al. 2010, as rebuilt, with :math:`\xi = A_w / A_t` and
+    Eq. (51) of Ricci et al. 2010, as rederived, with :math:`\xi = A_w / A_t` and
     :math:`\psi = \varphi_t - \varphi_w`:
 
     .. math::
@@ -331,7 +331,7 @@ def target_amplitude_and_phase(
 
     Notes
     -----
-    Eqs. (55)-(57) of Ricci et al. 2010, as rebuilt, with
+    Eqs. (55)-(57) of Ricci et al. 2010, as rederived, with
     :math:`\xi' = A_w / A` and :math:`\psi' = \varphi - \varphi_w`:
 
     .. math::

@@ -110,7 +110,7 @@ def late_echo(
     :math:`E + i (\omega / v) E_1`, and the light that the receiver would send there is
     :math:`S + i (\omega / v) S_1`, by reciprocity. The echo is
     :math:`\int E S \, d\rho + i (\omega / v) \int (E_1 S + E S_1) \, d\rho`.
-    In the transforms of eq. (20) of [1]_, as rebuilt, :math:`n^2` at the depth s is
+    In the transforms of eq. (20) of [1]_, as rederived, :math:`n^2` at the depth s is
     minus the Laplacian in the frequency of the direction, so with
     :math:`\hat S` the exponential of :math:`\Phi_s`
 

@@ -71,7 +71,7 @@ def cut_off(
     Notes
     -----
     The half-power point of :math:`\Gamma(\omega)`, eq. (47) of Ricci et al. 2010 [1]_,
-    as rebuilt: an amplitude ratio of :math:`1 / \sqrt 2`, since the optical power is
+    as rederived: an amplitude ratio of :math:`1 / \sqrt 2`, since the optical power is
     what oscillates. For a response other than eq. (49) it is not the parameter of
     `fit`; both are worth reporting. The response is sampled in steps of 1.2 %, from a
     millionth of the maximum frequency on; a dip narrower than a step can be missed.
@@ -149,8 +149,9 @@ def cut_off_of_sweep(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> f
     Notes
     -----
     As `cut_off`, for a response that was simulated or measured at some frequencies
-    only: the half-power point of eq. (47) of Ricci et al. 2010 [1]_, as rebuilt. Linear
-    interpolation causes a relative error of about :math:`(\Delta f / f_c)^2 / 8`.
+    only: the half-power point of eq. (47) of Ricci et al. 2010 [1]_, as rederived.
+    Linear interpolation causes a relative error of about
+    :math:`(\Delta f / f_c)^2 / 8`.
 
     References
     ----------
@@ -227,7 +228,7 @@ def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
     -----
     Least squares, all points with equal weight, of
     :math:`A(f) = A(0) [1 + (f / f_c)^2]^{-1/2}`, eq. (71) of Ricci et al. 2010 [1]_, as
-    rebuilt, with :math:`A(0)` and :math:`f_c` free. The standard error treats
+    rederived, with :math:`A(0)` and :math:`f_c` free. The standard error treats
     deviations from this form as independent noise. Fitted to the response of a receiver
     beside the laser, :math:`f_c` lies well below the half-power point (`cut_off`);
     `fit_of_power` lies near it.
@@ -309,12 +310,12 @@ def fit_of_power(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPa
     -----
     Least squares, all points with equal weight, of
     :math:`[A(f) / A_0]^2 = [1 + (f / f_c)^2]^{-1}`, the square of eq. (71) of Ricci et
-    al. 2010 [1]_, as rebuilt, with :math:`f_c` free and :math:`A_0` the largest of the
-    data: the paper normalizes measured sweeps to their maximum and defines the cut-off
-    by power. The squares emphasize samples near half power, whereas `fit` emphasizes
-    the long tail of small amplitudes. For a receiver beside the laser the result is
-    within some 5 % of the half-power point (`cut_off`). The maximum of noisy data is
-    biased upwards, which lowers the cut-off.
+    al. 2010 [1]_, as rederived, with :math:`f_c` free and :math:`A_0` the largest of
+    the data: the paper normalizes measured sweeps to their maximum and defines the
+    cut-off by power. The squares emphasize samples near half power, whereas `fit`
+    emphasizes the long tail of small amplitudes. For a receiver beside the laser the
+    result is within some 5 % of the half-power point (`cut_off`). The maximum of noisy
+    data is biased upwards, which lowers the cut-off.
 
     References
     ----------
@@ -419,7 +420,7 @@ def fit_if_shown(
 
     Notes
     -----
-    Eq. (71) of Ricci et al. 2010 [1]_, as rebuilt.
+    Eq. (71) of Ricci et al. 2010 [1]_, as rederived.
 
     References
     ----------
@@ -466,7 +467,7 @@ def first_order_response(
     Notes
     -----
     :math:`1 / (1 - i f / f_c)`: its modulus is eqs. (49) and (71) of Ricci et al.
-    2010 [1]_, as rebuilt, and its phase, a delay, is :math:`\arctan(f / f_c)`.
+    2010 [1]_, as rederived, and its phase, a delay, is :math:`\arctan(f / f_c)`.
 
     References
     ----------
@@ -511,7 +512,7 @@ def cut_off_of_narrow_receiver(
 
     Notes
     -----
-    :math:`f_c = v k' / 2 \pi`, eq. (49) of Ricci et al. 2010 [1]_, as rebuilt. The
+    :math:`f_c = v k' / 2 \pi`, eq. (49) of Ricci et al. 2010 [1]_, as rederived. The
     factor 2 of the two-way path occurs in loss and delay alike, and cancels.
 
     References

@@ -59,7 +59,7 @@ def launched_power(
 
     Notes
     -----
-    Eq. (4) of Ricci et al. 2010 (ref. [1] of this module), as rebuilt,
+    Eq. (4) of Ricci et al. 2010 (ref. [1] of this module), as rederived,
     :math:`P(t) = P_0 (1 + m \cos\omega t)`.
 
     Examples
@@ -122,7 +122,7 @@ def received_power(
 
     Notes
     -----
-    Eq. (45) of Ricci et al. 2010 (ref. [1] of this module), as rebuilt,
+    Eq. (45) of Ricci et al. 2010 (ref. [1] of this module), as rederived,
 
     .. math::
 
@@ -205,7 +205,7 @@ def complex_attenuation(
     Notes
     -----
     This coefficient eliminates the time from the transport equation, eqs. (7) and (9)
-    of Ricci et al. 2010 (ref. [1] of this module), as rebuilt and conjugated. Any
+    of Ricci et al. 2010 (ref. [1] of this module), as rederived and conjugated. Any
     steady solution becomes that for modulated light if this coefficient replaces k and
     the scattering coefficient b is unchanged. The albedo, b over this coefficient, is
     then complex and smaller.

@@ -56,7 +56,7 @@ def phase(
 
     Notes
     -----
-    Eq. (72) of Ricci et al. 2010 [1]_, as rebuilt,
+    Eq. (72) of Ricci et al. 2010 [1]_, as rederived,
     :math:`\Delta\varphi = 4 \pi f_m L / v` with the group velocity
     :math:`v = c / n_g`; light travels the distance twice.
 
@@ -107,7 +107,7 @@ def slant_range(
 
     Notes
     -----
-    Eq. (1) of Ricci et al. 2010 [1]_, as rebuilt,
+    Eq. (1) of Ricci et al. 2010 [1]_, as rederived,
     :math:`L = v \Delta\varphi / 4 \pi f_m`, with the group velocity
     :math:`v = c / n_g`. Unambiguous up to :math:`v / 2 f_m`
     (`ambiguity_interval`).
@@ -153,7 +153,7 @@ def ambiguity_interval(
 
     Notes
     -----
-    :math:`v / 2 f_m`, eq. (1) of Ricci et al. 2010 [1]_, as rebuilt, at a
+    :math:`v / 2 f_m`, eq. (1) of Ricci et al. 2010 [1]_, as rederived, at a
     phase of :math:`2 \pi`.
 
     References
@@ -201,7 +201,7 @@ def slant_range_uncertainty(
 
     Notes
     -----
-    Eq. (1) of Ricci et al. 2010 [1]_, as rebuilt, is linear in the phase, so
+    Eq. (1) of Ricci et al. 2010 [1]_, as rederived, is linear in the phase, so
     :math:`\sigma_d = v \sigma_\varphi / 4 \pi f_m`. The uncertainties of the
     modulation frequency and of the group index are not part of it.
 
@@ -254,7 +254,7 @@ def phase_per_range(
     Notes
     -----
     :math:`4 \pi f_m n_g / c`, the derivative of eq. (72) of Ricci et al. 2010, as
-    rebuilt; light travels the distance twice.
+    rederived; light travels the distance twice.
 
     Examples
     --------
@@ -297,7 +297,7 @@ def range_per_phase(
     Notes
     -----
     :math:`c / 4 \pi f_m n_g`, the derivative of eq. (1) of Ricci et al. 2010, as
-    rebuilt.
+    rederived.
 
     Examples
     --------
@@ -419,7 +419,7 @@ def photon_limited_uncertainty(
 
     Notes
     -----
-    Eq. (2) of Ricci et al. 2010 [1]_, as rebuilt,
+    Eq. (2) of Ricci et al. 2010 [1]_, as rederived,
 
     .. math:: \sigma_d = \frac{v}{4 \pi f_m} \frac{\kappa_0}{m \, \mathrm{SNR}},
 

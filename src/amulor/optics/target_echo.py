@@ -103,7 +103,7 @@ def target_response(
     -----
     A Lambertian plane returns :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)`
     with the same :math:`F` as the water, eq. (43) of Ricci et al. 2010 [1]_, as
-    rebuilt. The small-angle model holds for surfaces that face the instrument within
+    rederived. The small-angle model holds for surfaces that face the instrument within
     about half a radian.
 
     For a given return path r, the aperture has the solid angle
@@ -228,10 +228,10 @@ def small_angle_target_response(
     Notes
     -----
     :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with F of eq. (29) of Ricci et
-    al. 2010 [1]_, as rebuilt. Valid for surfaces that face the instrument within about
-    half a radian, and scattering mostly below some 30 degrees. For Henyey-Greenstein
-    scattering with g = 0.95, split at 90 degrees, a = 0.15 1/m, b = 0.35 1/m and a
-    plane at 3.9 m it has 1.02 to 1.03 times the echo of traced rays.
+    al. 2010 [1]_, as rederived. Valid for surfaces that face the instrument within
+    about half a radian, and scattering mostly below some 30 degrees. For
+    Henyey-Greenstein scattering with g = 0.95, split at 90 degrees, a = 0.15 1/m, b =
+    0.35 1/m and a plane at 3.9 m it has 1.02 to 1.03 times the echo of traced rays.
 
     References
     ----------
@@ -347,7 +347,7 @@ def closure_target_response(
     -----
     :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with F of
     `small_angle_closure.overlap`, the closure of eq. (29) of Ricci et al. 2010 [1]_, as
-    rebuilt. Valid for surfaces that face the instrument within about half a radian.
+    rederived. Valid for surfaces that face the instrument within about half a radian.
     Where `small_angle_closure.departure` is at most 0.25 the echo is 0.7 to 1 of that
     of eq. (29); elsewhere it may be almost zero.
 
@@ -471,7 +471,7 @@ def sharp_receiver_target_response(
     Notes
     -----
     :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with F of eq. (29) of Ricci et
-    al. 2010 [1]_, as rebuilt, for a uniform disc and a uniform cone. If the receiver
+    al. 2010 [1]_, as rederived, for a uniform disc and a uniform cone. If the receiver
     sees the whole spot, the echo in clear water is exactly that of the lidar equation,
     reflectance over pi times aperture over distance squared. For a Gaussian receiver it
     is so only approximately.

@@ -49,7 +49,7 @@ def monte_carlo_response(
 
     `amulor.transport.simulate` with the phase function of
     `amulor.survey.waters.whole_function.phase_function_of`, the Gaussian receiver of
-    eq. (38) of Ricci et al. 2010, as rebuilt, and a thin beam. Behind a window the
+    eq. (38) of Ricci et al. 2010, as rederived, and a thin beam. Behind a window the
     receiver is put where it seems to be from the water, with a gap that lets all light
     pass.
     """

@@ -1,7 +1,7 @@
 """Single scattering in photon transport: phase function and Mueller matrix.
 
 Equation numbers are those of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010,
-958360, doi:10.1155/2010/958360, as rebuilt.
+958360, doi:10.1155/2010/958360, as rederived.
 """
 
 from __future__ import annotations

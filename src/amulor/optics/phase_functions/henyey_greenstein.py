@@ -57,7 +57,7 @@ def henyey_greenstein(angle: ArrayLike, *, asymmetry: ArrayLike) -> NDArray[np.f
 
     Notes
     -----
-    Eq. (70) of Ricci et al. 2010 [1]_, as rebuilt,
+    Eq. (70) of Ricci et al. 2010 [1]_, as rederived,
 
     .. math::
 
@@ -107,7 +107,7 @@ def henyey_greenstein_cumulative(
 
     Notes
     -----
-    The integral of eq. (70) of Ricci et al. 2010, as rebuilt, from 0 to
+    The integral of eq. (70) of Ricci et al. 2010, as rederived, from 0 to
     :math:`\theta`,
 
     .. math::
@@ -155,7 +155,7 @@ def henyey_greenstein_forward_fraction(
 
     Notes
     -----
-    The weight of the forward part in eq. (10) of Ricci et al. 2010, as rebuilt, by
+    The weight of the forward part in eq. (10) of Ricci et al. 2010, as rederived, by
     `henyey_greenstein_cumulative`.
 
     Examples
@@ -193,7 +193,7 @@ def henyey_greenstein_backscatter_fraction(
     Notes
     -----
     :math:`(1 - g) / (s (s + 1 + g))` with :math:`s = \sqrt{1 + g^2}`, the integral
-    of eq. (70) of Ricci et al. 2010, as rebuilt, from 90 to 180 degrees.
+    of eq. (70) of Ricci et al. 2010, as rederived, from 90 to 180 degrees.
 
     Examples
     --------
@@ -230,7 +230,7 @@ def henyey_greenstein_second_moment(
 
     Notes
     -----
-    The reading of eq. (33) of Ricci et al. 2010, as rebuilt, on the sphere, with
+    The reading of eq. (33) of Ricci et al. 2010, as rederived, on the sphere, with
     the forward part of eq. (10) renormalised to 1. The planar moment of the
     small-angle form diverges. Gauss-Legendre rule of 160 points in
     :math:`w`, :math:`\theta = (1 - |g|) \sinh w` from the peak; relative error

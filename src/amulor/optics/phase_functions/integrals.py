@@ -258,7 +258,7 @@ def forward_split(
 
     Notes
     -----
-    Eqs. (10) and (33) of Ricci et al. 2010, as rebuilt. Adaptive Gauss-Legendre
+    Eqs. (10) and (33) of Ricci et al. 2010, as rederived. Adaptive Gauss-Legendre
     quadrature over the logarithm of the angle from 1e-18 rad, relative error 1e-9;
     steps and kinks are found by halving. What lies below 1e-18 rad is left out,
     which for a peak like :math:`\theta^{-1.6}` is less than 1e-7 of the whole.

@@ -228,7 +228,7 @@ class PhaseFunction:
         Notes
         -----
         Eqs. (10) and (33) of Ricci et al. 2010 (:doi:`10.1155/2010/958360`), as
-        rebuilt.
+        rederived.
         """
         split = _split(split_angle)
         fraction = self.panels.mean(np.ones_like, high=split)

@@ -145,7 +145,7 @@ def size_parameter(
     Notes
     -----
     Eq. (62) of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
-    doi:10.1155/2010/958360, as rebuilt, :math:`x = 2 \pi n a / \lambda`. The index is
+    doi:10.1155/2010/958360, as rederived, :math:`x = 2 \pi n a / \lambda`. The index is
     that of the medium, not of the particle.
 
     Examples
@@ -192,7 +192,7 @@ def scattering_regime(
     Notes
     -----
     Eq. (62) of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
-    doi:10.1155/2010/958360, as rebuilt, with the regimes :math:`x \ll 1`,
+    doi:10.1155/2010/958360, as rederived, with the regimes :math:`x \ll 1`,
     :math:`x \sim 1` and :math:`x \gg 1`; where one ends is not a fact of nature, so
     the limits are arguments.
 

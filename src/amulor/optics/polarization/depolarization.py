@@ -2,7 +2,7 @@ r"""Depolarization measures of Mueller matrices, and physical realizability.
 
 Conventions are those of `amulor.optics.polarization.mueller`. Equation numbers are
 those of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
-doi:10.1155/2010/958360, as rebuilt.
+doi:10.1155/2010/958360, as rederived.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ The last two axes are (4, 4), rows out, columns in. Stokes convention: that of
 axes of the light that falls in to those of the light that comes out, so one that sends
 light back without depolarizing it is diag(1, 1, -1, -1). Equation numbers are those of
 R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360, doi:10.1155/2010/958360,
-as rebuilt.
+as rederived.
 """
 
 from __future__ import annotations

@@ -239,7 +239,7 @@ def received_fraction(
     -----
     First element of :math:`A M \mathbf s` with the matrix A of the analyser and the
     launched vector s of intensity 1, from eq. (60) of Ricci et al. 2010 [1]_, as
-    rebuilt; with ideal components the readings of eqs. (68) and (69). Losses of the
+    rederived; with ideal components the readings of eqs. (68) and (69). Losses of the
     emitter count before the launch and do not show.
 
     References
@@ -304,7 +304,7 @@ def cross_talk(
     times that of the plate, so a mere loss is no cross-talk. The scene that shows the
     arms alone is `amulor.optics.polarization.mueller.ideal_backscatter`, dark in VH,
     HV, PP, RR and LL, eq. (65) of Ricci et al. 2010 (:doi:`10.1155/2010/958360`), as
-    rebuilt. Leaks of both sides add up as powers if they come from extinction ratios,
+    rederived. Leaks of both sides add up as powers if they come from extinction ratios,
     but retardance and axis errors of polarized light add up as amplitudes: two equal
     ones can be four times one, or next to nothing.
 

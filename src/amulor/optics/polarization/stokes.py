@@ -12,7 +12,7 @@ direction of travel; complex amplitudes go with :math:`e^{-i \omega t}`. Then
    V = 2 \operatorname{Im} \langle E_\parallel E_\perp^* \rangle,
 
 eq. (59) of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
-doi:10.1155/2010/958360, as rebuilt, where the sign of V is left open. Here
+doi:10.1155/2010/958360, as rederived, where the sign of V is left open. Here
 
 * Q is parallel (H, horizontal) less perpendicular (V, vertical);
 * U is what passes at +45 degrees (P) less what passes at -45 degrees (M), positive
@@ -80,7 +80,7 @@ def state(name: str) -> NDArray[np.float64]:
 
     Notes
     -----
-    Eq. (59) of Ricci et al. 2010, as rebuilt, with the convention of this module.
+    Eq. (59) of Ricci et al. 2010, as rederived, with the convention of this module.
 
     Examples
     --------
@@ -144,7 +144,7 @@ def from_field(parallel: ArrayLike, perpendicular: ArrayLike) -> NDArray[np.floa
 
     Notes
     -----
-    Eq. (59) of Ricci et al. 2010, as rebuilt, without the average: the light is
+    Eq. (59) of Ricci et al. 2010, as rederived, without the average: the light is
     fully polarized.
 
     Examples
@@ -184,7 +184,7 @@ def degree_of_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    From eq. (59) of Ricci et al. 2010, as rebuilt.
+    From eq. (59) of Ricci et al. 2010, as rederived.
 
     Examples
     --------
@@ -216,7 +216,7 @@ def degree_of_linear_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    From eq. (59) of Ricci et al. 2010, as rebuilt; the 61 % of eq. (68).
+    From eq. (59) of Ricci et al. 2010, as rederived; the 61 % of eq. (68).
 
     Examples
     --------
@@ -248,7 +248,7 @@ def degree_of_circular_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    From eq. (59) of Ricci et al. 2010, as rebuilt; the sense is that of this module.
+    From eq. (59) of Ricci et al. 2010, as rederived; the sense is that of this module.
 
     Examples
     --------
@@ -281,7 +281,7 @@ def polarization_angle(stokes: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    From eq. (59) of Ricci et al. 2010, as rebuilt.
+    From eq. (59) of Ricci et al. 2010, as rederived.
 
     Examples
     --------
@@ -314,7 +314,7 @@ def ellipticity_angle(stokes: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    From eq. (59) of Ricci et al. 2010, as rebuilt; the sense is that of this module.
+    From eq. (59) of Ricci et al. 2010, as rederived; the sense is that of this module.
 
     Examples
     --------

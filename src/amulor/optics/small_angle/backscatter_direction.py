@@ -64,7 +64,7 @@ def backscatter_direction(
     Notes
     -----
     First and second moment of the radiance (24) of Ricci et al. 2010 (ref. [1] of
-    this module), as rebuilt, in the diffusion form: place and direction are Gaussian
+    this module), as rederived, in the diffusion form: place and direction are Gaussian
     together, with the variances :math:`A = R^2/2 + \gamma^2 z^2/2 + 4 D z^3/3` and
     :math:`C = \gamma^2/2 + 4 D z` and the covariance
     :math:`B = \gamma^2 z/2 + 2 D z^2`. On the axis the mean is
@@ -148,7 +148,7 @@ def effective_radiance(
     Notes
     -----
     :math:`L_{\rm eff}(z, 0, \boldsymbol\nu)`, eq. (24) of Ricci et al. 2010 (ref. [1]
-    of this module), as rebuilt; by eq. (18) it is the correlation of the forward beam
+    of this module), as rederived; by eq. (18) it is the correlation of the forward beam
     with the field of view over places and directions. A Gaussian with the moments of
     `backscatter_direction`, and eq. (27) is its integral.
 
@@ -227,7 +227,7 @@ def mean_backscatter_vsf(
     Notes
     -----
     The inner integral of eqs. (17) and (25) of Ricci et al. 2010 (ref. [1] of this
-    module), as rebuilt, over the radiance that belongs to it. Eq. (26) puts the value
+    module), as rederived, over the radiance that belongs to it. Eq. (26) puts the value
     at 180 degrees in its place, which is right where the function is flat. Spheres
     have a glory there, and Mie's function of one size can change by a factor within
     a few degrees; this tells by how much. The deviation has a Rice distribution, which

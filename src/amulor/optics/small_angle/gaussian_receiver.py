@@ -138,7 +138,7 @@ def water_response(
 
     Notes
     -----
-    Eqs. (26) and (29) of Ricci et al. 2010 [1]_, as rebuilt and conjugated so that
+    Eqs. (26) and (29) of Ricci et al. 2010 [1]_, as rederived and conjugated so that
     a later echo has the larger phase, with the receiver (38). The transform is
     :math:`W = \exp[-(R^2 + w^2) \kappa^2 / 4 - (\gamma^2 + \delta^2) \kappa^2
     \zeta^2 / 4]` with the radius w and the divergence :math:`\delta` of a Gaussian
@@ -334,7 +334,7 @@ def overlap(
 
     Notes
     -----
-    Eq. (29) of Ricci et al. 2010 [1]_, as rebuilt, with the receiver (38).
+    Eq. (29) of Ricci et al. 2010 [1]_, as rederived, with the receiver (38).
 
     References
     ----------

@@ -123,7 +123,7 @@ def water_response(
 
     Notes
     -----
-    Eqs. (26) and (29) of Ricci et al. 2010 [1]_, as rebuilt and conjugated so that
+    Eqs. (26) and (29) of Ricci et al. 2010 [1]_, as rederived and conjugated so that
     a later echo has the larger phase, with the transform of two uniform discs, and
     of a Gaussian beam of radius w and divergence :math:`\delta`, which the paper
     leaves out,
@@ -228,7 +228,7 @@ def overlap(
 
     Notes
     -----
-    Eq. (29) of Ricci et al. 2010 [1]_, as rebuilt, with a uniform disc and a uniform
+    Eq. (29) of Ricci et al. 2010 [1]_, as rederived, with a uniform disc and a uniform
     cone for the receiver.
 
     References

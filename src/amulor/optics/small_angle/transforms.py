@@ -5,7 +5,7 @@ direction :math:`\mathbf n`; their conjugates are the spatial
 frequency :math:`\boldsymbol\kappa` [1/m] and the frequency :math:`\mathbf p` of the
 direction [1/rad], both along one axis here. Water multiplies by a transfer function.
 The way out and back of single backscatter goes through an equivalent medium with twice
-the coefficients, eqs. (21) and (23) of Ricci et al. 2010 [1]_, as rebuilt, so its
+the coefficients, eqs. (21) and (23) of Ricci et al. 2010 [1]_, as rederived, so its
 transfer function is the square.
 
 References
@@ -86,7 +86,7 @@ def layer_transfer(
 
     Notes
     -----
-    Eq. (20) of Ricci et al. 2010 (ref. [1] of this module), as rebuilt, the solution
+    Eq. (20) of Ricci et al. 2010 (ref. [1] of this module), as rederived, the solution
     of eq. (19) (ref. [2]):
 
     .. math::
@@ -167,7 +167,7 @@ def diffusion_layer_transfer(
 
     Notes
     -----
-    Eq. (34) of Ricci et al. 2010 (ref. [1] of this module), as rebuilt, of a single
+    Eq. (34) of Ricci et al. 2010 (ref. [1] of this module), as rederived, of a single
     medium; its solution of eq. (32), which follows from the expansion of eq. (31):
 
     .. math::
@@ -239,7 +239,7 @@ def receiver_sensitivity(
 
     Notes
     -----
-    Eq. (38) of Ricci et al. 2010 (ref. [1] of this module), as rebuilt,
+    Eq. (38) of Ricci et al. 2010 (ref. [1] of this module), as rederived,
     :math:`D = \exp(-\rho^2 / R^2 - n^2 / \gamma^2)`: the factor in front of it is 1
     with the area :math:`\Sigma_r = \pi R^2` and the solid angle
     :math:`\Omega_r = \pi \gamma^2`, which are its integrals. It is the D of the
@@ -303,7 +303,7 @@ def effective_source_transform(
     Notes
     -----
     The correlation of eq. (22) of Ricci et al. 2010 (ref. [1] of this module), as
-    rebuilt, is the product of eq. (28) of the transforms of the beam, eq. (37), and
+    rederived, is the product of eq. (28) of the transforms of the beam, eq. (37), and
     of the receiver, eq. (38); for the pencil beam eq. (39), here with a beam of
     radius w and divergence :math:`\delta`:
 

@@ -229,7 +229,7 @@ def overlap(
 
     Notes
     -----
-    In eq. (29) of Ricci et al. 2010 [1]_, as rebuilt, scattering damps the spatial
+    In eq. (29) of Ricci et al. 2010 [1]_, as rederived, scattering damps the spatial
     frequency :math:`\kappa` by :math:`\exp(-L)`,
 
     .. math:: L(\kappa^2) = 2 b \int_0^z [1 - \hat p_f(\kappa s)] \, ds ,

@@ -70,7 +70,7 @@ def impulse_response(
     -----
     Light from the depth :math:`z` comes at :math:`t = 2 z / v`, so
     :math:`h(t) = \beta_\pi F(v t / 2) \, v / 2`; the integral over
-    :math:`h(t) e^{i \omega t}` is eq. (46) of Ricci et al. 2010 [1]_, as rebuilt, and
+    :math:`h(t) e^{i \omega t}` is eq. (46) of Ricci et al. 2010 [1]_, as rederived, and
     the way from there to the time is eq. (8).
 
     References
@@ -137,8 +137,8 @@ def maximum_distance(fraction: float, **water: Any) -> float:
 
     Notes
     -----
-    The integrand is eq. (43) of Ricci et al. 2010, as rebuilt; it is never below zero,
-    so the depth is unique.
+    The integrand is eq. (43) of Ricci et al. 2010, as rederived; it is never below
+    zero, so the depth is unique.
 
     Examples
     --------

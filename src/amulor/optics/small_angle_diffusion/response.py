@@ -224,7 +224,7 @@ def water_response(
 
     Notes
     -----
-    Eq. (46) of Ricci et al. 2010 [1]_, as rebuilt, conjugated so that a later echo
+    Eq. (46) of Ricci et al. 2010 [1]_, as rederived, conjugated so that a later echo
     has the larger phase, :math:`\beta_\pi \int_0^{end} F(z) \exp(2 i \omega z n_g /
     c)\, dz`. The integral exists for every allowed water, also without losses,
     because F(z) falls at least with the square of the depth.
@@ -318,7 +318,7 @@ def overlap(
 
     Notes
     -----
-    Eq. (43) of Ricci et al. 2010 [1]_, as rebuilt, with the beam tilted by
+    Eq. (43) of Ricci et al. 2010 [1]_, as rederived, with the beam tilted by
     :math:`\mathbf n_0` and with :math:`\zeta = z +` standoff,
 
     .. math:: F(z) = \frac{\pi R^2 \gamma^2}{S(z)} \exp\Bigl[-2 (a + b_d) z
@@ -423,7 +423,7 @@ def water_tail(
 
     Notes
     -----
-    Eq. (46) of Ricci et al. 2010 [1]_, as rebuilt and conjugated, from `end` to
+    Eq. (46) of Ricci et al. 2010 [1]_, as rederived and conjugated, from `end` to
     infinity.
 
     References
@@ -503,7 +503,7 @@ def narrow_receiver_response(
 
     Notes
     -----
-    Eq. (49) of Ricci et al. 2010 [1]_, as rebuilt and conjugated,
+    Eq. (49) of Ricci et al. 2010 [1]_, as rederived and conjugated,
     :math:`\beta_\pi \pi \gamma^2 / 2 (k' - i \omega n_g / c)` with
     :math:`k' = a + b_d`: the limit of `water_response` for baseline 0, no forward
     scattering and :math:`\gamma \ll 2 k' R`. The aperture drops out of it.

@@ -33,7 +33,7 @@ def transmission(distance: ArrayLike, *, attenuation: ArrayLike) -> NDArray[np.f
 
     Notes
     -----
-    Eq. (3) of Ricci et al. 2010 [1]_, as rebuilt, :math:`I(z) / I_0 = e^{-kz}`
+    Eq. (3) of Ricci et al. 2010 [1]_, as rederived, :math:`I(z) / I_0 = e^{-kz}`
     with :math:`k = a + b`. Light that was scattered forward and still reaches
     the receiver is not counted.
 
@@ -75,7 +75,7 @@ def optical_thickness(
 
     Notes
     -----
-    The exponent of eq. (3) of Ricci et al. 2010 [1]_, as rebuilt. The way back
+    The exponent of eq. (3) of Ricci et al. 2010 [1]_, as rederived. The way back
     is not included: an echo passes twice this thickness.
 
     References

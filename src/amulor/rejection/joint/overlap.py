@@ -452,7 +452,7 @@ class Frame:
     ) -> Floats:
         """Return the overlap before its correction, (direction, depth) [sr].
 
-        (29) of Ricci et al. 2010, as rebuilt, with the phase function of the survey's
+        (29) of Ricci et al. 2010, as rederived, with the phase function of the survey's
         water, stretched to the spread of the shape. Where it has none, (43) for the
         light that was scattered and again, without spread, for the light that was not;
         together they have the spread of the model. Scattering without bounds leaves

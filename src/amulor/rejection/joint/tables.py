@@ -85,7 +85,7 @@ def table_of(
 ) -> Table:
     """Integrate the water signal up to every depth.
 
-    (29) of Ricci et al. 2010, as rebuilt and conjugated, by Gauss's rule with
+    (29) of Ricci et al. 2010, as rederived and conjugated, by Gauss's rule with
     four points between neighbouring nodes.
     """
     period = 2 * np.pi / frame.phase_per_path.max() / (2 * frame.medium.group_index)

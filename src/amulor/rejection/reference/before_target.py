@@ -360,7 +360,7 @@ def subtract(
     """Subtract the water signal from samples, in place.
 
     `amulor.optics.interference.target_signal`, (55)-(57) of Ricci et al. 2010, as
-    rebuilt, without new memory: fetching that takes as long as the subtraction.
+    rederived, without new memory: fetching that takes as long as the subtraction.
     """
     return np.subtract(signal, water_signal, out=signal)
 

@@ -239,7 +239,7 @@ def hidden_fraction(
     survey describes the water: what the user knew beforehand, perhaps corrected by the
     shots.
 
-    Decision on (46) of Ricci et al. 2010, as rebuilt: open water is integrated to its
+    Decision on (46) of Ricci et al. 2010, as rederived: open water is integrated to its
     end, water with a target to the target; the difference stays when open water is
     subtracted. Large scans take the fraction from a table over directions and depths,
     see `column_of`.

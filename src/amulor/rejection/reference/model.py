@@ -46,7 +46,7 @@ def water_signal(
 ) -> Complex:
     """Return the modeled water signal up to a depth, in arbitrary units.
 
-    Eq. (29) of Ricci et al. 2010, as rebuilt, with the whole phase function of the
+    Eq. (29) of Ricci et al. 2010, as rederived, with the whole phase function of the
     water, within some percent of photons; water whose stated moments no phase function
     has by the diffusion form (46).
     """
@@ -144,7 +144,7 @@ def model_behind_shots(
     model. `signal` is that of the shots, shape (frequency, channel, shot).
 
     Open water by `model.water_signal` in the survey's turbidity and in others, and by
-    the diffusion form (46) of Ricci et al. 2010, as rebuilt, each with the delay of
+    the diffusion form (46) of Ricci et al. 2010, as rederived, each with the delay of
     every direction. The one is taken whose ratio to the shots, as a polynomial over the
     directions, foretells directions that are left out best, all frequencies and
     channels together. The pixels take it from a product of Chebyshev polynomials.
