@@ -107,8 +107,10 @@ def page(study: dict[str, Any]) -> str:
     looked_into = {entry["figure"] for entry in study["sensitivity"]}
     parts = [
         "# The figures of Ricci et al. 2010, redrawn",
-        "`amulor reproduce ricci2010 -o FOLDER` writes these figures and tables and a "
-        "report into a folder. With `--figure 7` it writes one figure, and with "
+        "This page shows fourteen figures of the paper, computed anew with the models "
+        "of amulor. [A shorter page](paper.md) summarizes what agrees. The command "
+        "`amulor reproduce ricci2010 -o FOLDER` writes all figures, tables and a "
+        "report into a folder. With `--figure 7` it writes only figure 7. With "
         "`--quick` it takes less than a minute. `python docs/make_gallery.py` writes "
         "this page.",
         FOREWORD,
@@ -135,9 +137,11 @@ def page(study: dict[str, Any]) -> str:
         "## What does not hold, and why",
         (DOCS / "gallery" / "ricci2010-discussion.md").read_text().strip(),
         "## What the conclusions depend on",
-        "Each number that the paper does not print was set to both ends of its range, "
-        "one number at a time. The table lists the conclusions that change. All other "
-        f"conclusions of these {len(looked_into)} figures stay the same.",
+        "Many numbers of this study are not in the paper. Each of them has a value "
+        "and a range of possible values. For this table each number was set to both "
+        "ends of its range, one number at a time. The table lists the statements whose "
+        "result changes. All other results of these "
+        f"{len(looked_into)} figures stay the same.",
         _table(
             ["figure", "statement", "with the chosen numbers", "changes with"],
             [
@@ -155,9 +159,11 @@ def page(study: dict[str, Any]) -> str:
             ],
         ),
         "## The numbers",
-        f"From [parameters.toml]({CODE}/parameters.toml). *text*: printed in the "
-        "paper. *deduced*: follows from printed numbers and statements. *assumed*: "
-        "chosen, because the paper does not determine it.",
+        "The table lists the numbers of the study, from "
+        f"[parameters.toml]({CODE}/parameters.toml). The column *basis* contains "
+        "*text* if the number is printed in the paper. It contains *deduced* if the "
+        "number follows from printed numbers and statements. It contains *assumed* if "
+        "the paper does not determine the number.",
         _table(
             ["number", "value", "basis", "range", "why"],
             [

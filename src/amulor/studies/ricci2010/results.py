@@ -362,13 +362,15 @@ def tally(checks: Iterable[Check]) -> str:
 
 #: Foreword of the report.
 FOREWORD = (
-    "The data points and many numbers of the paper survive only in pictures that are "
-    "not available. The measured data in these figures are synthetic. The models of "
-    "amulor compute them from the numbers listed at the end, and add the noise that "
-    'is listed there. "FAIL" means that the models do not reproduce the statement. '
-    '"(set)" marks a statement from which a number of the study was deduced. Such a '
-    'statement proves nothing. "(own)" marks a check of this study that the paper '
-    "does not state."
+    "The paper describes an underwater laser radar with amplitude-modulated light, and "
+    "measurements in two water tanks. Its data points and many of its numbers survive "
+    "only in pictures that are not available. The measured data in these figures are "
+    "therefore synthetic. The models of amulor compute them from the numbers listed at "
+    "the end of the page, and add the noise that is listed there. Below each figure, a "
+    "table compares statements of the paper with these results. "
+    '"FAIL" means that the models do not reproduce the statement. '
+    '"(set)" marks a statement that was used to choose a number of the study, so that '
+    'it proves nothing. "(own)" marks a check that the paper does not contain.'
 )
 
 
