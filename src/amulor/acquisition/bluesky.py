@@ -1,4 +1,4 @@
-"""A scan as a bluesky plan, run by a RunEngine; each sample is one event document."""
+"""A scan as a bluesky plan for a RunEngine, with one event document per sample."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def scan(
     ask: Callable[[str], None] | None = None,
     md: Mapping[str, Any] | None = None,
 ) -> Generator[Any, Any, int]:
-    """Run a scan as a bluesky plan; write its samples to a journal and to documents.
+    """Run a scan as a bluesky plan; write samples to a journal and to documents.
 
     Notes
     -----
@@ -92,7 +92,7 @@ def scan(
 
 
 class ScanDevice:
-    """Bluesky device of a scan: setting it to n acquires samples up to number n.
+    """Bluesky device of a scan; setting it to n acquires samples up to number n.
 
     It is staged (devices are connected), set and read sample by sample, stopped (light
     off, all safe; the next set goes on) and unstaged (the scan ends where it is).
@@ -148,7 +148,7 @@ class ScanDevice:
     # -- called by a RunEngine ---------------------------------------------------------
 
     def stage(self) -> Any:
-        """Connect the devices; done when the first sample can be acquired."""
+        """Connect the devices; finished when the first sample can be acquired."""
         if self._thread is not None:
             raise InstrumentError(
                 "this scan was staged before; make another one, with resume=True"
@@ -160,7 +160,7 @@ class ScanDevice:
         return self._ready
 
     def set(self, number: int) -> Any:
-        """Acquire samples up to this number in this run [1]."""
+        """Acquire samples up to a given number, counted in this run [1]."""
         status = _Status()
         with self._changed:
             self._pause_requested = False
@@ -200,7 +200,7 @@ class ScanDevice:
         return self._ended and self._acquired < number
 
     async def stop(self, success: bool = True) -> None:
-        """Make all devices safe after the present dwell."""
+        """Make all devices safe once the present dwell ends."""
         with self._changed:
             self._pause_requested = True
             self._changed.notify_all()
@@ -208,7 +208,7 @@ class ScanDevice:
             await asyncio.get_running_loop().run_in_executor(None, self._wait_for_pause)
 
     def unstage(self) -> Any:
-        """End the scan; done when all devices are safe and released."""
+        """End the scan; finished when all devices are safe and released."""
         with self._changed:
             self._end_requested = True
             self._changed.notify_all()
@@ -261,7 +261,7 @@ class ScanDevice:
             return not self._end_requested
 
     def _note_samples(self, _: Progress) -> None:
-        """Record the samples of the dwell that was committed last, for bluesky."""
+        """Record the samples of the latest dwell, for bluesky."""
         if self._journal is None:
             self._journal = Journal.read(self._folder)
         moment = time.time()
@@ -308,7 +308,7 @@ class ScanDevice:
             status.resolve(None if number <= self._acquired else self._error)
 
     def _unsafe_error(self) -> InstrumentError | None:
-        """Return an error that names devices that could not be made safe, if any."""
+        """Return an error with the devices that could not be made safe, if any."""
         unsafe = [] if self._outcome is None else self._outcome.unsafe
         return InstrumentError("; ".join(unsafe)) if unsafe else None
 
@@ -345,7 +345,7 @@ class _Status:
             callback(self)
 
     def add_callback(self, callback: Callable[[Any], None]) -> None:
-        """Call a function when the action is done, at once if it is done already."""
+        """Call a function when the action is done, or now if it is already done."""
         with self._lock:
             if not self._over.is_set():
                 self._callbacks.append(callback)
@@ -353,7 +353,7 @@ class _Status:
         callback(self)
 
     def exception(self, timeout: float | None = 0.0) -> BaseException | None:
-        """Return the exception of the action, if any, after a wait of `timeout` [s]."""
+        """Return the exception of the action, waiting for up to `timeout` [s]."""
         self._over.wait(timeout)
         return self._error
 

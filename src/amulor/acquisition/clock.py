@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Clock of a scan and its devices; in a rehearsal it can outrun real time."""
+    """Clock of a scan and its devices; a rehearsal may run faster than real time."""
 
     def now(self) -> float:
         """Return the time since a fixed origin [s]."""
@@ -52,7 +52,7 @@ SLOWEST, FASTEST = 1e-3, 1e6
 
 
 class RealClock:
-    """Real-time clock, which can also run at a multiple of real time.
+    """Clock that runs in real time, or at a multiple of real time.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class RealClock:
 
 
 class VirtualClock:
-    """Virtual time for devices in this program: a wait advances it at once."""
+    """Clock of virtual time, which a wait advances at once."""
 
     def __init__(self) -> None:
         self._now = 0.0

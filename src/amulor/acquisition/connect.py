@@ -1,4 +1,4 @@
-"""Connection of the devices that a devices file names."""
+"""Connection of all devices in a devices file."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ class _HasOutputs(Protocol):
 
 
 class LockInGate:
-    """Laser whose enable input is wired to an auxiliary output of the lock-in."""
+    """Laser that an auxiliary output of the lock-in enables."""
 
     def __init__(self, lock_in: _HasOutputs, settings: LaserSettings) -> None:
         self._lock_in = lock_in
         self._settings = settings
 
     def identity(self) -> str:
-        """Return the number of the output and the identity of the lock-in."""
+        """Return the output's number and the identity of the lock-in."""
         return f"output {self._settings.output} of {self._lock_in.identity()}"
 
     def on(self) -> None:
@@ -64,7 +64,7 @@ class LockInGate:
         self._lock_in.set_output(self._settings.output, self._settings.on_voltage)
 
     def off(self) -> None:
-        """Switch the laser off, and read the output back."""
+        """Switch the laser off, and check the output by its read-back."""
         voltage = self._lock_in.set_output(self._settings.output, 0.0)
         if abs(voltage) > _OFF:
             raise InstrumentError(
@@ -108,11 +108,11 @@ class OperatorTargetStage:
         return "operator"
 
     def bring_in(self, *, timeout: float) -> None:
-        """Ask the operator to put the target in."""
+        """Ask the operator to put the target into the beam."""
         self._ask("The laser is off. Put the target into the beam")
 
     def take_out(self, *, timeout: float) -> None:
-        """Ask the operator to take the target out."""
+        """Ask the operator to take the target out of the beam."""
         self._ask(
             "The laser is off. Take the target out: only water is to be in the beam"
         )
@@ -132,7 +132,7 @@ def connect(
     part: int = 0,
     ask: Callable[[str], None] | None = None,
 ) -> Devices:
-    """Connect all devices that the settings of a scan name."""
+    """Connect all devices in the settings of a scan."""
     _refuse_target(survey, settings, ask)
     if settings.simulated:
         devices = _simulated(survey, settings, scene, part)
@@ -149,7 +149,7 @@ def connect(
 def _refuse_target(
     survey: Survey, settings: Settings, ask: Callable[[str], None] | None
 ) -> None:
-    """Raise if the target cannot be moved for the open-water shots of the survey."""
+    """Raise if nobody and nothing can move the target for open-water shots."""
     driver = settings.target.driver
     if driver == "operator" and ask is None:
         raise InstrumentError(
@@ -168,7 +168,7 @@ def _refuse_target(
 def simulated_bench(
     survey: Survey, settings: Settings, *, scene: Scene, clock: Clock, part: int = 0
 ) -> Bench:
-    """Return the simulated instrument of a survey."""
+    """Return the simulated instrument for a survey."""
     simulation = settings.simulation
     return Bench(
         survey,

@@ -38,7 +38,7 @@ class Tones:
 def demodulate(
     record: ArrayLike, *, sample_rate: float, frequencies: Sequence[float]
 ) -> Tones:
-    r"""Fit all frequencies of a comb to a record by linear least squares.
+    r"""Fit all tones of a frequency comb to a record by least squares.
 
     Notes
     -----
@@ -93,7 +93,7 @@ def demodulate(
 def clock_offset(
     reference: ArrayLike, *, sample_rate: float, frequencies: Sequence[float]
 ) -> float:
-    r"""Estimate the relative offset of the digitizer clock from reference tones [1].
+    r"""Estimate the relative frequency error of the digitizer clock [1].
 
     From one half of a stretch to the other the phase falls by
     :math:`\omega \epsilon T / 2`. The first stretch is so short that this is below half
@@ -133,7 +133,7 @@ def _columns(cycles: Floats, start: int, count: int) -> Floats:
 
 
 def _noise_beside(residual: Floats, cycles: Floats) -> Floats:
-    """Return the noise of each tone per quadrature, from nearby spectral bins [V]."""
+    """Return the noise of each tone per quadrature, from adjacent frequencies [V]."""
     power = np.abs(np.fft.rfft(residual)) ** 2 * (2 / residual.size) ** 2 / 2
     folded = np.abs(cycles - np.round(cycles)) * residual.size
     bins = np.arange(power.size)

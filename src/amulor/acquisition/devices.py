@@ -52,7 +52,7 @@ class Devices:
     """Function that unlocks the devices for other scans, once they are closed."""
 
     def all(self) -> Iterator[tuple[str, Device]]:
-        """Yield name and device; the laser first, so that it is made safe first."""
+        """Yield name and device, the laser first, so that it is made safe first."""
         for name in (
             "laser",
             "source",
@@ -71,7 +71,7 @@ class Devices:
         return {name: device.identity() for name, device in self.all()}
 
     def make_safe(self) -> list[str]:
-        """Make every device safe, also if others fail; return the failures."""
+        """Make every device safe, even if some fail; return the failures."""
         wrong = []
         for name, device in self.all():
             try:
@@ -104,5 +104,5 @@ def digest(settings: Settings, identities: dict[str, str]) -> str:
 
 
 def is_simulated(identities: dict[str, str]) -> bool:
-    """Return whether the identity of any device is that of a simulator."""
+    """Return whether any of the devices is a simulator."""
     return any(SIMULATOR in identity for identity in identities.values())

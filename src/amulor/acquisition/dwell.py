@@ -1,4 +1,4 @@
-"""One dwell: settling of the lock-in after a move, and its readings."""
+"""One dwell: settling of the lock-in after a move, then its readings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _MOST, _WEIGHT = 4.0, 0.1
 
 
 class Settling:
-    r"""Wait until successive readings agree within their noise.
+    r"""Wait for a settled lock-in: successive readings agree within their noise.
 
     A one-pole filter with the output :math:`y_0` on arrival and y after a time t has a
     remainder :math:`(y - y_0) / (e^{t / T} - 1)` of the last direction. This gives the
@@ -115,7 +115,7 @@ class Settling:
     def unsettled_parts(
         self, entered: NDArray[np.complex128], mean: float, spacing: float
     ) -> int | None:
-        """Return the number of unsettled inputs at the start; None for most of them."""
+        """Return the number of inputs before settling; None if most are unsettled."""
         size = max(round(self._constant / spacing), 1)
         blocks = [entered[at : at + size] for at in range(0, entered.size, size)]
         if len(blocks) > 1 and blocks[-1].size < size:
@@ -149,7 +149,7 @@ class Settling:
         return bool(abs(block.mean() - later.mean()) ** 2 <= 1.5 * _AGREE * expected)
 
     def learn(self, signals: Sequence[complex], mean: float) -> None:
-        """Update the noise estimate by settled readings a time constant apart [V]."""
+        """Update the noise estimate with settled readings, a time constant apart."""
         if len(signals) < 3:
             return
         steps = np.abs(np.diff(np.asarray(signals))) ** 2
@@ -209,7 +209,7 @@ class Dwell:
 
 
 def lacking(device: Device, *words: str) -> list[str]:
-    """Return the names of the given methods that a device lacks."""
+    """Return which of the given methods a device lacks."""
     return [word for word in words if not hasattr(device, word)]
 
 
@@ -271,7 +271,7 @@ class DwellReader:
         return [self._lock_in.read()]
 
     def _read(self, *, waited: bool) -> Dwell:
-        """Read a dwell query by query; update the noise estimate if settled."""
+        """Read a dwell one query at a time; update the noise estimate if settled."""
         readings: list[list[Reading]] = []
         moments: list[float] = []
         for place in range(self._number):

@@ -84,7 +84,7 @@ def permissible_irradiance(wavelength: float, *, exposure: float) -> float:
 
 
 def pupil_irradiance(power: float, *, diameter: float) -> float:
-    """Return the irradiance of a Gaussian beam, averaged over a pupil [W/m2]."""
+    """Return the irradiance of a Gaussian beam averaged over a pupil [W/m2]."""
     if not (power >= 0 and diameter > 0):
         raise ValueError(
             f"power must not be negative and diameter above 0, got {power:g} W and "

@@ -1,4 +1,4 @@
-"""The plan of a scan: all samples in the order of acquisition."""
+"""Plan of a scan: all samples in the order of acquisition."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Step:
         return self.together or (self.key.frequency,)
 
     def without(self, done: Container[Key]) -> Step | None:
-        """Return the dwell for its missing samples; None if there are none.
+        """Return the dwell with only its missing samples; None if there are none.
 
         All modulation frequencies stay: light at one frequency must not depend on
         whether the sample at another one is missing.
@@ -93,7 +93,7 @@ class Comb(NamedTuple):
     def step(
         self, kind: str, place: tuple[int, int], repeat: int, where: tuple[float, float]
     ) -> Step:
-        """Return the dwell at a row and column, and at a beam direction [rad]."""
+        """Return the dwell at a row, a column and a beam direction [rad]."""
         first, *others = (
             Key(kind, *place, frequency, self.polarization, repeat)
             for frequency in self.frequencies
@@ -122,7 +122,7 @@ def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
 
 
 def strips(steps: Iterable[Step], *, longest: int) -> Iterator[list[Step]]:
-    """Group dwells into strips of a row that one continuous motion can acquire."""
+    """Group dwells into strips: parts of a row, each acquired in one motion."""
     strip: list[Step] = []
     for step in steps:
         if strip and not (len(strip) < longest and _goes_on(strip, step)):
@@ -147,7 +147,7 @@ def _goes_on(strip: list[Step], step: Step) -> bool:
 
 
 def together(steps: Sequence[Step]) -> Step:
-    """Join several dwells into one with all of their keys."""
+    """Join several dwells into one that has all of their keys."""
     first, *others = (key for step in steps for key in step.keys)
     return replace(steps[0], key=first, others=tuple(others))
 
@@ -175,7 +175,7 @@ def extra_reference(
 def retakes(
     survey: Survey, procedure: Procedure, *, spoiled: Collection[Key]
 ) -> Iterator[Step]:
-    """Yield new dwells for spoiled samples of the scan."""
+    """Yield dwells that acquire spoiled samples of the scan again."""
     repeats = {key._replace(repeat=0): key.repeat for key in spoiled}
     for step in steps(survey, procedure):
         again = [
@@ -209,7 +209,7 @@ def channels(survey: Survey) -> list[tuple[float, str]]:
 
 
 def combs(survey: Survey, procedure: Procedure) -> list[Comb]:
-    """Return the frequencies and the polarization of each dwell of a pixel."""
+    """Return frequencies and polarization of each dwell at a pixel."""
     size = procedure.frequencies_at_once or 1
     frequencies = survey.instrument.modulation_frequencies
     depth = survey.instrument.modulation_depth * min(size, len(frequencies))
@@ -230,7 +230,7 @@ def combs(survey: Survey, procedure: Procedure) -> list[Comb]:
 
 
 def count(survey: Survey, procedure: Procedure) -> int:
-    """Return the number of samples of a scan, references included [1]."""
+    """Return the number of samples of a scan, including references [1]."""
     plan = survey.scan.open_water
     shots = 0 if plan is None else plan.rows * plan.columns * plan.repeats
     dark = procedure.references * procedure.dark_readings

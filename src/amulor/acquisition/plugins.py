@@ -29,7 +29,7 @@ GROUPS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Wiring:
-    """Arguments that the factory of a device receives."""
+    """Arguments for the factory of a device: address, timeout, clock, options."""
 
     address: str | None
     """Address in the devices file."""
@@ -110,13 +110,13 @@ def make(part: str, name: str, wiring: Wiring) -> Any:
 
 
 class GuardedDevice:
-    """Proxy of a device of another package; it checks results and explains errors."""
+    """Proxy for a device of another package, which checks results and errors."""
 
     def __init__(self, device: Any, name: str) -> None:
         self._device, self._name = device, name
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the device; a method with a check of its result."""
+        """Return an attribute of the device; methods check their results."""
         value = getattr(self._device, name)
         if not callable(value):
             return value
@@ -146,7 +146,7 @@ class GuardedDevice:
 
 
 def _number(value: Any, *, what: str, least: float = -math.inf) -> str | None:
-    """Describe why a value is not a valid number; None if it is one."""
+    """Describe why a value is not a valid number; None if it is valid."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return f"{_shown(value)}, needed is a number ({what})"
     if not math.isfinite(value):
@@ -172,7 +172,7 @@ def _text(value: Any) -> str | None:
 
 
 def _state(value: Reading | Recorded) -> str | None:
-    """Describe a problem of the overload bits or the mean output; None if valid."""
+    """Describe what is wrong with overload bits or mean output; None if valid."""
     known = sum(map(int, Overload))
     if not isinstance(value.overload, int) or int(value.overload) & ~known:
         return (
@@ -219,7 +219,7 @@ def _waveform(value: Any) -> str | None:
 def _all_of(
     check: Callable[[Any], str | None], *, count: int | None = None
 ) -> Callable[[Any], str | None]:
-    """Return a check of a sequence that applies a check to each of its items."""
+    """Return a check that applies a given check to all items of a sequence."""
 
     def checked(value: Any) -> str | None:
         if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):

@@ -1,4 +1,4 @@
-"""Protocols of the devices of a scan: SI units, blocking calls, a safe state."""
+"""Interfaces of a scan's devices: SI units, blocking calls, a safe state."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Overload(enum.IntFlag):
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """One reading of a lock-in amplifier, with all values at one instant."""
+    """Reading of a lock-in amplifier, all values at one instant."""
 
     signal: complex
     """Complex signal: peak amplitude, delayed echo with positive phase [V]."""
@@ -61,7 +61,7 @@ class Device(Protocol):
 
 
 class LockIn(Device, Protocol):
-    """Lock-in amplifier with its oscillator as the reference."""
+    """Lock-in amplifier whose oscillator is its reference."""
 
     def prepare(self, *, time_constant: float) -> None:
         """Set internal reference, one-pole output filter and time constant [s]."""
@@ -83,7 +83,7 @@ class LockIn(Device, Protocol):
 
 
 class CombLockIn(LockIn, Protocol):
-    """Lock-in amplifier for several frequencies at once."""
+    """Lock-in amplifier that measures at several frequencies at once."""
 
     def set_frequencies(
         self, frequencies: Sequence[float], *, timeout: float
@@ -162,7 +162,7 @@ class Waveform:
 
 
 class Digitiser(Device, Protocol):
-    """Digitizer that records the detector signal; when safe, it does not modulate."""
+    """Digitizer of the detector signal; its modulation is off in the safe state."""
 
     ranges: tuple[float, ...]
     """Input ranges as peak voltages, in ascending order [V]."""
@@ -195,7 +195,7 @@ class Source(Device, Protocol):
 
 
 class Scanner(Device, Protocol):
-    """Scanner, which turns the beam or the whole instrument."""
+    """Scanner that turns the beam or the whole instrument."""
 
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
@@ -204,7 +204,7 @@ class Scanner(Device, Protocol):
 
 
 class SweepingScanner(Scanner, Protocol):
-    """Scanner that moves at a steady rate and can be read while it moves."""
+    """Scanner that moves steadily and can be read during the motion."""
 
     def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
         """Start a motion that reaches a direction [rad] after a time [s]."""
@@ -221,7 +221,7 @@ class RotationMount(Device, Protocol):
 
 
 class Laser(Device, Protocol):
-    """Laser; its safe state is off.
+    """Laser, which is off in its safe state.
 
     An optional method ``check()`` is called in every sample with light; it raises an
     `InstrumentError` if the interlock is open, which ends the scan. An optional method

@@ -1,4 +1,4 @@
-"""Simulated instrument on network ports, with its devices file."""
+"""Rehearsal: simulated instrument on network ports, with its devices file."""
 
 from __future__ import annotations
 

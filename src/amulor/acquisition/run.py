@@ -38,7 +38,7 @@ _WEIGHT = 0.1
 
 
 class Keeper:
-    """Writer of samples to a journal; it uses a thread if the disk is slow."""
+    """Writer of samples to a journal, in a thread if the disk is slow."""
 
     def __init__(
         self, journal: Journal, notify: Callable[[Step, int], None], *, at_once: bool
@@ -58,7 +58,7 @@ class Keeper:
             self._thread.shutdown()
 
     def keep(self, step: Step, records: Sequence[Record]) -> None:
-        """Write the samples of a dwell, after those of all earlier dwells."""
+        """Write the samples of a dwell after those of earlier dwells."""
         samples = [*zip(step.keys, records, strict=True)]
         self.settle()
         if self._at_once or self._took < SLOW:
@@ -71,7 +71,7 @@ class Keeper:
         self._pending = (future, step, len(samples))
 
     def settle(self) -> None:
-        """Wait until all samples are in the journal, and report them as written."""
+        """Wait until all samples are in the journal, and report them."""
         if self._pending is None:
             return
         future, step, count = self._pending
@@ -167,10 +167,10 @@ class Control(Protocol):
     """
 
     def pause_wanted(self) -> bool:
-        """Return whether the scan pauses now."""
+        """Return whether the scan must pause now."""
 
     def go_on(self) -> bool:
-        """Wait in a pause, with all devices safe; False ends the scan."""
+        """Wait during a pause, with all devices safe; False ends the scan."""
 
 
 class _Unattended:
@@ -323,7 +323,7 @@ def acquire(
 
 
 def _in_step(control: Control) -> bool:
-    """Return whether a control waits for each sample before the next one."""
+    """Return whether a control requests samples one by one."""
     return bool(getattr(control, "in_step", False))
 
 
@@ -335,7 +335,7 @@ def resume_command(folder: Path) -> str:
 
 @contextlib.contextmanager
 def _left_safe(devices: Devices) -> Iterator[None]:
-    """Make devices safe after an exception; its message names the unsafe ones."""
+    """Make devices safe after an exception; add the unsafe ones to its message."""
     try:
         yield
     except BaseException as error:
@@ -456,12 +456,12 @@ class _Run:
         )
 
     def _begin_to_count(self) -> None:
-        """Restart the measurement of the sample rate, to exclude a pause."""
+        """Restart the measurement of the sample rate after a pause."""
         self._started = time.monotonic()
         self._taken = 0
 
     def _again(self, segment: int) -> Iterator[Step]:
-        """Yield the dwells of the reference measurement after an interruption."""
+        """Yield the dwells that repeat the references after an interruption."""
         if any(key.kind == plan.SCAN for key in self._done):
             yield from plan.extra_reference(
                 self._survey, self._settings.procedure, number=segment - 2
@@ -519,7 +519,7 @@ class _Run:
 
 
 def _keep_copies(journal: Journal) -> None:
-    """Write survey and devices file beside a journal, unless they exist."""
+    """Copy survey and devices file to the folder of a journal, if missing."""
     meta = journal.meta()
     for name, key in ((SURVEY_NAME, "survey"), (DEVICES_NAME, "devices")):
         path = journal.folder / name

@@ -27,7 +27,7 @@ _SIGNIFICANT = 5.0
 
 
 class DarkLevel:
-    """Mean output without light, by polarization, from dark readings of this run.
+    """Mean output without light, from dark readings of this run, by polarization.
 
     Stray light passes the analyzer, so each polarization has a separate level.
     """
@@ -41,7 +41,7 @@ class DarkLevel:
         readings.extend(means)
 
     def is_dark(self, polarization: str, means: Sequence[float]) -> bool:
-        r"""Return whether readings with the laser on show no light.
+        r"""Return whether readings with the laser on contain no light.
 
         With the standard deviation :math:`s` of one dark reading, n readings and m dark
         ones, dark is a mean of at most :math:`d + 5 s \sqrt{1 / n + 1 / m}`.
@@ -96,7 +96,7 @@ _FREQUENCY_TOLERANCE = 1e-3
 
 
 class Sampler:
-    """Acquirer of samples, which remembers the present settings of all devices."""
+    """Acquirer of samples that remembers the present settings of all devices."""
 
     def __init__(self, survey: Survey, settings: Settings, devices: Devices) -> None:
         self._settings = settings
@@ -128,7 +128,7 @@ class Sampler:
         self.forget()
 
     def forget(self) -> None:
-        """Discard the remembered settings of all devices, after they were made safe."""
+        """Discard the remembered settings, because devices were made safe."""
         #: Whether more than the direction has changed since the last reading.
         self._new = True
         #: Read-back of mounts and target after their last move.
@@ -223,7 +223,7 @@ class Sampler:
         elapsed: float,
         segment: int,
     ) -> list[Record]:
-        """Return the records of one dwell, one for each sample key of its step."""
+        """Return the records of one dwell, one for each key of its step."""
         azimuth, elevation = where
         means = dwell.means
         mean = statistics.fmean(means) if means else None
@@ -301,7 +301,7 @@ class Sampler:
             check()
 
     def _refuse_merged_frequencies(self, commanded: float, set_to: float) -> None:
-        """Raise if the instrument rounds two frequencies of the survey to one."""
+        """Raise if the instrument rounds two frequencies to the same one."""
         self._set_to[commanded] = set_to
         for earlier, earlier_actual in self._set_to.items():
             if earlier != commanded and earlier_actual == set_to:

@@ -40,7 +40,7 @@ _AGAIN = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Swept:
-    """Dwell and direction of one pixel of a row."""
+    """Measured dwell and direction of one pixel of a row."""
 
     dwell: Dwell
     """Signals, mean output and lock-in state of the pixel."""
@@ -70,7 +70,7 @@ class _Row:
     elevation: list[float] = field(default_factory=list)
 
     def last_point(self) -> float:
-        """Return the time of the newest point [s]."""
+        """Return the time of the newest reading [s]."""
         return max((float(part[-1]) for part in self.times if part.size), default=-1e99)
 
 
@@ -103,7 +103,7 @@ def pitch_of(survey: Survey) -> float:
 
 
 class SweepReader:
-    r"""Reader of rows in continuous mode, while the beam moves along them.
+    r"""Reader of whole rows in continuous mode.
 
     The beam moves by one column in one dwell, so that a sample is the mean over its
     pixel. The lock-in records without a gap. A straight line through readings of the
@@ -135,13 +135,13 @@ class SweepReader:
         self._run_up = RUN_UP if procedure.run_up is None else procedure.run_up
 
     def start_of(self, steps: Sequence[Step]) -> float:
-        """Return the start azimuth of a row, before its first pixel [rad]."""
+        """Return the azimuth at which the motion along a row starts [rad]."""
         return self._ends(steps)[0]
 
     def take(
         self, steps: Sequence[Step], *, timeout: float, watch: Callable[[], None]
     ) -> list[Swept]:
-        """Move along neighboring pixels, and return their dwells."""
+        """Move along neighboring pixels, and return the dwell of each."""
         start, end = self._ends(steps)
         duration = len(steps) * self._dwell + 2 * self._run_up
         self._lock_in.begin_stream(duration + timeout)
@@ -185,7 +185,7 @@ class SweepReader:
         return first - margin, last + margin
 
     def _look(self, row: _Row) -> None:
-        """Append present readings of lock-in and scanner to the record of a row."""
+        """Append readings of lock-in and scanner to the record of a row."""
         before = self._clock.now()
         recorded = self._lock_in.fetch()
         between = self._clock.now()
@@ -254,7 +254,7 @@ class SweepReader:
         return result
 
     def _even(self, times: Floats) -> tuple[Floats, float]:
-        """Fit evenly spaced times to all readings; return them and their spacing [s].
+        """Fit equal time steps to all readings; return times and step [s].
 
         The spacing is that of the instrument; the start is as accurate as one reading.
         """

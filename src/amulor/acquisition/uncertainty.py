@@ -1,4 +1,4 @@
-"""Uncertainty of a sample, from counting noise, lock-in filter and averaging."""
+"""Uncertainty of a sample due to counting noise, output filter and averaging."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def reading_variance(
 
 
 def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the variance of a mean of readings relative to a single reading [1].
+    r"""Return the variance of a mean of readings over that of one reading [1].
 
     Notes
     -----
@@ -52,7 +52,7 @@ def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.flo
 
 
 def intervals_of(survey: Survey) -> int:
-    """Return the number of parts of a dwell, none longer than a time constant."""
+    """Return the number of intervals of a dwell, each at most a time constant."""
     parts = survey.scan.dwell / survey.instrument.lock_in.time_constant
     return max(1, int(np.ceil(parts - 1e-9)))
 
@@ -60,7 +60,7 @@ def intervals_of(survey: Survey) -> int:
 def filtered_input(
     outputs: ArrayLike, times: ArrayLike, *, time_constant: float
 ) -> complex:
-    r"""Return the mean input of a one-pole filter from its outputs.
+    r"""Return the mean input of a one-pole filter, computed from its outputs.
 
     Notes
     -----
@@ -93,7 +93,7 @@ def filtered_input(
 
 
 def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) -> float:
-    r"""Return the error of `filtered_input` due to input steps inside an interval.
+    r"""Return the error of `filtered_input` due to steps of the input between outputs.
 
     Notes
     -----
@@ -129,7 +129,7 @@ def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) ->
 def input_variance_ratio(
     intervals: ArrayLike, *, spacing: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the variance of `filtered_input` relative to one settled output [1].
+    r"""Return the variance of `filtered_input` over that of a settled output [1].
 
     Notes
     -----

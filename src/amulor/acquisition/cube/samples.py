@@ -120,7 +120,7 @@ def procedure_of(journal: Journal) -> Procedure:
 
 
 def entry(journal: Journal, name: str) -> str:
-    """Return one metadata entry of a scan from its journal."""
+    """Return a metadata entry of a scan from its journal."""
     entries = journal.meta()
     if name not in entries:
         raise FormatError(

@@ -1,4 +1,4 @@
-"""Scanner mirrors on analog outputs of the lock-in, an NI card or a LabJack."""
+"""Scanner mirrors driven by analog outputs of a lock-in, NI card or LabJack."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Outputs(Protocol):
         """Return the identity of the device that has the outputs."""
 
     def set(self, volts: dict[str, float]) -> dict[str, float]:
-        """Set the outputs [V]; return the voltages read back, if possible [V]."""
+        """Set the outputs [V]; return the voltages read back, if available [V]."""
 
     def close(self) -> None:
         """Release the outputs."""
@@ -86,7 +86,7 @@ class NidaqOutputs:
         return volts
 
     def close(self) -> None:
-        """Release the channels; their voltages stay."""
+        """Release the channels; the outputs hold their voltages."""
         if self._task is not None:
             self._task.close()
             self._task = None
@@ -129,7 +129,7 @@ class LabjackOutputs:
 
 
 class Mirror:
-    """Calibration of a mirror: beam angle against voltage, fitted to measured pairs.
+    """Calibration of a mirror: beam angle as a function of voltage.
 
     A line for three or four pairs, a parabola from five on, by least squares; `spread`
     is the standard deviation of the residuals, the uncertainty of an angle.
@@ -227,7 +227,7 @@ class AnalogScanner:
                 mirror.volts(angle)
 
     def make_safe(self) -> None:
-        """Do nothing: mirrors stay where they are, and the laser is off."""
+        """Do nothing: mirrors may stay where they are, and the laser is off."""
 
     def close(self) -> None:
         """Release the outputs."""
@@ -235,7 +235,7 @@ class AnalogScanner:
 
 
 def outputs_of(settings: AnalogSettings, *, lock_in: Any, address: str | None) -> Any:
-    """Return the analog outputs of the device that the devices file configures."""
+    """Return the analog outputs that the devices file configures."""
     if settings.outputs == "lock_in":
         return LockInOutputs(lock_in)
     if settings.outputs == "labjack":

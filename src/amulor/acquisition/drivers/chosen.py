@@ -1,4 +1,4 @@
-"""Choice of the driver for each part of the devices file, and its connection."""
+"""Choice and connection of the driver for each device in the devices file."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from amulor.acquisition.settings import (
 
 
 def other(part: str, settings: Settings, clock: Clock) -> Any:
-    """Connect a device whose driver is in another installed package."""
+    """Connect a device whose driver comes from another installed package."""
     driver = getattr(settings, part).driver
     return plugins.make(part, driver, wiring(part, settings, clock))
 
 
 def wiring(part: str, settings: Settings, clock: Clock) -> plugins.Wiring:
-    """Return address, timeout, clock and options for a device of another package."""
+    """Return address, timeout, clock and options for the driver of another package."""
     section = getattr(settings, part)
     return plugins.Wiring(
         address=section.address,
@@ -54,7 +54,7 @@ def wiring(part: str, settings: Settings, clock: Clock) -> plugins.Wiring:
 
 
 class Stages:
-    """Links to stage controllers by address: several axes share one link."""
+    """Links to stage controllers by address; axes at one address share a link."""
 
     def __init__(self, clock: Clock, opened: contextlib.ExitStack) -> None:
         self._clock = clock

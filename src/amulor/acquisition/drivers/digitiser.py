@@ -1,4 +1,4 @@
-"""Lock-in amplifier in software: records of a digitizer, demodulated."""
+"""Software lock-in amplifier, which demodulates the records of a digitizer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PRESENT = 10.0
 
 
 class DigitiserLockIn:
-    """Software lock-in amplifier, from records of the detector and the modulation.
+    """Software lock-in amplifier that demodulates detector records of a digitizer.
 
     Phases are those of the detector against the reference, tone by tone, so that
     neither the start of a record nor a common trigger matters; a difference of the

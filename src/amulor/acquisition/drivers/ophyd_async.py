@@ -1,4 +1,4 @@
-"""Devices of ophyd-async as scanner, lock-in and laser."""
+"""Scanner, lock-in and laser that are devices of ophyd-async."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class OphydScanner:
 
 
 class OphydLockIn:
-    """Lock-in as an ophyd-async device, triggered before a reading if possible."""
+    """Lock-in that is an ophyd-async device; triggered before readings if possible."""
 
     def __init__(
         self, device: OphydDevice, options: Mapping[str, Any], *, clock: Clock
@@ -227,11 +227,11 @@ class OphydLockIn:
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Return False: the options fix the scale."""
+        """Return False: the scale is fixed in the options."""
         return False
 
     def sharpen(self, amplitude: float) -> bool:
-        """Return False: the options fix the scale."""
+        """Return False: the scale is fixed in the options."""
         return False
 
     def full_scale(self) -> float:
@@ -268,7 +268,7 @@ class OphydLockIn:
 
 
 class OphydLaser:
-    """Laser or shutter of ophyd-async: one signal to enable it, one to read back."""
+    """Laser or shutter of ophyd-async, with signals to enable it and read it back."""
 
     def __init__(self, device: OphydDevice, options: Mapping[str, Any]) -> None:
         self._device, self._options = device, options
@@ -326,7 +326,7 @@ class OphydLaser:
         }
 
     def make_safe(self) -> None:
-        """Switch the laser off, with a second attempt."""
+        """Switch the laser off; try twice if necessary."""
         try:
             self.off()
         except InstrumentError:

@@ -54,7 +54,7 @@ class PiController:
         return self._identity
 
     def enable(self, axes: Sequence[str]) -> None:
-        """Close the servo loop of axes; raise if an axis is not referenced."""
+        """Close the servo loops of axes; raise if an axis is not referenced."""
         self._link.send("SVO " + " ".join(f"{axis} 1" for axis in axes))
         self.raise_error()
         referenced = self._values("FRF?", axes)
@@ -81,7 +81,7 @@ class PiController:
                 )
 
     def move(self, goals: Mapping[str, float], *, timeout: float) -> list[float]:
-        """Move axes, wait until they are on target, and return their positions."""
+        """Move axes, wait until they reach their goals, and return their positions."""
         axes = [*goals]
         listed = " ".join(axes)
         words = [f"{axis} {goal:.7f}" for axis, goal in goals.items()]
@@ -118,12 +118,12 @@ class PiController:
         self._link.send("VEL " + " ".join(words))
 
     def set_out(self, goals: Mapping[str, float]) -> None:
-        """Start to move axes to positions, in their units, without waiting."""
+        """Start to move axes to positions, in axis units, without waiting."""
         words = [f"{axis} {goal:.7f}" for axis, goal in goals.items()]
         self._link.send("MOV " + " ".join(words))
 
     def positions(self, axes: Sequence[str]) -> list[float]:
-        """Return the present positions of axes, in their units."""
+        """Return the present positions of axes, in axis units."""
         values = self._values("POS?", axes)
         return [values[axis] for axis in axes]
 
@@ -301,7 +301,7 @@ class PiScanner(_OnController):
     def _positions(
         self, azimuth: Sequence[float], elevation: Sequence[float]
     ) -> dict[str, list[float]]:
-        """Return the axis positions of these directions, in the unit of the axis."""
+        """Return the axis positions of these directions, in axis units."""
         settings = self._settings
         zeros = (settings.azimuth_zero, settings.elevation_zero)
         return {
@@ -363,7 +363,7 @@ class PiTargetStage(_OnController):
         return self._go(self._settings.position_in, timeout)
 
     def take_out(self, *, timeout: float) -> float:
-        """Take the target out of the beam in a time [s]; return its position [m]."""
+        """Take the target out of the beam within a time [s]; return its position."""
         return self._go(self._settings.position_out, timeout)
 
     def _go(self, position: float, timeout: float) -> float:

@@ -104,15 +104,15 @@ class PymeasureLockIn:
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Return False: the options fix the scale."""
+        """Return False: the scale is fixed in the options."""
         return False
 
     def sharpen(self, amplitude: float) -> bool:
-        """Return False: the options fix the scale."""
+        """Return False: the scale is fixed in the options."""
         return False
 
     def full_scale(self) -> float:
-        """Return the full scale of the options, as a peak amplitude [V]."""
+        """Return the full scale stated in the options, as a peak amplitude [V]."""
         return math.sqrt(2) * float(self._options["full_scale"])
 
     def set_output(self, number: int, voltage: float) -> float:

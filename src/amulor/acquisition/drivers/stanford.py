@@ -54,7 +54,7 @@ class Stanford:
         return self._identity
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 as on the panel [V]; read it back."""
+        """Set an auxiliary output, numbered as on the panel; read it back [V]."""
         if not 1 <= number <= self._outputs:
             raise InstrumentError(
                 f"{self.model} has auxiliary outputs 1 to {self._outputs}, asked for "
@@ -64,7 +64,7 @@ class Stanford:
         return self.number(f"{word} {code},{voltage:.3f};{word}? {code}")
 
     def input(self, number: int) -> float:
-        """Return the voltage at an auxiliary input, counted from 1 as on panels [V]."""
+        """Return the voltage at an auxiliary input, numbered as on the panel [V]."""
         if not 1 <= number <= self._inputs:
             raise InstrumentError(
                 f"{self.model} has auxiliary inputs 1 to {self._inputs}, asked for was "
@@ -94,7 +94,7 @@ class Stanford:
         return self.parsed(answer, line, count=count)
 
     def parsed(self, answer: str, line: str, *, count: int) -> list[float]:
-        """Return the numbers of an answer; raise if they are not numbers."""
+        """Return the numbers in an answer; raise if it has other content."""
         try:
             result = [float(part) for part in answer.split(",")]
         except ValueError:
@@ -120,7 +120,7 @@ class Stanford:
     def index_of(
         self, requested: float, offered: Sequence[float], quantity: str, unit: str = "s"
     ) -> int:
-        """Return the instrument's code of a setting value, such as a time constant."""
+        """Return the instrument's code for the value of a setting."""
         for code, value in enumerate(offered):
             if math.isclose(value, requested, rel_tol=1e-6):
                 return code
@@ -134,7 +134,7 @@ class Stanford:
         )
 
     def _choose_interface(self) -> None:
-        """Direct answers to this link, if the instrument needs a command for it."""
+        """Make the instrument send its answers to this link."""
 
     def _identify(self) -> str:
         (result,) = self._link.ask("*IDN?")
@@ -186,7 +186,7 @@ class Sr844(Stanford):
     _get_input = "AUXI"
 
     def _choose_interface(self) -> None:
-        """Direct answers to this link (manual, page 4-10)."""
+        """Make the instrument send its answers to this link (manual, page 4-10)."""
         self._link.send(f"OUTX {int('GPIB' in self._link.address.upper())}")
 
     def prepare(self, *, time_constant: float) -> None:
@@ -255,7 +255,7 @@ class Sr844(Stanford):
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Increase the overloaded reserve, or SENS, by one step; False if maximal."""
+        """Increase the overloaded reserve or SENS by one step; False at the maximum."""
         if overload & Overload.INPUT and self._wide > _HIGH:
             self._wide -= 1
             self._link.send(f"WRSV {self._wide}")

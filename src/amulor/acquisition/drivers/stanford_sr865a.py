@@ -1,4 +1,4 @@
-"""The SR865A lock-in amplifier of Stanford Research, up to 4 MHz."""
+"""Driver of the lock-in amplifier SR865A of Stanford Research, up to 4 MHz."""
 
 from __future__ import annotations
 
@@ -221,7 +221,7 @@ class Sr865a(Stanford):
         )
 
     def begin_stream(self, duration: float) -> None:
-        """Start the capture buffer, with room for at least a duration [s].
+        """Start the capture buffer, long enough for at least a duration [s].
 
         Notes
         -----
@@ -240,7 +240,7 @@ class Sr865a(Stanford):
         self._next = max(math.ceil((self._clock.now() - began) * self._rate), 0)
 
     def _room(self) -> float:
-        """Return the remaining time of the capture buffer [s]."""
+        """Return the time until the capture buffer is full [s]."""
         if not self._rate:
             return 0.0
         return _CAPACITY / self._rate - (self._clock.now() - self._began_after)
@@ -317,7 +317,7 @@ class Sr865a(Stanford):
         return self._reading(snapshot, status)
 
     def _note(self, sent: float, length: str) -> int:
-        """Return the number of points in the buffer, and refine its start time."""
+        """Update the start time of the buffer; return the number of points in it."""
         count = int(self.parsed(length, "CAPTUREBYTES?", count=1)[0]) // _POINT
         apart = _DRIFT * (sent - self._noted)
         self._noted, past = sent, count / self._rate
@@ -353,7 +353,7 @@ class Sr865a(Stanford):
         return self._rate
 
     def relieve(self, overload: Overload) -> bool:
-        """Increase IRNG for the input or SCAL for the outputs by one step."""
+        """Increase the input range (IRNG) or the output scale (SCAL) by one step."""
         if overload & Overload.INPUT and self._range > 0:
             self._range -= 1
             self._link.send(f"IRNG {self._range}")
@@ -365,7 +365,7 @@ class Sr865a(Stanford):
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next finer SCAL if the amplitude [V] allows it; else False.
+        """Select the next finer output scale if the amplitude [V] allows it.
 
         The input range stays as the devices file or an overload has set it, since
         signals beside the modulation need it.

@@ -1,4 +1,4 @@
-"""Lock-in amplifiers of Zurich Instruments, by their data server."""
+"""Driver of Zurich Instruments lock-in amplifiers, through their data server."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def streamed(
     interval: float,
     clock: Clock,
 ) -> list[dict[str, NDArray[Any]]]:
-    """Return the samples that nodes stream over a duration, from this call on.
+    """Return the samples that nodes stream during a time [s] from this call on.
 
     Data arrive late. The clock of the instrument, queried first, and the timestamps of
     the samples select the time.
@@ -59,7 +59,7 @@ def streamed(
 
 
 def _ticks(device: Any, clockbase: float) -> int:
-    """Return the time of the instrument in ticks of its clock.
+    """Return the present time of the instrument clock in ticks.
 
     A UHFLI answers in ticks, an HF2LI in seconds (the maker's list of its nodes).
     """
@@ -77,7 +77,7 @@ def _polled(
     interval: float,
     clock: Clock,
 ) -> list[dict[str, NDArray[Any]]]:
-    """Return the samples that each node streams until an instrument time in ticks."""
+    """Return the samples that nodes stream until a time of the instrument clock."""
     parts: list[list[dict[str, Any]]] = [[] for _ in nodes]
     limit = Deadline(clock, duration + _LATE + 20 * interval)
     wait = duration + 2 * interval
@@ -252,7 +252,7 @@ class ZurichLockIn:
         return "MF" in str(self._device.features.options()).split()
 
     def _drive(self, count: int) -> None:
-        """Output the first `count` oscillators at the set level, and no others."""
+        """Output the first `count` oscillators, and switch the others off."""
         output, family = self._device.sigouts[0], self._family
         peak = math.sqrt(2) * self._amplitude
         ranges = _OUTPUT_RANGES.get(family, _OUTPUT_RANGES["UHF"])

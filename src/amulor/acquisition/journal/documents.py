@@ -1,4 +1,4 @@
-"""A scan as documents of the event model of bluesky and databroker."""
+"""A scan as event-model documents, as bluesky and databroker use them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UNITS = {
 
 
 def documents(journal: Journal) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield a scan as documents: start, descriptors, an event per sample, and stop.
+    """Yield the documents of a scan: start, descriptors, events for samples, and stop.
 
     The time of an event is the start of its segment plus the time since then by the
     clock of the scan.
@@ -118,7 +118,7 @@ def data_keys() -> dict[str, dict[str, Any]]:
 
 
 def data_of(key: Key, record: Record) -> dict[str, Any]:
-    """Return the quantities of a sample by name; its kind names the stream."""
+    """Return the quantities of a sample by name, without the kind of sample."""
     content = {**key._asdict(), **vars(record)}
     del content["kind"]
     return {
@@ -128,5 +128,5 @@ def data_of(key: Key, record: Record) -> dict[str, Any]:
 
 
 def _moment(text: str) -> float:
-    """Convert a time text of the journal to Unix time [s]."""
+    """Convert a time stamp of the journal to Unix time [s]."""
     return datetime.datetime.fromisoformat(text).timestamp()

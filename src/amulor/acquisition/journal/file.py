@@ -1,4 +1,4 @@
-"""The file of a journal: description of the scan, checksums, locks and access."""
+"""File of a journal: metadata of the scan, checksums, locks and access."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def claimed(folder: Path) -> sqlite3.Connection:
 
 
 def in_use(folder: Path) -> bool:
-    """Return whether a program has the journal of a folder locked for writing."""
+    """Return whether a program has locked the journal of a folder for writing."""
     path = folder / _LOCK_NAME
     if not path.exists():
         return False
@@ -177,7 +177,7 @@ def writer(path: Path) -> sqlite3.Connection:
 
 
 def text_of(content: bytes) -> str:
-    """Decode a text of a journal; damaged characters become replacement marks."""
+    """Decode text from a journal; damaged bytes become replacement characters."""
     return content.decode("utf-8", "replace")
 
 
@@ -195,7 +195,7 @@ def reader(path: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Convert errors of SQLite and the operating system to FormatError with advice."""
+    """Convert errors of SQLite and the operating system to helpful FormatErrors."""
     try:
         yield
     except sqlite3.IntegrityError as error:

@@ -218,7 +218,7 @@ class Journal:
         return journal
 
     def __enter__(self) -> Journal:
-        """Return the journal, which the end of the block closes."""
+        """Return the journal; it is closed at the end of the block."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -266,7 +266,7 @@ class Journal:
                 raise
 
     def damage(self) -> list[str]:
-        """Return a line of text for each damaged part; empty for a sound journal.
+        """Return a line of text per damaged record; empty if the journal is intact.
 
         All rows are checked: checksum, range of each number, and whether the survey
         plans such a sample. The description of the scan is checked, too.
@@ -281,7 +281,7 @@ class Journal:
         self._damage[line] = None
 
     def commit(self, key: Key, record: Record) -> None:
-        """Write one sample, which survives a loss of power after the call.
+        """Write one sample; after the call it survives a loss of power.
 
         Parameters
         ----------
@@ -343,7 +343,7 @@ class Journal:
                 yield key, record
 
     def newer(self, than: int) -> list[tuple[int, Key, Record]]:
-        """Return all samples after a given sample number, with their numbers.
+        """Return number, key and record of all samples after a given number.
 
         Parameters
         ----------
@@ -361,7 +361,7 @@ class Journal:
             return [*self._rows.sound(entries, "number > ?", than)]
 
     def _add_columns(self) -> None:
-        """Add columns for quantities that are newer than the journal."""
+        """Add the columns that a journal of an older version lacks."""
         with explained(self._path):
             columns = columns_of(self._connection)
             for name in EXTRA:
@@ -377,13 +377,13 @@ class Journal:
         return int(result[0])
 
     def last_elapsed(self) -> float:
-        """Return the elapsed time of the last sample, 0 without samples [s]."""
+        """Return the elapsed time of the last sample; 0 without samples [s]."""
         with explained(self._path):
             (result,) = self._connection.execute("SELECT MAX(elapsed) FROM samples")
         return float(result[0] or 0.0)
 
     def begin_segment(self) -> int:
-        """Begin a segment and return its number; mark an unfinished one interrupted."""
+        """Begin a segment and return its number; mark an open one as interrupted."""
         now = _now()
         with explained(self._path):
             self._connection.execute("BEGIN IMMEDIATE")
@@ -430,7 +430,7 @@ class Journal:
         return self.folder / FILE_NAME
 
     def refuse_another(self, meta: Mapping[str, str]) -> None:
-        """Raise unless the journal has the same schema, survey and instrument.
+        """Raise unless the journal is of this schema, survey and instrument.
 
         Parameters
         ----------
@@ -448,7 +448,7 @@ class Journal:
         refuse_another(self.folder, self._path, self.meta(), meta)
 
     def _refuse_damaged(self) -> None:
-        """Raise if the journal is damaged: damaged rows cannot be acquired again."""
+        """Raise if the journal is damaged, as a scan cannot repair it."""
         damage = self.damage()
         if damage:
             more = f", and {len(damage) - 3} more" if len(damage) > 3 else ""

@@ -1,4 +1,4 @@
-"""Quantities recorded for each sample: the table of their units and ranges.
+"""Recorded quantities of a sample, with a table of their units and ranges.
 
 The columns of the journal, the checks of its rows, the documents of the event model and
 the variables of the cube follow from the annotations of `Record`. A new quantity is one

@@ -1,4 +1,4 @@
-"""Rows of a journal: schema, and checks of checksum, type and range."""
+"""Rows of a journal: columns, and checks of checksum, type and range."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class RowCheck:
             )
 
     def wrong_with(self, values: Sequence[Any], stored: Any) -> str | None:
-        """Describe the damage of a row, given its stored checksum; None if sound."""
+        """Describe the damage of a row; None if the row is intact."""
         row = dict(zip(self._columns, values, strict=True))
         wrong = (
             self._wrong_type(row) or self._wrong_value(row) or self._not_planned(row)
@@ -182,7 +182,7 @@ TABLES = (
 
 
 def row_of(key: Key, record: Record) -> tuple[Any, ...]:
-    """Return the values of the SQL `INSERT` of a sample."""
+    """Return the values of a sample for the SQL statement `INSERT`."""
     values = (*key, *_VALUES(record))
     if math.inf in values or -math.inf in values or any(v != v for v in values):
         refuse_impossible(key, record)
@@ -192,7 +192,7 @@ def row_of(key: Key, record: Record) -> tuple[Any, ...]:
 def refuse_another(
     folder: Path, path: Path, result: Mapping[str, str], meta: Mapping[str, str]
 ) -> None:
-    """Raise unless the journal has the same schema, survey and instrument."""
+    """Raise unless the journal is of this schema, survey and instrument."""
     version = result.get("journal_schema")
     if version != SCHEMA_VERSION:
         raise FormatError(
@@ -248,7 +248,7 @@ def columns_of(connection: sqlite3.Connection) -> list[str]:
 
 
 class Rows:
-    """Reader of the rows of one journal, which checks each row."""
+    """Reader of a journal's rows, which checks each row."""
 
     def __init__(
         self, connection: sqlite3.Connection, damaged: Callable[[str], None]
@@ -310,7 +310,7 @@ class Rows:
         *,
         unread: set[int] | None = None,
     ) -> Iterator[tuple[int, list[Any], str | None]]:
-        """Yield number, values and damage of each row; the damage is None if sound."""
+        """Yield number, values and damage of each row; damage is None if intact."""
         names = ", ".join(["number", CHECKSUM, *columns])
         for number, stored, *values in self._read(names, condition, value, unread):
             wrong = check.wrong_with(values, stored)
@@ -321,7 +321,7 @@ class Rows:
     def _read(
         self, names: str, condition: str, value: object, unread: set[int] | None
     ) -> Iterator[Any]:
-        """Yield rows in order; row by row after an unreadable page of the file."""
+        """Yield rows in order; one at a time after an unreadable page of the file."""
         read = f"SELECT {names} FROM samples WHERE ({condition}) AND number"
         last = 0
         try:

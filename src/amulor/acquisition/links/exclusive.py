@@ -49,7 +49,7 @@ class DeviceLocks:
         self._stack = contextlib.ExitStack()
 
     def take(self, lock: FileLock) -> None:
-        """Take a lock, or raise Timeout if another scan has it."""
+        """Take a lock; raise Timeout if another scan has it."""
         lock.acquire()
         self._stack.callback(lock.release)
 
@@ -59,7 +59,7 @@ class DeviceLocks:
 
 
 def hold(*addresses: str) -> DeviceLocks:
-    """Lock the devices at these addresses; a lock ends with its program."""
+    """Lock the devices at these addresses until this program ends."""
     folder = lock_folder()
     names = {name: address for address in addresses for name in device_names(address)}
     locks = DeviceLocks()
@@ -136,7 +136,7 @@ def device_names(address: str) -> list[str]:
 
 
 def _hosts(host: str) -> list[str]:
-    """Return the IP addresses of a host; its name in lower case if none is found."""
+    """Return the IP addresses of a host; its name in lower case if there are none."""
     try:
         entries = socket.getaddrinfo(host, None)
         resolved: Iterable[str] = {str(entry[4][0]) for entry in entries}
@@ -181,7 +181,7 @@ def _number(text: str) -> str:
 
 
 def _without_alias(address: str) -> str:
-    """Return the lock name of a VISA alias's resource; other addresses unchanged."""
+    """Return the lock name of an address, with VISA aliases resolved."""
     if "://" not in address and "{" not in address and "[" not in address:
         with contextlib.suppress(Exception):  # of the library, or none is installed
             visa = importlib.import_module("pyvisa")

@@ -119,7 +119,7 @@ class Conversation(Protocol):
 
 @dataclass(frozen=True)
 class SerialPort:
-    """Settings of a serial port; ignored by other links."""
+    """Settings of a serial port; other links ignore them."""
 
     end: str = "\n"
     """End of a line: a line feed, or a carriage return."""
@@ -130,7 +130,7 @@ class SerialPort:
 
 
 class Link:
-    """A link over PyVISA: GPIB, serial port, USB or network.
+    """Link through PyVISA: GPIB, serial port, USB or network.
 
     Lines end with a line feed everywhere but on a serial port of an instrument that
     ends them otherwise, as an SR844 does.
@@ -176,7 +176,7 @@ class Link:
 
     @property
     def resource(self) -> Any:
-        """PyVISA resource, for devices that exchange bytes instead of lines."""
+        """PyVISA resource, for devices that exchange bytes."""
         return self._resource
 
     def send(self, line: str) -> None:
@@ -372,14 +372,14 @@ def open_link(
     serial: SerialPort = SerialPort(),
     lock: bool = False,
 ) -> Conversation:
-    """Open the link to an address."""
+    """Open the link to an address, of the type that the address implies."""
     if address.startswith(SCHEME):
         return DirectLink(address, timeout=timeout)
     return Link.open(address, timeout=timeout, serial=serial, lock=lock)
 
 
 def linked(part: Linked, *, serial_end: str = "\n") -> Conversation:
-    """Open the link of a part of the devices file."""
+    """Open the link for a device in the devices file."""
     assert part.address is not None
     port = SerialPort(
         end=serial_end, baud_rate=part.baud_rate, flow_control=part.flow_control

@@ -1,4 +1,4 @@
-"""Devices of ophyd-async, called from outside of their event loop."""
+"""Devices of ophyd-async, called from outside their event loop."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _GRACE = 5.0
 
 
 class AsyncLoop:
-    """Event loop in a separate thread."""
+    """Event loop in a separate thread, or a loop that runs already."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         self._thread: threading.Thread | None = None
@@ -30,7 +30,7 @@ class AsyncLoop:
         self._loop = loop
 
     def run(self, call: Callable[[], Any], *, timeout: float) -> Any:
-        """Call a function in the event loop, and await its result if awaitable."""
+        """Call a function in the event loop, and wait for its result."""
 
         async def awaited() -> Any:
             async with asyncio.timeout(timeout):
@@ -59,7 +59,7 @@ class AsyncLoop:
 
 
 async def _end_others() -> None:
-    """Cancel all other tasks of the running event loop."""
+    """Cancel all tasks of the running event loop except this one."""
     tasks = asyncio.all_tasks() - {asyncio.current_task()}
     for task in tasks:
         task.cancel()
@@ -71,7 +71,7 @@ _EVERY = ("class", "arguments", "identity", "prepare")
 
 
 class OphydDevice:
-    """Device of ophyd-async and its parts, called from outside of its event loop."""
+    """Device of ophyd-async with its parts, called from outside the event loop."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class OphydDevice:
     def made(
         cls, part: str, wiring: Wiring, *, needed: Sequence[str], more: Sequence[str]
     ) -> OphydDevice:
-        """Connect the device of a part of the devices file."""
+        """Connect the device that a section of the devices file describes."""
         options = wiring.options
         missing = [name for name in ("class", *needed) if name not in options]
         unknown = [name for name in options if name not in (*_EVERY, *needed, *more)]
@@ -146,7 +146,7 @@ class OphydDevice:
     def call(
         self, action: str, call: Callable[[], Any], *, timeout: float | None = None
     ) -> Any:
-        """Run an action in the event loop; its name is in the error if it fails."""
+        """Run an action in the event loop; an error contains the name of the action."""
         limit = self._timeout if timeout is None else timeout
         try:
             return self._loop.run(call, timeout=limit)
@@ -161,7 +161,7 @@ class OphydDevice:
             ) from error
 
     def value(self, path: str) -> Any:
-        """Return the value of a part, given its path."""
+        """Return the value of a part of the device, by its path."""
         part = self.part(path)
         return self.call(f"tell its {path}", lambda: value_of(part))
 
@@ -220,7 +220,7 @@ async def done(awaitable: Any) -> Any:
 
 
 async def value_of(part: Any) -> Any:
-    """Return the value of a signal, or of a device with one value."""
+    """Return the value of a signal, or of a device with a single value."""
     if hasattr(part, "get_value"):
         return await part.get_value()
     if hasattr(part, "locate"):

@@ -1,4 +1,4 @@
-"""Server of a simulated device on a network port, which answers lines of text."""
+"""Server that lets a simulated device answer lines of text on a network port."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 
 class LinkLostError(Exception):
-    """Request of a simulated device to break its link."""
+    """Request by a simulated device to break its link."""
 
 
 class Speaker(Protocol):

@@ -55,7 +55,7 @@ ScannerDriver = Annotated[
 
 
 class ScannerSettings(Linked):
-    """Scanner, which turns the beam."""
+    """Scanner that turns the beam."""
 
     driver: ScannerDriver = "simulated"
     """Driver: simulated, pi_gcs, analog (mirrors on voltages, see `analog`), pelco_d (a
@@ -211,7 +211,7 @@ class Procedure(Description):
 
 
 class SimulationSettings(Description):
-    """Errors and faults of embedded simulated devices."""
+    """Errors and faults of the simulated devices in this program."""
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Seed of the noise [1]."""
@@ -244,7 +244,7 @@ class SimulationSettings(Description):
 
 
 class Settings(Description):
-    """The devices of a scan; by default all of them are simulated.
+    """Devices of a scan; by default all are simulated.
 
     Examples
     --------
@@ -383,7 +383,7 @@ class Settings(Description):
 
     @property
     def simulated(self) -> bool:
-        """Whether the devices are the embedded simulated ones."""
+        """Whether all devices are simulated in this program."""
         return self.lock_in.driver == "simulated"
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Parts of the devices file: light, lock-in, analog channels, pan-tilt head."""
+"""Sections of the devices file: light, lock-in, analog channels, pan-tilt head."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def need(condition: bool, setting: str) -> None:
 
 
 def driver_check(part: str, *builtin: str) -> AfterValidator:
-    """Return a validator of drivers: built in, or of an installed package."""
+    """Return a validator of driver names, built-in or from installed packages."""
 
     def check(name: str) -> str:
         if name not in builtin and name not in (installed := plugins.names(part)):
@@ -40,7 +40,7 @@ def driver_check(part: str, *builtin: str) -> AfterValidator:
 
 
 class Linked(Description):
-    """Base of the parts of the devices file that have an address."""
+    """Base of all sections of the devices file that have an address."""
 
     address: Address | None = None
     """VISA resource name, such as "GPIB0::8::INSTR" or
@@ -110,7 +110,7 @@ class MirrorSettings(Description):
 
 
 class AnalogSettings(Description):
-    """Two mirrors on analog outputs."""
+    """Two scanner mirrors on analog outputs."""
 
     outputs: Literal["lock_in", "nidaqmx", "labjack"]
     """Device of the outputs: the lock-in, a National Instruments card, or a LabJack T4
@@ -192,7 +192,7 @@ class ScpiSourceSettings(Description):
 
 
 class SourceSettings(Linked):
-    """Modulation source, in place of the lock-in."""
+    """Modulation source that replaces the oscillator of the lock-in."""
 
     driver: SourceDriver = "none"
     """Driver: none (the lock-in modulates), scpi (commands in `scpi`), or a source of
@@ -409,7 +409,7 @@ class LockInSettings(Linked):
 
 
 class DigitiserSettings(Linked):
-    """Digitizer that records the detector, with lock_in.driver = "digitiser"."""
+    """Digitizer of the detector signal, for lock_in.driver = "digitiser"."""
 
     driver: Annotated[str, driver_check("digitiser", "none")] = "none"
     """Driver: none, or a digitizer of an installed package (entry point

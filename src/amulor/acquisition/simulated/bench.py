@@ -22,7 +22,7 @@ from amulor.survey.counting import background_rate
 
 @dataclass(frozen=True)
 class Fault:
-    """Fault of a simulated device during a number of readings."""
+    """Fault of a simulated device for a number of readings."""
 
     kind: str
     """Kind: overload, saturation, unlock, lost-link, timeout, stuck, darkness (blocked
@@ -75,7 +75,7 @@ def in_steps(
     settings: SimulationSettings,
     rng: np.random.Generator,
 ) -> list[list[complex]]:
-    """Advance output filters of all tones in even time steps; return outputs [V]."""
+    """Advance the output filters of all tones in even steps; return outputs [V]."""
     from scipy.signal import lfilter
 
     keep = math.exp(-interval / time_constant)
@@ -120,7 +120,7 @@ def _or_never(arrival: float) -> float:
 
 
 class Bench:
-    """Laser, water, target, detector and lock-in filter of a survey, run by a clock.
+    """Laser, water, target, detector and lock-in filter of a survey, over time.
 
     Simulated devices set its inputs and read its output. A direction between pixels has
     the light of the nearest pixel or shot, also while the beam moves: the filter
@@ -210,7 +210,7 @@ class Bench:
             self._renew()
 
     def send(self, goals: Mapping[str, float], *, speed: float) -> None:
-        """Start to move axes to positions, such that all arrive at the same time.
+        """Start to move axes to positions such that all arrive at the same time.
 
         The names are azimuth, elevation, launch, analyser and target.
         """
@@ -261,7 +261,7 @@ class Bench:
             return self._arrival[name]
 
     def place(self, name: str) -> float:
-        """Return the present position of an axis, also during its motion."""
+        """Return the present position of an axis, even during its motion."""
         with self._lock:
             return self._position_at(name, self._arrive())
 
@@ -296,7 +296,7 @@ class Bench:
             return self.clock.now() >= self._locked_at
 
     def output(self) -> tuple[complex, float]:
-        """Return the filtered peak signal [V] and the mean output of the detector [V].
+        """Return the filtered peak signal and the mean output of the detector [V].
 
         Each call counts as a reading, by which faults are timed.
         """
@@ -304,7 +304,7 @@ class Bench:
         return signals[0], mean
 
     def outputs(self) -> tuple[list[complex], float]:
-        """Return the filtered peak signal of every frequency [V], and the mean [V]."""
+        """Return the filtered peak signal of each frequency and the mean output [V]."""
         with self._lock:
             self.readings += 1
             self._advance()
@@ -320,7 +320,7 @@ class Bench:
     # -- internals ----------------------------------------------------------------
 
     def _advance(self) -> None:
-        """Advance motion and filter to the present time."""
+        """Advance motion and output filter to the present time."""
         self._relax(self._arrive())
 
     def _arrive(self) -> float:
@@ -351,7 +351,7 @@ class Bench:
         return self._ahead[0][0] if self._ahead else math.inf
 
     def _position_at(self, name: str, now: float) -> float:
-        """Return the position of an axis at a time of its motion."""
+        """Return the position of an axis at a time during its motion."""
         arrival = self._arrival[name]
         if not math.isfinite(arrival):
             return self._place[name]
@@ -387,7 +387,7 @@ class Bench:
         return self._time_constant
 
     def instant(self) -> tuple[list[complex], float]:
-        """Return the present inputs of the filters [V], and the mean output [V].
+        """Return the present filter inputs and the mean output [V].
 
         It counts as a reading.
         """
@@ -400,7 +400,7 @@ class Bench:
     def start_trace(
         self, interval: float, *, most: int, start: float | None = None
     ) -> None:
-        """Start a trace of the outputs at an interval [s], now or at a start time."""
+        """Start to record outputs at an interval [s], now or at a start time."""
         # Loaded before time counts.
         importlib.import_module("scipy.signal")
         with self._lock:
@@ -411,17 +411,17 @@ class Bench:
 
     @property
     def trace_start(self) -> float:
-        """Start time of the trace [s]."""
+        """Start time of the recorded outputs [s]."""
         return self._trace_start
 
     def trace(self) -> list[list[complex]]:
-        """Return the trace so far: rows of the outputs of every frequency [V]."""
+        """Return the recorded outputs so far, a row per time [V]."""
         with self._lock:
             self._advance()
             return self._trace
 
     def _relax(self, until: float) -> None:
-        """Advance the filter to a time [s], and record the trace."""
+        """Advance the output filter to a time [s], and record the trace."""
         while len(self._trace) < self._trace_most:
             moment = self._trace_start + len(self._trace) * self._trace_interval
             if moment > until:

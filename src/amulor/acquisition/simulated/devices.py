@@ -1,4 +1,4 @@
-"""Simulated devices of a scan that share one simulated bench."""
+"""Simulated devices of a scan that share one simulated instrument, the bench."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class SimulatedLockIn(_Simulated):
         ]
 
     def record(self, duration: float) -> Recorded:
-        """Return the outputs of every frequency over a time [s]."""
+        """Record the outputs of every frequency for a time [s]."""
         bench, interval = self.bench, self._constant / 10
         count = 1 + round(duration / interval)
         bench.start_trace(interval, most=count)
@@ -302,7 +302,7 @@ _REFERENCE, _REFERENCE_NOISE = 0.1, 1e-4
 
 
 class SimulatedDigitiser:
-    """Simulated digitizer of the photodiode and the modulation of a bench."""
+    """Simulated digitizer of the detector signal and the modulation of a bench."""
 
     ranges: tuple[float, ...] = (0.01, 0.1, 1.0, 10.0)
     shows_mean = True

@@ -15,7 +15,7 @@ SPEED = math.radians(30.0)
 
 
 class _Frames:
-    """Splitter of the received bytes of one link into frames of seven bytes."""
+    """Splitter of received bytes into frames of seven bytes, for one link."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -50,7 +50,7 @@ class SimulatedPelcoHead:
         self._lock = threading.Lock()
 
     def cutter(self) -> _Frames:
-        """Return a new frame splitter, for one link."""
+        """Return a splitter of received bytes, one for each link."""
         return _Frames()
 
     def answer(self, line: bytes) -> list[bytes]:

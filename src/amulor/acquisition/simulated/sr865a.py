@@ -55,7 +55,7 @@ class Capture:
         self._seen: list[list[complex]] = []
 
     def commands(self) -> dict[str, Callable[[str], Answer]]:
-        """Return the handler of each command."""
+        """Return the functions that answer the commands, by command."""
         return {
             "CAPTURELEN": self._set_length,
             "CAPTURELEN?": lambda _: [str(self._length // 1024)],
@@ -198,7 +198,7 @@ _DATA = 4
 
 
 class SimulatedSr865a(SimulatedStanford):
-    """Simulated SR865A: the input range can overload, the numeric outputs cannot."""
+    """Simulated SR865A, of which only the input range can overload."""
 
     model = "SR865A"
     unlocked_bit = _UNLOCKED

@@ -34,7 +34,7 @@ _BARE = ("*IDN?", "*RST", "*CLS", "*OPC?", "*TST?", "FREQ?")
 
 
 class Setting(NamedTuple):
-    """Setting of an instrument that takes one of several numbered choices."""
+    """Setting of an instrument with numbered choices."""
 
     last: int = 0
     """Highest code of a choice."""
@@ -45,7 +45,7 @@ class Setting(NamedTuple):
 
 
 class Number(NamedTuple):
-    """Setting of an instrument that takes a number, for one or several channels."""
+    """Setting of an instrument with a numeric value, for one or more channels."""
 
     low: float
     high: float
@@ -103,7 +103,7 @@ class SimulatedStanford:
         self._reset("")
 
     def answer(self, line: str) -> list[str | bytes]:
-        """Return the answers to one line with one or several commands."""
+        """Return the answers to a line of one or several commands."""
         with self._lock:
             self.lines.append(line)
             del self.lines[:-_MOST_LINES]
@@ -183,7 +183,7 @@ class SimulatedStanford:
         return []
 
     def _enable(self, word: str, argument: str) -> list[str]:
-        """Set a status-enable register, or one bit of it."""
+        """Set a status-enable register or one bit of it."""
         place, _, value = argument.partition(",")
         count = _BITS.get(word, 8)
         if not 0 <= _whole(place) < (count if value else 1 << count):
@@ -280,7 +280,7 @@ class SimulatedStanford:
         return _whole(text)
 
     def _values(self) -> dict[int, float]:
-        """Return the present values by the code of SNAP?."""
+        """Return the present values by their codes in the command SNAP?."""
         raise NotImplementedError
 
     def _shown(self, value: float) -> str:
@@ -306,7 +306,7 @@ def _register_text(register: int, bit: str, *, count: int = 8) -> str:
 
 
 def index_of(text: str, count: int, *, first: int = 0) -> int:
-    """Return the index of a code in text, from 0 up to `count`; raise if beyond."""
+    """Return the index that a code states as text; raise if beyond `count`."""
     place = _whole(text) - first
     if not 0 <= place < count:
         raise ValueError(text)
@@ -341,7 +341,7 @@ _CHANGE = 0.01
 
 
 class SimulatedSr844(SimulatedStanford):
-    """Simulated SR844: frequencies with three digits, outputs clipped at full scale."""
+    """Simulated SR844: three-digit frequencies, outputs clipped at full scale."""
 
     model = "SR844"
     unlocked_bit = _UNLOCKED

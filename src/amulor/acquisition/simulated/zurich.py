@@ -42,7 +42,7 @@ _NODES: tuple[tuple[str, Any], ...] = (
 
 
 class SimulatedNode:
-    """Node of the data server: a call with a value sets it, without one reads it."""
+    """Node of the data server; a call with a value sets it, without one reads it."""
 
     def __init__(self, device: SimulatedUhfli, path: str) -> None:
         self._device, self._path = device, path
@@ -56,7 +56,7 @@ class SimulatedNode:
         return SimulatedNode(self._device, f"{self._path}/{number}")
 
     def __str__(self) -> str:
-        """Return the full path."""
+        """Return the full path of the node."""
         return f"/{self._device.serial}/{self._path}"
 
     def __call__(self, *value: Any) -> Any:
@@ -105,7 +105,7 @@ class SimulatedUhfli:
         self._begun = bench.clock.now()
 
     def __getattr__(self, name: str) -> SimulatedNode:
-        """Return a node."""
+        """Return a node of the data server."""
         if name.startswith("_"):
             raise AttributeError(name)
         return SimulatedNode(self, name)
@@ -138,7 +138,7 @@ class SimulatedUhfli:
         self._restart()
 
     def poll(self, recording_time: float = 0.1, *, timeout: float = 0.5) -> _Polled:
-        """Wait for a time [s], and return the stream since the last poll."""
+        """Wait for a time [s], and return the data streamed since the last poll."""
         self.bench.clock.sleep(recording_time)
         rows = self.bench.trace()
         start, interval = self._trace_start, self._trace_interval
@@ -186,7 +186,7 @@ class SimulatedUhfli:
             self._restart()
 
     def _drive(self) -> None:
-        """Modulate the bench by the enabled oscillators of the first output."""
+        """Modulate the bench with the oscillators enabled on the first output."""
         channels = range(8) if "MF" in self._options.split() else (3,)
         enabled = [
             n
@@ -234,7 +234,7 @@ class SimulatedUhfli:
         }
 
     def _reached(self) -> float:
-        """Return the largest recent input signal relative to the input range [1]."""
+        """Return the largest recent input over the input range [1]."""
         if self.bench.faults.active("overload", self.bench.readings):
             return 1.0
         return float(sum(map(abs, self._row)) / self._get("sigins/0/range"))
