@@ -66,9 +66,9 @@ def fournier_forand_phase(
          + \frac{1 - \delta_\pi^\nu}{16 \pi (\delta_\pi - 1) \delta_\pi^\nu}
            (3 \cos^2\theta - 1),
 
-    with :math:`\delta_\pi` at 180 degrees. The brackets are computed by their series
-    about :math:`\delta = 1`, where they lose their digits. Meant for :math:`n` up to
-    about 1.35 and :math:`\mu` from 3.5 to 5.
+    with :math:`\delta_\pi` at 180 degrees. Near :math:`\delta = 1`, where the brackets
+    lose their digits, they are computed by a series. Intended for :math:`n` up to about
+    1.35 and :math:`\mu` from 3.5 to 5.
 
     Examples
     --------

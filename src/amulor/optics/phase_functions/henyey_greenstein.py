@@ -1,8 +1,8 @@
 r"""Henyey-Greenstein phase function in closed form, with its moments.
 
 A phase function is scattered power per solid angle, with an integral of 1 over the
-sphere. The forward part is what is scattered by less than a split angle; its second
-moment is sin-weighted and renormalised,
+sphere. The forward part is scattering by less than a split angle; its second moment is
+sin-weighted and renormalized,
 
 .. math::
 
@@ -221,7 +221,7 @@ def henyey_greenstein_second_moment(
     -------
     ndarray
         Mean square scattering angle below the split angle, sin-weighted and
-        renormalised, of the broadcast shape [rad^2].
+        renormalized, of the broadcast shape [rad^2].
 
     Raises
     ------
@@ -230,11 +230,11 @@ def henyey_greenstein_second_moment(
 
     Notes
     -----
-    The reading of eq. (33) of Ricci et al. 2010, as rederived, on the sphere, with
-    the forward part of eq. (10) renormalised to 1. The planar moment of the
-    small-angle form diverges. Gauss-Legendre rule of 160 points in
-    :math:`w`, :math:`\theta = (1 - |g|) \sinh w` from the peak; relative error
-    1e-12, besides what the rounding of g does to 1 - g.
+    Eq. (33) of Ricci et al. 2010, as rederived, interpreted on the sphere, with the
+    forward part of eq. (10) renormalized to 1. The planar moment of the small-angle
+    form diverges. Gauss-Legendre rule of 160 points in :math:`w`,
+    :math:`\theta = (1 - |g|) \sinh w` from the peak; relative error 1e-12, apart from
+    the rounding of g in 1 - g.
 
     Examples
     --------
@@ -283,9 +283,9 @@ def similarity_second_moment(*, asymmetry: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    From :math:`1 - \cos\theta \simeq \theta^2 / 2` over the whole sphere. It stands
-    beside `henyey_greenstein_second_moment` for comparison with the studies of
-    Ricci et al. 2010, and lies a third above it at a split of 90 degrees.
+    From :math:`1 - \cos\theta \simeq \theta^2 / 2` over the whole sphere. It serves for
+    comparison with the studies of Ricci et al. 2010. At a split of 90 degrees it
+    exceeds `henyey_greenstein_second_moment` by a third.
 
     Examples
     --------

@@ -1,7 +1,8 @@
 r"""Integrals of a phase function: forward fraction, cumulative, Hankel transform.
 
-Scattering of the sea rises towards 0 degrees over many decades of the angle, so every
-integral is a sum of Gauss-Legendre rules over panels graded in the angle.
+Scattering in the sea rises towards 0 degrees over many decades of the angle. Every
+integral is therefore a sum of Gauss-Legendre rules over panels that widen with the
+angle.
 """
 
 from __future__ import annotations
@@ -248,7 +249,7 @@ def forward_split(
         Fraction of the scattering below the split angle [1].
     second_moment : float
         Mean square scattering angle below the split angle, sin-weighted and
-        renormalised [rad^2].
+        renormalized [rad^2].
 
     Raises
     ------
@@ -260,8 +261,8 @@ def forward_split(
     -----
     Eqs. (10) and (33) of Ricci et al. 2010, as rederived. Adaptive Gauss-Legendre
     quadrature over the logarithm of the angle from 1e-18 rad, relative error 1e-9;
-    steps and kinks are found by halving. What lies below 1e-18 rad is left out,
-    which for a peak like :math:`\theta^{-1.6}` is less than 1e-7 of the whole.
+    steps and kinks are found by halving. Scattering below 1e-18 rad is omitted, which
+    for a peak like :math:`\theta^{-1.6}` is less than 1e-7 of the total.
 
     Examples
     --------

@@ -246,8 +246,8 @@ def size_distribution(
     medium_index : float
         Phase index of the medium, which does not absorb [1].
     angle : array_like, optional
-        Angles of the table, rising from 0 to pi, 1-D [rad]. By default 32 a lobe of
-        the largest sphere, at least 721.
+        Angles of the table, rising from 0 to pi, 1-D [rad]. By default 32 angles for
+        each lobe of the largest sphere, at least 721.
 
     Returns
     -------
@@ -263,8 +263,8 @@ def size_distribution(
 
     Notes
     -----
-    Single scattering, without correlation between the spheres, so below about 1 %
-    of the volume. With the wavenumber k in the medium,
+    Single scattering without correlation between the spheres, valid up to about 1 % of
+    the volume. With the wavenumber k in the medium,
 
     .. math::
 

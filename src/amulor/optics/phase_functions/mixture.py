@@ -36,11 +36,11 @@ def mixture(
     Parameters
     ----------
     functions : sequence of PhaseFunction
-        One for each kind of scatterer.
+        Phase function of each kind of scatterer.
     scattering : array_like
         Scattering coefficient of each kind, not negative, their sum above 0 [1/m].
     name : str
-        What the mixture is; by default the names of its parts.
+        Name of the mixture, by default from the names of its parts.
 
     Returns
     -------
@@ -54,8 +54,8 @@ def mixture(
 
     Notes
     -----
-    :math:`p = \sum_i b_i p_i / \sum_i b_i`. Every integral of it is the same mean of
-    those of its parts.
+    :math:`p = \sum_i b_i p_i / \sum_i b_i`. Its integrals are the same means of the
+    integrals of its parts.
 
     Examples
     --------
@@ -102,7 +102,7 @@ def fournier_forand_with_backscatter(backscatter_fraction: float) -> PhaseFuncti
     Returns
     -------
     PhaseFunction
-        With index and slope on the line that follows.
+        Phase function with index and slope on the line of the notes.
 
     Raises
     ------
@@ -112,8 +112,8 @@ def fournier_forand_with_backscatter(backscatter_fraction: float) -> PhaseFuncti
     Notes
     -----
     C. D. Mobley, L. K. Sundman and E. Boss, Appl. Opt. 41, 1035 (2002),
-    :doi:`10.1364/AO.41.001035`, let relative index and slope run together,
-    :math:`n = 1.01 + 0.1542 (\mu - 3)`, and find that the fraction then decides on the
+    :doi:`10.1364/AO.41.001035`, couple relative index and slope by
+    :math:`n = 1.01 + 0.1542 (\mu - 3)`. They find that the fraction then determines the
     light field.
 
     Examples

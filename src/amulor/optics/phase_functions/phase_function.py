@@ -1,6 +1,6 @@
 """Phase functions as objects, from formulas or tables.
 
-They are made by `amulor.optics.phase_functions.models` from formulas and by
+`amulor.optics.phase_functions.models` creates them from formulas,
 `amulor.optics.phase_functions.tables` from tables.
 """
 
@@ -33,7 +33,7 @@ class SamplingTable:
     """Table of the inverse cumulative phase function, for random angles.
 
     Both arrays rise, so the inverse is monotone. Between two nodes the phase function
-    is taken as constant, which keeps the fraction of each cell exact.
+    is assumed to be constant, which keeps the fraction of each cell exact.
 
     Examples
     --------
@@ -89,8 +89,7 @@ class SamplingTable:
 class PhaseFunction:
     r"""Scattered power per solid angle, with an integral of 1 over the sphere.
 
-    Calling it gives its value. Closed forms are
-    used where there are any; the rest are integrals by
+    A call returns its value. Integrals use closed forms if available, else
     `amulor.optics.phase_functions.integrals.Panels`.
 
     Examples

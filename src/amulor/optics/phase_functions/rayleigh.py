@@ -1,7 +1,7 @@
 r"""Scattering by small particles: Rayleigh phase function and size parameter.
 
-The matrix that goes with it is `amulor.optics.polarization.mueller.rayleigh`; spheres
-of any size are in `amulor.optics.phase_functions.mie`.
+The corresponding Mueller matrix is `amulor.optics.polarization.mueller.rayleigh`;
+spheres of any size are in `amulor.optics.phase_functions.mie`.
 """
 
 from __future__ import annotations
@@ -193,8 +193,8 @@ def scattering_regime(
     -----
     Eq. (62) of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
     doi:10.1155/2010/958360, as rederived, with the regimes :math:`x \ll 1`,
-    :math:`x \sim 1` and :math:`x \gg 1`; where one ends is not a fact of nature, so
-    the limits are arguments.
+    :math:`x \sim 1` and :math:`x \gg 1`; their boundaries are conventions, so the
+    limits are arguments.
 
     Examples
     --------

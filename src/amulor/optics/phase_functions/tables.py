@@ -1,7 +1,8 @@
 r"""Phase functions from tables: measurements in sea water, or tables of the user.
 
-Between its points a table is a power law, straight on double logarithmic paper. Below
-its first angle there are no data: the power law goes on, and the object says so.
+Between its points a table is a power law, a straight line on double logarithmic axes.
+Below its first angle, where there are no data, the power law is extrapolated, and the
+description of the object states this.
 
 >>> harbour = petzold("NUC 2040")
 >>> print(harbour.description.replace(", ", "\n"))
@@ -63,7 +64,7 @@ def tabulated(
         Exponent s of the power law :math:`\theta^{-s}` below the first angle, below 2
         [1]. By default that between the first two angles.
     name : str
-        What the table is.
+        Name of the table.
 
     Returns
     -------
@@ -73,12 +74,14 @@ def tabulated(
     Raises
     ------
     ValueError
-        If the table cannot be used, or its head would hold infinite scattering.
+        If the table cannot be used, or its power law below the first angle has infinite
+        scattering.
 
     Notes
     -----
-    A table that starts at 0 has no head; up to its second angle, the logarithm of the
-    value goes with the square of the angle, as in a diffraction lobe.
+    A table that starts at 0 needs no extrapolation. Up to its second angle, the
+    logarithm of the value is linear in the square of the angle, as in a diffraction
+    lobe.
 
     Examples
     --------
@@ -124,7 +127,7 @@ def from_cumulative(
     cumulative : array_like
         Fraction of the scattering below each angle, above 0, rising to 1 [1].
     name : str
-        What the table is.
+        Name of the table.
 
     Returns
     -------
@@ -140,7 +143,7 @@ def from_cumulative(
     -----
     The logarithm of the fraction is a monotone cubic function of the logarithm of
     :math:`\sin^2(\theta/2)` (F. N. Fritsch and J. Butland, SIAM J. Sci. Stat. Comput.
-    5, 300 (1984)). Below the first angle it goes on as the straight line through the
+    5, 300 (1984)). Below the first angle it continues as the straight line through the
     first two fractions. Fractions at the angles of the table are exact, values have the
     error of the differences of its rounded fractions.
 
@@ -188,9 +191,9 @@ def petzold(station: str) -> PhaseFunction:
     Parameters
     ----------
     station : str
-        One of `STATIONS`, among them "AUTEC 8", usual for clear ocean, "HAOCE 11",
-        for coastal and "NUC 2040", for harbour water; or "average_particle", the
-        average of Mobley et al. with the scattering of water taken off.
+        One of `STATIONS`, among them "AUTEC 8", usual for clear ocean, "HAOCE 11", for
+        coastal and "NUC 2040", for harbor water; or "average_particle", the average of
+        Mobley et al. without the scattering of water.
 
     Returns
     -------
@@ -208,8 +211,8 @@ def petzold(station: str) -> PhaseFunction:
     T. J. Petzold, Volume Scattering Functions for Selected Ocean Waters, SIO Ref. 72-78
     (1972), at 530 nm, and C. D. Mobley et al., Appl. Opt. 32, 7484 (1993),
     :doi:`10.1364/AO.32.007484`. At AUTEC and HAOCE the values below 0.169 degrees are
-    the report's own extension. The head below 0.1 degree has the report's slope; for
-    the average particle, that of its fractions. Shapes hold for other wavelengths
+    extrapolated by the report. The power law below 0.1 degree has the report's slope;
+    for the average particle, that of its fractions. Shapes hold for other wavelengths
     better than scattering coefficients do. The value of the average particle at 180
     degrees comes from fractions given to 1e-6 and has an error of a few percent.
 

@@ -2,8 +2,8 @@ r"""Mueller matrices of real polarizers, retarders and quarter-wave plates.
 
 Conventions are those of `amulor.optics.polarization.stokes` and
 `amulor.optics.polarization.mueller`; light passes the elements from the right of a
-product to its left. None of these elements depolarizes, and none may send out more
-light than it gets.
+product to its left. None of these elements depolarizes, and none may transmit more
+light than it receives.
 
 References
 ----------
@@ -33,7 +33,7 @@ def linear_polarizer(
     Parameters
     ----------
     angle : array_like
-        Direction that passes, from the parallel to the perpendicular axis [rad].
+        Transmitted direction, from the parallel to the perpendicular axis [rad].
     extinction_ratio : array_like
         Power that passes crossed over power that passes aligned, 0 (ideal) to 1
         (clear glass) [1]. A data sheet's 10 000:1 is 1e-4.
@@ -115,8 +115,8 @@ def retarder(
     Raises
     ------
     ValueError
-        If a diattenuation or a transmission is outside of its range, or if more light
-        than all would pass along one axis.
+        If a diattenuation or a transmission is outside of its range, or if more than
+        the incident light would pass along one axis.
 
     Notes
     -----
@@ -169,8 +169,8 @@ def largest_transmission(mueller: ArrayLike) -> NDArray[np.float64]:
     Returns
     -------
     ndarray
-        Largest output over input, shape of `mueller` without the last two axes [1].
-        Above 1 no passive element can have it.
+        Largest output over input, shape of `mueller` without the last two axes [1]. A
+        passive element cannot exceed 1.
 
     Raises
     ------

@@ -79,8 +79,8 @@ def depolarization_effect(mueller: ArrayLike) -> NDArray[np.float64]:
     Notes
     -----
     :math:`\tfrac13 (|m_{22}| + |m_{33}| + |m_{44}|)` of the matrix over its first
-    element, a reading of eq. (61) that meets both limits. For a diagonal matrix it
-    is 1 less the depolarization power of S.-Y. Lu and R. A. Chipman, J. Opt. Soc.
+    element, an interpretation of eq. (61) that meets both limits. For a diagonal matrix
+    it is 1 less the depolarization power of S.-Y. Lu and R. A. Chipman, J. Opt. Soc.
     Am. A 13, 1106 (1996).
 
     Examples
@@ -114,10 +114,10 @@ def coherency_matrix(mueller: ArrayLike) -> NDArray[np.complex128]:
 
     Notes
     -----
-    :math:`\tfrac14 \sum_{ij} m_{ij} \, \sigma_i \otimes \sigma_j^*` with the unit
-    and Pauli matrices in the order of (I, Q, U, V) (S. R. Cloude, Optik 75, 26
-    (1986)). A Mueller matrix is a mixture of non-depolarizing ones exactly if this
-    has no negative eigenvalue.
+    :math:`\tfrac14 \sum_{ij} m_{ij} \, \sigma_i \otimes \sigma_j^*` with the unit and
+    Pauli matrices in the order of (I, Q, U, V) (S. R. Cloude, Optik 75, 26 (1986)). A
+    Mueller matrix is a mixture of non-depolarizing matrices exactly if its coherency
+    matrix has no negative eigenvalue.
 
     Examples
     --------

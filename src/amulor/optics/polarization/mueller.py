@@ -4,11 +4,11 @@ Real polarizers and retarders are in `amulor.optics.polarization.components`, pa
 states made with them in `amulor.optics.polarization.schemes`.
 
 The last two axes are (4, 4), rows out, columns in. Stokes convention: that of
-`amulor.optics.polarization.stokes`. The matrix of a scatterer or target leads from the
-axes of the light that falls in to those of the light that comes out, so one that sends
-light back without depolarizing it is diag(1, 1, -1, -1). Equation numbers are those of
-R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360, doi:10.1155/2010/958360,
-as rederived.
+`amulor.optics.polarization.stokes`. The matrix of a scatterer or target converts from
+the axes of incident light to those of outgoing light. Backscattering without
+depolarization is therefore diag(1, 1, -1, -1). Equation numbers are those of R. Ricci
+et al., EURASIP J. Adv. Signal Process. 2010, 958360, doi:10.1155/2010/958360, as
+rederived.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def diagonal(m22: ArrayLike, m33: ArrayLike, m44: ArrayLike) -> NDArray[np.float
 
     Notes
     -----
-    The form of eqs. (65) and (67). Not each such matrix can exist: see
+    The form of eqs. (65) and (67). Not every such matrix is physical: see
     `amulor.optics.polarization.depolarization.realizability_defect`.
 
     Examples
@@ -90,7 +90,7 @@ def ideal_backscatter() -> NDArray[np.float64]:
 
     Notes
     -----
-    Eq. (65). The negative m44 means that a helicity comes back as the other one.
+    Eq. (65). The negative m44 means that the helicity is reversed.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def painted_metal(*, m44: float = -0.46) -> NDArray[np.float64]:
     Parameters
     ----------
     m44 : float
-        Circular element, from -1 to -0.22, where the matrix can exist [1]. Its
+        Circular element, from -1 to -0.22, where the matrix is physical [1]. Its
         default is ASSUMED: only m22 = 0.61 was published.
 
     Returns
@@ -237,10 +237,9 @@ def particles(
 
     Notes
     -----
-    Eq. (66), and with m34 = 0 eq. (63): what symmetry leaves of the sixteen elements
-    for particles in random orientation, as many as their mirror images. Not each such
-    matrix can exist: see
-    `amulor.optics.polarization.depolarization.realizability_defect`.
+    Eq. (66), and with m34 = 0 eq. (63): the elements that symmetry permits for
+    particles in random orientation, with as many mirror images. Not every such matrix
+    is physical: see `amulor.optics.polarization.depolarization.realizability_defect`.
 
     Examples
     --------
@@ -273,7 +272,7 @@ def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
     mueller : array_like
         Mueller matrices of an element that light passes, last axes (4, 4) [1].
     angle : array_like
-        Angle of the turn, from the parallel to the perpendicular axis [rad].
+        Angle of rotation, from the parallel to the perpendicular axis [rad].
 
     Returns
     -------
@@ -287,11 +286,10 @@ def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    :math:`R(-\alpha) M R(\alpha)` with
-    :math:`Q' = Q \cos 2\alpha + U \sin 2\alpha`,
-    :math:`U' = -Q \sin 2\alpha + U \cos 2\alpha` for axes turned by
-    :math:`\alpha`. For elements in transmission; a target that is turned about the
-    line of sight has its axes out reversed.
+    :math:`R(-\alpha) M R(\alpha)` with :math:`Q' = Q \cos 2\alpha + U \sin 2\alpha`,
+    :math:`U' = -Q \sin 2\alpha + U \cos 2\alpha` for axes turned by :math:`\alpha`.
+    Valid for elements in transmission. For a target rotated about the line of sight,
+    the outgoing axes are reversed.
 
     Examples
     --------
@@ -313,7 +311,7 @@ def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
     mueller : array_like
         Mueller matrices, last axes (4, 4) [1].
     stokes : array_like
-        Stokes vectors that fall in, last axis (4,), any unit.
+        Stokes vectors of the incident light, last axis (4,), any unit.
 
     Returns
     -------
@@ -349,9 +347,9 @@ def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
     mueller : array_like
         Mueller matrices of target or water, last axes (4, 4) [1].
     pair : str
-        State that is launched and state that the ideal analyser passes, such as "VV",
-        "VH", "RR", "RL"; letters as in `amulor.optics.polarization.stokes.state`.
-        "none" is no polarizer anywhere: unpolarized light, all of it detected.
+        Launched state, and state that the ideal analyzer passes, such as "VV", "VH",
+        "RR", "RL"; letters as in `amulor.optics.polarization.stokes.state`. "none"
+        means no polarizer: unpolarized light, all of it detected.
 
     Returns
     -------
@@ -367,9 +365,9 @@ def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
     Notes
     -----
     :math:`\tfrac12 \mathbf a \cdot M \mathbf s` with the Stokes vectors of launched
-    state and analyser, both of intensity 1; :math:`m_{11}` for "none". Eqs. (68) and
-    (69). The analyser's letter is read in the axes of the light that comes back:
-    a mirror returns V as V but R as L and P as M.
+    state and analyzer, both of intensity 1; :math:`m_{11}` for "none". Eqs. (68) and
+    (69). The analyzer's letter refers to the axes of the returning light: a mirror
+    returns V as V, but R as L and P as M.
 
     Examples
     --------

@@ -1,13 +1,13 @@
 r"""Pairs of launched and analyzed polarization states with imperfect components.
 
-With ideal components everything here becomes
+With ideal components these functions agree with
 `amulor.optics.polarization.mueller.detected_fraction`. Letters of states and the
-meaning of axes are those of `amulor.optics.polarization.stokes`: those of an analyser
-are read in the axes of the light that comes back.
+meaning of axes are those of `amulor.optics.polarization.stokes`: those of an analyzer
+refer to the axes of the returning light.
 
-A linear state needs a polarizer in its direction and no plate. For a circular one the
-polarizer stands along the parallel axis, and a quarter-wave plate, after it on the
-way out and before it on the way in, has its fast axis at +45 or -45 degrees.
+A linear state needs a polarizer in its direction and no plate. For a circular state the
+polarizer is along the parallel axis. A quarter-wave plate, on the side of the scene,
+has its fast axis at +45 or -45 degrees.
 
 References
 ----------
@@ -85,7 +85,8 @@ def generator(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64
     Parameters
     ----------
     state : str
-        State as in `amulor.optics.polarization.stokes.state`; "none" is no component.
+        State as in `amulor.optics.polarization.stokes.state`; "none" means no
+        component.
     arm : PolarizationArm
         Components of the emitter.
 
@@ -98,7 +99,7 @@ def generator(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64
     Raises
     ------
     ValueError
-        If there is no state of this name, or a component cannot exist.
+        If there is no state of this name, or a component is not physical.
 
     Examples
     --------
@@ -116,8 +117,8 @@ def analyser(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64]
     Parameters
     ----------
     state : str
-        State that passes, as in `amulor.optics.polarization.stokes.state`; "none" is no
-        component.
+        State that passes, as in `amulor.optics.polarization.stokes.state`; "none" means
+        no component.
     arm : PolarizationArm
         Components of the receiver.
 
@@ -125,13 +126,13 @@ def analyser(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64]
     -------
     ndarray
         Mueller matrix, broadcast shape of the fields of `arm` with last axes (4, 4)
-        [1]: for "R" and "L" the plate, then the polarizer. Its first row is all that
-        a detector sees of it.
+        [1]: for "R" and "L" the plate, then the polarizer. A detector measures only its
+        first row.
 
     Raises
     ------
     ValueError
-        If there is no state of this name, or a component cannot exist.
+        If there is no state of this name, or a component is not physical.
 
     Examples
     --------
@@ -161,8 +162,8 @@ def launched_stokes(
         Components of the emitter.
     laser : array_like
         Stokes vector before the components, last axis (4,), any unit; unpolarized by
-        default, the worst case. Of a polarized laser that is turned into the polarizer
-        less gets through crossed.
+        default, the worst case. A polarized laser aligned with the polarizer leaks
+        less.
 
     Returns
     -------
@@ -172,12 +173,12 @@ def launched_stokes(
     Raises
     ------
     ValueError
-        If there is no such state, a component cannot exist, or no light leaves.
+        If there is no such state, a component is not physical, or no light leaves.
 
     Notes
     -----
-    Per launched power, not per power of the laser: what the components take is
-    ``generator(state, arm=arm) @ laser``.
+    Relative to launched power, not to the power of the laser. The absolute Stokes
+    vector after the components is ``generator(state, arm=arm) @ laser``.
 
     Examples
     --------
@@ -228,8 +229,8 @@ def received_fraction(
     Raises
     ------
     ValueError
-        If the last axes are not (4, 4), the pair is not known, or a component cannot
-        exist.
+        If the last axes are not (4, 4), the pair is not known, or a component is not
+        physical.
 
     See Also
     --------
@@ -237,10 +238,10 @@ def received_fraction(
 
     Notes
     -----
-    First element of :math:`A M \mathbf s` with the matrix A of the analyser and the
+    First element of :math:`A M \mathbf s` with the matrix A of the analyzer and the
     launched vector s of intensity 1, from eq. (60) of Ricci et al. 2010 [1]_, as
-    rederived; with ideal components the readings of eqs. (68) and (69). Losses of the
-    emitter count before the launch and do not show.
+    rederived; with ideal components the readings of eqs. (68) and (69). Losses in the
+    emitter occur before the launch and have no effect.
 
     References
     ----------
@@ -290,8 +291,8 @@ def cross_talk(
     -------
     ndarray
         Received fraction over the transmission of the receiver's components, less the
-        fraction with ideal components [1]. Where the ideal pair is dark this is the
-        leak; where it is bright, negative, what the leak of the other pair took.
+        fraction with ideal components [1]. For a dark ideal pair this is the leak. For
+        a bright pair it is negative: the light lost to the other pair.
 
     Raises
     ------
@@ -306,7 +307,7 @@ def cross_talk(
     HV, PP, RR and LL, eq. (65) of Ricci et al. 2010 (:doi:`10.1155/2010/958360`), as
     rederived. Leaks of both sides add up as powers if they come from extinction ratios,
     but retardance and axis errors of polarized light add up as amplitudes: two equal
-    ones can be four times one, or next to nothing.
+    errors may cause four times the leak of one, or almost none.
 
     Examples
     --------
@@ -352,7 +353,7 @@ def linear_leak(
     Returns
     -------
     ndarray
-        Leak over what passes aligned, of the broadcast shape [1].
+        Leak over transmission of aligned light, of the broadcast shape [1].
 
     Raises
     ------
@@ -362,8 +363,8 @@ def linear_leak(
     Notes
     -----
     :math:`\sin^2\alpha + e \cos^2\alpha`, the law of Malus and the extinction ratio;
-    for a tolerance budget. Below :math:`\alpha = \sqrt e` the polarizer itself rules:
-    1.8 degrees for 1000:1.
+    for a tolerance budget. Below :math:`\alpha = \sqrt e` the extinction ratio
+    dominates: 1.8 degrees for 1000:1.
 
     Examples
     --------
@@ -388,21 +389,21 @@ def circular_leak(
     retardance_error : array_like
         Retardance of the plate less a quarter wave [rad].
     plate_error : array_like
-        Turn of the fast axis from 45 degrees to the polarizer [rad].
+        Deviation of the fast axis from 45 degrees to the polarizer [rad].
 
     Returns
     -------
     ndarray
-        Leak over what passes of both helicities together, of the broadcast shape [1].
+        Leak over the transmission of both helicities together, of the broadcast shape
+        [1].
 
     Notes
     -----
     :math:`\tfrac12 (1 - \cos\eta \cos 2\varepsilon)` with the retardance error
     :math:`\eta` and the plate error :math:`\varepsilon`: :math:`\sin^2(\eta/2)` and
-    :math:`\sin^2\varepsilon` for one of them alone. The same holds for what a
-    generator makes. A plate of a given delay :math:`\eta` grows with
-    :math:`1/\lambda`: a quarter-wave plate for 532 nm has
-    :math:`\eta = 0.49` rad at 405 nm, and leaks 6 %.
+    :math:`\sin^2\varepsilon` for one of them alone. The same formula applies to a
+    generator. A plate of a given delay :math:`\eta` grows with :math:`1/\lambda`: a
+    quarter-wave plate for 532 nm has :math:`\eta = 0.49` rad at 405 nm, and leaks 6 %.
 
     Examples
     --------

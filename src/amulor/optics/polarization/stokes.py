@@ -14,15 +14,14 @@ direction of travel; complex amplitudes go with :math:`e^{-i \omega t}`. Then
 eq. (59) of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
 doi:10.1155/2010/958360, as rederived, where the sign of V is left open. Here
 
-* Q is parallel (H, horizontal) less perpendicular (V, vertical);
-* U is what passes at +45 degrees (P) less what passes at -45 degrees (M), positive
-  angles turning from the parallel to the perpendicular axis, anticlockwise for an
-  observer who looks at the light coming towards him;
-* V is right (R) less left (L) circular; in right circular light the field turns
+* Q is parallel (H, horizontal) less perpendicular (V, vertical); * U is light passing
+at +45 degrees (P) less light passing at -45 degrees (M), positive angles turning from
+the parallel to the perpendicular axis, anticlockwise for an observer who faces the
+light; * V is right (R) less left (L) circular; in right circular light the field turns
   clockwise for that observer. R is (1, 0, 0, 1).
 
-After a reflection the light travels the other way and the perpendicular axis is
-turned round with it, so a mirror swaps P and M, and R and L, but keeps H and V.
+A reflection reverses the direction of travel and with it the perpendicular axis, so a
+mirror swaps P and M, and R and L, but keeps H and V.
 """
 
 from __future__ import annotations
@@ -174,8 +173,8 @@ def degree_of_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
     Returns
     -------
     ndarray
-        :math:`\sqrt{Q^2 + U^2 + V^2} / I`, shape of `stokes` without the last axis
-        [1]. Noise can carry measured vectors above 1.
+        :math:`\sqrt{Q^2 + U^2 + V^2} / I`, shape of `stokes` without the last axis [1].
+        With noise, measured vectors may exceed 1.
 
     Raises
     ------
@@ -248,7 +247,8 @@ def degree_of_circular_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    From eq. (59) of Ricci et al. 2010, as rederived; the sense is that of this module.
+    From eq. (59) of Ricci et al. 2010, as rederived; the sign is that of this module's
+    convention.
 
     Examples
     --------
@@ -314,7 +314,8 @@ def ellipticity_angle(stokes: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    From eq. (59) of Ricci et al. 2010, as rederived; the sense is that of this module.
+    From eq. (59) of Ricci et al. 2010, as rederived; the sign is that of this module's
+    convention.
 
     Examples
     --------

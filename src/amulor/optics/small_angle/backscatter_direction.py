@@ -1,8 +1,8 @@
 r"""Direction distribution of backscattered light, and backscatter averaged over it.
 
-The water signal takes the volume scattering function at 180 degrees for all light. Here
-is how far that light really was from 180 degrees, and the mean to take instead, in the
-diffusion form of the small-angle model.
+The model of the water signal uses the volume scattering function at 180 degrees for all
+light. These functions return the actual distribution of the scattering angle, and the
+mean scattering function over it, by the small-angle diffusion model.
 
 References
 ----------
@@ -43,7 +43,7 @@ def backscatter_direction(
     Parameters
     ----------
     depth : array_like
-        Depth z at which it turned, not negative [m].
+        Depth z of the backscattering, not negative [m].
     forward_scattering, second_moment, baseline, receiver_radius, acceptance_angle : \
     array_like
         As in `amulor.optics.small_angle_diffusion.overlap`.
@@ -63,14 +63,14 @@ def backscatter_direction(
 
     Notes
     -----
-    First and second moment of the radiance (24) of Ricci et al. 2010 (ref. [1] of
-    this module), as rederived, in the diffusion form: place and direction are Gaussian
-    together, with the variances :math:`A = R^2/2 + \gamma^2 z^2/2 + 4 D z^3/3` and
+    First and second moment of the radiance (24) of Ricci et al. 2010 (ref. [1] of this
+    module), as rederived, in the diffusion model: position and direction are jointly
+    Gaussian, with the variances :math:`A = R^2/2 + \gamma^2 z^2/2 + 4 D z^3/3` and
     :math:`C = \gamma^2/2 + 4 D z` and the covariance
-    :math:`B = \gamma^2 z/2 + 2 D z^2`. On the axis the mean is
-    :math:`\rho_0 B / A` and the variance :math:`C - B^2 / A`. Where they are small
-    against the angles over which the scattering function near 180 degrees changes,
-    its value there may stand for all, eq. (26).
+    :math:`B = \gamma^2 z/2 + 2 D z^2`. On the axis the mean is :math:`\rho_0 B / A` and
+    the variance :math:`C - B^2 / A`. If they are small against the angles over which
+    the scattering function near 180 degrees changes, its value at 180 degrees may be
+    used, eq. (26).
 
     Examples
     --------
@@ -216,7 +216,7 @@ def mean_backscatter_vsf(
     -------
     ndarray
         Mean over the deviations from straight back, of the broadcast shape [1/(m sr)];
-        what to put in place of the value at 180 degrees.
+        a replacement for the value at 180 degrees.
 
     Raises
     ------
@@ -227,12 +227,12 @@ def mean_backscatter_vsf(
     Notes
     -----
     The inner integral of eqs. (17) and (25) of Ricci et al. 2010 (ref. [1] of this
-    module), as rederived, over the radiance that belongs to it. Eq. (26) puts the value
-    at 180 degrees in its place, which is right where the function is flat. Spheres
-    have a glory there, and Mie's function of one size can change by a factor within
-    a few degrees; this tells by how much. The deviation has a Rice distribution, which
-    is summed at 1024 angles up to nine standard deviations: 1e-12 for a structure as
-    fine as a twentieth of a standard deviation.
+    module), as rederived, weighted with the radiance of eq. (24). Eq. (26) uses the
+    value at 180 degrees instead, which is right for a flat function. Spheres have a
+    glory there, and the Mie phase function of one size can change by a factor within a
+    few degrees; this mean shows by how much. The deviation has a Rice distribution,
+    which is summed at 1024 angles up to nine standard deviations: 1e-12 for a structure
+    as fine as a twentieth of a standard deviation.
 
     Examples
     --------

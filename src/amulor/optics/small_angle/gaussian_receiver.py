@@ -1,6 +1,6 @@
 r"""Small-angle water signal of a Gaussian receiver, for any phase function.
 
-Unlike the diffusion form, this keeps the light that was not scattered, and the shape
+Unlike the diffusion model, it treats unscattered light separately, and uses the shape
 of the forward peak.
 """
 
@@ -79,14 +79,14 @@ def water_response(
     scattering : array_like
         Scattering coefficient b, forward and diffuse [1/m].
     phase_function : callable
-        Phase function [1/sr] of an array of angles from 0 to pi [rad], with an
-        integral of 1 over the sphere. If it has a method
+        Phase function [1/sr] of an array of angles from 0 to pi [rad], with an integral
+        of 1 over the sphere. If it has a method
         ``hankel(direction_frequency, *, split_angle)``, this gives the transform of the
-        forward part, 1 at zero. What was worked out for it is kept for later
-        calls, so it must not change.
+        forward part, 1 at zero. Its tables are cached for later calls, so it must not
+        change.
     split_angle : float
         Angle between the forward and the diffuse part, above 0 to pi [rad]. Light
-        scattered by more is lost, but for what the backscatter sends back.
+        scattered by larger angles is lost, except for backscatter.
     backscatter_vsf : array_like, optional
         Volume scattering function beta_pi at 180 degrees [1/(m sr)]; scattering
         times the phase function there if not given.
@@ -108,11 +108,10 @@ def water_response(
     cross_tilt : array_like, optional
         Inclination across the plane of the baseline, in water [rad].
     standoff : array_like, optional
-        Path in front of the water that spreads light like this depth of water but
-        neither takes nor delays any [m].
+        Path in front of the water, as the depth of water in which light spreads
+        equally, without attenuation and delay [m].
     end : array_like, optional
-        Depth at which the water ends, or a target stands [m]; open water if
-        infinite.
+        Depth of the end of the water, or of a target [m]; open water if infinite.
     shared_light : SharedLight, optional
         Scattered light that all columns of a scan share, from `fit`; by default from
         the columns of this call.
@@ -120,16 +119,16 @@ def water_response(
     Returns
     -------
     ndarray of complex
-        Received per launched power, of the broadcast shape [1]. The phase is the
-        delay of the echo behind light that turns back where the water begins.
+        Received per launched power, of the broadcast shape [1]. The phase is the delay
+        of the echo relative to light returned at the start of the water.
 
     Raises
     ------
     ValueError
-        If an argument is outside its range or, `end` apart, not finite, or if the
+        If an argument is outside its range or, except for `end`, not finite, or if the
         phase function cannot be used.
     ArithmeticError
-        If the integral over the depth does not settle.
+        If the integral over the depth does not converge.
 
     See Also
     --------
@@ -138,18 +137,18 @@ def water_response(
 
     Notes
     -----
-    Eqs. (26) and (29) of Ricci et al. 2010 [1]_, as rederived and conjugated so that
-    a later echo has the larger phase, with the receiver (38). The transform is
+    Eqs. (26) and (29) of Ricci et al. 2010 [1]_, as rederived and conjugated so that a
+    later echo has the larger phase, with the receiver (38). The transform is
     :math:`W = \exp[-(R^2 + w^2) \kappa^2 / 4 - (\gamma^2 + \delta^2) \kappa^2
     \zeta^2 / 4]` with the radius w and the divergence :math:`\delta` of a Gaussian
-    beam, which the paper leaves out.
+    beam, which the paper omits.
 
     The unscattered part is the closed form of the diffusion model without forward
-    scattering. For the rest :math:`I = z P(\kappa z) / \kappa z`, so one table of
-    the integral P of the transformed phase function serves all depths. The error
-    is below 1e-7 of the response at zero frequency for apertures from 5 mm and
-    acceptances from 20 mrad, and a little more where the receiver never meets the
-    beam. Small angles only.
+    scattering. For the rest :math:`I = z P(\kappa z) / \kappa z`, so one table of the
+    integral P of the transformed phase function serves all depths. The error is below
+    1e-7 of the response at zero frequency for apertures from 5 mm and acceptances from
+    20 mrad, and a little more if the receiver's view never meets the beam. Valid for
+    small angles.
 
     References
     ----------
@@ -234,9 +233,10 @@ def fit(
     modulation_frequency : array_like
         Frequency of the intensity modulation, not negative [Hz].
     farthest : float
-        Depth up to which any column of the scan reaches, perhaps infinite [m].
+        Largest depth of all columns of the scan, possibly infinite [m].
     group_index : array_like
-        As in `water_response`, of all columns or of some spread over the scan [1].
+        As in `water_response`, for all columns or for some of them over the whole scan
+        [1].
     phase_function : PhaseFunction
         As in `water_response`.
     split_angle : float
@@ -253,7 +253,7 @@ def fit(
     Returns
     -------
     SharedLight
-        For `water_response` of any columns of the scan.
+        Argument of `water_response` for any columns of the scan.
 
     Examples
     --------

@@ -66,14 +66,14 @@ def water_response(
     scattering : array_like
         Scattering coefficient b, forward and diffuse [1/m].
     phase_function : callable
-        Phase function [1/sr] of an array of angles from 0 to pi [rad], with an
-        integral of 1 over the sphere. If it has a method
+        Phase function [1/sr] of an array of angles from 0 to pi [rad], with an integral
+        of 1 over the sphere. If it has a method
         ``hankel(direction_frequency, *, split_angle)``, this gives the transform of the
-        forward part, 1 at zero. What was worked out for it is kept for later
-        calls, so it must not change.
+        forward part, 1 at zero. Its tables are cached for later calls, so it must not
+        change.
     split_angle : float
         Angle between the forward and the diffuse part, above 0 to pi [rad]. Light
-        scattered by more is lost, but for what the backscatter sends back.
+        scattered by larger angles is lost, except for backscatter.
     backscatter_vsf : array_like, optional
         Volume scattering function beta_pi at 180 degrees [1/(m sr)]; scattering
         times the phase function there if not given.
@@ -84,8 +84,7 @@ def water_response(
     receiver_radius : array_like
         Radius R of the circular aperture, uniform up to its edge [m].
     acceptance_angle : array_like
-        Semi-angle gamma of the cone, in water, that the receiver takes in, uniform
-        up to its edge [rad].
+        Semi-angle gamma of the acceptance cone, in water, uniform up to its edge [rad].
     beam_radius : array_like, optional
         1/e radius of the intensity of the Gaussian beam at the instrument [m].
     beam_divergence : array_like, optional
@@ -96,25 +95,24 @@ def water_response(
     cross_tilt : array_like, optional
         Inclination across the plane of the baseline, in water [rad].
     standoff : array_like, optional
-        Path in front of the water that spreads light like this depth of water but
-        neither takes nor delays any [m].
+        Path in front of the water, as the depth of water in which light spreads
+        equally, without attenuation and delay [m].
     end : array_like, optional
-        Depth at which the water ends, or a target stands [m]; open water if
-        infinite.
+        Depth of the end of the water, or of a target [m]; open water if infinite.
 
     Returns
     -------
     ndarray of complex
-        Received per launched power, of the broadcast shape [1]. The phase is the
-        delay of the echo behind light that turns back where the water begins.
+        Received per launched power, of the broadcast shape [1]. The phase is the delay
+        of the echo relative to light returned at the start of the water.
 
     Raises
     ------
     ValueError
-        If an argument is outside its range or, `end` apart, not finite, or if the
+        If an argument is outside its range or, except for `end`, not finite, or if the
         phase function cannot be used.
     ArithmeticError
-        If the integral over the depth does not settle.
+        If the integral over the depth does not converge.
 
     See Also
     --------
@@ -123,26 +121,25 @@ def water_response(
 
     Notes
     -----
-    Eqs. (26) and (29) of Ricci et al. 2010 [1]_, as rederived and conjugated so that
-    a later echo has the larger phase, with the transform of two uniform discs, and
-    of a Gaussian beam of radius w and divergence :math:`\delta`, which the paper
-    leaves out,
+    Eqs. (26) and (29) of Ricci et al. 2010 [1]_, as rederived and conjugated so that a
+    later echo has the larger phase, with the transform of two uniform discs, and of a
+    Gaussian beam of radius w and divergence :math:`\delta`, which the paper omits,
 
     .. math:: W = \frac{2 J_1(\kappa R)}{\kappa R}\,
        \frac{2 J_1(\kappa \gamma \zeta)}{\kappa \gamma \zeta}\,
        \exp[-(w^2 + \delta^2 \zeta^2) \kappa^2 / 4] .
 
-    It falls slowly. The light of an infinitely thin beam that was not scattered is
-    therefore taken out: its fraction is the area that two discs have in common. For
-    the rest each Bessel function of a large argument is written as two waves with
-    smooth factors, and waves that turn fast are integrated by the Legendre series
-    of their factors, so the cost does not grow with the range of spatial frequencies.
+    It falls slowly. The unscattered light of an infinitely thin beam is therefore
+    computed separately, from the area that two discs share. In the remaining integral
+    each Bessel function of a large argument is written as two waves with smooth
+    factors. Fast waves are integrated by the Legendre series of their factors, so the
+    cost does not grow with the range of spatial frequencies.
 
-    The error is below 1e-6 of the response at zero frequency for apertures from
-    1 mm, acceptances from 5 mrad and baselines up to 0.3 m, as long as beam and view
-    meet where there is light. Else F(z) is known to 2e-10 of what the receiver would
-    take in on its axis; 1 mm and 5 mrad at 0.3 m from the beam, which is all of
-    these at once, have 2e-6 of the response. Small angles only.
+    The error is below 1e-6 of the response at zero frequency for apertures from 1 mm,
+    acceptances from 5 mrad and baselines up to 0.3 m, as long as beam and view meet
+    where there is light. Else the error of F(z) is 2e-10 of the light received on axis.
+    For all three limits together, 1 mm, 5 mrad and 0.3 m, the error is 2e-6 of the
+    response. Valid for small angles.
 
     References
     ----------

@@ -1,11 +1,11 @@
 r"""Fourier transforms of the small-angle model: water layer, beam and receiver.
 
-Light at a depth z has a place :math:`\boldsymbol\rho` across the axis and a small
-direction :math:`\mathbf n`; their conjugates are the spatial
-frequency :math:`\boldsymbol\kappa` [1/m] and the frequency :math:`\mathbf p` of the
-direction [1/rad], both along one axis here. Water multiplies by a transfer function.
-The way out and back of single backscatter goes through an equivalent medium with twice
-the coefficients, eqs. (21) and (23) of Ricci et al. 2010 [1]_, as rederived, so its
+Light at a depth z has a position :math:`\boldsymbol\rho` across the axis and a small
+direction :math:`\mathbf n`; their conjugates are the spatial frequency
+:math:`\boldsymbol\kappa` [1/m] and the frequency :math:`\mathbf p` of the direction
+[1/rad], both along one axis here. Water multiplies by a transfer function. The two-way
+path of single backscatter is equivalent to one path through a medium with twice the
+coefficients, eqs. (21) and (23) of Ricci et al. 2010 [1]_, as rederived, so its
 transfer function is the square.
 
 References
@@ -54,7 +54,7 @@ def layer_transfer(
     r"""Return a water layer's transfer function for one Fourier component of a beam.
 
     At zero `direction_frequency` this is the modulation transfer function of the water:
-    the contrast in which a pattern of stripes arrives, times the loss of light.
+    the contrast of a stripe pattern behind the layer, times the transmission.
 
     Parameters
     ----------
@@ -69,15 +69,15 @@ def layer_transfer(
     scattering : array_like
         Scattering coefficient b, forward and diffuse, not negative [1/m].
     phase_function : PhaseFunction
-        Phase function; its forward part is spread, the rest is lost.
+        Phase function; its forward part spreads the beam, other scattering is a loss.
     split_angle : float
         Angle between the forward and the diffuse part, above 1e-12 to pi [rad].
 
     Returns
     -------
     ndarray
-        Transform of the radiance behind the layer over that of a source moved along
-        by :math:`\mathbf p + \boldsymbol\kappa z`, of the broadcast shape [1].
+        Transform of the radiance behind the layer over that of a source shifted by
+        :math:`\mathbf p + \boldsymbol\kappa z`, of the broadcast shape [1].
 
     Raises
     ------
@@ -94,11 +94,11 @@ def layer_transfer(
        \exp\Bigl[-k z + b_f \int_0^z \hat p_f(|p + \kappa s|) \, ds\Bigr].
 
     Its square is the exponential of eqs. (21) and (29), for the equivalent medium of
-    eq. (23) has twice the coefficients. The transform of the phase
-    function is worked out once for all layers of a call and integrated as a Legendre
-    series. For the peaked phase functions of the sea split at 90 degrees the error was
-    found to be 1e-14 of the result where :math:`p + \kappa z` stays below 600 per
-    radian and 3e-8 above; it is larger for one that is not small at the split angle.
+    eq. (23) has twice the coefficients. The transform of the phase function is computed
+    once for all layers of a call and integrated as a Legendre series. For peaked phase
+    functions of the sea, split at 90 degrees, the error was 1e-14 of the result where
+    :math:`p + \kappa z` stays below 600 per radian and 3e-8 above; it is larger for a
+    phase function that is not small at the split angle.
 
     Examples
     --------
@@ -176,8 +176,9 @@ def diffusion_layer_transfer(
        D = b_f \langle\theta^2\rangle / 4 .
 
     It is `layer_transfer` for :math:`\hat p_f = 1 - q^2 \langle\theta^2\rangle / 4`:
-    a start of a series that is right for patterns wide against the spread of single
-    scattering, and not for fine ones, which unscattered light still carries.
+    the first terms of a series. It is accurate for patterns that are wide against the
+    spread by single scattering, but not for fine patterns, which unscattered light
+    still transmits.
 
     Examples
     --------

@@ -1,7 +1,8 @@
 r"""Water signal and overlap by the small-angle closure.
 
-The exponent by which scattering damps a spatial frequency is replaced by the straight
-line in its square that touches it at the frequency which the light itself has.
+Scattering damps a spatial frequency by an exponent. The closure replaces this exponent,
+as a function of the squared frequency, by its tangent at the mean squared frequency of
+the light.
 """
 
 from __future__ import annotations
@@ -71,9 +72,9 @@ def water_response(
     phase_function : callable
         Phase function [1/sr], as in `amulor.optics.small_angle.water_response`.
     split_angle : float
-        Angle between the forward and the diffuse part, above 0 to pi [rad]. What is
-        scattered by more is lost, but for what the backscatter sends back; 90 degrees
-        is right for natural water.
+        Angle between the forward and the diffuse part, above 0 to pi [rad]. Light
+        scattered by larger angles is lost, except for backscatter; 90 degrees is right
+        for natural water.
     backscatter_vsf : array_like, optional
         Volume scattering function beta_pi at 180 degrees [1/(m sr)]; scattering
         times the phase function there if not given.
@@ -93,22 +94,21 @@ def water_response(
         Inclination of the beam against the receiver axis, along the baseline and
         across it, in water [rad].
     standoff : array_like, optional
-        Path in front of the water that spreads light like this depth of water but
-        neither takes nor delays any [m].
+        Path in front of the water, as the depth of water in which light spreads
+        equally, without attenuation and delay [m].
     end : array_like, optional
-        Depth at which the water ends, or a target stands [m]; open water if
-        infinite.
+        Depth of the end of the water, or of a target [m]; open water if infinite.
 
     Returns
     -------
     ndarray of complex
-        Received per launched power, of the broadcast shape [1]. The phase is the
-        delay of the echo behind light that turns back where the water begins.
+        Received per launched power, of the broadcast shape [1]. The phase is the delay
+        of the echo relative to light returned at the start of the water.
 
     Raises
     ------
     ValueError
-        If an argument is outside its range or, `end` apart, not finite, or if the
+        If an argument is outside its range or, except for `end`, not finite, or if the
         phase function cannot be used.
 
     Warns
@@ -119,18 +119,18 @@ def water_response(
     See Also
     --------
     overlap : The integrand, and the equations.
-    amulor.optics.small_angle.water_response : What this stands for; slower.
-    amulor.optics.small_angle_diffusion.water_response : The form of the paper.
+    amulor.optics.small_angle.water_response : Exact model, slower.
+    amulor.optics.small_angle_diffusion.water_response : Diffusion model of the paper.
 
     Notes
     -----
-    Eq. (46) of Ricci et al. 2010 [1]_ with the F(z) of `overlap`. The closure has too
-    little of the light that was scattered by large angles, so its cut-off is too high.
-    Where the light that it lacks by `departure`, summed over the column, is at most
-    0.25 of its own, the cut-off is 0 to 30 % above that of eq. (29) in drawn
-    geometries. Elsewhere, as for receivers that accept less than some 30 mrad and stand
-    aside, an `AmulorWarning` says so: there it was 0.7 to 3.9 times that of eq. (29).
-    Panels over the depth are halved until less than 1e-10 of the response is left
+    Eq. (46) of Ricci et al. 2010 [1]_ with the F(z) of `overlap`. The closure
+    underestimates light scattered by large angles, so its cut-off is too high. If the
+    missing light by `departure`, summed over the column, is at most 0.25 of the
+    closure's light, the cut-off is 0 to 30 % above that of eq. (29) in random
+    geometries. Elsewhere, as for receivers with an acceptance below some 30 mrad and a
+    baseline, an `AmulorWarning` is issued: there it was 0.7 to 3.9 times that of eq.
+    (29). Panels over the depth are halved until less than 1e-10 of the response is
     unresolved.
 
     References
@@ -234,9 +234,9 @@ def overlap(
 
     .. math:: L(\kappa^2) = 2 b \int_0^z [1 - \hat p_f(\kappa s)] \, ds ,
 
-    with the transform of the forward part that is its share of the scattering at
-    zero. Here L is the line with its value and its slope at one frequency
-    :math:`\kappa_*`,
+    with the transform of the forward part, which at zero is its fraction of the
+    scattering. The closure replaces L by the line with its value and its slope at one
+    frequency :math:`\kappa_*`,
 
     .. math::
 
@@ -248,16 +248,15 @@ def overlap(
        S = R^2 + \gamma^2 \zeta^2 + B ,
 
     and :math:`\kappa_*^2 = 4 / S` is the mean square frequency of this very light, so S
-    is found by iteration. L is concave, so each such line gives less light on the
-    axis than eq. (29), and this one most of all lines; of two solutions, which occur
-    for receivers that accept less than some 10 mrad, the one with more light is taken.
-
-    At :math:`\kappa_* = 0` it would be the diffusion form of the same split. Exact
-    without forward scattering, and for few scatterings or very many.
-    It holds at depths where `departure` is at most 0.25: 0.7 to 1 of the light of
-    eq. (29). Elsewhere it may have next to nothing of it: close to the instrument, and
-    off the axis of a receiver that accepts little, where only light scattered by large
-    angles is seen.
+    is found by iteration. L is concave, so every tangent gives less light on the axis
+    than eq. (29), and this tangent gives the most. If there are two solutions, as for
+    receivers with an acceptance below some 10 mrad, the solution with more light is
+    used. At :math:`\kappa_* = 0` it would be the diffusion model of the same split. The
+    closure is exact without forward scattering, and for few or very many scattering
+    events. It is valid at depths where `departure` is at most 0.25: there it has 0.7 to
+    1 of the light of eq. (29). Elsewhere it may have almost none of it: close to the
+    instrument, and off the axis of a receiver with a small acceptance, which receives
+    only light scattered by large angles.
 
     References
     ----------
@@ -343,10 +342,10 @@ def departure(
        e^q \int_0^\infty e^{-t} J_0(2 \sqrt{q t}) \bigl[e^{-L(4 t / S) + A
        + B t / S} - 1\bigr] \, dt
 
-    by Gauss's rule of 16 nodes; infinite, too, where A is above 3 (95 % of the light
-    counts as lost, and most of it is not) or q above 30. For small departures
-    it is :math:`-\tfrac12 L'' \kappa_*^4 (1 - q)^2`: the closure fails by the
-    curvature of L, and the more the farther the spot is off the axis.
+    by Gauss's rule of 16 nodes; infinite, too, where A is above 3 (the closure then
+    loses 95 % of the light, most of it wrongly) or q above 30. For small departures it
+    is :math:`-\tfrac12 L'' \kappa_*^4 (1 - q)^2`: the closure fails by the curvature of
+    L, and the more the farther the spot is off the axis.
 
     The closure holds where this is at most `LARGEST_DEPARTURE`, 0.25, either way. In
     drawn geometries (acceptance 5 to 100 mrad, baseline 0 to 0.4 m, 0.1 to 3 1/m) it

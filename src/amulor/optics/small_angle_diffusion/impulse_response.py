@@ -54,7 +54,7 @@ def impulse_response(
     standoff : array_like
         As in `small_angle_diffusion.overlap` [m].
     end : array_like
-        Where the water ends [m].
+        Depth of the end of the water [m].
 
     Returns
     -------
@@ -71,7 +71,7 @@ def impulse_response(
     Light from the depth :math:`z` comes at :math:`t = 2 z / v`, so
     :math:`h(t) = \beta_\pi F(v t / 2) \, v / 2`; the integral over
     :math:`h(t) e^{i \omega t}` is eq. (46) of Ricci et al. 2010 [1]_, as rederived, and
-    the way from there to the time is eq. (8).
+    eq. (8) transforms it to time.
 
     References
     ----------

@@ -195,23 +195,22 @@ def water_response(
     cross_tilt : array_like, optional
         Inclination across the plane of the baseline, in water [rad].
     standoff : array_like, optional
-        Path in front of the water that spreads light like this depth of water but
-        neither takes nor delays any: air behind a flat window counts with its
+        Path in front of the water, as the depth of water in which light spreads
+        equally, without attenuation and delay: air behind a flat window counts with its
         length times the phase index of the water [m].
     end : array_like, optional
-        Depth at which the water ends, or a target stands [m]; open water if
-        infinite.
+        Depth of the end of the water, or of a target [m]; open water if infinite.
 
     Returns
     -------
     ndarray of complex
-        Received per launched power, of the broadcast shape [1]. The phase is the
-        delay of the echo behind light that turns back where the water begins.
+        Received per launched power, of the broadcast shape [1]. The phase is the delay
+        of the echo relative to light returned at the start of the water.
 
     Raises
     ------
     ValueError
-        If an argument is outside its range or, `end` apart, not finite.
+        If an argument is outside its range or, except for `end`, not finite.
     ArithmeticError
         If the integral cannot be resolved in double precision.
 
@@ -229,19 +228,19 @@ def water_response(
     c)\, dz`. The integral exists for every allowed water, also without losses,
     because F(z) falls at least with the square of the depth.
 
-    The split between forward and diffuse scattering decides how good the model is,
-    as it spreads all light by the second moment, what was never scattered included.
-    Against the small-angle form with 90 degrees, for attenuations from 0.1 to 2 1/m
-    and phase functions of natural water, a split of 90 degrees makes the cut-off 57
-    to 83 % too high and leaves a quarter of the echo of a plane at 3.9 m. With 10 to
-    20 degrees the cut-off is 5 to 26 % too high up to 0.5 1/m.
+    The split between forward and diffuse scattering determines the accuracy of the
+    model, as it spreads all light by the second moment, including unscattered light.
+    Compared with the small-angle model split at 90 degrees, for attenuations from 0.1
+    to 2 1/m and phase functions of natural water, a split of 90 degrees makes the
+    cut-off 57 to 83 % too high, and the echo of a plane at 3.9 m a quarter as strong.
+    With 10 to 20 degrees the cut-off is 5 to 26 % too high up to 0.5 1/m.
 
-    F(z) is written as Legendre series over a few panels laid out about its
-    maxima, and each term is integrated in closed form, so the cost hardly depends
-    on the frequency. The error is below 1e-12 of the response at zero frequency
-    for baselines up to 0.5 m, apertures from 1 mm and acceptances from 1 mrad.
-    Where the receiver meets the beam so far out that less than exp(-700) is left
-    of the light, the response is exactly zero.
+    F(z) is written as Legendre series over a few panels laid out about its maxima, and
+    each term is integrated in closed form, so the cost hardly depends on the frequency.
+    The error is below 1e-12 of the response at zero frequency for baselines up to 0.5
+    m, apertures from 1 mm and acceptances from 1 mrad. If the receiver's view meets the
+    beam so far out that less than exp(-700) of the light remains, the response is
+    exactly zero.
 
     References
     ----------
@@ -325,7 +324,7 @@ def overlap(
        - \frac{|\boldsymbol\rho_0 - \mathbf n_0 \zeta|^2}{S(z)}\Bigr], \quad
        S(z) = R^2 + \gamma^2 \zeta^2 + \tfrac23 b_f \langle\theta^2\rangle z^3 .
 
-    Small angles only; light that was not scattered is spread with the rest.
+    Valid for small angles. Unscattered light is spread like scattered light.
 
     References
     ----------
@@ -395,8 +394,8 @@ def water_tail(
 ) -> NDArray[np.complex128]:
     r"""Return the water signal from beyond a depth.
 
-    This is what is left over when the signal of open water is subtracted from
-    that of a scene in which a target ends the water.
+    This is the excess of the open-water signal over that of a scene in which a target
+    ends the water.
 
     Parameters
     ----------
@@ -405,7 +404,7 @@ def water_tail(
     acceptance_angle, tilt, cross_tilt, standoff : array_like
         As in `water_response`.
     end : array_like, optional
-        Depth from which on the water counts [m].
+        Depth at which the water begins to contribute [m].
 
     Returns
     -------
@@ -417,7 +416,7 @@ def water_tail(
     Raises
     ------
     ValueError
-        If an argument is outside its range or, `end` apart, not finite.
+        If an argument is outside its range or, except for `end`, not finite.
     ArithmeticError
         If the integral cannot be resolved in double precision.
 
@@ -506,7 +505,7 @@ def narrow_receiver_response(
     Eq. (49) of Ricci et al. 2010 [1]_, as rederived and conjugated,
     :math:`\beta_\pi \pi \gamma^2 / 2 (k' - i \omega n_g / c)` with
     :math:`k' = a + b_d`: the limit of `water_response` for baseline 0, no forward
-    scattering and :math:`\gamma \ll 2 k' R`. The aperture drops out of it.
+    scattering and :math:`\gamma \ll 2 k' R`. It does not depend on the aperture.
 
     References
     ----------

@@ -114,9 +114,9 @@ def milk_suspension(
     Notes
     -----
     Mie spheres with the sizes and indices of ref. [1] of this module: fat log-normal
-    about a radius that grows with the fat, after homogenisation at 50 MPa; casein
-    micelles below 150 nm. Expect a factor of 1.5 either way, as
-    `amulor.optics.water.types.milk` says. Riboflavin absorbs little and is left out.
+    about a radius that grows with the fat, after homogenization at 50 MPa; casein
+    micelles below 150 nm. Expect an error of up to a factor of 1.5 either way, as in
+    `amulor.optics.water.types.milk`. The small absorption of riboflavin is neglected.
 
     Examples
     --------
@@ -169,8 +169,8 @@ def measured_milk(wavelength: float, *, kind: str) -> MeasuredMilk:
     Parameters
     ----------
     wavelength : float
-        Wavelength in vacuum, 400e-9 to 700e-9; it only chooses among the three bands
-        of 100 nm, whose limits the source does not give [m].
+        Wavelength in vacuum, 400e-9 to 700e-9; it only selects one of three bands of
+        100 nm, whose limits the source does not state [m].
     kind : str
         "skim" or "whole".
 

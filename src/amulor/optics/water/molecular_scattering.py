@@ -1,7 +1,7 @@
 r"""Molecular scattering of pure fresh water and sea water.
 
-Density fluctuates in any water and concentration in salt water; both scatter like
-anisotropic dipoles, the same forwards and backwards.
+Density fluctuates in all water, and concentration in salt water. Both fluctuations
+scatter like anisotropic dipoles, equally forwards and backwards.
 
 References
 ----------
@@ -75,8 +75,8 @@ def molecular_scattering(
 
     with :math:`\delta` = 0.039. At salinity 38.4 the authors find it within 1 % of
     measurements by Morel, whose error was 2 %. Below 400 nm the index of
-    `amulor.optics.water.seawater.refractive_index` is carried beyond its fit, too high
-    by 1.8e-4 at 350 nm and by 7e-4 at 300 nm in fresh water of 20 degC.
+    `amulor.optics.water.seawater.refractive_index` is extrapolated beyond its fit, and
+    too high by 1.8e-4 at 350 nm and by 7e-4 at 300 nm in fresh water of 20 degC.
 
     Examples
     --------
@@ -245,9 +245,8 @@ def morel_scattering(wavelength: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    Ref. [5] of this module, sea water of salinity 35 to 39, here to compare with
-    older work:
-    :math:`b = 16.06 \cdot 4.72 \cdot 10^{-4} (400\,\mathrm{nm}/\lambda)^{4.32}`.
+    Ref. [5] of this module, sea water of salinity 35 to 39, for comparison with older
+    work: :math:`b = 16.06 \cdot 4.72 \cdot 10^{-4} (400\,\mathrm{nm}/\lambda)^{4.32}`.
     At 400 nm and salinity 35 it is 15 % above `molecular_scattering`.
 
     Examples

@@ -1,10 +1,9 @@
 r"""Absorption of pure fresh water and sea water, from two published sources.
 
-At 405 nm Pope and Fry give twice the absorption of Mason, Cone and Fry. Where amulor
-has to choose it takes `mason_absorption`: it is the later measurement of the same
-laboratory, made with a cavity sensitive enough for the blue, it carries an uncertainty,
-and it has terms for temperature and salinity. `pope_fry_absorption` is there to
-compare with older work.
+At 405 nm Pope and Fry give twice the absorption of Mason, Cone and Fry. By default
+amulor uses `mason_absorption`. It is the later measurement of the same laboratory, with
+a cavity sensitive enough for the blue, an uncertainty, and terms for temperature and
+salinity. `pope_fry_absorption` serves for comparison with older work.
 
 References
 ----------
@@ -48,9 +47,9 @@ def pope_fry_absorption(wavelength: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    Table of ref. [1] of this module, 2.5 nm steps, linear in between. Below 450 nm
-    it lies above later work: at 405 nm it is twice `mason_absorption`. Say which of
-    the two is used.
+    Table of ref. [1] of this module, 2.5 nm steps, linear in between. Below 450 nm it
+    lies above later work: at 405 nm it is twice `mason_absorption`. State which of the
+    two is used.
 
     Examples
     --------
@@ -98,8 +97,8 @@ def mason_absorption(
        a(T, S) = a_{20, 0}
            + (T - 20) \frac{\partial a}{\partial T} + S \frac{\partial a}{\partial S},
 
-    2 nm steps, linear in between. The table gives no salinity derivative below
-    448 nm; `mason_absorption_uncertainty` says how little that means.
+    2 nm steps, linear in between. The table gives no salinity derivative below 448 nm;
+    `mason_absorption_uncertainty` covers the neglected effect.
 
     Examples
     --------
@@ -144,9 +143,9 @@ def mason_absorption_uncertainty(
 
        \sigma^2 = \sigma_a^2 + (T - 20)^2 \sigma_T^2 + S^2 \sigma_S^2,
 
-    2 nm steps, linear in between. At 405 nm it is 0.0003 1/m in fresh water of
-    20 degC and 0.0008 1/m at salinity 38, a third of the absorption: nobody has
-    measured well what salt does in the blue.
+    2 nm steps, linear in between. At 405 nm it is 0.0003 1/m in fresh water of 20 degC
+    and 0.0008 1/m at salinity 38, a third of the absorption: the effect of salt in the
+    blue is poorly known.
 
     Examples
     --------

@@ -1,9 +1,10 @@
 r"""Phase and group index of fresh water and sea water, in air and in vacuum.
 
-Rays bend by the phase index, the modulation travels by the group index. Every
-wavelength is the one in vacuum. Absorption (`amulor.optics.water.pure_water`) and
-molecular scattering (`amulor.optics.water.molecular_scattering`) of the same water can
-be had from here too, so that this module is all that a user of sea water needs.
+The phase index determines the refraction of rays, the group index the speed of the
+modulation. All wavelengths are those in vacuum. Absorption
+(`amulor.optics.water.pure_water`) and molecular scattering
+(`amulor.optics.water.molecular_scattering`) of the same water are available from this
+module, too.
 
 References
 ----------
@@ -95,12 +96,12 @@ def refractive_index(
            + \frac{n_5 + n_6 S + n_7 T}{\lambda} + \frac{n_8}{\lambda^2}
            + \frac{n_9}{\lambda^3}.
 
-    The fit was made for salinities up to 35 and is carried on to 43 here, which
-    covers the Mediterranean and the Red Sea. It is linear in salinity; ref. [4]
-    uses it at 38.4 and ref. [5] tests it up to 121 g/kg. From the form of Millard
-    and Seaver, ref. [6], made for 0 to 40 and 500 to 700 nm, it departs by at most
-    4.2e-5 at salinity 35, 4.7e-5 at 40 and 5.0e-5 at 43. The effect of depth is
-    left out: some 1.5e-4 per 100 m.
+    The fit was made for salinities up to 35 and is extrapolated to 43 here, which
+    covers the Mediterranean and the Red Sea. It is linear in salinity; ref. [4] uses it
+    at 38.4 and ref. [5] tests it up to 121 g/kg. From the form of Millard and Seaver,
+    ref. [6], made for 0 to 40 and 500 to 700 nm, it departs by at most 4.2e-5 at
+    salinity 35, 4.7e-5 at 40 and 5.0e-5 at 43. The effect of depth is neglected: some
+    1.5e-4 per 100 m.
 
     Examples
     --------
@@ -184,10 +185,10 @@ def group_index(
     Notes
     -----
     :math:`n_g = n - \lambda \, dn / d\lambda` of `refractive_index_vacuum`. A term
-    :math:`\lambda^{-p}` of the index counts :math:`1 + p` times in it. A slope is
-    less certain than a value: for fresh water the result lies within 6e-4 of
-    `iapws_group_index`, 3.4e-4 above it at 405 nm and 20 degC. The dispersion of
-    the air, left out, would add 3e-5 at 405 nm.
+    :math:`\lambda^{-p}` of the index counts :math:`1 + p` times in it. A slope is less
+    certain than a value: for fresh water the result lies within 6e-4 of
+    `iapws_group_index`, 3.4e-4 above it at 405 nm and 20 degC. The neglected dispersion
+    of the air would add 3e-5 at 405 nm.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 r"""Named waters: Jerlov types, Petzold's stations, milk and Maalox in tap water.
 
-Each result says whether its numbers are measured or come from a model, and how far they
-can be off. Coefficients of natural waters include those of the water itself.
+Each result states whether its numbers are measured or modeled, and their possible
+error. Coefficients of natural waters include those of the water itself.
 
 References
 ----------
@@ -242,8 +242,8 @@ def petzold_station(name: str) -> PetzoldStation:
     Parameters
     ----------
     name : str
-        One of `PETZOLD_STATIONS`. The three that textbooks draw are "AUTEC 8" (clear
-        ocean), "HAOCE 11" (coastal) and "NUC 2040" (turbid harbour).
+        One of `PETZOLD_STATIONS`. Textbooks usually show "AUTEC 8" (clear ocean),
+        "HAOCE 11" (coastal) and "NUC 2040" (turbid harbour).
 
     Returns
     -------
@@ -258,11 +258,11 @@ def petzold_station(name: str) -> PetzoldStation:
     Notes
     -----
     Ref. [3] of this module, three decimals; the report gives no uncertainty. Its volume
-    scattering functions give back the printed scattering within 0.3 % and the
-    backscatter fraction within 0.0008. What is below the first angle measured, some 0.1
-    to 0.2 degrees, is extrapolated there. Absorption is a small difference of two
-    numbers in turbid water. All is at 530 nm: at 405 nm the shape may serve, the
-    coefficients do not.
+    scattering functions reproduce the printed scattering within 0.3 % and the
+    backscatter fraction within 0.0008. Scattering below the first measured angle, some
+    0.1 to 0.2 degrees, is extrapolated in the report. In turbid water, absorption is a
+    small difference of two numbers. All numbers are for 530 nm. At 405 nm the shape of
+    the phase function may be used, but not the coefficients.
 
     Examples
     --------
@@ -295,8 +295,8 @@ def milk(volume_fraction: ArrayLike, *, fat: float) -> Milk:
     volume_fraction : array_like
         Milk per volume of the mixture, 0 to 1; 0.001 is 1 ml in a litre [1].
     fat : float
-        Fat of the milk by mass, 0.001, 0.015 or 0.035 [1]. Fat is not proportional to
-        scattering, so there is nothing in between.
+        Fat of the milk by mass, 0.001, 0.015 or 0.035 [1]. Scattering is not
+        proportional to fat, so other values are refused.
 
     Returns
     -------
@@ -312,14 +312,14 @@ def milk(volume_fraction: ArrayLike, *, fat: float) -> Milk:
     -----
     Mie spheres of fat and casein with the sizes and indices of ref. [4] of this module:
     3400, 12500 and 37000 1/m of undiluted milk, with asymmetries of 0.25, 0.63 and
-    0.80. The milk of ref. [5] had 1.5 % of fat: 12.5 1/m for 1 ml in a litre.
-    Expect a factor of 1.5 either way. At 550 nm the model has a reduced scattering of
-    0.99 and 4.8 per mm for the leanest and the fattest of these milks, measured are
-    1.22 and 3.2 to 5.8 per mm; another reading of its size law, and of the index of
-    the whey, gives 1.1 to 1.5 times the scattering at 405 nm. Homogenisation and brand
-    change it too; for a figure to rely on, measure the attenuation of the mixture.
-    Absorption is left out: what is known, 12 to 20 1/m of undiluted milk in the blue
-    band of a camera, is less than a hundredth of the scattering.
+    0.80. The milk of ref. [5] had 1.5 % of fat: 12.5 1/m for 1 ml in a litre. Expect an
+    error of up to a factor of 1.5 either way. At 550 nm the model has a reduced
+    scattering of 0.99 and 4.8 per mm for the leanest and the fattest of these milks,
+    measured are 1.22 and 3.2 to 5.8 per mm; another interpretation of its size law, and
+    of the index of the whey, gives 1.1 to 1.5 times the scattering at 405 nm.
+    Homogenization and brand change it, too. For a reliable value, measure the
+    attenuation of the mixture. Absorption is neglected: 12 to 20 1/m of undiluted milk
+    in the blue band of a camera, less than a hundredth of the scattering.
 
     Examples
     --------
