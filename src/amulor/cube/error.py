@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from amulor.cube.schema import ERROR_UNKNOWN, QualityFlag, flag_words
 from amulor.optics.ambiguity import BREAKDOWN
+from amulor.survey import Survey
+from amulor.survey.properties import phase_uncertainty
 
 __all__ = [
     "JOINT_OUTLIERS",
@@ -37,6 +39,35 @@ def flags_of_pixels(
     flags = np.where(unseen, flag & ~QualityFlag.NO_TARGET, flag)
     flags = np.where(outlying, flags & ~QualityFlag.OUTLIER, flags)
     return np.bitwise_or.reduce(flags, axis=0).astype(np.int16), unseen | outlying
+
+
+def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.float64]:
+    """Return the phase uncertainty by the instrument, for each frequency [rad].
+
+    The stated or typical size, and the phase between channels where chance does not
+    explain it. The combination of channels multiplies both. `channel` is a target
+    signal with one channel.
+    """
+    count = channel.sizes["modulation_frequency"]
+    stated = 0.0 if survey is None else phase_uncertainty(survey)
+    gain = by_frequency(channel, f"phase_error_gain_{_name(channel)}", 1.0)
+    between = by_frequency(channel, "channel_phase_rad", 0.0)
+    phase = np.hypot(
+        stated * gain, between * by_frequency(channel, "channel_phase_gain", 1.0)
+    )
+    return np.broadcast_to(phase, (count,))
+
+
+def by_frequency(channel: xr.Dataset, name: str, default: float) -> NDArray[np.float64]:
+    """Return an attribute that has one number for each frequency."""
+    values = np.atleast_1d(np.asarray(channel.attrs.get(name, default), dtype=float))
+    count = channel.sizes["modulation_frequency"]
+    # One frequency of several was selected.
+    return values if values.size == count else np.full(count, values.max())
+
+
+def _name(channel: xr.Dataset) -> str:
+    return str(np.atleast_1d(channel["polarization"].values)[0])
 
 
 WATER_NOT_REMOVED = flag_words()["pixel"]["NO_OPEN_WATER"]["short"]

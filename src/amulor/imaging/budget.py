@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor.cube import error_unknown
+from amulor.cube.error import by_frequency, instrument_phase
 from amulor.cube.schema import RANGE_PREFIX, TERMS, Term
 from amulor.imaging.late_light import LateFit, late_light
 from amulor.imaging.observation import Observation
@@ -25,9 +26,6 @@ Floats = NDArray[np.float64]
 
 #: Frequencies from which on the samples show the shape of the water signal.
 _SHAPE_KNOWN = 4
-#: Standard uncertainty of a phase where the survey states none: leakage of 1 % of the
-#: echo turns it by 0.4 degrees (root mean square) [rad].
-TYPICAL_PHASE_UNCERTAINTY = math.radians(0.5)
 
 
 def completed(
@@ -344,29 +342,17 @@ def instrument_term(
     """Return the range error by phase errors of the instrument; None if zero.
 
     Leakage, walk and harmonics turn each frequency by an angle of its own, of the
-    stated size or of `TYPICAL_PHASE_UNCERTAINTY`, and by as much as the channels differ
-    where chance does not explain that. A drift during the scan turns all
-    frequencies the same way.
+    stated or typical size, and by as much as the channels differ
+    where chance does not explain that. Unmixing of channels multiplies both. A drift
+    during the scan turns all frequencies the same way.
     """
-
-    def by_frequency(name: str) -> Floats:
-        values = np.atleast_1d(observation.channel.attrs.get(name, 0.0))
-        if values.size == weight.size:
-            return values
-        # One frequency of several was selected.
-        return np.full(weight.size, values.max())
-
-    drift = speed_of_light * float(
-        np.sum(weight * by_frequency("instrument_drift_uncertainty_s"))
-    )
-    phase = 0.0
-    if observation.survey is not None:
-        stated = observation.survey.instrument.phase_uncertainty
-        phase = TYPICAL_PHASE_UNCERTAINTY if stated is None else stated
-    phases = np.hypot(phase, by_frequency("channel_phase_rad"))
+    channel = observation.channel
+    remaining = by_frequency(channel, "instrument_drift_uncertainty_s", 0.0)
+    drift = speed_of_light * float(np.sum(weight * remaining))
+    phases = instrument_phase(channel, observation.survey)
     path = float(np.linalg.norm(weight * observation.path_per_phase.ravel() * phases))
     # Of `auto`: by how much the ranges of another method differ.
-    methods = float(observation.channel.attrs.get("method_disagreement_m", 0.0))
+    methods = float(channel.attrs.get("method_disagreement_m", 0.0))
     total = np.hypot(slope * math.hypot(path, drift), methods)
     return total if np.any(total > 0) else None
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor._progress import tell
 from amulor.cube import QualityFlag
-from amulor.cube.error import JOINT_OUTLIERS
+from amulor.cube.error import JOINT_OUTLIERS, instrument_phase
 from amulor.cube.schema import PIXEL_TESTS
 from amulor.cube.tiles import Span
 from amulor.imaging import budget
@@ -207,7 +207,11 @@ def _settled_path(
     shortest, longest = observation.geometry.path_limits(
         interval, observation.frequency
     )
-    doubt = np.nan_to_num(np.abs(observation.shift), nan=np.inf)
+    instrument = instrument_phase(observation.channel, observation.survey)
+    doubt = np.hypot(
+        np.nan_to_num(np.abs(observation.shift), nan=np.inf),
+        instrument[:, None, None],
+    )
 
     def path_of(
         phase: Floats, doubt: Floats, choices: ambiguity.Choices | None

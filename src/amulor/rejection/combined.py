@@ -38,6 +38,9 @@ class CombinedFit:
     """Depolarization ratio of the targets; None if the user states it."""
     terms: tuple[str, ...]
     """Names of the error terms that are not zero everywhere."""
+    phase_error_gain: Floats
+    """Phase error of the target per phase error of the co-polarized channel, for each
+    frequency [1]."""
 
 
 def _combine(
@@ -133,6 +136,13 @@ def _combine(
     first = saturated_in_any(
         cube.sel(polarization=[co]), cube.sel(polarization=[co, cross])
     )
+    if fit is not None:
+        gain = fit.phase_error_gain
+    else:
+        parts = np.sqrt(np.sum(solved.gain**2, axis=(0, 2)) / 2)
+        gain = quality.phase_error_gain(
+            target, list(parts), strongest=target, shown=subtracted.has_target
+        )
     result = target_cube(
         first,
         target[:, None],
@@ -148,6 +158,7 @@ def _combine(
         frequencies_share_errors=np.int32(0),
         target_ratio=target_ratio,
         target_ratio_uncertainty=target_ratio_uncertainty,
+        **{f"phase_error_gain_{co}": gain},
         **reference_attributes(subtracted),
     )
     # Whether there is a target was decided before a column was put back.
@@ -162,6 +173,7 @@ def _combine(
         subtraction=subtracted.fit,
         target_ratio=estimate,
         terms=tuple(terms),
+        phase_error_gain=gain,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,7 @@ from scipy.special import chdtri
 from amulor import cube as cubes
 from amulor._progress import part, tell
 from amulor.cube import UNUSABLE, QualityFlag, WaterResidualCause, tiles
-from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
+from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels, instrument_phase
 from amulor.errors import AmulorError, CubeError
 from amulor.optics import ambiguity, detection, ranging
 from amulor.optics._geometry import Geometry
@@ -114,11 +115,13 @@ class Row:
     """Whether this is the recommended row."""
     note: str = ""
     """Reason for the recommendation, or the caution in words; for the reader only."""
+    instrument: float = 0.0
+    """Range error by phase errors of the instrument, stated or typical [m]."""
 
     @property
     def error(self) -> float:
-        """Root sum of squares of bias and noise [m]."""
-        return float(np.hypot(self.bias, self.noise))
+        """Root sum of squares of bias, noise and the instrument's error [m]."""
+        return math.hypot(self.bias, self.noise, self.instrument)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -465,6 +468,7 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
         polarization=target.amulor.polarizations[0],
         bias=bias,
         noise=noise,
+        instrument=_instrument_error(target),
         usable=float(usable.mean()),
         flagged=float((flag != 0).mean()),
         trusted=float(trusted.mean()),
@@ -472,6 +476,20 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
         note=note,
     )
     return _Trial(row=row, path=np.where(trusted, path, np.nan))
+
+
+def _instrument_error(target: xr.Dataset) -> float:
+    """Return the range error by phase errors of the instrument [m].
+
+    The frequencies are weighted by their squares, as those of equal phase noise.
+    """
+    frequency = target["modulation_frequency"].values
+    weight = frequency**2 / np.sum(frequency**2)
+    to_range = ranging.range_per_phase(
+        frequency, group_index=float(target["geometry"].attrs["group_index"])
+    )
+    phase = instrument_phase(target, target.amulor.survey)
+    return float(np.linalg.norm(weight * to_range * phase))
 
 
 def _has_neighbor(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -507,6 +525,7 @@ def _errors(
         rest = np.sqrt(np.maximum(uncertainty[settled] ** 2 - instrument**2, 0.0))
         return rest, np.zeros(settled.shape), settled, _joint_path(target)[usable]
     signal = target.amulor.signal.values[:, 0][:, usable]
+    instrument = instrument_phase(target, target.amulor.survey)
     errors = covariance_of(target).part((slice(None), 0))
     to_range = ranging.range_per_phase(
         target["modulation_frequency"].values[:, None],
@@ -537,6 +556,7 @@ def _errors(
         shortest=np.zeros(noise.shape),
         # As far as the phases do not repeat.
         longest=np.full(noise.shape, 0.999 * _repeated_path(frequency)),
+        doubt=np.broadcast_to(instrument[:, None], sigma.shape),
     )
     # Only whether they agree: which interval is right is a matter of its limits.
     freedom = (np.isfinite(sigma) & ~path.left_out).sum(axis=0) - 1
@@ -590,7 +610,9 @@ def _disagreement(
             continue
         differences -= repeat * np.round(differences / repeat)
         difference = abs(float(np.median(differences))) / (2 * group_index)
-        error = float(np.hypot(row.error, chosen.row.error))
+        # A difference beyond the noise shows an error of the instrument.
+        parts = (row, chosen.row)
+        error = math.hypot(*(value for r in parts for value in (r.bias, r.noise)))
         if difference > max(_DISAGREE * error, largest):
             other, largest = row, difference
     return other, largest

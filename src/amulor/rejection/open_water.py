@@ -14,6 +14,7 @@ from amulor.cube import QualityFlag, tiles
 from amulor.rejection import quality
 from amulor.rejection.build import present_terms, target_cube
 from amulor.rejection.methods import Needs, method
+from amulor.rejection.quality import ChannelPhase
 from amulor.rejection.reference.shots import with_noise_of_shots
 from amulor.rejection.subtraction import (
     Subtraction,
@@ -191,6 +192,14 @@ def cube_of(
         step="reject, open water"
         + (", column behind the target put back" if subtracted.put_back else ""),
         frequencies_share_errors=np.int32(0),
+        **{
+            f"phase_error_gain_{name}": gain
+            for name, gain in zip(
+                cube.amulor.polarizations,
+                subtracted.fit.phase_error_gain.T,
+                strict=True,
+            )
+        },
         **reference_attributes(subtracted),
     )
     result = quality.add_water_residual(result, subtracted.cause)
@@ -211,12 +220,8 @@ def reference_attributes(subtracted: Subtraction) -> dict[str, Any]:
         ),
         "open_water_change": subtracted.fit.strength.change,
         "open_water_change_uncertainty": subtracted.fit.strength.uncertainty,
+        **channel_phase_attributes(subtracted.fit.channel_phase),
     }
-    channel_phase = subtracted.fit.channel_phase
-    if channel_phase is not None:
-        attributes["channel_phase_probability"] = channel_phase.probability
-        if channel_phase.is_real:
-            attributes["channel_phase_rad"] = channel_phase.phase
     if subtracted.fit.disagreement:
         limits = [pair.limit for pair in subtracted.fit.disagreement]
         # netCDF gives an array of one number back as a number.
@@ -230,3 +235,15 @@ def reference_attributes(subtracted: Subtraction) -> dict[str, Any]:
         "open_water_turbidity_uncertainty": turbidity.factor * turbidity.uncertainty,
         "open_water_misfit": turbidity.misfit,
     }
+
+
+def channel_phase_attributes(channel_phase: ChannelPhase | None) -> dict[str, Any]:
+    """Return the phase between channels of the target, as attributes."""
+    if channel_phase is None:
+        return {}
+    attributes: dict[str, Any] = {
+        "channel_phase_probability": channel_phase.probability
+    }
+    if channel_phase.is_real:
+        attributes["channel_phase_rad"] = channel_phase.phase
+    return attributes

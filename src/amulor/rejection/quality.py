@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -267,6 +268,34 @@ def channel_phase(
         phase=phases,
         significance=significance,
         probability=min(1.0, 2 * tests * float(ndtr(-significance.max()))),
+    )
+
+
+def phase_error_gain(
+    target: NDArray[np.complex128],
+    parts: Sequence[NDArray[np.float64] | float],
+    *,
+    strongest: NDArray[Any],
+    shown: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Return the phase error of a target signal per phase error of the instrument.
+
+    Leakage has the same voltage in all channels, whatever they see of the target. It is
+    a fraction of the echo in the strongest channel, and independent between channels.
+    `parts` are the shares of the channels in the target signal. Median of the pixels
+    that show a target, for each frequency.
+    """
+    share = np.sqrt(np.sum([np.square(part) for part in parts], axis=0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = share * np.abs(strongest) / np.abs(target)
+    gain = np.where(shown & np.isfinite(gain), gain, np.nan)
+    return np.array(
+        [
+            max(1.0, float(np.median(values[np.isfinite(values)])))
+            if np.isfinite(values).any()
+            else 1.0
+            for values in gain
+        ]
     )
 
 

@@ -48,6 +48,9 @@ class SubtractionFit:
     """Limits on the phase difference of each pair of channels."""
     channel_phase: quality.ChannelPhase | None
     """Phase difference of the target between channels; None with one channel."""
+    phase_error_gain: Floats
+    """Phase error of the target per phase error of the strongest channel, over
+    (modulation_frequency, polarization) [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,6 +195,19 @@ def subtract_open_water(
         )
     if channel_phase is not None:
         cause |= channel_phase.cause
+    if fit is not None:
+        gain = fit.phase_error_gain
+    else:
+        strongest = np.nanmax(np.abs(np.nan_to_num(target)), axis=1)
+        gain = np.stack(
+            [
+                quality.phase_error_gain(
+                    target[:, c], [1.0], strongest=strongest, shown=has_target
+                )
+                for c in range(target.shape[1])
+            ],
+            axis=1,
+        )
     outlying, disagreement, size = quality.channels_disagree(
         target,
         errors + change,
@@ -223,6 +239,7 @@ def subtract_open_water(
             strength=strength,
             disagreement=disagreement,
             channel_phase=channel_phase,
+            phase_error_gain=gain,
         ),
     )
 

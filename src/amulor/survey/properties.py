@@ -217,6 +217,17 @@ def indices(survey: Survey) -> tuple[float, float]:
     return phase_index, group_index
 
 
+#: Standard uncertainty of a phase where the survey states none: leakage of 1 % of the
+#: echo turns it by 0.4 degrees (root mean square) [rad].
+TYPICAL_PHASE_UNCERTAINTY = math.radians(0.5)
+
+
+def phase_uncertainty(survey: Survey) -> float:
+    """Return the phase uncertainty of the instrument, stated or typical [rad]."""
+    stated = survey.instrument.phase_uncertainty
+    return TYPICAL_PHASE_UNCERTAINTY if stated is None else stated
+
+
 def group_index_uncertainty(survey: Survey) -> float | None:
     """Return the standard uncertainty of the group index [1]; None if unknown."""
     water, calibration = survey.water, survey.calibration
