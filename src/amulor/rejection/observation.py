@@ -96,7 +96,7 @@ class Observation:
 
     @cached_property
     def origin_z(self) -> Floats | None:
-        """Forward position of the moving emitter; None if it stands still [m]."""
+        """Forward position of a moving emitter; None for an emitter at rest [m]."""
         if "origin_z" not in self.cube.coords:
             return None
         return np.asarray(self.cube["origin_z"].values)

@@ -119,7 +119,7 @@ def fitted(
 def _column_axes(
     survey: Survey, view: View, end: NDArray[np.float64] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies shaped to broadcast over beams, and the column ends [m]."""
+    """Return frequencies with axes for the beams, and end depths of the columns [m]."""
     far = np.inf if survey.water.column_end is None else survey.water.column_end
     stop = np.minimum(np.inf if end is None else end, far)
     return _frequencies(survey).reshape(-1, 1, *[1] * view.tilt.ndim), stop

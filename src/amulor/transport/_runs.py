@@ -297,7 +297,7 @@ class Limits:
 
 
 def frequencies(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
-    """Return modulation frequencies as an array, checked."""
+    """Return modulation frequencies as an array; ValueError if invalid."""
     frequency = np.array(modulation_frequency, dtype=np.float64)
     if frequency.ndim != 1 or frequency.size == 0:
         raise ValueError(

@@ -230,7 +230,7 @@ def _averaged(
 def _combined(
     surface: Surface, plane: Plane, cells: Floats, left: float, top: float, cell: float
 ) -> Floats:
-    """Return the combined uncertainty of cell heights, pose errors included [m]."""
+    """Return the combined uncertainty of cell heights, including pose errors [m]."""
     variance = cells[1] ** 2 + cells[2] ** 2
     if surface.frame.pose is None:
         return np.asarray(np.sqrt(variance))

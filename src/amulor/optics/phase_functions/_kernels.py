@@ -53,7 +53,7 @@ def narrow_panels(
 
 @numba.njit(cache=True, error_model="numpy")
 def _spherical_bessel(x: float, out: Array) -> None:
-    """Fill `out` with the spherical Bessel functions j_l at x, l rising.
+    """Fill `out` with the spherical Bessel functions j_l(x), for l = 0, 1, 2, ...
 
     Upwards: rounding grows to 1e-11 for l = 6 at `SLOW`, a term that is small itself.
     """

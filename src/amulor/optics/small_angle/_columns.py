@@ -484,7 +484,7 @@ class Column(NamedTuple):
         return dict.fromkeys(view, 0.0) if varies else view
 
     def loss(self, spread: Table) -> float:
-        """Return the two-way attenuation 2 k', forward scattering excluded [1/m]."""
+        """Return the two-way attenuation 2 k', without forward scattering [1/m]."""
         return 2 * (self.absorption + self.scattering * (1 - spread.fraction))
 
 
@@ -599,7 +599,7 @@ def _prepared(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> tuple[Array, dict[str, NDArray[Any]], Table, Any]:
-    """Return phases per depth, columns, transform table and backscatter, checked."""
+    """Check arguments; return phases per depth, columns, table and backscatter."""
     refuse_behind_receiver(arguments.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     spread = table(phase_function, split_angle)

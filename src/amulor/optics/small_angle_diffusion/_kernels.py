@@ -120,7 +120,7 @@ def _offset(z: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _level(z: float, column: Column) -> float:
-    """Return the logarithm of the overlap F(z), constant factor omitted."""
+    """Return the logarithm of the overlap F(z), without its constant factor."""
     area = _area(z, column)
     return float(-column.loss * z - _offset(z, column) / area - np.log(area))
 

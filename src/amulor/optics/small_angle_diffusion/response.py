@@ -34,7 +34,7 @@ _SMALLEST_LENGTH = 1e-250
 
 @dataclass(frozen=True, kw_only=True)
 class _Column(Receiver):
-    """Water and receiver of the diffusion model, checked."""
+    """Checked water and receiver arguments of the diffusion model."""
 
     absorption: Any
     forward_scattering: Any
@@ -48,7 +48,7 @@ class _Column(Receiver):
 
     @property
     def spreading(self) -> Any:
-        """Factor (2/3) b_f <theta^2> of z^3 in S(z), eq. (43) [1/m]."""
+        """Factor of z^3 in the squared width S(z) of eq. (43), (2/3) b_f <theta^2> [1/m]."""
         return 2 / 3 * self.forward_scattering * self.second_moment
 
 

@@ -56,7 +56,7 @@ class Directions:
 
     @property
     def mesh(self) -> tuple[Floats, Floats]:
-        """Azimuth and elevation of all nodes, flat [rad]."""
+        """Azimuth and elevation of all nodes, as flat arrays [rad]."""
         nodes = np.meshgrid(self.azimuth, self.elevation, indexing="ij")
         return nodes[0].ravel(), nodes[1].ravel()
 

@@ -31,7 +31,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Estimates of some pixels with their errors, flat arrays over them."""
+    """Estimates of some pixels with their errors, as flat arrays."""
 
     estimates: Estimates
     """Paths and amplitudes, without the influences."""

@@ -91,7 +91,7 @@ def column_of(
 
 
 class _Listed:
-    """Fractions at the pixels of a scan, integrated together.
+    """Fractions at all pixels of a scan, from one integration over depth.
 
     Separate integration would change their last digits.
     """

@@ -50,7 +50,7 @@ def shows_target(
     interval: tuple[float, float] | None,
     fit: CutColumns | None = None,
 ) -> tuple[NDArray[np.bool_], CutColumns | None, Floats]:
-    """Return the pixels with a target, the cut columns and no-target probabilities.
+    """Return pixels with a target, the cut water columns, and probabilities of none.
 
     False where the samples are open water as the shots have it, of up to a few times
     `DEPARTURE` more or less, or the same water cut off by something that sends nothing
@@ -185,7 +185,7 @@ class _Problem:
         return misfit
 
     def surely_more_than(self, fractions: Floats) -> Floats:
-        """Return a lower bound of chi-square over all cuts up to given fractions."""
+        """Return a lower bound of chi-square over all cuts of up to given fractions."""
         # The water in front of a cut may depart by five times what is expected.
         allowed = fractions[self.frequency][:, None] + 5 * DEPARTURE
         free = np.maximum(np.abs(self.difference) - allowed * np.abs(self.water), 0.0)
@@ -235,7 +235,7 @@ class CutColumns:
         place = np.zeros(len(up))
 
         def try_at(places: Floats) -> None:
-            """Update the smallest chi-square with places between the depth nodes."""
+            """Update the smallest chi-square, for cuts at positions between the depth nodes."""
             k, share = _between(places, smooth.shape[1])
             after = np.minimum(k + 1, smooth.shape[1] - 1)
             value = (1 - share) * smooth[:, k, pixel] + share * smooth[:, after, pixel]

@@ -241,7 +241,7 @@ def touch_target(
 def reflect(
     state: States, ray: Ray, normal: Vector, target: Target, kind: Kind, now: Array
 ) -> Ray:
-    """Draw a reflected ray by Lambert's law, cos / pi per solid angle.
+    """Draw a reflected ray at random, with the distribution of Lambert's law.
 
     The frame and Stokes vector in now become those of the light that goes on, by the
     Mueller matrix of the target.

@@ -439,7 +439,7 @@ def series(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, fastmath=LANES)
 def along(place: Array, terms: Array, out: Array) -> None:
-    """Evaluate Chebyshev series at places from -1 to 1, (direction, depth).
+    """Evaluate Chebyshev series at positions from -1 to 1, (direction, depth).
 
     Clenshaw's recurrence. Compiled for the same reason.
     """
@@ -455,7 +455,7 @@ def along(place: Array, terms: Array, out: Array) -> None:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, fastmath=LANES)
 def between(values: Array, place: Array, out: Array) -> None:
-    """Interpolate values between nodes, (direction, node), at places.
+    """Interpolate values of shape (direction, node) between nodes, at given positions.
 
     Cubic through four nodes. Compiled for the same reason.
     """

@@ -251,7 +251,7 @@ def _brightness(corners: Floats) -> Floats:
 
 
 def _bridged(heights: Floats) -> Floats:
-    """Return heights with gaps in each row interpolated, for shading."""
+    """Return heights with missing values interpolated in each row, for shading."""
     filled = np.zeros_like(heights)
     column = np.arange(heights.shape[1])
     for row, profile in enumerate(heights):
