@@ -133,7 +133,7 @@ class SignalModel(Protocol):
 
 @runtime_checkable
 class FittedModel(Protocol):
-    """Interface of forward models that are fitted to a scan, for example by a table.
+    """Interface of forward models that first compute a table or the like for a scan.
 
     It is a `SignalModel`, too. A model that wraps another must call its `fit`; else
     a scan by rows differs from the whole scan by the error of such a table.

@@ -162,7 +162,7 @@ def _scattered_at(
 
 @numba.njit(cache=True, error_model="numpy")
 def aimed(look: Array, water: Water) -> Water:
-    """Return the water column with the view from a row of depth and view."""
+    """Return the water column with the receiver geometry from a row of values."""
     return Water(
         water.loss,
         water.forward,

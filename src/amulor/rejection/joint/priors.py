@@ -316,7 +316,7 @@ class Shared:
 
     @property
     def shot_factor(self) -> float:
-        """Strength of the open-water shots over that of the scan [1]."""
+        """Water strength in the open-water shots over that in the scan [1]."""
         return float(np.exp(self.shot_change))
 
     def shot_signal(self, water_signal: Complex, foreground: Complex) -> Complex:

@@ -235,7 +235,7 @@ class CutColumns:
         place = np.zeros(len(up))
 
         def try_at(places: Floats) -> None:
-            """Update the smallest chi-square, for cuts at positions between the depth nodes."""
+            """Update the smallest chi-square, for cuts between the depth nodes."""
             k, share = _between(places, smooth.shape[1])
             after = np.minimum(k + 1, smooth.shape[1] - 1)
             value = (1 - share) * smooth[:, k, pixel] + share * smooth[:, after, pixel]

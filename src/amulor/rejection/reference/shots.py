@@ -383,7 +383,7 @@ def _averaged_repeats(cube: xr.Dataset, shots: xr.Dataset, name: str) -> Floats:
 
 
 def _clusters(angle: Floats, *, at_least: float) -> NDArray[np.intp]:
-    """Return the cluster index of each angle, or of distinct angles without clusters."""
+    """Return the cluster index of each angle; without clusters, of distinct angles."""
     order = np.argsort(angle, kind="stable")
     gaps = np.diff(angle[order])
     near = max(_NEAR * float(np.ptp(angle)), at_least)

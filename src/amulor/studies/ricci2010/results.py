@@ -43,7 +43,7 @@ class Check:
     """Result as a number, in the unit of `found`."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for a statement of the paper without its place in the text."""
+        """Raise a ValueError for a paper statement without its place in the text."""
         if (self.role == "own") == bool(self.place):
             raise ValueError(
                 f"check {self.statement!r}: a statement of the paper says where it "

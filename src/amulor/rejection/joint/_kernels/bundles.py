@@ -137,7 +137,7 @@ class Grid(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Local minima of the misfit of one pixel, a few at most."""
+    """Lowest local minima of the misfit of one pixel."""
 
     path: Array
     """Optical path [m]."""

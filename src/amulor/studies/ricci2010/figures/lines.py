@@ -82,7 +82,7 @@ def _overlap(study: Study) -> Check:
 
 
 def needed_crossed_share(study: Study) -> float:
-    """Return the cross-polarized fraction of water light that panel (d) needs [1]."""
+    """Return the cross-polarized fraction of water light that fits panel (d) [1]."""
     m22 = study["m22_target"]
     ratio = _CROSSED / _PARALLEL * (1 - m22) / (1 + m22)
     return ratio / (1 + ratio)

@@ -116,7 +116,7 @@ def milk(study: Study) -> Milk:
 
 
 def _spheres(study: Study, diameter: float, index: float) -> mie.Suspension:
-    """Return Mie scattering of spheres with a given mean diameter, in arbitrary units."""
+    """Return Mie scattering of spheres with a mean diameter, in arbitrary units."""
     spread = np.sqrt(np.log1p(study["milk_spread"] ** 2))
     step = np.linspace(-3.5, 3.5, 71)
     number = np.exp(-0.5 * step**2)
