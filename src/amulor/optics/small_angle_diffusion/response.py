@@ -48,7 +48,7 @@ class _Column(Receiver):
 
     @property
     def spreading(self) -> Any:
-        """Factor of z^3 in the squared width S(z), eq. (43): (2/3) b_f <theta^2> [1/m]."""
+        """Factor (2/3) b_f <theta^2> of z^3 in the squared width, eq. (43) [1/m]."""
         return 2 / 3 * self.forward_scattering * self.second_moment
 
 

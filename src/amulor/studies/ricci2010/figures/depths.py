@@ -40,12 +40,12 @@ class Profile:
 
     @property
     def peak(self) -> float:
-        """Depth of the maximum overlap, diffusion model [m]."""
+        """Depth of the maximum overlap, by the diffusion model [m]."""
         return float(self.depth[np.argmax(self.diffusion)])
 
     @property
     def maxima(self) -> int:
-        """Number of maxima of the overlap, diffusion model."""
+        """Number of maxima of the overlap, by the diffusion model."""
         slope = np.sign(np.diff(self.diffusion))
         return int(np.count_nonzero(np.diff(slope[slope != 0]) < 0))
 

@@ -223,7 +223,7 @@ def _water_name(study: Study, step: str) -> str:
 
 
 def _draw_trade_off(study: Study, axis: Axes) -> None:
-    """Draw the phase drift of RR over that of VH for all set-ups, and the paper's."""
+    """Draw the phase drift of RR over that of VH, for all set-ups and the paper."""
     low, high = _CROSSED_LIMITS
     axis.fill_between(
         [low, high],

@@ -153,7 +153,7 @@ def _draw_ladders(
     rows: int,
     limits: tuple[float, float],
 ) -> Figure:
-    """Draw range images of the ladder as surfaces, heights from the farthest tread."""
+    """Draw range images of the ladder as surfaces above the farthest tread."""
     views = []
     for title, scan, image in panels:
         surface, scatter = median(relief(image, origin=scan.farthest(image)))
