@@ -108,7 +108,7 @@ def _fresh(place: Any, package: Path) -> Any:
 
 
 def _last_resort(place: Any) -> Any:
-    """Return numba's cache locator, with a temporary folder of the user."""
+    """Return numba's cache locator, changed to use a temporary folder of the user."""
 
     class LastResort(place):  # type: ignore[misc]
         def __init__(self, py_func: Any, py_file: str) -> None:

@@ -152,7 +152,7 @@ def input_variance_ratio(
 
 
 def readings_of(survey: Survey, *, settling: float) -> int:
-    """Return the number of readings in a dwell after settling, one a time constant."""
+    """Return the number of settled readings per dwell, a time constant apart."""
     constant = survey.instrument.lock_in.time_constant
     # A dwell of exactly so many time constants must not lose one to rounding.
     remaining = survey.scan.dwell / constant - settling

@@ -239,8 +239,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 done; 1 something is wrong with files or data; 2 wrong use; 130 interrupted;
-        128 and its number if ended by another signal.
+        Exit code: 0 for success, 1 for an error in files or data, 2 for wrong use, 130
+        for an interrupt, 128 plus the signal number for another signal.
     """
     words = _with_negative(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -378,9 +378,9 @@ class _Ended(KeyboardInterrupt):
 def _ended_in_order() -> Iterator[None]:
     """Remove half-written files if a signal ends the program.
 
-    The first SIGTERM or SIGHUP does so, the next ones do not disturb it. What the
-    program was started to ignore, as by nohup, stays ignored. Commands that drive
-    devices have handlers of their own meanwhile.
+    The first SIGTERM or SIGHUP does so; further ones are ignored meanwhile. Signals
+    that the program was started to ignore, as by nohup, stay ignored. Commands that
+    drive devices use other handlers.
     """
     handled: list[int] = []
 

@@ -24,9 +24,9 @@ def refusing(option: str = "") -> Iterator[None]:
 
     Parameters
     ----------
-    what : str
-        The option, such as "--distance"; the library's text says enough without it if
-        it names the argument.
+    option : str
+        Name of the option, such as "--distance", to put before the message; empty if
+        the message names the argument.
 
     Raises
     ------
@@ -45,21 +45,21 @@ def quantity_of(option: str, text: str, quantity: str) -> float:
     Parameters
     ----------
     option : str
-        Its name, such as "--distance".
+        Name of the option, such as "--distance".
     text : str
-        What was given.
+        Text that the user gave.
     quantity : str
-        What it measures, a key of `amulor.units.SI_UNITS`.
+        Physical quantity, a key of `amulor.units.SI_UNITS`.
 
     Returns
     -------
     float
-        The value in SI units.
+        Value in SI units.
 
     Raises
     ------
     UsageError
-        If the text is no number with a unit of this quantity.
+        If the text is not a number with a unit of this quantity.
     """
     from amulor import units
 
@@ -73,9 +73,10 @@ def frequencies_of(option: str, text: str) -> list[float]:
     Parameters
     ----------
     option : str
-        Its name.
+        Name of the option.
     text : str
-        A list, or first, last and number, as `amulor.units.parse_frequencies` takes it.
+        List of frequencies, or first, last and number; see
+        `amulor.units.parse_frequencies`.
 
     Returns
     -------
@@ -85,7 +86,7 @@ def frequencies_of(option: str, text: str) -> list[float]:
     Raises
     ------
     UsageError
-        If the text is neither, or a frequency is below 0 Hz.
+        If the text is invalid, or a frequency is below 0 Hz.
     """
     from amulor import units
 
@@ -117,7 +118,7 @@ def interval_of(
     Raises
     ------
     UsageError
-        If only one is given, one is no length, or they do not rise from 0 m.
+        If one option is missing, is not a length, or the range is not above 0 m.
     """
     if (nearest is None) != (farthest is None):
         raise UsageError("--nearest and --farthest must be given together")
@@ -139,12 +140,12 @@ def check_inputs(*paths: Path | None) -> None:
     Parameters
     ----------
     *paths : pathlib.Path, optional
-        Files or folders to be read.
+        Input files or folders.
 
     Raises
     ------
     FormatError
-        If one of them does not exist.
+        If an input does not exist.
     """
     for path in paths:
         if path is not None and not path.exists():
@@ -161,11 +162,11 @@ def check_cube_output(path: Path, *, overwrite: bool, inputs: Sequence[Path]) ->
     Parameters
     ----------
     path : pathlib.Path
-        Of the option `--output`.
+        Value of the option `--output`.
     overwrite : bool
-        Whether a file that is there may be replaced.
+        Whether an existing file may be replaced.
     inputs : sequence of pathlib.Path
-        Files that are read, and never replaced.
+        Input files, which must never be replaced.
 
     Raises
     ------
@@ -195,16 +196,16 @@ def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
     Parameters
     ----------
     option : str
-        The option that gives the name.
+        Name of the option with the file name.
     path : pathlib.Path
-        The name.
+        File name.
     endings : sequence of str
-        Endings with their point, in lower case.
+        Allowed endings with their dot, in lower case.
 
     Raises
     ------
     UsageError
-        If the ending is another one.
+        If the file name has another ending.
     """
     if path.suffix.lower() not in endings:
         raise UsageError(

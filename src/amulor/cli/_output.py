@@ -64,7 +64,7 @@ def print_table(
     Parameters
     ----------
     title : str
-        What it shows.
+        Title of the table.
     header : sequence of str
         Titles of the columns.
     rows : sequence of sequences of str
@@ -125,18 +125,19 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None
     Parameters
     ----------
     quiet : bool
-        Show nothing anywhere.
+        Whether nothing is shown.
 
     Yields
     ------
     callable
-        Takes what is done now and the share of the work done before it.
+        Function that takes the present step and the completed fraction of the work.
 
     Notes
     -----
-    Lines go to standard error, the first after two seconds, then for each new step, no
-    more often than every two seconds or tenth of the time so far; the same step is said
-    again after half a minute. Compiling is said at once, and as one step.
+    Lines go to standard error: the first after two seconds, then one for each new step.
+    At least two seconds, and a tenth of the elapsed time, lie between two lines. A long
+    step is printed again every half minute. Compilation is printed at once, as one
+    step.
     """
     if quiet:
         yield lambda step, share: None

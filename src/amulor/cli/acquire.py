@@ -38,24 +38,25 @@ def acquire(
     survey
         Survey file (TOML).
     output
-        Folder of the scan: journal.sqlite, survey.toml, devices.toml, and cube.nc
-        when all is taken. Ctrl-C pauses and asks.
+        Folder of the scan. It gets journal.sqlite, survey.toml and devices.toml, and
+        cube.nc when the scan is complete. Ctrl-C pauses the scan and asks whether to
+        continue.
     devices
-        Devices file (TOML); if left out, simulated devices, with --resume those of the
-        scan.
+        Devices file (TOML). By default the devices are simulated; with --resume they
+        are those of the scan.
     resume
-        Go on with the scan that is in the folder.
+        Resume the interrupted scan in the folder.
     retake_flagged
-        With --resume: take overloaded samples and those off their place once more,
-        after all that is missing. The cube gets the last take of each.
+        With --resume: acquire overloaded samples and samples with a wrong position once
+        more, after the missing ones. The cube gets the last take of each sample.
     calibration
-        Calibration file (TOML) that "amulor devices calibrate" wrote; if left out with
-        --resume, the one that a cube in the folder was made with.
+        Calibration file (TOML), from "amulor devices calibrate". With --resume the
+        default is the calibration in cube.nc, if there is one.
     overwrite
-        Replace cube.nc if it is there, and forget the calibration in it. A scan in the
-        folder is never replaced.
+        Replace an existing cube.nc, and its calibration. An existing scan is never
+        replaced.
     json
-        Print the outcome for other programs.
+        Print the result as JSON.
     """
     from amulor import acquisition, io, simulation
     from amulor.acquisition.cube.build import CUBE_NAME, shows_no_target
@@ -172,13 +173,14 @@ def recover(
     Parameters
     ----------
     folder
-        Folder that "amulor acquire" was given; the scan may be unfinished or going on.
+        Folder of the scan, which "amulor acquire" wrote. The scan may be unfinished, or
+        running.
     output
-        File to write (netCDF); cube.nc in the folder by default.
+        File to write (netCDF); by default cube.nc in the folder.
     calibration
-        Calibration file (TOML) that "amulor devices calibrate" wrote.
+        Calibration file (TOML), from "amulor devices calibrate".
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     from amulor import acquisition, io
     from amulor.cli._arguments import CUBE_ENDINGS, check_ending
@@ -218,8 +220,8 @@ def _told(line: str) -> None:
 class _Interrupts:
     """Handler of signals: Ctrl-C pauses the scan, a second one or SIGTERM ends it.
 
-    While devices are made safe after that, no signal but SIGKILL is listened to. What
-    the program was started to ignore, as by nohup, stays ignored; but for SIGTERM.
+    While devices are then made safe, every signal but SIGKILL is ignored. Signals that
+    the program was started to ignore, as by nohup, stay ignored, except SIGTERM.
     """
 
     #: Ctrl-Z, too: a program that is only stopped would leave the light on.
@@ -344,7 +346,7 @@ def words(now: Progress) -> str:
     Parameters
     ----------
     now : Progress
-        How far a scan has come.
+        Progress of a scan.
 
     Returns
     -------

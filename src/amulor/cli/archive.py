@@ -25,15 +25,15 @@ def archive(
     Parameters
     ----------
     project
-        Description of the project (TOML): sections [project], [registration], and a
-        table [[scans]] for each scan.
+        Description of the project (TOML), with the sections [project] and
+        [registration], and a table [[scans]] for each scan.
     output
-        Folder to make; must not be there.
+        Folder to create; it must not exist.
     check
-        An archive to look through instead: names what is missing, and ends with 1 if
-        anything is.
+        Archive folder to check instead of writing one. Prints what is missing; the exit
+        code is then 1.
     json
-        Print the result for other programs.
+        Print the result as JSON.
     """
     if check is not None:
         if project is not None or output is not None:

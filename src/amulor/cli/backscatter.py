@@ -50,29 +50,29 @@ def backscatter(
     Parameters
     ----------
     survey
-        Survey file (TOML); its water and instrument count.
+        Survey file (TOML), of which water and instrument are used.
     frequency
-        Modulation frequencies, "10MHz,39MHz" or first, last and number.
+        Modulation frequencies: a list such as "10MHz,39MHz", or first, last and number.
     model
-        Small-angle with the whole phase function; its closure, which is fast;
-        small-angle diffusion, the form of the paper; or photons (montecarlo) followed
-        through all orders of scattering.
+        Forward model. "small-angle" uses the whole phase function, "closure" is its
+        fast approximation, "diffusion" is the form in the paper. "photons" (or
+        "montecarlo") simulates all orders of scattering.
     error
-        Relative error of the unmodulated light at which the photons stop.
+        Relative error of the unmodulated light at which the photon simulation stops.
     seed
-        Seed of the photons.
+        Seed of the photon simulation.
     scheduler
-        Follow the photons on a cluster: address of a dask scheduler, such as
-        tcp://node1:8786, or "local" for processes on this machine. Needs --batches.
+        Simulate the photons on a cluster: address of a dask scheduler, such as
+        tcp://node1:8786, or "local" for processes on this computer. Needs --batches.
     batches
-        Folder for the batches of photons of --scheduler, on a disk that all workers
-        share; what a run before has left in it is kept.
+        Folder for the photon batches of --scheduler, on a disk that all workers share.
+        Batches of earlier runs are used again.
     plot
-        Picture to draw (PNG or SVG).
+        Figure to write (PNG or SVG).
     overwrite
-        Replace a picture that is there.
+        Replace an existing figure.
     json
-        Print the numbers for other programs.
+        Print the result as JSON.
     """
     from amulor.errors import SurveyError
 

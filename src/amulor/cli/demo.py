@@ -27,9 +27,9 @@ def demo(
     seed
         Seed of the simulated noise.
     overwrite
-        Replace files that are there.
+        Replace existing files.
     json
-        Print the numbers for other programs.
+        Print the result as JSON.
     """
     from amulor.studies import ladder
     from amulor.studies.ladder import mean_error

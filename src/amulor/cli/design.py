@@ -35,27 +35,27 @@ def design(
     goal
         Goal file (TOML).
     output
-        Survey file (TOML) of the recommended instrument.
+        Survey file (TOML) to write for the recommended instrument.
     runner_up
-        Survey file of the second best one.
+        Survey file (TOML) to write for the second-best instrument.
     report
-        Report to write: one page (HTML) with maps, what to measure before buying, and
-        what would change the answer.
+        Report to write (HTML): maps, quantities to measure before buying, and
+        assumptions that would change the recommendation.
     figures
         Folder for the figures of the report (PNG).
     confirm
-        Simulate scans of the recommended instrument and of the runner-up, work on
-        them, and follow photons; say where these differ from what was predicted.
+        Check the recommended instrument and the runner-up by simulated scans and by
+        photon transport, and print the differences from the predictions.
     interactive
-        Open a page with sliders and the map of errors that they move, until Ctrl-C.
+        Open a page with sliders and an error map, until Ctrl-C.
     port
-        Port of that page; a free one by default.
+        Port of the page; by default any free port.
     browser
-        Open it in the browser of this computer.
+        Open the page in the browser of this computer.
     json
-        Print the recommendation as JSON, with all that --report and --confirm find.
+        Print the recommendation as JSON, with the results of --report and --confirm.
     overwrite
-        Replace files that are there.
+        Replace existing files.
     """
     from amulor.cli._arguments import UsageError, check_ending, check_inputs
     from amulor.cli._output import print_json, progress_bar

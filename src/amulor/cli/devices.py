@@ -30,27 +30,28 @@ def simulate(
     Parameters
     ----------
     survey
-        Survey file (TOML): what the simulated instrument stands in front of.
+        Survey file (TOML) of the instrument and the scene to simulate.
     output
-        Devices file to write (TOML), for "amulor acquire --devices".
+        Devices file (TOML) to write, for "amulor acquire --devices".
     lock_in
-        Which lock-in amplifier speaks.
+        Model of the simulated lock-in amplifier.
     devices
-        Devices file (TOML) to start from; its part [simulation] says what is not ideal.
+        Devices file (TOML) to start from; its section [simulation] sets the errors of
+        the simulated devices.
     speed
-        How much faster than real the simulated time goes.
+        Simulated time over real time.
     fault
-        What goes wrong at which reading, such as "unlock@500x3"; several are allowed.
-        Kinds: overload, saturation, unlock, lost-link, timeout, stuck, darkness,
-        interlock.
+        Fault to simulate, with the number of the reading, such as "unlock@500x3"; may
+        be repeated. Kinds: overload, saturation, unlock, lost-link, timeout, stuck,
+        darkness, interlock.
     host
-        Address to listen at.
+        Network address on which the devices listen.
     lock_in_port
-        Port of the lock-in amplifier; any free one by default.
+        Port of the lock-in amplifier; by default any free port.
     stage_port
-        Port of the stages; any free one by default.
+        Port of the stages; by default any free port.
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     from pydantic import ValidationError
 
@@ -118,14 +119,15 @@ def calibrate(
     Parameters
     ----------
     cubes
-        Target signals (netCDF) of the plate, the water taken out; several, through
-        filters of different density, give the phase against the amplitude, too.
+        Target signals of a plate (netCDF), from "amulor reject". Several cubes,
+        recorded through different density filters, calibrate the phase against the
+        amplitude, too.
     distance
         Forward coordinate of the plate, such as "1.5 m".
     output
         Calibration file to write (TOML).
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     from amulor import acquisition, io
     from amulor.cli._arguments import quantity_of, refusing

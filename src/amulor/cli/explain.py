@@ -22,13 +22,13 @@ def explain(
     Parameters
     ----------
     words
-        Name of a flag, such as WATER_RESIDUAL, or a message as it was printed; without
-        any, all names. With --pixel, a target signal or a range image.
+        Name of a flag, such as WATER_RESIDUAL, or a message as printed. By default all
+        names are listed. With --pixel: file with a target signal or a range image.
     pixel
-        Row and column of a pixel of the file, both from 0, such as 20,50: prints its
-        flags, and the numbers behind each with their limits.
+        Row and column of a pixel, both from 0, such as 20,50. Prints its flags, with
+        the measured values and their limits.
     json
-        For other programs.
+        Print the explanation as JSON.
     """
     from dataclasses import asdict
 

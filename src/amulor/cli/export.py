@@ -65,52 +65,55 @@ def export(
     image
         Range image (netCDF), from `amulor image`.
     output
-        File to write; its ending says the format: .ply, .laz, .las, .e57, .xyz, .csv
-        or .nc for a cloud, .tif for heights, .png, .pdf or .svg for an orthoimage,
-        .dxf for lines.
+        File to write. Its ending selects the format: .ply, .laz, .las, .e57, .xyz, .csv
+        or .nc for a cloud, .tif for heights, .png, .pdf or .svg for an orthoimage, .dxf
+        for lines.
     product
-        What to make, where the ending and the other options leave a choice: a mesh is
-        a .ply, a section a .dxf, .svg or .csv, a deviation a map, a table or a mesh.
+        Kind of product, if the ending and the other options allow several. A mesh is a
+        .ply file; a section is .dxf, .svg or .csv; a deviation is a map, a table or a
+        mesh.
     good_only
-        Leave out all points that carry a quality flag.
+        Exclude all points that have a quality flag.
     largest_uncertainty
-        Leave out points with a larger standard uncertainty, such as "2 mm".
+        Exclude points with a larger standard uncertainty, such as "2 mm".
     without_mixed
-        Leave out mixed pixels and outliers of a cloud; surfaces never hold them.
+        Exclude mixed pixels and outliers from a cloud; surfaces never contain them.
     axes
-        x right, y down, z forward of the instrument; or x right, y forward, z up; or
-        east, north, up by the pose.
+        Coordinate axes. "instrument": x right, y down, z forward. "z-up": x right, y
+        forward, z up. "pose": east, north, up.
     pose
-        TOML file with a section [pose]; that of the survey by default.
+        TOML file with a section [pose]; by default the pose of the survey.
     seen_from
-        The side that a drawing is seen from: elevation or plan.
+        View of a drawing: from the front (elevation), or from the top (plan).
     scale
         Scale of a drawing, such as 1:20.
     dpi
-        Dots to an inch of paper of an orthoimage.
+        Resolution of an orthoimage on paper, in dots per inch.
     cell
-        Size of a cell of a raster, such as "2 mm"; by default that of a dot of an
-        orthoimage, and about the spacing of the pixels otherwise.
+        Size of a raster cell, such as "2 mm". By default a printed dot for an
+        orthoimage, else about the spacing of the pixels.
     show
-        What an orthoimage shows.
+        Quantity that an orthoimage shows.
     contours
         Interval of contour lines, such as "5 mm".
     line
-        Section from and to right, up in the drawing, such as "--line=-6cm,0m,6cm,0m".
+        Section line in drawing coordinates (right, up) of both ends, such as
+        "--line=-6cm,0m,6cm,0m".
     against
-        Mesh (.ply, .stl, .obj, .off, .glb) in the chosen axes, or range image of an
-        earlier scan (.nc) from the same place, to compare with.
+        Reference to compare with: a mesh (.ply, .stl, .obj, .off, .glb) in the chosen
+        axes, or the range image (.nc) of an earlier scan from the same place.
     unit
-        Unit of that mesh.
+        Unit of length of the reference mesh.
     farthest
-        Larger deviations are other objects and left out, such as "2 cm".
+        Largest deviation that belongs to the object, such as "2 cm"; larger ones are
+        excluded.
     title
-        Title of a drawing; that of the range image by default.
+        Title of a drawing; by default that of the range image.
     tile_rows
-        Write a cloud so many rows at a time, in bounded memory; clouds of more than
-        2.1 million pixels are written so without being asked.
+        Write a cloud in tiles of this many rows, with bounded memory. Clouds of more
+        than 2.1 million pixels are always written in tiles.
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     # What is wrong with options comes first; knowing it of lengths needs more.
     options = line, against, cell, contours, farthest, product, largest_uncertainty
@@ -210,19 +213,19 @@ def scale_of(option: str, text: str) -> float:
     Parameters
     ----------
     option : str
-        Its name.
+        Name of the option.
     text : str
-        Such as "1:20".
+        Scale, such as "1:20".
 
     Returns
     -------
     float
-        Metres of the object to one of the paper [1].
+        Length on the object over length on paper [1].
 
     Raises
     ------
     UsageError
-        If it is no such text, or the number is not above 0.
+        If the text is not a scale, or the number is not above 0.
     """
     match = re.fullmatch(r"\s*1\s*:\s*(\d+(?:\.\d+)?)\s*", text)
     if not match or not float(match[1]) > 0:

@@ -25,20 +25,20 @@ def image(
     Parameters
     ----------
     cube
-        Target signal (netCDF), from `amulor reject`.
+        Target signal (netCDF), from "amulor reject".
     output
         File to write (netCDF).
     polarization
-        Channel to take, such as VH; needed if there are several.
+        Channel to use, such as VH; needed if there are several.
     nearest
         Nearest possible slant range, such as "0.5 m"; with --farthest.
     farthest
         Farthest possible slant range, such as "3 m"; with --nearest.
     tile_rows
-        Work on so many rows at a time, in bounded memory; files of more than
-        2.1 million samples are worked on by rows without being asked.
+        Process this many rows at a time, with bounded memory. Files of more than 2.1
+        million samples are always processed by rows.
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     from amulor.cli._arguments import (
         channel_of,

@@ -23,7 +23,7 @@ def info(
     file
         Cube of any level (netCDF).
     json
-        Print it for other programs.
+        Print the contents as JSON.
     """
     check_inputs(file)
 

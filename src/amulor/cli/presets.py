@@ -26,13 +26,13 @@ def presets(
     Parameters
     ----------
     where
-        Show how far each reaches in waters that go by name.
+        Show up to which distance each instrument works, in waters known by name.
     accuracy
-        Total error of one pixel up to which a distance counts.
+        Largest acceptable total error of a pixel.
     reflectance
-        Reflectance of what is looked at; that of each preset's target by default.
+        Reflectance of the target; by default that in the preset.
     json
-        Print them for other programs.
+        Print the list as JSON.
     """
     from amulor.cli._arguments import quantity_of
     from amulor.survey import presets as shipped
@@ -125,11 +125,11 @@ def preset(
     Parameters
     ----------
     name
-        One of those that `amulor survey presets` lists.
+        Name of a preset, from "amulor survey presets".
     output
-        Survey file to write (.toml).
+        Survey file to write (TOML).
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     from amulor.cli._arguments import check_ending
     from amulor.io.files import atomic_output

@@ -24,20 +24,20 @@ def recordings(
     Parameters
     ----------
     file
-        Amplitude and phase, or X and Y, of each sample (CSV or HDF5).
+        Recorded samples (CSV or HDF5): amplitude and phase, or X and Y.
     survey
-        Survey file (TOML): instrument and scan.
+        Survey file (TOML) with the instrument and the scan.
     columns
-        Column map (TOML): which column means what.
+        Column map (TOML), which assigns columns to quantities.
     output
         File to write (netCDF).
     temperature
-        Which temperature, in degC, where the recording holds several.
+        Temperature to import [degC], if the recording has several.
     tile_rows
-        Work on so many rows at a time, in bounded memory; scans of more than 2.1
-        million samples are imported by rows without being asked.
+        Import this many rows at a time, with bounded memory. Scans of more than 2.1
+        million samples are always imported by rows.
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     from amulor.cli._arguments import check_cube_output, check_tile_rows
     from amulor.cli._output import print_next, progress_bar

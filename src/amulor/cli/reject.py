@@ -47,8 +47,8 @@ def reject(
     cube
         Measurement cube (netCDF).
     method
-        Rejection method: "auto" compares all that the data allow and takes the best;
-        "none" leaves the water in, for comparison.
+        Rejection method. "auto" compares all methods that the data allow and uses the
+        best; "none" keeps the water signal, for comparison.
     output
         File to write (netCDF).
     open_water
@@ -60,29 +60,30 @@ def reject(
         Cross- over co-polarized signal of the water, for polarization; estimated by
         default.
     water_fluctuation
-        Relative change of the water signal from sample to sample, such
-        as "5 %", for polarization without open-water shots.
+        Relative change of the water signal between samples, such as "5 %", for
+        polarization without open-water shots.
     frequency
-        Frequency to keep, such as "39 MHz", for frequency; the best one by default.
+        Modulation frequency to keep, such as "39 MHz", for the method "frequency"; by
+        default the best one.
     column_uncertainty
-        How sure the survey's water behind the target is, such as "20 %", for
-        open-water, which puts that water back. By default the shots tell, and correct
-        the survey's turbidity.
+        Relative uncertainty of the survey's water behind the target, such as "20 %",
+        for the method "open-water". By default it is estimated from the open-water
+        shots.
     nearest
         Nearest possible slant range, such as "0.5 m"; with --farthest.
     farthest
         Farthest possible slant range, such as "3 m"; with --nearest.
     option
-        Another option of the method, such as "threshold=0.2"; for methods of other
-        packages. May be repeated.
+        Further option of the method, such as "threshold=0.2", for methods of other
+        packages; may be repeated.
     tile_rows
-        Work on so many rows at a time, in bounded memory; files of more than
-        2.1 million samples are worked on by rows without being asked. The file of
-        --open-water is read whole.
+        Process this many rows at a time, with bounded memory. Files of more than 2.1
+        million samples are always processed by rows. The file of --open-water is read
+        whole.
     json
-        Print the figures as JSON.
+        Print the result as JSON.
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     from amulor.cli._arguments import (
         UsageError,

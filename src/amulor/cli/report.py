@@ -38,21 +38,21 @@ def report(
     Parameters
     ----------
     images
-        Range images (netCDF), from `amulor image`.
+        Range images (netCDF), from "amulor image".
     output
-        File to write (HTML); a browser prints it as a clean A4 document.
+        Report to write (HTML); a browser prints it on A4 paper.
     checks
-        TOML file with check distances, a table [[checks]] each: name, first, second
-        (row and column), expected, and where known expected_uncertainty, tolerance,
-        reach, kind.
+        TOML file with check distances, one table [[checks]] each: name, first and
+        second pixel (row and column), expected length. Optional: expected_uncertainty,
+        tolerance, reach, kind.
     check
-        A check distance "ROW,COLUMN ROW,COLUMN LENGTH [TOLERANCE]", such as "20,10
-        20,60 40mm 1mm"; may be given several times.
+        Check distance "ROW,COLUMN ROW,COLUMN LENGTH [TOLERANCE]", such as "20,10 20,60
+        40mm 1mm"; may be repeated.
     tile_rows
-        Read so many rows at a time, in bounded memory; images of more than 2.1 million
-        pixels are read by rows without being asked.
+        Read this many rows at a time, with bounded memory. Images of more than 2.1
+        million pixels are always read by rows.
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     endings = (".html", ".htm")
     if not check and output.suffix.lower() in endings:

@@ -35,24 +35,24 @@ def ricci2010(
     Parameters
     ----------
     figure
-        Number of a figure, may be given several times; 1 and 3 to 15 by default.
+        Number of a figure; may be repeated. By default figures 1 and 3 to 15.
     output
         Folder for figures (PNG and SVG), checks.json and report.html.
     quick
-        Fewer points, pixels and photons: a first look in less than a minute.
+        Use fewer points, pixels and photons, for a first look in less than a minute.
     sensitivity
-        Vary every number that is not printed over its range, to see which conclusions
-        flip; left out of a quick run.
+        Vary every number that the paper does not print over its range, to see which
+        conclusions change. Not part of a quick run.
     scheduler
         Vary the numbers on a cluster: address of a dask scheduler, such as
-        tcp://node1:8786, or "local". Workers need the disk of the output; what a run
-        before has left there, in the folder "varied", is kept.
+        tcp://node1:8786, or "local". Workers need access to the output folder. Results
+        of earlier runs in its folder "varied" are used again.
     seed
         Seed of all synthetic noise and photons.
     overwrite
-        Replace files that are there.
+        Replace existing files.
     json
-        Print the checks for other programs.
+        Print the checks as JSON.
     """
     from amulor import _extras, io
     from amulor.studies.ricci2010 import reproduce, results
@@ -115,9 +115,9 @@ def ricci2010(
 def _interruptible(work: Callable[[], Result]) -> Result:
     """Call a function; Ctrl-C ends the program and its workers at once.
 
-    The work is done in a thread of its own. In the main thread an interrupt would wait
-    for the end of a compiled loop, and a run of photons would take it for the wish to
-    go on with the photons it has.
+    The function runs in a separate thread. In the main thread an interrupt would wait
+    for the end of a compiled loop, and a photon run would take it as a request to stop
+    early and use the photons so far.
     """
     from threading import Thread
 

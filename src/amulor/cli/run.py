@@ -25,17 +25,17 @@ def run(
     site
         Site file (TOML).
     output
-        Folder for the results, one in it for each scan; what a run before has made of
-        the same files is kept.
+        Folder for the results, with a folder for each scan. Results of earlier runs
+        from the same files are used again.
     scheduler
         Address of a dask scheduler, such as tcp://node1:8786, or "local" for processes
-        on this machine; by default one scan after the other. Workers need the disk of
-        the site and of the results.
+        on this computer. By default scans are processed one after the other. Workers
+        need access to the site's files and to the output folder.
     workers
-        Number of processes for --scheduler local; one for each processor by default.
+        Number of processes for "--scheduler local"; by default one per processor.
     tile_rows
-        Work on so many rows at a time, on a cluster one task each; without it scans of
-        more than 2.1 million samples go to a cluster in parts of about as many.
+        Process this many rows at a time, on a cluster as one task. By default a cluster
+        divides scans of more than 2.1 million samples.
     json
         Print the digests of all files as JSON.
     """

@@ -19,13 +19,13 @@ def samples(
     Parameters
     ----------
     names
-        What to write; without any, a list of what there is.
+        Names of the sample data to write; without names, all are listed.
     output
-        Folder to write into.
+        Folder for the files.
     overwrite
-        Replace files that are there.
+        Replace existing files.
     json
-        For other programs.
+        Print the list as JSON.
     """
     from dataclasses import asdict
 

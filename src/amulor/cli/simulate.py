@@ -37,20 +37,20 @@ def simulate(
     output
         File to write (netCDF).
     model
-        Forward model: small-angle with the whole phase function; its closure, which is
-        fast and rougher; small-angle diffusion, the form of the paper; or photons
-        followed through all orders of scattering, which takes minutes.
+        Forward model. "small-angle" uses the whole phase function, "closure" is its
+        fast and rougher approximation, "diffusion" is the form in the paper. "photons"
+        simulates all orders of scattering and takes minutes.
     error
-        Relative error of the unmodulated light at which photons stop; it counts in
-        the uncertainty of the samples.
+        Relative error of the unmodulated light at which the photon simulation stops. It
+        is added to the uncertainty of the samples.
     seed
-        Seed of the simulated noise, and of photons.
+        Seed of the simulated noise and of the photon simulation.
     tile_rows
-        Work on so many rows at a time, in bounded memory; scans of more than 2.1
-        million samples are simulated by rows without being asked. Photons take a scan
-        whole.
+        Simulate this many rows at a time, with bounded memory. Scans of more than 2.1
+        million samples are always simulated by rows. The photon model needs the whole
+        scan at once.
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     goal = quantity_of("--error", error, "fraction")
     if not 0 < goal < 1:

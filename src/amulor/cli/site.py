@@ -85,11 +85,11 @@ def register(
     site
         Site file (TOML).
     output
-        File to write (JSON), with poses and the covariance of all.
+        File to write (JSON), with all poses and their joint covariance.
     json
-        Print the figures as JSON.
+        Print the result as JSON.
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     from amulor import io
     from amulor._extras import require
@@ -214,15 +214,15 @@ def merge(
     site
         Site file (TOML).
     poses
-        Registration (JSON), from `amulor site register`.
+        Registration (JSON), from "amulor site register".
     output
-        Folder of LAZ tiles to make, or a file with the ending .e57.
+        Folder to create for LAZ tiles, or a file with the ending .e57.
     tile
         Side of a tile, such as "5 m".
     json
-        Print the figures as JSON.
+        Print the result as JSON.
     overwrite
-        Replace files that are there.
+        Replace existing files.
     """
     from amulor import io
     from amulor._extras import require
@@ -297,17 +297,17 @@ def compare(
     site
         Site file (TOML).
     poses
-        Registration (JSON), from `amulor site register`.
+        Registration (JSON), from "amulor site register".
     output
-        Table to write (CSV), a row for each place of the surface.
+        Table to write (CSV), with a row for each point of the surface.
     first
-        Earlier epoch; the first one by default.
+        Earlier visit (epoch); by default the first.
     second
-        Later epoch; the last one by default.
+        Later visit (epoch); by default the last.
     json
-        Print the figures as JSON.
+        Print the result as JSON.
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     import numpy as np
 
@@ -441,15 +441,15 @@ def report(
     site
         Site file (TOML).
     poses
-        Registration (JSON), from `amulor site register`.
+        Registration (JSON), from "amulor site register".
     output
-        File to write (HTML).
+        Report to write (HTML).
     first
-        Earlier epoch to compare; the first one by default.
+        Earlier visit (epoch) to compare; by default the first.
     second
-        Later epoch to compare; the last one by default.
+        Later visit (epoch) to compare; by default the last.
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     from amulor import io
     from amulor.cli._arguments import check_ending

@@ -28,7 +28,7 @@ def check(
     file
         Survey file (TOML).
     json
-        Print the survey in SI units, and what follows from it, for other programs.
+        Print the survey in SI units, and the derived values, as JSON.
     """
     check_inputs(file)
 
@@ -142,7 +142,7 @@ def _print_expected(
 ) -> None:
     """Print the expected quality of samples, with warnings.
 
-    Of channels that are `dark`, nobody knows the water signal.
+    The water signal of `dark` channels is unknown.
     """
     print(f"  {expected.hit:.0%} of the beams meet a target")
     for number, target in enumerate(survey.targets):

@@ -29,19 +29,19 @@ def transients(
     file
         Histograms (npz) with counts and bin_width_s.
     frequency
-        Modulation frequencies, "50MHz,100MHz" or first, last and number as in
-        "10MHz:400MHz:40".
+        Modulation frequencies: a list such as "50MHz,100MHz", or first, last and number
+        such as "10MHz:400MHz:40".
     output
         File to write (netCDF).
     scene
-        Which scene, counted from 0, where a file holds several.
+        Index of the scene, from 0, if the file has several.
     scan_side
-        Side of the square that was scanned, such as "60 cm".
+        Side of the scanned square, such as "60 cm".
     medium
-        Estimate the signal of the medium from all scenes of the file and store it
-        in place of open-water shots, so that `amulor reject` can take it out.
+        Estimate the water signal from all scenes of the file, and store it in place of
+        open-water shots, for "amulor reject".
     overwrite
-        Replace a file that is there.
+        Replace an existing file.
     """
     import numpy as np
 

@@ -32,33 +32,33 @@ def view(
     Parameters
     ----------
     path
-        Range image, target signal or samples (netCDF); the folder of a scan, which is
-        followed while it goes on and only read; a point cloud (.ply, .laz, .las, .e57,
-        .xyz, .csv, .txt, .asc, .pts, .nc) or a mesh (.ply, .stl, .obj, .off, .glb).
+        File or folder to show. Range image, target signal or samples (netCDF); folder
+        of a running scan; point cloud (.ply, .laz, .las, .e57, .xyz, .csv, .txt, .asc,
+        .pts, .nc); or mesh (.ply, .stl, .obj, .off, .glb).
     samples
-        Samples or target signal that a range image was made from, to see it before
-        rejection.
+        Samples or target signal from which a range image was made, to show it before
+        rejection, too.
     unit
-        Unit of the coordinates of a mesh, shown or compared with, which most formats do
-        not say, or of a cloud that is not in metres.
+        Unit of the coordinates of a mesh, which most formats do not state, or of a
+        cloud that is not in meters.
     against
-        Mesh (.ply, .stl, .obj, .off, .glb) in the instrument's axes, or range image of
-        an earlier scan (.nc), that the page writes deviations from; with --unit.
+        Reference for deviations: a mesh (.ply, .stl, .obj, .off, .glb) in the axes of
+        the instrument, or the range image (.nc) of an earlier scan; with --unit.
     save
-        Write the page as one file (HTML) that opens without this program, and stop.
+        Save the page as one file (HTML), which opens without this program, and exit.
     nearest
         Nearest possible slant range, such as "0.5 m"; with --farthest.
     farthest
         Farthest possible slant range, such as "3 m"; with --nearest.
     host
-        Address to listen at. Another one than 127.0.0.1 lets other computers in that
-        know the whole address with its token; nothing is encrypted on the way.
+        Network address on which the page listens. Any address except 127.0.0.1 admits
+        other computers that know the page's URL with its token; nothing is encrypted.
     port
-        Port to listen at; a free one by default.
+        Port of the page; by default any free port.
     browser
         Open the page in the browser of this computer.
     overwrite
-        With --save: replace a file that is there.
+        With --save: replace an existing file.
     """
     from amulor import _extras
     from amulor.cli._arguments import (

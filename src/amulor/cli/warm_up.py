@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 def warm_up() -> None:
     """Compile all loops for this computer, so that later commands start faster.
 
-    Each command compiles what it needs when it first runs, once; this takes a minute
-    or two and is for images of containers, services and the evening before a survey.
-    Needed again after an update of amulor, Python or numba, and for another folder
-    NUMBA_CACHE_DIR. Left out are loops that only Python code calls: slabs of water, and
-    phase functions of your own.
+    Without it, each command compiles the loops that it needs when it first runs. It
+    takes a minute or two. Use it for container images, for services, or the evening
+    before a survey. Run it again after an update of amulor, Python or numba, and if
+    NUMBA_CACHE_DIR changes. It omits loops that only Python code calls: slabs of water,
+    and your own phase functions.
     """
     work = _work()
     with progress_bar() as advance:

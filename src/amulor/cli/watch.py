@@ -35,16 +35,16 @@ def watch(
     Parameters
     ----------
     folder
-        Folder that "amulor acquire" was given; the scan may be going on or finished,
-        and is only read.
+        Folder of a scan, which "amulor acquire" wrote. The scan may be running or
+        finished; it is only read.
     polarization
-        Channel to show, such as VH; the first one by default.
+        Channel to show, such as VH; by default the first.
     show
         Map to show.
     every
-        In a pipe: time between two lines, such as "1 min".
+        Time between two lines if the output is no terminal, such as "1 min".
     once
-        Show what is there now, and stop.
+        Show the present state, and exit.
     """
     from amulor.cli._arguments import quantity_of
     from amulor.view.page import Live

@@ -30,9 +30,9 @@ def water(
     salinity
         Salinity, 0 (fresh water) to 43, practical or in parts per thousand.
     frequency
-        Modulation frequency of the ambiguity interval.
+        Modulation frequency for the ambiguity interval.
     json
-        Print it for other programs, in SI units.
+        Print the result as JSON, in SI units.
     """
     from amulor.cli._arguments import UsageError, quantity_of, refusing
     from amulor.optics import ranging
@@ -129,11 +129,11 @@ def fit(
     Parameters
     ----------
     cube
-        Measurement cube (netCDF) with open-water shots at three frequencies or more.
+        Measurement cube (netCDF) with open-water shots at three or more frequencies.
     no_target
-        Nothing stood in the beam: the samples themselves are open water.
+        The scan has no target: its samples are open water, too.
     json
-        Print it for other programs, in SI units.
+        Print the result as JSON, in SI units.
     """
     check_inputs(cube)
 

@@ -23,13 +23,13 @@ def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
     cube : xarray.Dataset
         A cube of any level.
     name : str
-        "open_water" or "truth".
+        Name of the group: "open_water" or "truth".
 
     Returns
     -------
     xarray.Dataset or None
-        Its variables without the prefix, with the coordinates they use; None if the
-        cube has no such part.
+        Variables of the group without the prefix, with their coordinates; None if the
+        cube has no such group.
 
     Examples
     --------
@@ -61,12 +61,13 @@ def without_groups(cube: xr.Dataset, *groups: str) -> xr.Dataset:
     cube : xarray.Dataset
         A cube of any level.
     *groups : str
-        Which to leave out, "open_water" or "truth"; both by default.
+        Groups to remove, "open_water" or "truth"; by default both.
 
     Returns
     -------
     xarray.Dataset
-        Without both, the variables that every processing step may read.
+        Cube without the groups. Without both, it has only variables that every
+        processing step may read.
 
     Examples
     --------
@@ -88,14 +89,14 @@ def attach(cube: xr.Dataset, part: xr.Dataset, name: str) -> xr.Dataset:
     cube : xarray.Dataset
         A cube of any level.
     part : xarray.Dataset
-        Variables under their short names.
+        Variables of the group, without the prefix.
     name : str
-        "open_water" or "truth".
+        Name of the group: "open_water" or "truth".
 
     Returns
     -------
     xarray.Dataset
-        A new cube that holds both.
+        New cube with the group.
 
     Examples
     --------
@@ -121,7 +122,8 @@ def flag_counts(cube: xr.Dataset) -> dict[str, int]:
     Returns
     -------
     dict
-        Meaning to number, only of flags that occur; empty without `quality_flag`.
+        Number of pixels or samples by flag name, for flags that occur; empty without
+        `quality_flag`.
 
     Examples
     --------
@@ -246,9 +248,9 @@ class CubeAccessor:
 class _Accessor:
     """Descriptor that creates a `CubeAccessor` at each access of `cube.amulor`.
 
-    As xarray registers accessors, it keeps one with each cube, and the two refer to
-    each other: cubes then stay in memory until the garbage collector comes by, which
-    counts objects, not bytes.
+    xarray would keep an accessor with each cube, and the two would refer to each other.
+    Cubes would then stay in memory until the garbage collector runs, which counts
+    objects, not bytes.
     """
 
     def __get__(self, cube: xr.Dataset | None, owner: type) -> Any:

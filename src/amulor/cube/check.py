@@ -23,22 +23,22 @@ def checked(
 ) -> xr.Dataset:
     """Return a cube; raise unless it conforms to the schema of its level.
 
-    Every processing step begins with it.
+    Every processing step calls it first.
 
     Parameters
     ----------
     cube : xarray.Dataset
-        As in `check`; dimensions that selecting a single value took away, such as
-        `cube.sel(polarization="VV")`, may be missing.
+        Cube as for `check`. Dimensions that the selection of a single value removed,
+        such as `cube.sel(polarization="VV")`, may be missing.
     level : str, optional
-        Level that it must have.
+        Required level.
     name : str
-        What messages call it.
+        Name of the cube in messages.
 
     Returns
     -------
     xarray.Dataset
-        The cube with all its dimensions, see `restore_dimensions`.
+        Cube with all its dimensions; see `restore_dimensions`.
 
     Raises
     ------
@@ -65,17 +65,17 @@ def check(
     Parameters
     ----------
     cube : xarray.Dataset
-        What to look at; its attribute `level` names what it claims to be.
+        Dataset to check; its attribute `level` states the level.
     level : str, optional
-        Level that is needed here; any known one by default.
+        Required level; by default any level.
     name : str
-        How a message names the cube, for example its file.
+        Name of the cube in messages, such as its file.
 
     Raises
     ------
     CubeError
-        With the first variable, coordinate or attribute that is missing, of the
-        wrong shape or unit, or not finite, and what to do about it.
+        If a variable, coordinate or attribute is missing, has the wrong shape or unit,
+        or is not finite. The message names the first one, and a remedy.
 
     Examples
     --------

@@ -90,13 +90,13 @@ def without_unknown_errors(cube: xr.Dataset) -> xr.Dataset:
     Parameters
     ----------
     cube : xarray.Dataset
-        Any level; only range images and point clouds have such errors.
+        Cube of any level; only range images and point clouds have such errors.
 
     Returns
     -------
     xarray.Dataset
-        The uncertainties of pixels and points with a flag of `ERROR_UNKNOWN` are NaN,
-        and the attribute `error_unknown` says why.
+        Cube in which uncertainties of pixels and points with a flag of `ERROR_UNKNOWN`
+        are NaN. Its attribute `error_unknown` states the reason.
 
     Examples
     --------
@@ -133,8 +133,8 @@ def error_unknown(cube: xr.Dataset) -> str:
     Returns
     -------
     str
-        A statement without a full stop, with the estimate of the error by the water
-        where the image has one; empty if every range states its error.
+        Statement without a full stop, with an estimate of the error caused by the water
+        if the image has one. Empty if every range states its error.
 
     Examples
     --------

@@ -33,7 +33,7 @@ def build(
     Parameters
     ----------
     level : str
-        A key of `schema.LEVELS`.
+        Processing level, a key of `schema.LEVELS`.
     variables, coordinates : mapping of str to array_like
         Values under the names of the schema, in its order of dimensions.
     geometry : mapping
@@ -44,7 +44,7 @@ def build(
     Returns
     -------
     xarray.Dataset
-        The cube; `check.check` tells whether it is complete.
+        Cube; use `check.check` to test whether it is complete.
 
     Raises
     ------
@@ -141,12 +141,12 @@ def digest(content: bytes | str | Path) -> str:
     Parameters
     ----------
     content : bytes, str or pathlib.Path
-        A `Path` is read; a `str` is taken as UTF-8 text.
+        Content to digest. A `Path` is read; a `str` is encoded as UTF-8.
 
     Returns
     -------
     str
-        "sha256:" and 64 hexadecimal digits.
+        Text "sha256:" and 64 hexadecimal digits.
 
     Examples
     --------
@@ -170,11 +170,11 @@ def attributes(level: str, *, title: str, source: str, **others: Any) -> dict[st
     Parameters
     ----------
     level : str
-        A key of `schema.LEVELS`.
+        Processing level, a key of `schema.LEVELS`.
     title, source : str
-        What the data are, and how they came to be (CF attributes).
+        Content of the data, and their origin (CF attributes).
     **others
-        Further attributes; None leaves one out.
+        Further attributes; those that are None are omitted.
 
     Returns
     -------
@@ -221,12 +221,12 @@ def note(cube: xr.Dataset, step: str) -> xr.Dataset:
     cube : xarray.Dataset
         Any cube.
     step : str
-        What was done, as a user would repeat it.
+        Processing step, in words with which a user could repeat it.
 
     Returns
     -------
     xarray.Dataset
-        The same data.
+        Cube with the same data and the extended history.
 
     Examples
     --------

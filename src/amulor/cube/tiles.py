@@ -123,7 +123,7 @@ class Derived:
     Parameters
     ----------
     source : Source
-        Where the rows come from.
+        Source of the original rows.
     """
 
     def __init__(self, source: Source) -> None:
@@ -162,9 +162,10 @@ class Changed(Derived):
     Parameters
     ----------
     source : Source
-        Where the rows come from.
+        Source of the original rows.
     change : callable
-        From a cube to another one of as many rows and columns; looks at no other rows.
+        Function from a cube to a cube with as many rows and columns, which needs no
+        other rows.
     """
 
     def __init__(
@@ -189,7 +190,7 @@ def directions_of(cube: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        With these two coordinates only.
+        Dataset with the coordinates azimuth and elevation only.
     """
     names = ("azimuth", "elevation")
     return xr.Dataset(coords={name: cube.variables[name] for name in names})
@@ -201,14 +202,14 @@ def bands(source: Source, rows: int | None = None) -> Iterator[tuple[int, int]]:
     Parameters
     ----------
     source : Source
-        Where the rows come from.
+        Source of the rows.
     rows : int, optional
-        Rows of a tile; by default as many as have `SAMPLES_AT_ONCE` samples.
+        Rows of a tile; by default the rows with about `SAMPLES_AT_ONCE` samples.
 
     Yields
     ------
     tuple of int
-        First row of a tile, and the one behind its last.
+        First row of a tile, and the row after its last.
     """
     if rows is None:
         rows = max(1, SAMPLES_AT_ONCE // max(samples_of_row(source), 1))
@@ -229,7 +230,7 @@ class Whole:
     Parameters
     ----------
     rows, columns : int
-        Of the whole.
+        Numbers of rows and columns of the whole cube.
     """
 
     def __init__(self, rows: int, columns: int) -> None:
@@ -243,10 +244,10 @@ class Whole:
         Parameters
         ----------
         tile : xarray.Dataset
-            Has the variables of the first tile; what does not run over rows and columns
-            is taken from that one.
+            Tile with the variables of the first tile. Variables without rows and
+            columns are taken from the first tile.
         row, column : int
-            Where it begins.
+            First row and column of the tile in the whole cube.
         """
         begin = {"row": row, "column": column}
         if self._first is None:
@@ -299,15 +300,15 @@ def sample_of(source: Source) -> xr.Dataset:
     Parameters
     ----------
     source : Source
-        Where the rows come from.
+        Source of the rows.
 
     Returns
     -------
     xarray.Dataset
-        All of a scan of up to `SAMPLE` pixels; of a larger one about as many, in
-        patches of `_BAND` rows and as many columns at least, from edge to edge. Between
-        two patches stand a row and a column of samples that are missing, so that none
-        passes for the neighbour of another.
+        Whole scan if it has at most `SAMPLE` pixels. Of a larger scan about as many
+        pixels, in patches of at least `_BAND` rows and columns from all over the scan.
+        A row and a column of missing samples separate neighboring patches, which are
+        not neighbors in the scan.
     """
     rows, columns = source.rows, source.columns
     if rows * columns <= SAMPLE:
@@ -421,9 +422,9 @@ def fit_on_sample(
     """Fit a processing step to a sample of a scan's rows.
 
     `step(cube, *, fit=None, span=None, **options)` returns its result and the
-    statistics that it used: `fit`, or where that is None those of the cube. A step
-    that does not need the span of the directions, for which all rows are read, has no
-    such argument.
+    statistics that it used: `fit`, or those of the cube if `fit` is None. `span` is the
+    range of the directions, for which all rows are read; a step with `needs_span=False`
+    has no such argument.
     """
     sample = without_groups(sample_of(source), "truth")
     spans = {"span": span_of(source)} if needs_span else {}

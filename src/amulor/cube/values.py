@@ -20,16 +20,16 @@ def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
     Parameters
     ----------
     cube : xarray.Dataset
-        A cube of any level, from which `sel` or `isel` with a single value may have
-        taken dimensions, as in `cube.sel(polarization="VV")` or `cube.isel(row=3)`.
+        Cube of any level, from which `sel` or `isel` with a single value may have
+        removed dimensions, as in `cube.sel(polarization="VV")` or `cube.isel(row=3)`.
 
     Returns
     -------
     xarray.Dataset
-        The cube that a list of one value selects, `cube.sel(polarization=["VV"])`;
-        the same object if no dimension is missing. What is not known stays as it is:
-        a dimension whose coordinate was dropped too (`drop=True`), variables of the
-        user, and variables whose dimensions are not those of the schema.
+        Cube as from a selection by a list with one value,
+        `cube.sel(polarization=["VV"])`; the same object if no dimension is missing.
+        Dimensions are not restored if their coordinate was dropped (`drop=True`), nor
+        for variables of the user or variables that do not conform to the schema.
 
     Examples
     --------
@@ -97,8 +97,8 @@ _COMMON = (
 def check_values(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
     """Raise if signals or their uncertainties have impossible values.
 
-    NaN is a sample that is missing. An uncertainty of zero is none: what follows
-    divides by it.
+    NaN marks a missing sample. An uncertainty of zero is not valid, because later steps
+    divide by it.
     """
     common = [part for part in _COMMON if part in variables]
     if common and len(common) < len(_COMMON):

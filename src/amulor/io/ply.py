@@ -141,7 +141,7 @@ def _write(
     about: Mapping[str, str] | None = None,
     triangles: NDArray[np.void] | None = None,
 ) -> None:
-    """Write parts to PLY; triangles and extra properties only with a single part."""
+    """Write parts of a cloud to PLY; only a single part may have triangles."""
     faces = [] if triangles is None else _face_lines(triangles)
     with (
         atomic_output(Path(path), overwrite=overwrite) as temporary,
