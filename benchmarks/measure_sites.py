@@ -52,8 +52,8 @@ SPOILERS = ("quiet", "quiet", "quiet", "fish", "outlier", "drift", "delay", "dat
 GROSS = (6.0, 0.02, 0.01)
 COLUMNS = (
     "site", "kind", "spoiler", "start_m", "start_deg", "stated", "outcome", "settled",
-    "gross", "silent", "within_1", "within_2", "components", "points_1", "points_2",
-    "points",
+    "gross", "silent", "beyond", "covered", "poses", "undetected_m",
+    "within_1", "within_2", "components", "points_1", "points_2", "points",
     "lengths_1", "lengths_2", "lengths", "largest_m", "gicp_gross", "seconds", "words",
 )  # fmt: skip
 
@@ -158,6 +158,7 @@ def measured(number: int) -> dict[str, Any]:
     row["settled"] = int(result.settled)
     row["words"] = "; ".join(one.sentence for one in result.contradictions[:1])
     scores, lengths, points, gross, largest = [], [], [], [], 0.0
+    covered = []
     names = [name for name in result.poses if name != "a1"]
     for name in names:
         true, pose = site.stations[name], result.poses[name]
@@ -173,6 +174,13 @@ def measured(number: int) -> dict[str, Any]:
             np.linalg.norm(off[:3]) > GROSS[1] or np.linalg.norm(off[3:]) > GROSS[2]
         ):
             gross.append(name)
+        hidden = result.undetected.get(name)
+        beside = (hidden.shift, hidden.turn) if hidden else (0.0, 0.0)
+        if all(
+            np.linalg.norm(off[at]) <= extra + 1.96 * np.linalg.norm(sigma[at])
+            for extra, at in zip(beside, (slice(3), slice(3, 6)), strict=True)
+        ):
+            covered.append(name)
         # Some points at the true ranges, placed by the pose alone.
         cloud = oracle.grid(5, 7)[2].reshape(-1, 3) * 2.5
         for point in cloud[::6]:
@@ -203,6 +211,12 @@ def measured(number: int) -> dict[str, Any]:
     )
     silent = [name for name in gross if name not in warnings_text]
     row |= {"gross": len(gross), "silent": len(silent), "largest_m": round(largest, 4)}
+    row |= {"beyond": sum(name not in covered for name in silent)}
+    row |= {"covered": len(covered), "poses": len(names)}
+    row["undetected_m"] = round(
+        max((result.undetected[name].shift for name in names
+             if name in result.undetected), default=0.0), 4,
+    )  # fmt: skip
     row["gicp_gross"] = gicp(site)
     return row
 
@@ -321,11 +335,13 @@ def table(rows: list[dict[str, str]]) -> None:
     """Print the summary of all sites."""
     print(
         f"{len(rows)} sites; silent: called good, a pose beyond 6 sigma and 2 cm "
-        "or 10 mrad, no line names its scan"
+        "or 10 mrad, no line names its scan; beyond: of these, also beyond what an "
+        "undetected error may change; covered: poses within 1.96 sigma and that"
     )
     print(
         f"{'spoiler':8} {'sites':>5} {'good':>5} {'contra':>6} {'refused':>7} "
-        f"{'unsettled':>9} {'silent':>10} {'68 %':>6} {'95 %':>6} {'gicp off':>8}"
+        f"{'unsettled':>9} {'silent':>6} {'beyond':>6} {'covered':>7} "
+        f"{'68 %':>6} {'95 %':>6} {'gicp off':>8}"
     )
     groups = [(name, [r for r in rows if r["spoiler"] == name]) for name in
               dict.fromkeys(SPOILERS)]  # fmt: skip
@@ -347,7 +363,10 @@ def table(rows: list[dict[str, str]]) -> None:
             len(some), len(good),
             *(sum(r["outcome"] == k for r in some) for k in outcomes),
             sum(r["settled"] == "0" for r in some), len(bad),
+            sum(int(r["beyond"]) > 0 for r in good),
         ]  # fmt: skip
+        poses = max(sum(int(r["poses"]) for r in good), 1)
+        count.append(f"{sum(int(r['covered']) for r in good) / poses:.1%}")
         off = sum(int(r["gicp_gross"] or 0) > 0 for r in some)
         words = [f"{name:16}", *(f"{c:>5}" for c in count)]
         words += [*(f"{s:6.1f}" for s in shares), f"{off:>5}"]

@@ -116,6 +116,7 @@ def register(
                     name: {
                         "position_m": pose.position,
                         "uncertainty": _sigmas(result, name),
+                        "undetected": _undetected(result, name),
                     }
                     for name, pose in result.poses.items()
                 },
@@ -153,6 +154,11 @@ def _sigmas(result: Registration, name: str) -> list[float]:
     return [float(v) for v in np.sqrt(np.diag(result.covariance_of(f"pose {name}")))]
 
 
+def _undetected(result: Registration, name: str) -> dict[str, Any] | None:
+    """Largest change of a pose by an undetected error; None without a comparison."""
+    return vars(result.undetected[name]) if name in result.undetected else None
+
+
 def _print_poses(result: Registration) -> None:
     import numpy as np
 
@@ -161,16 +167,20 @@ def _print_poses(result: Registration) -> None:
     rows = []
     for name, pose in result.poses.items():
         sigma = np.array(_sigmas(result, name))
+        hidden = result.undetected.get(name)
         rows.append(
             [
                 name,
                 *(f"{value:.4f}" for value in pose.position),
                 f"{np.linalg.norm(sigma[:3]) * 1e3:.2f}",
                 f"{np.linalg.norm(sigma[3:]) * 1e3:.3f}",
+                f"{hidden.shift * 1e3:.1f}" if hidden else "-",
             ]
         )
-    header = ["scan", "east, m", "north, m", "up, m", "u, mm", "u, mrad"]
+    header = ["scan", "east, m", "north, m", "up, m", "u, mm", "u, mrad", "+, mm"]
     print_table("Poses", header, rows)
+    if result.undetected:
+        print("+: largest shift by a drift or delay of one scan that no test detects")
     if result.fixed:
         print(f"the frame is that of {result.fixed}: nothing ties it to the world")
     for line in result.remarks:

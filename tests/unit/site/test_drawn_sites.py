@@ -14,8 +14,9 @@ from drawn_sites import DrawnSite, one_visit, written
 from numpy.testing import assert_allclose
 
 from amulor import cli
+from amulor.site.registration.pair import compared
 from amulor.site.registration.patterns import unfit_scan
-from amulor.site.registration.pose import start_pose
+from amulor.site.registration.pose import ScanPose, start_pose
 from amulor.site.registration.register import register, surface_of
 from amulor.site.registration.result import Registration
 
@@ -36,6 +37,25 @@ def test_the_generator_and_the_package_mean_the_same_pose() -> None:
     # Forward: north turned clockwise by the heading, then up by the pitch.
     east, north = np.sin(0.7) * np.cos(-0.4), np.cos(0.7) * np.cos(-0.4)
     assert_allclose(station.matrix[:, 2], [east, north, np.sin(-0.4)])
+
+
+def test_points_of_a_plane_lie_on_the_patches_of_other_scans(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Without errors; 5 um and a slope over the rows by directions linear in the pixels.
+    monkeypatch.setattr(oracle, "measured", lambda distance, *_, **__: distance)
+    drawn = one_visit("plane", 3, rows=42)
+    poses = {
+        name: ScanPose(station.matrix, np.array(station.place))
+        for name, station in drawn.stations.items()
+    }
+    for source, target in (("a1", "a2"), ("a2", "a3"), ("a1", "a4")):
+        pair = compared(
+            drawn.surfaces[source], drawn.surfaces[target],
+            (poses[source], poses[target]), gate=None, errors={},
+        )  # fmt: skip
+        assert pair is not None
+        assert np.abs(pair.distance[pair.weight > 0]).max() < 2e-6
 
 
 def test_rays_end_on_the_surface_and_pass_none() -> None:
@@ -211,6 +231,38 @@ def test_a_scan_fits_no_other_if_points_stand_off_and_the_rest_scatters(
     # One pair with a small misfit tells nothing of either scan.
     single = named if misfit > 10 else None
     assert unfit_scan(pairs[:1], "abc") == single  # type: ignore[arg-type]
+
+
+def of_size(pattern: str, size: float, distance: np.ndarray) -> np.ndarray:
+    rows, columns = (np.linspace(-1, 1, count) for count in distance.shape)
+    shapes = {
+        "constant": np.ones(distance.shape),
+        "rows": rows[:, None] + 0 * columns,
+        "rows, bent": 1 - 2 * rows[:, None] ** 2 + 0 * columns,
+        "columns": 0 * rows[:, None] + columns,
+        "columns, bent": 0 * rows[:, None] + 1 - 2 * columns**2,
+    }
+    return distance + size * shapes[pattern]
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("bed", 2), ("wall", 3), ("amphorae", 2)])
+def test_an_undetected_error_moves_a_pose_as_far_as_stated(
+    kind: str, seed: int
+) -> None:
+    drawn = one_visit(kind, seed, rows=48, position=0.01, angle=0.01)
+    found = registered(drawn)
+    stated = found.undetected["a3"]
+    (test,) = (
+        test for test in found.patterns
+        if (test.scan, test.pattern) == (stated.scan, stated.pattern)
+    )  # fmt: skip
+    # The error itself, in the ranges of the scan: poses are fitted anew.
+    spoiled = {stated.scan: lambda d: of_size(stated.pattern, test.detectable, d)}
+    other = registered(
+        one_visit(kind, seed, rows=48, position=0.01, angle=0.01, spoiled=spoiled)
+    )
+    moved = other.poses["a3"].position - found.poses["a3"].position
+    assert np.linalg.norm(moved) == pytest.approx(stated.shift, rel=0.25)
 
 
 def test_scores_of_patterns_are_standard_normal_and_sizes_are_detectable() -> None:

@@ -15,7 +15,7 @@ from amulor.errors import CubeError
 from amulor.site.registration import network
 from amulor.site.registration.network import KnownPose, Layout, State, Ties
 from amulor.site.registration.pair import Pair, compared, tree_of
-from amulor.site.registration.patterns import PatternTest, pattern_tests
+from amulor.site.registration.patterns import PatternTest, Undetected, pattern_tests
 from amulor.site.registration.pose import ScanPose, aligned, departure
 from amulor.site.registration.surface import ScanSurface
 
@@ -87,6 +87,8 @@ class Alignment:
     """Whether the fit converged: its last step was small."""
     patterns: tuple[PatternTest, ...]
     """Tests for systematic errors over rows, columns, range and angle of incidence."""
+    undetected: dict[str, Undetected]
+    """Largest change of each pose by a systematic error that no test detects."""
 
 
 def align(
@@ -156,7 +158,7 @@ def align(
     same = [
         visits is None or visits[pair.source] == visits[pair.target] for pair in pairs
     ]
-    patterns = pattern_tests(
+    patterns, undetected = pattern_tests(
         state,
         [pair for pair, alike in zip(pairs, same, strict=True) if alike],
         ties,
@@ -177,6 +179,7 @@ def align(
         steps=steps,
         settled=settled,
         patterns=patterns,
+        undetected=undetected,
     )
 
 

@@ -271,16 +271,7 @@ def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
     for _ in range(4):
         pixel = row * shape[1] + column
         start, ahead = origin[pixel], direction[pixel]
-        reach = _dot(point - start, ahead)
-        miss = point - start - reach[:, None] * ahead
-        a = slopes[0][0][pixel] + reach[:, None] * slopes[1][0][pixel]
-        b = slopes[0][1][pixel] + reach[:, None] * slopes[1][1][pixel]
-        aa, bb, ab = _dot(a, a), _dot(b, b), _dot(a, b)
-        ma, mb = _dot(miss, a), _dot(miss, b)
-        below = aa * bb - ab**2
-        with np.errstate(divide="ignore", invalid="ignore"):
-            off = np.stack([bb * ma - ab * mb, aa * mb - ab * ma], 1) / below[:, None]
-        off = np.nan_to_num(off, nan=9.0, posinf=9.0, neginf=-9.0)
+        off = _pixels_off(point - start, ahead, slopes[:, :, pixel])
         jump = np.clip(np.rint(off), -8, 8).astype(np.intp)
         row = np.clip(row + jump[:, 0], 0, shape[0] - 1)
         column = np.clip(column + jump[:, 1], 0, shape[1] - 1)
@@ -289,12 +280,56 @@ def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
     inside = (np.abs(off) <= 0.6).all(axis=1) & target.smooth.ravel()[pixel]
     start = start + off[:, :1] * slopes[0][0][pixel] + off[:, 1:] * slopes[0][1][pixel]
     ahead = ahead + off[:, :1] * slopes[1][0][pixel] + off[:, 1:] * slopes[1][1][pixel]
-    ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    # Rows of beams are bent: far from level, by 5 um of range on a grazing plane, with
+    # the sign of the elevation. Poses absorb most of a pattern, and the rest is large.
+    ahead += _bend(direction, shape, pixel, off)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    more = _pixels_off(point - start, ahead, slopes[:, :, pixel])
+    start = start + np.einsum("ni,ink->nk", more, slopes[0][:, pixel])
+    ahead = ahead + np.einsum("ni,ink->nk", more, slopes[1][:, pixel])
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    off = off + more
     patch = target.patch.reshape(len(target.powers), -1)[:, pixel]
     inverse = np.einsum("ki,ki->i", patch, _terms(target, off))
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = _dot(point - start, ahead) - 1 / inverse
     return OnGrid(pixel, off, ahead, distance, inside & np.isfinite(distance))
+
+
+def _pixels_off(away: Floats, ahead: Floats, slopes: Floats) -> Floats:
+    """Pixel offsets at which beams meet points, from points relative to the origin."""
+    reach = _dot(away, ahead)[:, None]
+    miss = away - reach * ahead
+    a, b = slopes[0] + reach * slopes[1]
+    aa, bb, ab = _dot(a, a), _dot(b, b), _dot(a, b)
+    ma, mb = _dot(miss, a), _dot(miss, b)
+    below = aa * bb - ab**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.stack([bb * ma - ab * mb, aa * mb - ab * ma], 1) / below[:, None]
+    return np.asarray(np.nan_to_num(off, nan=9.0, posinf=9.0, neginf=-9.0))
+
+
+def _bend(
+    direction: Floats, shape: tuple[int, ...], pixel: Numbers, off: Floats
+) -> Floats:
+    """Second-order term of the direction between pixels, from neighboring pixels."""
+    row, column = np.divmod(pixel, shape[1])
+    row = np.clip(row, 1, max(shape[0] - 2, 1))
+    column = np.clip(column, 1, max(shape[1] - 2, 1))
+
+    def at(rows: int, columns: int) -> Floats:
+        number = np.minimum(row + rows, shape[0] - 1) * shape[1]
+        number = number + np.minimum(column + columns, shape[1] - 1)
+        return np.asarray(direction[number])
+
+    along, across = off[:, :1], off[:, 1:]
+    middle = at(0, 0)
+    mixed = (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / 4
+    return np.asarray(
+        along**2 / 2 * (at(1, 0) - 2 * middle + at(-1, 0))
+        + across**2 / 2 * (at(0, 1) - 2 * middle + at(0, -1))
+        + along * across * mixed
+    )
 
 
 def _terms(target: ScanSurface, off: Floats) -> Floats:

@@ -6,6 +6,10 @@ W. Baarda, A testing procedure for use in geodetic networks, 1968). With the nor
 equations :math:`A`, the gradient :math:`g` and the row :math:`l = (-A_{jb}
 A_{bb}^{-1}, 1)` of a pattern j the sum :math:`l g` has the mean zero without it, and
 its variance is that of pixels, start poses and shared errors.
+
+An error of the minimal detectable size changes the unknowns by :math:`A_{bb}^{-1}
+A_{bj}` times that size (external reliability). No test may show it. So the largest such
+change of each pose is stated beside its covariance.
 """
 
 from __future__ import annotations
@@ -73,6 +77,20 @@ class PatternTest:
     """Size over its standard uncertainty [1]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Undetected:
+    """Largest change of a pose by a systematic range error of the detectable size."""
+
+    shift: float
+    """Largest change of the position [m]."""
+    turn: float
+    """Largest change of the attitude [rad]."""
+    scan: str
+    """Scan of the error that changes the position most."""
+    pattern: str
+    """Key of `PATTERNS` of that error."""
+
+
 def pattern_values(surface: ScanSurface) -> Floats:
     """Shapes of all tested range errors, -1 to 1, (pattern, row, column) [1]."""
     shape = surface.distance.shape
@@ -121,8 +139,11 @@ def pattern_tests(
     surfaces: Mapping[str, ScanSurface],
     *,
     free: int,
-) -> tuple[PatternTest, ...]:
-    """Test each scan for each kind of systematic range error."""
+) -> tuple[tuple[PatternTest, ...], dict[str, Undetected]]:
+    """Test each scan for each kind of systematic range error.
+
+    The second value is the largest change of each pose by an undetected error.
+    """
     layout = Layout(state, ties.fixed)
     projection, _ = projector(state, pairs, trust, layout, free)
     base = system_of(state, pairs, ties, trust, layout, projection)
@@ -136,14 +157,40 @@ def pattern_tests(
             (pair.by_target @ reached, pair.by_source @ reached, weight * pair.weight)
         )
     tests: list[PatternTest] = []
+    changes: list[Floats] = []
     for name, surface in surfaces.items():
         shapes = pattern_values(surface).reshape(len(PATTERNS), -1)
         if any(name in (pair.source, pair.target) for pair in pairs):
-            tests += _tests_of(
+            of_scan, changes_of_scan = _tests_of(
                 name, shapes, pairs, derivatives, surfaces,
                 (inverse, base.gradient, base.scatter),
             )  # fmt: skip
-    return tuple(tests)
+            tests += of_scan
+            changes += changes_of_scan
+    return tuple(tests), _undetected(state, layout, tests, changes)
+
+
+def _undetected(
+    state: State,
+    layout: Layout,
+    tests: Sequence[PatternTest],
+    changes: Sequence[Floats],
+) -> dict[str, Undetected]:
+    """Largest change of each pose by one error of the minimal detectable size."""
+    largest = {}
+    for name in state.poses if tests else ():
+        at = layout.columns("pose", [name], 6)
+        by_pattern = np.where(at >= 0, np.array(changes)[:, at], 0.0)
+        shift, turn = (
+            np.linalg.norm(by_pattern[:, part], axis=1)
+            for part in (slice(3), slice(3, 6))
+        )
+        worst = int(np.argmax(shift))
+        largest[name] = Undetected(
+            shift=float(shift[worst]), turn=float(turn.max()),
+            scan=tests[worst].scan, pattern=tests[worst].pattern,
+        )  # fmt: skip
+    return largest
 
 
 def _tests_of(
@@ -153,7 +200,7 @@ def _tests_of(
     derivatives: Sequence[tuple[Floats, Floats, Floats]],
     surfaces: Mapping[str, ScanSurface],
     base: tuple[Floats, Floats, Floats],
-) -> list[PatternTest]:
+) -> tuple[list[PatternTest], list[Floats]]:
     """Test one scan for all kinds of systematic range errors."""
     inverse, gradient, scatter = base
     count, size = len(shapes), len(gradient)
@@ -189,7 +236,8 @@ def _tests_of(
     for scan, values in of_pixel.items():
         noise = np.nan_to_num(surfaces[scan].own.ravel())
         variance += ((values * noise[:, None]) ** 2).sum(axis=0)
-    tests = []
+    tests, changes = [], []
+    bias = inverse @ back
     for number, pattern in enumerate(PATTERNS):
         # What poses absorb to the last part cannot be tested.
         if not effect[number] > 1e-6 * squares[number, number] > 0:
@@ -203,7 +251,8 @@ def _tests_of(
                 size=score * spread, detectable=_POWERFUL * spread,
             )
         )  # fmt: skip
-    return tests
+        changes.append(_POWERFUL * spread * bias[:, number])
+    return tests, changes
 
 
 def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:

@@ -254,6 +254,7 @@ def _result(
         settled=alignment.settled,
         fixed=ties.fixed or "",
         patterns=alignment.patterns,
+        undetected=alignment.undetected,
         reliability=reliabilities(
             alignment.state, alignment.covariance, alignment.layout, ties
         ),

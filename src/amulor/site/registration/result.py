@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from amulor.cube import provenance
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output
-from amulor.site.registration.patterns import PATTERNS, PatternTest
+from amulor.site.registration.patterns import PATTERNS, PatternTest, Undetected
 from amulor.site.registration.pose import ScanPose, cross_matrix
 from amulor.site.registration.reliability import Reliability
 
@@ -150,6 +150,9 @@ class Registration:
     control points do."""
     patterns: tuple[PatternTest, ...] = ()
     """Tests for systematic errors of each scan over rows, columns, range and angle."""
+    undetected: dict[str, Undetected] = field(default_factory=dict)
+    """Largest change of each pose by a systematic error of a scan that no test detects;
+    it is not in the covariance."""
     reliability: tuple[Reliability, ...] = ()
     """Redundancy and minimal detectable error of start poses, targets, control points
     and scale bars."""
@@ -228,6 +231,7 @@ def write_registration(
         "remarks": list(result.remarks),
         "good": not result.contradictions,
         "contradictions": [vars(item) for item in result.contradictions],
+        "undetected": {name: vars(item) for name, item in result.undetected.items()},
         "patterns": [vars(test) for test in result.patterns],
         "reliability": [vars(line) for line in result.reliability],
         "places": result.places,
@@ -296,6 +300,10 @@ def _registration_of(content: dict[str, Any]) -> Registration:
         remarks=tuple(content["remarks"]),
         settled=bool(content["settled"]),
         fixed=content["fixed"],
+        undetected={
+            name: Undetected(**item)
+            for name, item in content.get("undetected", {}).items()
+        },
         patterns=tuple(PatternTest(**test) for test in content["patterns"]),
         reliability=tuple(Reliability(**line) for line in content["reliability"]),
     )
