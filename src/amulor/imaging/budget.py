@@ -312,9 +312,9 @@ def calibration_terms(
 
     By central differences of the slant range of a fixed path: by the group index, by
     each coordinate of the receiver and by azimuth and elevation of the beams. The
-    errors are one and the same for all pixels. The delay is as uncertain as on the day
-    of its calibration, and by what it may have changed since with age and temperature,
-    in quadrature; its age needs a cube that says when it was measured.
+    errors are common to all pixels. The uncertainty of the delay is that on the day of
+    its calibration, plus its possible change with age and temperature, in quadrature.
+    The age is known only if the cube states the time of its measurement.
     """
     terms: dict[str, Floats] = {}
     survey = observation.survey

@@ -50,12 +50,12 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     image : xarray.Dataset
         Level `range_image`.
     pixels : array_like of bool, shape (row, column)
-        Which pixels; unusable ones are left out.
+        Selected pixels; unusable pixels are omitted.
 
     Returns
     -------
     ndarray, shape (n, n)
-        In the order of the rows of the image [m^2].
+        Covariance, with pixels in the order of the rows of the image [m^2].
 
     Raises
     ------
@@ -67,13 +67,13 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     Noise is independent from pixel to pixel. The reference is a polynomial over the
     scan, of the degree that the image states: its errors at two pixels correlate like
     :math:`\phi_i^T (\Phi^T \Phi)^{-1} \phi_j` with the monomials :math:`\phi`, for
-    shots that cover the scan evenly. An error of the water signal turns the phase by
-    its part across the target's phasor, which turns itself with the range, so
-    pixels at different ranges share less: a factor of the cosine of their difference
-    in phase, averaged over the frequencies. Without a stated degree, all share alike.
-    So do they the drift of the water and the column behind the target, but for that
-    cosine.
-    Late light, delay, group index and geometry move all pixels the same way.
+    shots that cover the scan evenly. An error of the water signal shifts the phase by
+    its component across the target's phasor, whose direction changes with the range.
+    Pixels at different ranges are therefore less correlated, by the cosine of their
+    phase difference, averaged over the frequencies. Without a stated degree, all pixels
+    are correlated alike. The drift of the water and the column behind the target are
+    common to all pixels, apart from that cosine. Late light, delay, group index and
+    geometry shift all pixels alike.
 
     Examples
     --------
@@ -131,7 +131,7 @@ def mean_range(image: xr.Dataset, region: ArrayLike) -> RangeFigure:
     image : xarray.Dataset
         Level `range_image`.
     region : array_like of bool, shape (row, column)
-        Pixels to take; unusable ones are left out.
+        Pixels to use; unusable pixels are omitted.
 
     Returns
     -------
@@ -173,12 +173,12 @@ def range_difference(
     image : xarray.Dataset
         Level `range_image`.
     first, second : array_like of bool, shape (row, column)
-        Pixels of either, none of them in both.
+        Pixels of each region, without common pixels.
 
     Returns
     -------
     RangeFigure
-        Mean of the second less mean of the first; what both share cancels.
+        Mean of the second less mean of the first; common errors cancel.
 
     Raises
     ------

@@ -95,17 +95,17 @@ def plane_residual(image: xr.Dataset, region: ArrayLike | None = None) -> PlaneF
     image : xarray.Dataset
         Level `range_image`.
     region : array_like of bool, shape (row, column), optional
-        Pixels to take; unusable ones are left out anyway.
+        Pixels to use; unusable pixels are always omitted.
 
     Returns
     -------
     PlaneFit
-        Scatter about the plane, and the scatter that the uncertainties promise.
+        Scatter about the plane, and the scatter expected from the uncertainties.
 
     Raises
     ------
     CubeError
-        If fewer than four usable pixels are there, or all in one line.
+        If there are fewer than four usable pixels, or all lie on a line.
 
     Examples
     --------
@@ -153,13 +153,13 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     image : xarray.Dataset
         Level `range_image`.
     regions : array_like of int, shape (row, column)
-        Plane that each pixel belongs to, counted 1, 2, ...; 0 for none. Keep off the
+        Number of the plane of each pixel, 1, 2, ...; 0 for none. Exclude pixels at
         edges, where a beam meets two planes.
 
     Returns
     -------
     list of StepHeight
-        Steps from plane 1 to 2, 2 to 3 and so on; above 0 towards the instrument.
+        Steps from plane 1 to 2, 2 to 3 and so on, positive towards the instrument.
 
     Raises
     ------
@@ -169,13 +169,13 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     Notes
     -----
     One least-squares fit of z = z_i + a x + b y with slopes common to all planes,
-    weighted by the stated uncertainties; where the scatter is larger than they say,
-    the errors are enlarged in proportion. The error shared by all pixels is counted in
-    full and the difference of the bias estimates of the two planes is added, both in
-    quadrature: an upper limit, since neighbors share most of either. Of late light,
-    delay, group index and geometry, which move all pixels the same way, the difference
-    between the two planes counts; so does that of drift and column, which turn with the
-    phase of the target.
+    weighted by the stated uncertainties. If the scatter is larger than stated, the
+    errors are enlarged in proportion. The error common to all pixels is added in full,
+    and so is the difference between the bias estimates of the two planes, both in
+    quadrature. This is an upper limit, since neighbors share most of these errors. Late
+    light, delay, group index and geometry shift all pixels alike; only their difference
+    between the two planes is added. The same applies to drift and column, which depend
+    on the phase of the target.
 
     Examples
     --------
@@ -278,9 +278,9 @@ def contrast(image: xr.Dataset, target: ArrayLike, surround: ArrayLike) -> Contr
     Parameters
     ----------
     image : xarray.Dataset
-        Level `range_image`; the amplitude counts wherever it was measured.
+        Level `range_image`; the amplitude is used wherever it was measured.
     target, surround : array_like of bool, shape (row, column)
-        Pixels of either.
+        Pixels of each.
 
     Returns
     -------

@@ -49,7 +49,7 @@ class Merit:
 def merit(cube: xr.Dataset, *, interval: tuple[float, float] | None) -> Merit:
     """Return the figures of merit of every frequency and channel.
 
-    Of samples with open-water shots; CubeError as `open_water`.
+    The samples need open-water shots; errors are those of `open_water`.
     """
     water = water_before_target(cube, interval=interval)
     signal = cube.amulor.signal.values

@@ -20,7 +20,7 @@ def diffusion_response(
 ) -> NDArray[np.complex128]:
     """Return the open-water signal at the middle of the scan by the diffusion model.
 
-    (46) of Ricci et al. 2010, as rederived.
+    Eq. (46) of Ricci et al. 2010, as rederived.
     """
     return _response(survey, modulation_frequency, DiffusionModel())
 
@@ -30,8 +30,8 @@ def small_angle_response(
 ) -> NDArray[np.complex128]:
     """Return the open-water signal at the middle of the scan by the small-angle model.
 
-    (29) of Ricci et al. 2010, as rederived, with the whole phase function: keeps the
-    unscattered light and the shape of the forward peak.
+    Eq. (29) of Ricci et al. 2010, as rederived, with the whole phase function,
+    including unscattered light and the shape of the forward peak.
     """
     return _response(survey, modulation_frequency, SmallAngleModel())
 
@@ -41,8 +41,8 @@ def closure_response(
 ) -> NDArray[np.complex128]:
     """Return the open-water signal at the middle of the scan by the closure model.
 
-    `amulor.optics.small_angle_closure`, the fast form of (29) of Ricci et al. 2010, as
-    rederived.
+    `amulor.optics.small_angle_closure`, a fast form of eq. (29) of Ricci et al. 2010,
+    as rederived.
     """
     return _response(survey, modulation_frequency, ClosureModel())
 

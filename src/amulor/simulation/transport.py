@@ -49,9 +49,9 @@ def monte_carlo_response(
 
     `amulor.transport.simulate` with the phase function of
     `amulor.survey.waters.whole_function.phase_function_of`, the Gaussian receiver of
-    eq. (38) of Ricci et al. 2010, as rederived, and a thin beam. Behind a window the
-    receiver is put where it seems to be from the water, with a gap that lets all light
-    pass.
+    eq. (38) of Ricci et al. 2010, as rederived, and a thin beam. With a window the
+    receiver is moved to its apparent position seen from the water, with a transparent
+    gap in front of it.
     """
     water = water_properties(survey)
     layers = _layers(water)

@@ -56,8 +56,8 @@ def distance(
     first, second : tuple of int
         Row and column of each.
     reach : int
-        Average over so many pixels around each to every side, as far as the surface
-        has no step [1].
+        Number of pixels to each side over which a point is averaged, up to a step of
+        the surface [1].
 
     Returns
     -------
@@ -67,15 +67,15 @@ def distance(
     Raises
     ------
     CubeError
-        If a pixel holds no range, or both are the same point.
+        If a pixel has no range, or both are the same point.
 
     Notes
     -----
     :math:`u^2 = g^T C g` with the covariance C of the slant ranges
-    (`amulor.imaging.correlation.covariance`) and :math:`g_i = \partial D / \partial
-    r_i`, the part of each beam along the distance; first order. What both pixels share
-    cancels as far as their beams and the shares are alike. The directions of the beams
-    count as known.
+    (`amulor.imaging.correlation.covariance`) and
+    :math:`g_i = \partial D / \partial r_i`, the component of each beam along the
+    distance; first order. Common errors cancel as far as the beams and the errors of
+    both pixels are alike. Beam directions are assumed to be exact.
 
     Examples
     --------
@@ -116,11 +116,11 @@ def height(
     first, second : tuple of int
         Row and column of each.
     axis : array_like, shape (3,)
-        What is up, in the axes right, down, forward of the instrument; (0, 0, -1) is
+        Upward direction in the instrument's axes (right, down, forward); (0, 0, -1) is
         towards the instrument [1].
     reach : int
-        Average over so many pixels around each to every side, as far as the surface
-        has no step [1].
+        Number of pixels to each side over which a point is averaged, up to a step of
+        the surface [1].
 
     Returns
     -------
@@ -130,7 +130,7 @@ def height(
     Raises
     ------
     CubeError
-        If a pixel holds no range.
+        If a pixel has no range.
     ValueError
         If the axis has no length.
 
@@ -171,10 +171,10 @@ def angle(
     image : xarray.Dataset
         Level `range_image`.
     first, corner, second : tuple of int
-        Row and column of each; the angle is at the corner.
+        Row and column of each point. The angle is that at the corner.
     reach : int
-        Average over so many pixels around each to every side, as far as the surface
-        has no step [1].
+        Number of pixels to each side over which a point is averaged, up to a step of
+        the surface [1].
 
     Returns
     -------
@@ -184,8 +184,8 @@ def angle(
     Raises
     ------
     CubeError
-        If a pixel holds no range, or the three lie on a line, where no uncertainty of
-        first order exists.
+        If a pixel has no range, or the three points lie on a line, where no uncertainty
+        of first order exists.
 
     Examples
     --------
@@ -224,19 +224,20 @@ def area(image: xr.Dataset, corners: Sequence[Pixel], *, reach: int = 0) -> Meas
     corners : sequence of tuple of int
         Rows and columns, at least three, in order around the polygon.
     reach : int
-        Average over so many pixels around each to every side, as far as the surface
-        has no step [1].
+        Number of pixels to each side over which a point is averaged, up to a step of
+        the surface [1].
 
     Returns
     -------
     Measurement
-        Area [m2]; of corners that lie in no plane, the area of the polygon seen from
-        where it is largest.
+        Area [m2]. For corners out of a plane it is the largest projected area of the
+        polygon.
 
     Raises
     ------
     CubeError
-        If there are fewer than three corners, one holds no range, or the area is zero.
+        If there are fewer than three corners, a corner has no range, or the area is
+        zero.
 
     Notes
     -----
@@ -397,17 +398,17 @@ def read_checks(path: str | Path) -> tuple[Check, ...]:
     Parameters
     ----------
     path : str or pathlib.Path
-        With a table [[checks]] for each.
+        TOML file with a table [[checks]] for each check distance.
 
     Returns
     -------
     tuple of Check
-        In SI units.
+        Check distances in SI units.
 
     Raises
     ------
     SurveyError
-        With one line for each thing that is wrong.
+        With one line for each error in the file.
 
     Examples
     --------
@@ -441,24 +442,25 @@ def compared(image: xr.Dataset, check: Check) -> Checked:
     image : xarray.Dataset
         Level `range_image`.
     check : Check
-        What is known.
+        Reference length and its ends.
 
     Returns
     -------
     Checked
-        With the verdict.
+        Measured length with the outcome of the check.
 
     Raises
     ------
     CubeError
-        If an end holds no range.
+        If an end has no range.
 
     Notes
     -----
     With the deviation d and its expanded uncertainty :math:`U = 2 \sqrt{u^2 + u_0^2}`:
-    under a tolerance T it passes if :math:`|d| + U \le T` and fails if :math:`|d| - U >
-    T`, the guarded acceptance and rejection of JCGM 106; in between nobody can tell.
-    Without one it passes if :math:`|d| \le U`. It is undecided if U is not known.
+    with a tolerance T it passes if :math:`|d| + U \le T` and fails if
+    :math:`|d| - U > T`, the guarded acceptance and rejection of JCGM 106. In between it
+    is undecided. Without a tolerance it passes if :math:`|d| \le U`. It is undecided if
+    U is unknown.
 
     Examples
     --------

@@ -62,7 +62,7 @@ def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
     image : xarray.Dataset
         Level `range_image`.
     region : array_like of bool, shape (row, column)
-        Pixels that lie on it; unusable ones are left out.
+        Pixels on the plane; unusable pixels are omitted.
 
     Returns
     -------
@@ -78,8 +78,9 @@ def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
 
     Notes
     -----
-    Least squares of ranges, where all of the error is: distances from the plane would
-    be the smallest of a plane along the beams where noise is as large as the region.
+    Least squares of the ranges, which contain all of the error. Distances from the
+    plane instead would favor a plane along the beams if the noise is as large as the
+    region.
 
     Examples
     --------
@@ -138,9 +139,9 @@ def circle(image: xr.Dataset, region: ArrayLike) -> Fit:
     Returns
     -------
     Fit
-        `radius`, `centre_x`, `centre_y`, `centre_z` and the normal, as of a plane. A
-        pixel that is picked half its width off the rim moves the circle by as much:
-        that is not in the uncertainty.
+        `radius`, `centre_x`, `centre_y`, `centre_z` and the normal, as for a plane.
+        Pixels picked half their width off the rim shift the circle by as much, which
+        the uncertainty does not include.
 
     Raises
     ------
@@ -184,7 +185,7 @@ def sphere(image: xr.Dataset, region: ArrayLike) -> Fit:
     image : xarray.Dataset
         Level `range_image`.
     region : array_like of bool, shape (row, column)
-        Pixels on it.
+        Pixels on the sphere.
 
     Returns
     -------
@@ -198,10 +199,11 @@ def sphere(image: xr.Dataset, region: ArrayLike) -> Fit:
 
     Notes
     -----
-    Least squares of ranges, where all of the error is, on the side that beams reach;
-    near the outline of distances from the surface, which noise does not throw about.
-    Curvature is fitted instead of radius: that of a flat patch is zero within its
-    error, and `doubt` says where the radius is below four standard errors.
+    Least squares of the ranges, which contain all of the error, on the side that beams
+    reach. Near the outline, distances from the surface are used instead, which are less
+    sensitive to noise. Curvature is fitted instead of radius, as that of a flat region
+    is zero within its error. `doubt` states if the radius is below four standard
+    errors.
     """
     points = _points(image, region, fewest=5, shape="a sphere")
     bent = _Bent(points)
@@ -224,13 +226,13 @@ def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
     image : xarray.Dataset
         Level `range_image`.
     region : array_like of bool, shape (row, column)
-        Pixels on its side.
+        Pixels on the side of the cylinder.
 
     Returns
     -------
     Fit
-        `radius`; `axis_x`, `axis_y`, `axis_z`, a unit vector; and `point_x`,
-        `point_y`, `point_z`, where the axis is nearest to the middle of the pixels.
+        `radius`; `axis_x`, `axis_y`, `axis_z`, a unit vector; and `point_x`, `point_y`,
+        `point_z`, the point of the axis nearest to the center of the pixels.
 
     Raises
     ------
@@ -240,7 +242,7 @@ def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
     Notes
     -----
     As `sphere`. Distances from the surface alone would have a false minimum, a narrow
-    cylinder along the beams, from which no range error moves a point.
+    cylinder along the beams, whose points no range error moves off its surface.
 
     Examples
     --------

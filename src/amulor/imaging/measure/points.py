@@ -42,18 +42,18 @@ def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
     image : xarray.Dataset
         Level `range_image`.
     rows, columns : array_like of int, shape (n,)
-        Pixels, in any order; one may come twice.
+        Pixels in any order; a pixel may occur twice.
 
     Returns
     -------
     Points
-        In that order. Directions of the beams and indices of refraction are taken as
-        they are stated; an error of the group index is one of the ranges.
+        Points in this order. Beam directions and refractive indices are assumed to be
+        as stated; an error of the group index is part of the range errors.
 
     Raises
     ------
     CubeError
-        If a pixel is outside of the image or holds no range, or if there are too many.
+        If a pixel is outside of the image or has no range, or if there are too many.
 
     Examples
     --------
@@ -126,20 +126,21 @@ def reference_basis(
     azimuth, elevation : array_like, shape (row, column)
         Directions of the scan [rad].
     degree : int
-        Of the polynomial.
+        Degree of the polynomial.
 
     Returns
     -------
     dict
         `middle` and `factor` of the two angles, `powers` of the monomials, and
-        `matrix`, which turns the monomials of a pixel into a vector; the errors of two
-        pixels correlate like the cosine between their vectors.
+        `matrix`, which transforms the monomials of a pixel to a vector. The errors of
+        two pixels correlate by the cosine of the angle between their vectors.
 
     Notes
     -----
-    As `amulor.imaging.correlation.covariance`: :math:`\phi_i^T (\Phi^T \Phi)^{-1}
-    \phi_j` over its diagonal, by the singular values of :math:`\Phi`. For programs
-    that work out a covariance by themselves, such as a saved page.
+    As `amulor.imaging.correlation.covariance`:
+    :math:`\phi_i^T (\Phi^T \Phi)^{-1} \phi_j` over its diagonal, by the singular values
+    of :math:`\Phi`. For programs that compute a covariance on their own, such as a
+    saved page.
 
     Examples
     --------

@@ -63,25 +63,25 @@ def deviation(
     Parameters
     ----------
     surface : Surface
-        The scan.
+        Surface of the scan.
     vertices : ndarray, shape (k, 3)
-        Of the reference, in the scan's frame [m].
+        Vertices of the reference, in the scan's frame [m].
     faces : ndarray of int, shape (m, 3)
-        Its triangles.
+        Triangles of the reference.
     own, shared : ndarray, shape (k,), optional
-        Standard uncertainties of the reference along its own beams: what each vertex
-        has by itself, and what all share; 0 for a model [m].
+        Standard uncertainties of the reference along its own beams, independent between
+        vertices and common to all; 0 for a model [m].
     reference : Frame, optional
-        Frame of an earlier scan. If its pose is another one, the errors of both poses
-        count; if it is the same, the instrument was not moved, and they cancel. Without
-        one, the scan's own pose counts.
+        Frame of an earlier scan. If its pose differs, the errors of both poses are
+        added. If the pose is the same, the instrument was not moved, and they cancel.
+        By default only the errors of the scan's pose are added.
     farthest : float, optional
-        Deviations beyond this are left out, as other objects [m].
+        Largest deviation; beyond it the reference is another object and is omitted [m].
 
     Returns
     -------
     Deviation
-        Where the scan's beams, taken to both sides, meet the reference.
+        Deviations where the scan's beams, extended to both sides, meet the reference.
 
     Raises
     ------
@@ -90,12 +90,13 @@ def deviation(
 
     Notes
     -----
-    Each beam is followed to the reference, so that the deviation of a pixel rests on
-    its own range alone: with :math:`\Delta r` the measured less the reference's range,
-    beam d and the reference's normal N, the deviation is :math:`-\Delta r\,|d \cdot
-    N|`, and :math:`u = |d \cdot N| \sqrt{u_1^2 + u_2^2}`. Significance is by Benjamini
-    and Hochberg [1]_: of the pixels called significant 5 % are so by chance, whatever
-    their number. The places of beams and model count as known, but for the pose.
+    Each beam is extended to the reference, so that the deviation of a pixel depends on
+    its own range only: with :math:`\Delta r` the measured less the reference's range,
+    beam d and the reference's normal N, the deviation is
+    :math:`-\Delta r\,|d \cdot N|`, and :math:`u = |d \cdot N| \sqrt{u_1^2 + u_2^2}`.
+    Significance is by Benjamini and Hochberg [1]_: 5 % of the significant pixels are so
+    by chance, whatever their number. Beams and model are assumed to be exact, apart
+    from the pose.
 
     References
     ----------

@@ -77,17 +77,17 @@ def raster(
     surface : Surface
         Vertices and triangles.
     plane : Plane
-        From where it is seen.
+        Drawing plane, perpendicular to the direction of view.
     cell : float
         Size of a cell [m].
     layers : mapping of str to array_like, optional
-        Further values of the vertices, shape (n,); not a number for none.
+        Further values of the vertices, shape (n,); NaN for missing values.
 
     Returns
     -------
     Raster
-        Cell edges lie on whole multiples of the size, so that rasters of one frame fit
-        over each other.
+        Raster whose cell edges are whole multiples of the size, so that rasters of one
+        frame coincide.
 
     Raises
     ------
@@ -98,13 +98,13 @@ def raster(
 
     Notes
     -----
-    The surface is linear in each triangle; of surfaces over each other the nearest to
-    the viewer counts. A cell larger than the pixels' spacing is the mean of points in
-    it that are as close as the pixels, which weighs each pixel i by :math:`w_i`. With
-    :math:`g_i = d_i \cdot N_i / (e \cdot N_i)`, by which the height at a place changes
-    with the range (beam d, normal N, axis e towards the viewer),
-    :math:`u^2 = \sum_i w_i^2 g_i^2 u_i^2 + (\sum_i w_i g_i c_i)^2` with the own part u
-    and the shared part c of the ranges' uncertainty, and the pose.
+    The surface is linear in each triangle. Of several surfaces the one nearest to the
+    viewer is used. A cell larger than the pixel spacing is the mean of points in it
+    that are as dense as the pixels, which weights each pixel i by :math:`w_i`. With
+    :math:`g_i = d_i \cdot N_i / (e \cdot N_i)`, the change of height with range (beam
+    d, normal N, axis e towards the viewer),
+    :math:`u^2 = \sum_i w_i^2 g_i^2 u_i^2 + (\sum_i w_i g_i c_i)^2` with the independent
+    part u and the common part c of the range uncertainty, plus that of the pose.
 
     Examples
     --------
@@ -280,13 +280,13 @@ def contours(raster: Raster, *, interval: float) -> list[Contour]:
     raster : Raster
         Heights; lines end where there is no surface.
     interval : float
-        Difference of height of neighboring lines; levels are its whole multiples [m].
+        Height difference of neighboring lines; levels are its whole multiples [m].
 
     Returns
     -------
     list of Contour
-        From the lowest level to the highest; without lines that noise alone may draw,
-        as on a terrace that lies at a level.
+        Lines from the lowest level to the highest, without those that noise alone may
+        cause, as on a terrace at the height of a level.
 
     Raises
     ------
@@ -297,7 +297,7 @@ def contours(raster: Raster, *, interval: float) -> list[Contour]:
 
     Notes
     -----
-    A line is left out unless the heights three cells to its left and right differ, in
+    A line is omitted unless the heights three cells to its left and right differ, in
     the mean along it, by more than 6 standard errors of their noise.
 
     Examples

@@ -47,14 +47,14 @@ def section(
     surface : Surface
         Vertices and triangles.
     plane : Plane
-        The drawing.
+        Drawing plane.
     start, end : array_like, shape (2,)
         Ends of the line, right and up [m].
 
     Returns
     -------
     Section
-        Points where the cut crosses sides of triangles, in order along each piece.
+        Points at which the cut crosses triangle edges, in order along each piece.
 
     Raises
     ------
@@ -64,8 +64,9 @@ def section(
     Notes
     -----
     A point between the pixels i and j is their mean with weights w; its range errors
-    move the profile across itself by :math:`g = d \cdot N / \sqrt{1 - (N \cdot q)^2}`
-    with the beam d, the normal N and the normal q of the cutting plane.
+    shift the profile perpendicular to itself by
+    :math:`g = d \cdot N / \sqrt{1 - (N \cdot q)^2}` with the beam d, the normal N and
+    the normal q of the cutting plane.
 
     Examples
     --------

@@ -48,7 +48,8 @@ def plane_of(frame: Frame, side: Side = "front") -> Plane:
     Returns
     -------
     Plane
-        Its axes; heights are counted towards the viewer from the frame's origin.
+        Axes of the drawing plane. Heights are positive towards the viewer, from the
+        frame's origin.
 
     Examples
     --------
@@ -137,12 +138,12 @@ def surface(
     Parameters
     ----------
     image : xarray.Dataset
-        Level `range_image`. Mixed pixels and outliers are left out: they hang where
-        nothing is.
+        Level `range_image`. Mixed pixels and outliers are omitted, as they lie off any
+        surface.
     frame : Frame, optional
         Axes of the vertices; the instrument's by default.
     steepest : float
-        Largest angle between beam and normal over which neighbors belong together,
+        Largest angle between beam and surface normal at which neighbors are connected,
         below pi / 2 [rad].
 
     Returns
@@ -159,10 +160,9 @@ def surface(
 
     Notes
     -----
-    Neighbors are apart, and no triangle joins them, if their ranges differ by more
-    than the distance across the beams times tan(steepest), and by more than 3.5
-    standard uncertainties of the difference of their own noise, so that noise tears no
-    holes.
+    No triangle connects neighbors whose ranges differ by more than the distance across
+    the beams times tan(steepest), and by more than 3.5 standard uncertainties of the
+    difference by their noise. The second condition avoids holes by noise.
 
     Examples
     --------

@@ -60,13 +60,13 @@ class Plan:
 def judge_plan(survey: Survey) -> Plan | None:
     """Estimate the interpolation error of the open-water shots that a survey plans.
 
-    Shots without noise are interpolated as by `shots.fit_shots`: by a polynomial of
-    the signal itself, or of its ratio to the model of the water that
-    foretells directions left out best, of the degree that an F test would choose
-    against the scatter of the shots. No model is its own judge: the water that the
-    shots meet is not only that of the survey, which would be interpolated without any
-    error, but has other absorption and scattering, too, and the largest error of all
-    counts. The same for more rows and columns until that is less than `LARGEST_ERROR`.
+    Shots without noise are interpolated as by `shots.fit_shots`: by a polynomial of the
+    signal itself, or of its ratio to the water model with the smallest cross-validation
+    error. An F test against the scatter of the shots determines the degree. The
+    survey's water would be interpolated without any error by its own model. The test
+    therefore includes waters with other absorption and scattering, and the largest
+    error of all counts. It is repeated for more rows and columns until the error is
+    below `LARGEST_ERROR`.
     """
     plan = survey.scan.open_water
     if plan is None:
