@@ -178,7 +178,7 @@ _LIGHT_SPEED = 299792458.0
 def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
     """Compute the signals of a point; return the detector output over its limit.
 
-    Signals are rates of photoelectrons; the phase is that of the delay.
+    Signals are photoelectron rates, with the phase of the delay.
     """
     x = points.number[p]
     look, reach, place = points.look[p], points.reach[p], points.place[p]
@@ -239,11 +239,11 @@ def astray(
 ) -> tuple[float, float]:
     """Probability of a wrong ambiguity interval, and its mean square range error [m^2].
 
-    Phases of the given variances [rad^2] and ranges per phase [m/rad], 0 for those that
-    are not there. Candidates are the ranges that differ by whole intervals of the most
-    precise frequency; each is taken with the chance Q(D / 2) that normal errors move
-    the phases past the middle, D its distance in standard errors. Their sum is an upper
-    limit, and nearly the probability where it is small.
+    `variance` is that of the phases [rad^2], `to_range` the range per phase [m/rad], 0
+    for missing frequencies. Candidates are ranges that differ by whole intervals of the
+    most precise frequency. At a distance of D standard errors, a candidate is chosen
+    with the probability Q(D / 2) that normal errors move the phases past the middle.
+    The sum of these is an upper limit, and nearly the probability if it is small.
     """
     best = -1
     total = 0.0
@@ -305,8 +305,8 @@ def fill_columns(
 ) -> None:
     """Compute the water signals up to each distance, and of the whole column.
 
-    `piece` is that of the logarithm of the overlap, (4, segment, look); `mean` has the
-    shape (look, distance + 1), `water` (look, distance + 1, frequency).
+    `piece` has the spline coefficients of the log overlap, (4, segment, look). `mean`
+    has the shape (look, distance + 1), `water` (look, distance + 1, frequency).
     """
     count = nodes.stop.size
     sums = np.zeros(water.shape[2], dtype=np.complex128)
@@ -338,8 +338,8 @@ def phase_errors(
 ) -> None:
     """Compute variance and bias of a method's phases, and the signal modulus.
 
-    `passed` holds the shares of target and water that the channels pass, (2, channel).
-    The signal that the range is taken of is a sum of channels with real weights.
+    `passed` has the fractions of target and water light in each channel, (2, channel).
+    The range is computed from a weighted sum of channels with real weights.
     """
     count = passed.shape[1]
     weight = np.zeros(count)
@@ -475,10 +475,10 @@ def _add(slope: Complex, inverse: tuple[float, float, float], out: Floats) -> No
 def range_information(x: Floats, scratch: Scratch, out: Floats, bias: Floats) -> None:
     """Compute range variance [m^2] and bias [m] of joint estimation.
 
-    Parameters are the range, the logarithm of the echo of each channel, and, shared by
-    the pixels, those of the strength of the water in each channel, of absorption and of
-    scattering. The shared ones are known from the open-water shots and from all pixels
-    and are eliminated by a Schur complement, with the error that they keep.
+    Parameters of a pixel are the range and the logarithm of the echo in each channel.
+    Parameters that all pixels share are the logarithms of water strength in each
+    channel, of absorption and of scattering. The shared ones follow from the open-water
+    shots and all pixels; a Schur complement eliminates them with their uncertainty.
     """
     channels = scratch.laser_rate.size
     single = 1 + channels
@@ -590,7 +590,7 @@ def _phase_variance(k: int, scratch: Scratch) -> float:
 def _combine(only: int, x: Floats, scratch: Scratch, row: Floats) -> float:
     """Compute the errors of the weighted mean range; return the squared total error.
 
-    `only` is the one frequency that counts, -1 for all.
+    `only` is the index of a single frequency to use, -1 for all.
     """
     row[:] = 0.0
     count = scratch.to_range.size
@@ -664,7 +664,7 @@ def assess(
 ) -> None:
     """Compute the errors of each point, in the columns of `RESULTS`.
 
-    Compiled, as a point has few numbers and there are hundreds of thousands.
+    The loop is compiled because there are hundreds of thousands of small points.
     """
     channels = points.target_fraction.shape[1]
     frequency_count = points.frequency_index.shape[1]

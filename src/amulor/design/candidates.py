@@ -305,8 +305,8 @@ def spreads_of(goal: Goal) -> dict[str, Spread]:
 def drawn(goal: Goal, count: int | None = None) -> dict[str, Floats]:
     """Random values of water and target properties from a goal's ranges.
 
-    A scrambled Sobol' sequence with a fixed seed, through the inverse distributions:
-    the same draws for the same ranges, and evenly spread over them.
+    The values are a scrambled Sobol' sequence with a fixed seed, mapped by the inverse
+    distributions: equal for equal ranges, and evenly distributed.
     """
     spreads = spreads_of(goal)
     most = goal.effort.draws

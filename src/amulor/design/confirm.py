@@ -65,8 +65,8 @@ def follow_photons(
 ) -> Photons:
     r"""Simulate photon transport for the middle beam of a survey.
 
-    A phase :math:`\Delta\varphi` more than that of the model shifts a range by
-    :math:`v \Delta\varphi / 4 \pi f`: light that was scattered on its way is late.
+    A phase :math:`\Delta\varphi` above that of the model, by light that scattering
+    delays, shifts a range by :math:`v \Delta\varphi / 4 \pi f`.
     """
     middle = survey.with_(
         {

@@ -81,30 +81,31 @@ def evaluate(
     Parameters
     ----------
     described : Survey or Goal
-        Instrument, water and target; what no axis changes is taken from here. A goal
-        stands for the first of each of its choices in the middle of its waters.
+        Instrument, water and target, as a survey, or as a goal. Axes replace values of
+        it. Of a goal, the first value of each choice and the middle of each range are
+        used.
     frequencies : sequence of sequences of float, optional
-        Sets of modulation frequencies, along the dimension `frequency_set` [Hz]. Those
-        of the survey, all together, by default; or state `frequency` for instruments
-        with one frequency each.
+        Sets of modulation frequencies, along the dimension `frequency_set` [Hz]. By
+        default the frequencies of the survey, as one set. For instruments with one
+        frequency each, use the axis `frequency` instead.
     polarization : str or sequence of str, optional
-        Channels that are recorded, joined by a plus sign: "VH", "VV+VH"; several along
-        the dimension `polarization`. Those of the survey by default.
+        Recorded channels, joined by a plus sign: "VH", "VV+VH"; several along the
+        dimension `polarization`. By default those of the survey.
     method : str or sequence of str, optional
-        How the water is taken out, by the names of `amulor reject`: "none",
-        "frequency", "open-water", "polarization", "combined", "joint"; several along
-        the dimension `method`. "open-water" by default.
+        Rejection method by its name in `amulor reject`: "none", "frequency",
+        "open-water", "polarization", "combined", "joint"; several along the dimension
+        `method`. By default "open-water".
     interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m]; from 0 to where the
-        phases repeat by default.
+        Nearest and farthest possible slant range [m]; by default from 0 to the distance
+        at which the phases repeat.
     wrong_interval : float
-        Probability of a wrong interval from which on a range is `ambiguous` [1].
+        Probability of a wrong interval above which a range is flagged `ambiguous` [1].
     late_light : bool
-        Whether light that scatters on its way counts, as in real water; the models
-        that scans are simulated with by default have none.
+        Whether light delayed by scattering is included, as in real water. Simulations
+        do not include it by default.
     **axes : array_like
-        Values by the names of `amulor.design.AXES` in SI units: a number, an array,
-        which becomes a dimension of that name, or an `xarray.DataArray` with its own
+        Values by the names in `amulor.design.AXES`, in SI units: a number, an array
+        that becomes a dimension of that name, or an `xarray.DataArray` with its own
         dimensions. `distance` is needed unless the survey has targets.
 
     Returns
@@ -125,10 +126,10 @@ def evaluate(
     Notes
     -----
     The standard uncertainty is the inverse root of the Fisher information on the range
-    of one pixel, after the amplitudes, and for "joint" the parameters of the water,
-    are eliminated by a Schur complement; the random terms of its square add up to it.
-    Noise is that of `amulor.simulate`. The residual bias is the root of the sum of
-    `water_left_in` and `footprint` squared. Echo and water are those of the small-angle
+    of one pixel. A Schur complement eliminates the amplitudes, and for "joint" the
+    parameters of the water. Its square is the sum of the squared random terms. Noise is
+    that of `amulor.simulate`. The residual bias is the root of the summed squares of
+    `water_left_in` and `footprint`. Echo and water signal follow from the small-angle
     model with the whole phase function, the default of simulations.
 
     Examples

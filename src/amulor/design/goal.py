@@ -496,18 +496,18 @@ class Goal(Description):
         Parameters
         ----------
         path : str or pathlib.Path
-            TOML file.
+            Goal file (TOML).
 
         Returns
         -------
         Goal
-            In SI units.
+            Goal in SI units.
 
         Raises
         ------
         SurveyError
-            With one line for each thing that is wrong: file, field, what was found,
-            what is allowed.
+            If the file is invalid. The message has one line per error: file, field,
+            value found and values allowed.
         """
         text = toml_file.text_of(path, error=SurveyError)
         return cls.from_text(text, name=str(path))
@@ -519,14 +519,14 @@ class Goal(Description):
         Parameters
         ----------
         text : str
-            TOML.
+            Content of a goal file (TOML).
         name : str
-            What messages call it.
+            Name of the goal in messages.
 
         Returns
         -------
         Goal
-            In SI units.
+            Goal in SI units.
 
         Raises
         ------

@@ -101,9 +101,9 @@ def columns(
     r"""Compute water signals up to each depth, by the small-angle model.
 
     :math:`\ln F(z)` of eq. (29) of Ricci et al. 2010, as rebuilt, is computed at 64
-    depths for each look and a cubic spline of :math:`\ln z` goes through them. The
-    water is :math:`\beta_\pi \int F(z) e^{2 i \omega z / v} dz` by Gauss's rule on
-    panels that begin and end at the asked depths, so one sum serves all depths.
+    depths for each look and interpolated by a cubic spline in :math:`\ln z`. The water
+    signal is :math:`\beta_\pi \int F(z) e^{2 i \omega z / v} dz`. Gauss's rule is
+    applied to panels between the requested depths, so that one sum gives all depths.
     """
     farthest = _farthest(survey, looks, depth)
     knots = np.geomspace(_NEAREST, farthest, _KNOTS)
@@ -251,10 +251,10 @@ def late_uncertainty(
 ) -> Floats:
     """Return the standard uncertainty of the late-light correction [m].
 
-    As `amulor.imaging.late_light`: a rectangular distribution between the delay of
-    the phase function and half of it, and 15 % of the middle for the model. The delay
-    over the square of the distance is interpolated in the logarithm of the distance. It
-    is that at 50 MHz, an upper limit for higher frequencies.
+    As in `amulor.imaging.late_light`, it combines a rectangular distribution between
+    the delay of the phase function and half of it, and 15 % of the middle as model
+    error. The delay over the squared distance is interpolated in the logarithm of the
+    distance. The delay is that at 50 MHz, an upper limit for higher frequencies.
     """
     shape = (len(looks.absorption), len(distance))
     if water.scattering == 0 or water.forward_scattering * water.second_moment == 0:

@@ -68,11 +68,11 @@ class Shares:
 def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
     """Optimize the division of a pixel's dwell time between the frequencies.
 
-    Every division into twentieths is judged by the error at the worst distance that
-    the asked share of 16 draws reaches, among those with a probability of a wrong
-    interval below the limit. Biases of the frequencies count as one sign, so that the
-    error is an upper limit. A survey has one dwell for all frequencies: this says what
-    an instrument with several would gain.
+    Every division into twentieths is evaluated by its error at the worst distance, at
+    the required quantile of 16 random waters. Divisions in which a wrong interval is
+    too likely are excluded. All biases are assumed to have one sign, so that the error
+    is an upper limit. A survey has one dwell for all frequencies; the result shows the
+    gain of an instrument with several.
     """
     count = len(chosen.frequencies)
     if not 2 <= count <= 3 or not PREDICTED[chosen.method].separate_frequencies:
@@ -163,8 +163,8 @@ _BETWEEN = 41
 class Between:
     """Largest error at any distance between the nearest and farthest required one.
 
-    The phase of the water against that of the target turns with distance, so an
-    instrument can be good at each asked distance and not between them.
+    The phase between water signal and echo changes with distance. An instrument may
+    therefore be accurate at each required distance and inaccurate between them.
 
     Examples
     --------
@@ -246,7 +246,7 @@ class Choice:
 class Bound:
     """Parameter whose best value lies at a limit set by the goal.
 
-    It is no recommendation: what lies beyond was not looked at.
+    A value beyond the limit may be better, but was not evaluated.
 
     Examples
     --------
@@ -340,14 +340,14 @@ def recommend(
     Parameters
     ----------
     goal : Goal
-        What is asked, in which waters, and what the instrument may be made of.
+        Required performance, waters, and available components.
     progress : callable, optional
-        Takes what is done now and the share of the work done before it [1].
+        Function that takes the present step and the completed fraction [1].
 
     Returns
     -------
     Recommendation
-        Best instrument and runner-up with the reasons; the same each time.
+        Best instrument and runner-up, with reasons. Repeated calls give equal results.
 
     Raises
     ------
@@ -356,12 +356,12 @@ def recommend(
 
     Notes
     -----
-    The criterion is :math:`\sqrt{\sigma^2 + \beta^2}` of one pixel, standard
-    uncertainty and residual bias of `evaluate`, at the worst asked distance: the value
-    that the asked share of drawn waters and targets reaches. Wrong intervals,
-    saturation, the limits of the model, time and budget are requirements; each that is
-    missed counts ten times. Where the goal states prices, the cheapest instrument that
-    meets all is the best one.
+    The criterion is :math:`\sqrt{\sigma^2 + \beta^2}` of one pixel, with the standard
+    uncertainty and the residual bias of `evaluate`. It is taken at the worst required
+    distance, at the required quantile of random waters and targets. Wrong intervals,
+    saturation, validity of the model, time and budget are requirements; a missed one
+    has tenfold weight. If the goal states prices, the cheapest instrument that meets
+    all requirements is the best.
 
     Examples
     --------

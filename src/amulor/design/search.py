@@ -260,11 +260,11 @@ class SearchResult:
 def search(goal: Goal) -> SearchResult:
     """Search for the best instruments of a goal.
 
-    All combinations on a grid are judged with few draws and single frequencies (or
-    the stated sets). From the best of each laser, scheme and method the frequencies
-    are exchanged: one is added, dropped or put in the place of another, with the dwell
-    times that fit, as long as that helps. The best are refined by the method of Nelder
-    and Mead within their ranges.
+    All combinations on a grid are evaluated in few random waters, with single
+    frequencies or the stated sets. Starting from the best of each laser, scheme and
+    method, frequencies are added, dropped or exchanged, with suitable dwell times, as
+    long as the merit improves. The best are refined within their ranges by the method
+    of Nelder and Mead.
     """
     lasers = [laser.name for laser in goal.components.lasers]
     judges = {name: Judge(goal, name) for name in lasers}

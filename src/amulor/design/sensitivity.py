@@ -155,10 +155,10 @@ def sensitivity(
 ) -> Sensitivity:
     r"""Estimate Sobol indices of an instrument's error, with standard errors.
 
-    `scipy.stats.sobol_indices` after Saltelli 2010; numbers are independent, ranges of
-    the goal as it states their distributions, assumed numbers log-uniform. The
-    logarithm keeps a few very bad draws from standing for all. Total indices add up to
-    more than 1 where numbers act together; negative values are chance.
+    The indices are from `scipy.stats.sobol_indices`, after Saltelli 2010. Inputs are
+    independent. Ranges of the goal have the distributions that it states, assumptions
+    are log-uniform. The logarithm limits the influence of a few very bad cases. Total
+    indices add up to more than 1 if inputs interact; negative values are chance.
     """
     numbers = uncertain(goal, chosen)
     if not numbers:

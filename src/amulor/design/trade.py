@@ -163,10 +163,10 @@ def what_if(
 ) -> tuple[Turn, ...]:
     """Return the values of assumptions at which another instrument becomes better.
 
-    Both are judged as the search judges: those that meet all requirements before those
-    that do not, then by cost where the goal states prices, then by error. One
-    assumption is changed at a time, by up to ten times up and down; ranges are scaled
-    as a whole. Of several crossings the nearest is stated, to 5 %.
+    Both instruments are ranked as in the search: first those that meet all
+    requirements, then by cost if the goal states prices, then by error. One assumption
+    is changed at a time, by up to a factor of ten up and down; ranges are scaled as a
+    whole. Of several crossings the nearest is returned, to 5 %.
     """
     turns = []
     assumptions = _assumptions(goal, (best, other))

@@ -68,10 +68,10 @@ def write_cloud(
     cloud : xarray.Dataset
         A cube of level `point_cloud`.
     path : path-like
-        File to make, with one of `CLOUD_SUFFIXES` in small or capital letters.
+        File to write, with a suffix of `CLOUD_SUFFIXES`.
     shape : tuple of int, optional
-        Rows and columns of the scan, for an E57 file only [1]; see `write_e57` for
-        what it is by default.
+        Rows and columns of the scan, for E57 files only [1]; for the default see
+        `write_e57`.
     overwrite : bool
         Whether an existing file is replaced.
 

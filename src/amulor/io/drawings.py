@@ -227,9 +227,9 @@ def write_dxf(
 ) -> None:
     """Write a line drawing to a DXF file, in meters.
 
-    AutoCAD 2010 format, light-weight polylines, a layer for each kind of line. The
-    outline of the band of two standard uncertainties is on the layer "uncertainty";
-    statements stand as text on the layer "notes" below the drawing.
+    The format is AutoCAD 2010, with light-weight polylines and a layer for each kind of
+    line. The layer "uncertainty" has the outline of the band of two standard
+    uncertainties. The layer "notes" has the statements as text below the drawing.
     """
     ezdxf = _ezdxf()
     drawing = checked(drawing, name=str(path))
@@ -313,8 +313,9 @@ def write_geotiff(
 ) -> None:
     """Write raster bands of equal size to a GeoTIFF file.
 
-    Single precision, which holds a meter to 60 nm; deflate; not a number is no data.
-    Bands lie one after the other, with their names and units as GDAL reads them.
+    Values have single precision (60 nm at one meter) and are compressed by deflate. NaN
+    marks missing data. Bands are stored one after the other, with names and units in
+    the form of GDAL.
     """
     tifffile = _tifffile()
     values = np.stack([band.values for band in bands]).astype(np.float32)

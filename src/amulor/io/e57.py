@@ -66,11 +66,10 @@ def write_e57(
     cloud : xarray.Dataset
         A cube of level `point_cloud`.
     path : path-like
-        File to make, by custom with the suffix `.e57`.
+        File to write, usually with the suffix `.e57`.
     shape : tuple of int, optional
-        Rows and columns of the scan, for which a scan in E57 has room [1]. By default
-        what the cloud says in its attribute `scan_shape`, or as many as its points
-        need.
+        Rows and columns of the scan, for each of which the file has a record [1]. By
+        default the attribute `scan_shape` of the cloud, or as many as its points need.
     overwrite : bool
         Whether an existing file is replaced.
 
@@ -86,12 +85,12 @@ def write_e57(
 
     Notes
     -----
-    Records go row by row. Coordinates and intensity are stored in double precision. A
-    pixel without a point has zeros and `cartesianInvalidState` 2; one whose range is
-    doubtful has its coordinates and 1, so that its direction is to be relied on only.
-    Points are stored in the instrument's axes, and `pose` turns them into those of
-    the cloud. The format has no field for an uncertainty or a quality flag; a PLY or
-    LAZ file holds them.
+    Records are stored row by row, coordinates and intensity in double precision. A
+    pixel without a point has zeros and `cartesianInvalidState` 2. A pixel with a
+    doubtful range has its coordinates and state 1: only the direction is valid. Points
+    are stored in the axes of the instrument; `pose` transforms them to the frame of the
+    cloud. The format has no fields for uncertainty and quality flags; use PLY or LAZ
+    for these.
 
     Examples
     --------
@@ -119,8 +118,8 @@ def write_e57_parts(
 ) -> None:
     """Write a point cloud to an E57 file in parts, with bounded memory.
 
-    The file is that of the whole cloud, byte for byte: records are handed over in
-    blocks of the same size for whatever parts.
+    The file equals that of the whole cloud, byte for byte, because records are written
+    in blocks of equal size for any division into parts.
     """
     name = f"the cloud for {path}"
 
@@ -145,7 +144,7 @@ def write_e57_scans(
     clouds : sequence of xarray.Dataset
         Cubes of level `point_cloud`; their titles name the scans.
     path : path-like
-        File to make, by custom with the suffix `.e57`.
+        File to write, usually with the suffix `.e57`.
     shapes : sequence of tuple of int, optional
         Rows and columns of each scan, as in `write_e57` [1].
     overwrite : bool

@@ -40,12 +40,12 @@ def make_folder(path: str | os.PathLike[str]) -> None:
     Parameters
     ----------
     path : path-like
-        The folder; the one it lies in must exist.
+        Folder to create; its parent folder must exist.
 
     Raises
     ------
     FormatError
-        If something else has this name, or if it cannot be made or written to.
+        If a file has this name, or if the folder cannot be created or written to.
 
     Examples
     --------
@@ -119,7 +119,7 @@ def check_output(
     overwrite : bool
         Whether an existing file may be replaced.
     inputs : sequence of path-like
-        Files that the work reads; none of them is ever replaced.
+        Input files, which are never replaced.
 
     Raises
     ------

@@ -94,27 +94,25 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
     Parameters
     ----------
     path : path-like
-        File with `bin_width_s` and with whole-number `counts` of one of the shapes
-        (rows, columns, bins); (scenes, rows, columns, bins), with
-        `distance_label` (scenes) or without; (slabs, bins), with `thickness_inch`
-        (slabs) and, if there is one, the histogram `direct_counts` (bins) without a
-        slab.
+        File with `bin_width_s` and integer `counts`. Shapes of `counts`: (rows,
+        columns, bins); (scenes, rows, columns, bins), optionally with `distance_label`
+        (scenes); or (slabs, bins), with `thickness_inch` (slabs) and optionally
+        `direct_counts` (bins), the histogram without a slab.
 
     Returns
     -------
     Histograms
-        What it holds, checked.
+        Content of the file, checked.
 
     Raises
     ------
     FormatError
-        If the file is missing, empty, damaged or foreign, or if a field is missing
-        or not what it must be.
+        If the file is missing, empty, damaged or of another kind, or if a field is
+        missing or invalid.
 
     Notes
     -----
-    Arrays are read as plain numbers: Python objects in a file are refused, not
-    loaded.
+    Arrays are read as plain numbers. Files with Python objects are refused.
 
     Examples
     --------

@@ -83,7 +83,7 @@ def write_laz(
     cloud : xarray.Dataset
         A cube of level `point_cloud`.
     path : path-like
-        File to make, by custom with the suffix `.laz`.
+        File to write, usually with the suffix `.laz`.
     overwrite : bool
         Whether an existing file is replaced.
 
@@ -100,12 +100,12 @@ def write_laz(
 
     Notes
     -----
-    Point format 6. Coordinates are rounded to 1e-6 m, which limits the cloud to
-    4294 m along each axis. `intensity` is the amplitude in parts of the largest one,
-    which is 65535; the amplitude itself and the other variables are extra dimensions
-    with their units in the description. Points whose range is doubtful are withheld,
-    which readers leave out or mark. Provenance and axes stand in an extended record of
-    the user "amulor".
+    The file has point format 6. Coordinates are rounded to 1e-6 m, which limits the
+    cloud to 4294 m along each axis. `intensity` is the amplitude scaled such that the
+    largest is 65535. The amplitude itself and the other variables are extra dimensions,
+    with units in their descriptions. Points with a doubtful range have the flag
+    "withheld"; readers omit or mark them. An extended record of the user "amulor" has
+    provenance and axes.
 
     Examples
     --------
@@ -132,8 +132,8 @@ def write_laz_parts(
 ) -> None:
     """Write a point cloud to a LAS or LAZ file in parts, with bounded memory.
 
-    The file is that of the whole cloud, byte for byte: points go to the compressor in
-    blocks of the same size for whatever parts.
+    The file equals that of the whole cloud, byte for byte, because points are
+    compressed in blocks of equal size for any division into parts.
     """
     laspy = _laspy("writing")
     name = f"the cloud for {path}"

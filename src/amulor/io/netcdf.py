@@ -65,13 +65,13 @@ def read_cube(path: str | os.PathLike[str]) -> xr.Dataset:
     Parameters
     ----------
     path : path-like
-        File that `write_cube` or another program wrote after the schema.
+        File from `write_cube`, or from another program that follows the schema.
 
     Returns
     -------
     xarray.Dataset
-        The cube; variables of the groups `open_water` and `truth` carry the name of
-        their group as a prefix. The file is closed.
+        Cube in memory. Variables of the groups `open_water` and `truth` have the name
+        of their group as a prefix. The file is closed.
 
     Raises
     ------
@@ -122,26 +122,26 @@ def write_cube(
     Parameters
     ----------
     cube : xarray.Dataset
-        A cube of any level; dimensions that selecting a single value took away are
-        put back.
+        Cube of any level. Dimensions that the selection of a single value removed are
+        restored.
     path : path-like
-        File to make, by custom with the suffix `.nc`.
+        File to write, usually with the suffix `.nc`.
     overwrite : bool
         Whether an existing file is replaced.
 
     Raises
     ------
     CubeError
-        If the cube does not keep the schema of its level, or holds something that a
-        netCDF file cannot.
+        If the cube does not conform to the schema of its level, or has content that
+        netCDF cannot store.
     FormatError
         If the file exists and `overwrite` is not set, or cannot be written.
 
     Notes
     -----
-    `read_cube` gives back an identical cube, but for what netCDF does not know: lists
-    in attributes come back as arrays, and those of one value as that value; the
-    `encoding` is not kept.
+    `read_cube` returns an identical cube, with the exceptions that netCDF requires:
+    lists in attributes become arrays, lists of one value become that value, and the
+    `encoding` is lost.
 
     Examples
     --------

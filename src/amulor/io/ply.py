@@ -67,12 +67,11 @@ def write_ply(
     cloud : xarray.Dataset
         A cube of level `point_cloud`.
     path : path-like
-        File to make, by custom with the suffix `.ply`.
+        File to write, usually with the suffix `.ply`.
     faces : array_like of int, shape (m, 3), optional
-        Triangles between the points, by their numbers; none for a cloud.
+        Triangles between points, as point indices; none for a cloud.
     scalars : mapping of str to tuple, optional
-        Further properties of the points: name to values of shape (n,) and what they
-        are.
+        Further properties of the points: name, values of shape (n,), and description.
     overwrite : bool
         Whether an existing file is replaced.
 
@@ -81,17 +80,16 @@ def write_ply(
     CubeError
         If the cube is no point cloud, is empty, or has points without a position.
     ValueError
-        If a triangle names a point that is not there, or a property has another
-        number of values.
+        If a triangle refers to a missing point, or a property has the wrong number of
+        values.
     FormatError
         If the file exists and `overwrite` is not set, or cannot be written.
 
     Notes
     -----
-    Little-endian, without loss, an element `vertex` and for triangles one `face`;
-    coordinates [m] as `double`, the other
-    variables as properties that start with `scalar_`. Units and provenance stand in
-    comments.
+    The file is little-endian and lossless. It has an element `vertex`, and for
+    triangles an element `face`. Coordinates [m] are `double`; names of other variables
+    start with `scalar_`. Comments have units and provenance.
 
     Examples
     --------

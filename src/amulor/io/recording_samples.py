@@ -151,8 +151,8 @@ def refuse_several(
 ) -> None:
     """Raise if a temperature must be chosen, or if the chosen one has no samples.
 
-    `temperatures` may lack some that are neither least, largest, nor nearest to the
-    chosen temperature.
+    `temperatures` must contain the smallest, the largest and the one nearest to the
+    chosen temperature; others may be missing.
     """
     listed = ", ".join(f"{value:g}" for value in rounded)
     if temperature is None:
@@ -200,8 +200,8 @@ def pixels(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Row and column of each sample: as recorded, from angles, or from its order.
 
-    Of a part of the samples, `known_by` is what is so of all, and `before` as `turn`
-    takes it.
+    If the samples are a part of a recording, `known_by` is that of the whole recording,
+    and `before` is as for `turn`.
     """
     rows, columns = survey.scan.rows, survey.scan.columns
     known_by = known_by or places_known_by(samples)
@@ -246,7 +246,7 @@ def turn(
 ) -> NDArray[np.float64]:
     """Count, for each sample, the earlier samples of the same channel.
 
-    `before` says how many came before these, and is told how many there are now.
+    `before` has the numbers of samples before these, and is updated.
     """
     counted = {} if before is None else before
     result = np.empty(len(channel[0]))
@@ -287,8 +287,8 @@ def median_of(nearest: Floats) -> float:
 def off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
     """Distance of signals from mixtures of two neighbors, and between neighbors.
 
-    A beam on an edge sees a mixture of both sides. `beside` has the neighbors of each
-    sample along its first axis, no numbers where there are none.
+    A beam on an edge measures a mixture of both sides. The first axis of `beside` has
+    the neighbors of each sample, NaN where there are none.
     """
     off, spread = np.full(signal.shape, np.inf), np.zeros(signal.shape)
     for first, second in itertools.combinations_with_replacement(beside, 2):

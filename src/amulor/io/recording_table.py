@@ -269,7 +269,7 @@ def _names(
 ) -> tuple[list[str], list[Line]]:
     """Column names, and the first sample's line if it had to be read to find them.
 
-    They stand in a line of texts, or in the last comment before the first sample.
+    Names are in a line of texts, or in the last comment before the first sample.
     """
     names: list[str] = []
     for number, line in lines:

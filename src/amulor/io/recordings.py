@@ -78,12 +78,12 @@ def read_recordings(
 ) -> xr.Dataset:
     """Convert a recording of other software to a measurement cube.
 
-    A breakdown of the detector stands alone: it is farther from each of its eight
-    neighbors, and from each mixture of two of them, which a beam on an edge sees, than
-    12 typical distances, than 8 of its standard uncertainties, and than twice what its
-    neighbors differ among each other. Two breakdowns side by side are not seen, and a
-    bright object of one pixel looks like one. A shot is a breakdown if it is so many
-    typical distances and uncertainties off the median of its channel.
+    A breakdown of the detector is an isolated outlier. It differs from each of its
+    eight neighbors, and from each mixture of two of them (as of a beam on an edge), by
+    more than three limits: 12 typical differences, 8 standard uncertainties, and twice
+    the difference among the neighbors. Two breakdowns side by side are not detected,
+    and a bright object of one pixel counts as a breakdown. A shot is a breakdown if it
+    differs as much from the median of its channel.
     """
     path = Path(path)
     samples = samples_of(read_table(path, described), described, survey)
@@ -159,8 +159,8 @@ def gathered_band(
 ) -> Band:
     """Average the samples in a band of rows: signals, uncertainties, directions.
 
-    `samples` has all samples of `band_with_neighbours`, and no others; `at` says where
-    they are: frequency, polarization, row and column of the scan.
+    `samples` has exactly the samples of `band_with_neighbours`; `at` has the indices of
+    frequency, polarization, row and column of each.
     """
     survey = recording.survey
     begin, end = band_with_neighbours(survey, rows)
@@ -189,8 +189,8 @@ def cube_of(
 ) -> xr.Dataset:
     """Measurement cube of a band of rows, with outliers flagged.
 
-    `typical` is the median distance of neighbors in each channel; `mean` and
-    `temperature` say whether any row of the recording has them.
+    `typical` is the median difference of neighbors in each channel; `mean` and
+    `temperature` state whether any row of the recording has these quantities.
     """
     survey, described = recording.survey, recording.described
     broken = _breakdowns(band, typical)[:, :, band.inner]

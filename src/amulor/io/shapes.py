@@ -141,7 +141,7 @@ def thinned(shape: Shape, indices: NDArray[np.intp]) -> Shape:
 def spread(total: int, most: int) -> NDArray[np.intp]:
     """Return the indices of an evenly distributed random subset of points.
 
-    The rows of a scan and an even step would give lines.
+    Regular steps through the rows of a scan would select points along lines.
     """
     step = -(-total // most)
     if step <= 1:

@@ -67,25 +67,25 @@ def read_slabs(path: str | os.PathLike[str]) -> Slabs:
     ----------
     path : path-like
         File in npz format with `counts` (slabs, bins), `thickness_inch` and
-        `direct_counts`, see `amulor.io.histograms.read_histograms`.
+        `direct_counts`; see `amulor.io.histograms.read_histograms`.
 
     Returns
     -------
     Slabs
-        The last histogram is that without a slab.
+        Histograms without background; the last one is that without a slab.
 
     Raises
     ------
     FormatError
-        If the file cannot be read or is not of that kind, or if a histogram has
-        no light above its background.
+        If the file cannot be read or is of another kind, or if a histogram has no light
+        above its background.
 
     Notes
     -----
-    The background of a histogram is the median of its bins, right as long as nearly
-    all bins hold no light: with light in a third of them it is high by 0.67 of the
-    noise of a bin. It is taken off all bins, and what falls below zero stays there:
-    setting it to zero would leave half of the noise as light.
+    The background of a histogram is the median of its bins. This is right if nearly all
+    bins are without light: with light in a third of them it is too high by 0.67 of the
+    noise of a bin. The background is subtracted from all bins. Negative results are
+    kept, since setting them to zero would count half of the noise as light.
 
     Examples
     --------
@@ -139,7 +139,7 @@ def slab_response(slabs: Slabs, modulation_frequency: ArrayLike) -> xr.Dataset:
     Parameters
     ----------
     slabs : Slabs
-        What `read_slabs` returns.
+        Histograms from `read_slabs`.
     modulation_frequency : array_like
         Frequencies that increase, up to half a period per bin [Hz].
 
@@ -234,7 +234,7 @@ def mean_delay(slabs: Slabs) -> NDArray[np.float64]:
     Parameters
     ----------
     slabs : Slabs
-        What `read_slabs` returns.
+        Histograms from `read_slabs`.
 
     Returns
     -------

@@ -40,7 +40,7 @@ def write_tally(
     tally : Tally
         Result of `amulor.transport.simulate` or `reflection_and_transmission`.
     path : path-like
-        File to make, by custom with the suffix `.nc`.
+        File to write, usually with the suffix `.nc`.
     overwrite : bool
         Whether an existing file is replaced.
 
@@ -51,8 +51,8 @@ def write_tally(
 
     Notes
     -----
-    All batches are kept, so what `read_tally` gives back can be merged and gone on
-    with like the original, and has the same numbers to the last bit. Complex numbers
+    All batches are stored, so that the result of `read_tally` can be merged and
+    continued like the original; its numbers are equal to the last bit. Complex numbers
     are stored as real and imaginary part, in_phase and quadrature.
 
     Examples
@@ -142,17 +142,17 @@ def read_tally(path: str | os.PathLike[str]) -> Tally:
     Parameters
     ----------
     path : path-like
-        File that `write_tally` wrote.
+        File from `write_tally`.
 
     Returns
     -------
     Tally
-        As it was written.
+        Result of the transport run, with the same numbers.
 
     Raises
     ------
     FormatError
-        If the file is missing or damaged, or something else than such a result.
+        If the file is missing, damaged, or of another kind.
 
     Examples
     --------

@@ -52,8 +52,8 @@ def write_text(
     cloud : xarray.Dataset
         A cube of level `point_cloud`.
     path : path-like
-        File to make: with the suffix `.csv` fields are set apart by commas under a
-        header, with any other one by spaces under a comment.
+        File to write. With the suffix `.csv` commas separate the fields below a header,
+        otherwise spaces below a comment.
     overwrite : bool
         Whether an existing file is replaced.
 
@@ -66,8 +66,8 @@ def write_text(
 
     Notes
     -----
-    Lines at the start that begin with "#" say what it is, the axes, and where it comes
-    from. Coordinates are rounded to a micrometer. UTF-8.
+    First lines that begin with "#" describe the content, the axes and the provenance.
+    Coordinates are rounded to a micrometer. The encoding is UTF-8.
 
     Examples
     --------

@@ -37,10 +37,9 @@ def overlap_of(sums: Floats) -> Floats:
 
     Scenes :math:`B + E_1`, :math:`B + E_2` have the minimum
     :math:`B + \min(E_1, E_2)`: where one echo has not ended when the other begins, the
-    minimum has a bump. Between two echoes, in the order in which they stand out of
-    the minimum, all of it counts that lies above the straight line from the lowest
-    place of the one to the lowest place of the other. It assumes that the medium itself
-    has no bump there: the light of a pulse that is over dies away.
+    minimum has a bump. Between two echoes that follow each other, the bump is all that
+    lies above the straight line between the lowest points of the two. This assumes that
+    the medium itself has no bump there, because the light of a past pulse decays.
     """
     smallest = sums.min(axis=0)
     apart = sums.max(axis=0) - smallest
@@ -128,34 +127,35 @@ def read_transients(
     path : path-like
         File in npz format, see `amulor.io.histograms.read_histograms`.
     modulation_frequency : array_like
-        Frequencies that increase, up to half a period per bin [Hz].
+        Increasing frequencies, up to half a period per bin [Hz].
     scene : int, optional
-        Which scene to take, from 0; needed if the file has several.
+        Index of the scene, from 0; needed if the file has several.
     scan_side : float, optional
-        Side of the square of beams that a confocal scan moves over, from the
-        first to the last pixel [m]. Known of the published foam files; without it
-        the cube has no `origin_x` and `origin_y`.
+        Side of the square of beams that a confocal scan covers, from the first to the
+        last pixel [m]. Known for the published foam files. Without it the cube has no
+        `origin_x` and `origin_y`.
     first_axis : {"down", "right"}, optional
-        Where the beam goes along the rows, the first axis of a picture in
-        `counts`. Known of the published foam files, down for any other.
+        Direction of the beam along the first axis of a picture in `counts`. Known for
+        the published foam files; "down" for other files.
     time_of_emission : float
-        When the light left, on the clock on which bin 0 starts at zero [s].
-        A wrong one moves all ranges by the same distance.
+        Time at which the light was emitted; bin 0 starts at zero [s]. An error moves
+        all ranges by the same distance.
     background_bins : tuple of int, optional
-        First bin, and the one after the last, in which only dark counts fall;
-        their mean is taken off each bin of the same pixel.
+        First bin, and the one after the last, with dark counts only. Their mean is
+        subtracted from every bin of the pixel.
     repetition_frequency : float, optional
-        Repetition frequency of the source, above zero [Hz]. Known of the published
+        Repetition frequency of the source, above zero [Hz]. Known for the published
         slab file.
     group_index, refractive_index : float
-        Of what lies between instrument and target, at least 1; air by default [1].
+        Indices of the medium between instrument and target, at least 1; by default air
+        [1].
 
     Returns
     -------
     xarray.Dataset
-        Cube of level `samples` with polarization "none". A pixel that counted no
-        photon is NaN. Slabs lie along the columns of one row, with their
-        thickness as `user_thickness` [m].
+        Cube of level `samples` with polarization "none". A pixel without photons is
+        NaN. Slabs are the columns of a single row, with their thickness as
+        `user_thickness` [m].
 
     Raises
     ------
@@ -172,17 +172,18 @@ def read_transients(
        t_k = (k + \tfrac12) w - t_0,
 
     with counts :math:`n_k`, bin width :math:`w` and emission at :math:`t_0`: a later
-    echo has a larger phase. A medium answers linearly, so this is amplitude and phase
-    of what an instrument with light modulated at :math:`f` sees; a short pulse is
-    modulated as deeply as light can be, twice a sine of depth 1. A bin stands for its
-    center. The bins damp the sum by :math:`\sin(\pi f w) / \pi f w`, 0.04 % at 1 GHz
-    and 16 ps; like the jitter of pulse and detector, this is not corrected. One volt
-    stands for one count (`VOLTS_PER_COUNT`). The uncertainties are those of counting
-    photons, see `amulor.io.histograms.transform`.
+    echo has a larger phase. A medium responds linearly, so this is the amplitude and
+    phase that an instrument with light modulated at :math:`f` measures. The modulation
+    of a short pulse is twice that of a sine of depth 1. Counts are assigned to the
+    center of their bin. The bin width reduces the sum by
+    :math:`\sin(\pi f w) / \pi f w`, 0.04 % at 1 GHz and 16 ps; like the jitter of
+    pulse and detector, this is not corrected. One volt represents one count
+    (`VOLTS_PER_COUNT`). The uncertainties are those of photon counting, see
+    `amulor.io.histograms.transform`.
 
-    A histogram that is cut off before the light is gone lacks the late part.
-    Of a pulse train only the harmonics of the repetition frequency are exact;
-    between them the light must be gone before the next pulse. Such
+    A histogram that ends before the light has decayed lacks the late light.
+    For a pulse train only the harmonics of the repetition frequency are exact. At
+    frequencies between them the light must decay before the next pulse. Such
     frequencies are listed in the attribute `frequencies_between_harmonics` [Hz].
 
     Examples
@@ -278,38 +279,37 @@ def medium_from_minimum(
         File in npz format with at least two scenes, recorded behind the same medium
         with the same exposure and the target at different distances.
     modulation_frequency : array_like
-        As for the cube it will be attached to [Hz].
+        Modulation frequencies of the cube to which the result will be attached [Hz].
     time_of_emission : float
-        As for the cube [s].
+        Time of emission, as for the cube [s].
     background_bins : tuple of int, optional
-        As for the cube.
+        Bins with dark counts only, as for the cube.
 
     Returns
     -------
     xarray.Dataset
-        A shot without a target for each pixel, in the place of open-water shots; to
-        be attached with `amulor.cube.attach(cube, medium, "open_water")`. Its attribute
-        `echo_overlap` says for each frequency how strong the echo is that was taken
-        for the medium, over the weakest echo that is left, 1 at most [1].
+        One shot without a target per pixel, for use as open-water shots:
+        `amulor.cube.attach(cube, medium, "open_water")`. Its attribute `echo_overlap`
+        states, for each frequency, the echo that was mistaken for the medium, over the
+        weakest remaining echo, at most 1 [1].
 
     Raises
     ------
     FormatError
-        If the file has one scene only, or cannot be read as by `read_transients`.
+        If the file has only one scene, or cannot be read by `read_transients`.
 
     Notes
     -----
-    The pixels of each scene are summed, and for every bin the scene with the smallest
-    sum is taken, in all pixels: the shots add up to the bin-wise minimum of the
-    summed histograms, and no pixel is picked by its own noise. That is the medium,
-    as far as in every bin one scene has no echo. It comes out too large where echoes
-    overlap, by about as much as the minimum has a bump between them
-    (`overlap_of`): that counts as an error along it, which all shots share, in the
-    `common_` variables. It comes out too small by counting noise, the
-    smaller of two equal means :math:`\mu` being low by :math:`\sqrt{\mu / \pi}`. All
-    shots state the same uncertainty, that of counting photons on average, so none
-    weighs more than another. They hold counts of the scenes themselves: subtracted as
-    if they were independent, they overstate the uncertainty of what is left.
+    The pixels of each scene are summed. For every bin the scene with the smallest sum
+    is used in all pixels. The shots then add up to the bin-wise minimum of the summed
+    histograms, and no pixel is selected by its own noise. The minimum is the medium if
+    in every bin one scene has no echo. It is too large where echoes overlap, by about
+    the bump between them (`overlap_of`); the `common_` variables state this as an error
+    that all shots share. It is too small by counting noise: the smaller of two equal
+    means :math:`\mu` is low by :math:`\sqrt{\mu / \pi}`. All shots state the same
+    uncertainty, the average of photon counting, so that all have equal weight. They
+    contain counts of the scenes themselves. Subtracted as if independent, they
+    overstate the uncertainty of the remaining signal.
 
     Examples
     --------

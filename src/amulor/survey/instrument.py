@@ -83,8 +83,8 @@ class Emitter(Description):
 class Receiver(Description):
     """Receiver: aperture, field of view and direction.
 
-    With sharp edges they are the radius of a disc and the semi-angle of a cone, of the
-    same area and solid angle.
+    With sharp edges, aperture and field of view are a disc and a cone of the same area
+    and solid angle.
 
     Examples
     --------

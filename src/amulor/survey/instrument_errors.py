@@ -179,8 +179,8 @@ class OutputNoise(Description):
 class InstrumentErrors(Description):
     """Instrument errors in a simulation; each is off by default.
 
-    They act in the order in which they stand here. Rejection and ranging do not read
-    them: an error is what the survey's other sections do not say.
+    The errors act in the order of the fields. Rejection and ranging do not read them,
+    because real errors are unknown, too.
 
     Examples
     --------

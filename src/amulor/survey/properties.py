@@ -84,13 +84,13 @@ def water_properties(survey: Survey) -> WaterProperties:
     Parameters
     ----------
     survey : Survey
-        Stated numbers win; what is not stated follows from the water's phase function
-        and from wavelength, temperature and salinity.
+        Survey of which the water is used. Stated numbers are used first; missing ones
+        follow from the phase function and from wavelength, temperature and salinity.
 
     Returns
     -------
     WaterProperties
-        Numbers in SI units, and the phase function where it is known.
+        Properties in SI units, with the phase function if it is known.
 
     Raises
     ------

@@ -24,11 +24,10 @@ _BEAMS = 65
 def target_reach(survey: Survey) -> tuple[float, float] | None:
     """Return smallest and largest slant range of the targets within the beams [m].
 
-    Every target stands in one box or a few: a plate is one without depth, a staircase
-    one for each tread, a disc one as deep as it is bent, a mesh one around all of it.
-    The beams are followed through these boxes, so the reach of a mesh may come out
-    larger than it is, and never smaller but for what stands between two of 65 x 65
-    beams.
+    Boxes enclose every target: a flat box for a plate, one box for each tread of a
+    staircase, a box as deep as the curvature of a disc, a bounding box for a mesh. The
+    limits are those of the beams in these boxes. The result may be too wide for a mesh,
+    and too narrow only for objects between two of 65 x 65 beams.
     """
     boxes: list[tuple[Floats, Floats, Floats, Floats]] = []
     for target in survey.targets:
@@ -54,8 +53,8 @@ def unsettled_interval(
     """Return why the ranges of the targets are ambiguous; empty if they are not.
 
     Phases repeat with the ambiguity interval of the smallest frequency, or of the
-    smallest difference of two. Which of the repetitions is right must be known: from
-    limits of the slant range that somebody states, or from the targets of the survey.
+    smallest difference between two. The right repetition must be known, either from
+    stated limits of the slant range or from the targets of the survey.
     """
     if survey is None:
         return "nothing says how far the targets are"

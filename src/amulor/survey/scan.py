@@ -204,17 +204,17 @@ def read_pose(path: str | Path) -> Pose:
     Parameters
     ----------
     path : str or pathlib.Path
-        The file.
+        Pose file (TOML).
 
     Returns
     -------
     Pose
-        In SI units.
+        Pose in SI units.
 
     Raises
     ------
     SurveyError
-        With one line for each thing that is wrong.
+        If the file is invalid; the message has one line per error.
 
     Examples
     --------

@@ -69,7 +69,7 @@ class Survey(Description):
         Parameters
         ----------
         path : str or pathlib.Path
-            TOML file; the files that it names are looked for beside it.
+            Survey file (TOML). Files named in it are relative to its folder.
 
         Returns
         -------
@@ -79,8 +79,8 @@ class Survey(Description):
         Raises
         ------
         SurveyError
-            With one line for each thing that is wrong: file, field, what was found,
-            what is allowed.
+            If the file is invalid. The message has one line per error: file, field,
+            value found and values allowed.
         """
         path = Path(path)
         try:
@@ -115,17 +115,19 @@ class Survey(Description):
         Parameters
         ----------
         name : str
-            Such as "amulor-2010"; `amulor survey presets` lists all.
+            Name of the preset, such as "amulor-2010"; `amulor survey presets` lists
+            all.
 
         Returns
         -------
         Survey
-            Instrument, and water, target and scan as its source states or suggests.
+            Survey with the instrument of the source, and with water, target and scan as
+            the source states or suggests.
 
         Raises
         ------
         SurveyError
-            If there is none of this name.
+            If there is no preset of this name.
 
         Examples
         --------
@@ -144,12 +146,11 @@ class Survey(Description):
         Parameters
         ----------
         text : str
-            TOML.
+            Content of a survey file (TOML).
         name : str
-            What messages call it.
+            Name of the survey in messages.
         folder : pathlib.Path, optional
-            Where the files that it names are looked for; the working folder by
-            default.
+            Folder of files that the survey names; by default the working folder.
 
         Returns
         -------
@@ -172,20 +173,20 @@ class Survey(Description):
         Parameters
         ----------
         changes : mapping of str to object
-            Path of each field to its new value: a number in SI units, a text with a
-            unit as in a file, a table, a list, or a description such as `Water`. Items
-            of lists go by number, counted from 0; None takes an optional part out.
+            New values by field path. A value is a number in SI units, a text with a
+            unit as in a file, a table, a list, or a description such as `Water`. Paths
+            number the items of lists from 0; None removes an optional field.
 
         Returns
         -------
         Survey
-            A new one.
+            New survey.
 
         Raises
         ------
         SurveyError
-            With one line for each thing that is wrong: field, what was found, what is
-            allowed.
+            If a new value is invalid. The message has one line per error: field, value
+            found and values allowed.
 
         Examples
         --------
@@ -209,7 +210,7 @@ class Survey(Description):
         Returns
         -------
         str
-            Text that `from_text` reads back to an equal survey.
+            Text that `from_text` converts back to an equal survey.
         """
         import tomli_w
 

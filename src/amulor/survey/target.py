@@ -215,8 +215,8 @@ class Mesh(_Target):
     def settled(self, folder: Path, *, where: str) -> Self:
         """Return a copy with the full path of its file.
 
-        One that is whole already is looked for when the mesh is read: a cube names the
-        mesh that it was made of, and goes to other computers without it.
+        A full path is checked only when the mesh is read, because cubes that name a
+        mesh are copied to computers without it.
         """
         file = (folder / self.file).resolve()
         if not file.is_file() and not self.file.is_absolute():

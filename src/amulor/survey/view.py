@@ -74,11 +74,11 @@ def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
 def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
     """Return the geometry of the receiver relative to beams of given directions.
 
-    The signal models are small-angle models. They also count the delay of the water
-    along the beam, twice the depth, where the way back to a receiver aside is longer:
-    by 0.3 degrees of phase at 39 MHz for a baseline of 7 cm, 1.2 degrees for 20 cm.
-    Water light falls with the depth, too: its amplitude at 2 m is 1 % too large for a
-    baseline of 20 cm. The echo of a target falls with its way back.
+    The signal models are small-angle models. They compute the delay of the water signal
+    as twice the depth, although the way back to a receiver beside the beam is longer.
+    The phase error at 39 MHz is 0.3 degrees for a baseline of 7 cm, 1.2 degrees for
+    20 cm. The amplitude of the water signal from 2 m is 1 % too large for a baseline of
+    20 cm. The echo of a target is computed with its actual way back.
     """
     instrument, scan = survey.instrument, survey.scan
     receiver, medium = instrument.receiver, medium_of(survey)
@@ -139,8 +139,7 @@ def _transmission(
 ) -> Floats:
     """Return the transmission of the window for launched and received light [1].
 
-    Of light that was reflected twice within the pane nothing is counted: less than a
-    thousandth.
+    Light reflected twice within the pane, less than a thousandth, is neglected.
     """
     transmission = np.ones(launched.shape[:-1])
     window = survey.instrument.window

@@ -38,14 +38,12 @@ Array = NDArray[np.float64]
 def phase_function_of(water: Water | WaterProperties) -> PhaseFunction:
     r"""Return the phase function of a survey's water, for all angles.
 
-    With :math:`u = (\cos\theta_s - \cos\theta) / (\cos\theta_s + 1)`, from 0 at the
-    split angle to 1 straight back, :math:`\ln p` goes from its value at the split angle
-    to that at 180 degrees along a line in u (k = 0). With k above 0
-    :math:`4 k u (1 - u)` is added to it, with k below 0 it is a line in
-    :math:`u^{e^k}`; k is such that the integral is right. Water whose scattering
-    beyond the split angle is stated as less than any such curve holds has what the
-    line gives, if that is at most 2 % of it: light that comes back from it must have
-    been scattered there.
+    Let :math:`u = (\cos\theta_s - \cos\theta) / (\cos\theta_s + 1)`, which is 0 at the
+    split angle and 1 at 180 degrees. For k = 0, :math:`\ln p` is a straight line in u
+    between its values at both ends. For k > 0, :math:`4 k u (1 - u)` is added; for
+    k < 0, it is a straight line in :math:`u^{e^k}`. k is chosen such that the integral
+    is right. If the stated scattering beyond the split angle is smaller than that of
+    any such curve, the straight line is used, provided that it puts at most 2 % there.
     """
     if water.scattering == 0:
         return isotropic()
@@ -79,9 +77,8 @@ def whole_function_arguments(
 ) -> dict[str, Any]:
     """Return keyword arguments for the functions of the small-angle model.
 
-    Water that states moments only gets the phase function that
-    `phase_function_of` makes of them. Water that
-    spreads nothing forward needs none: all that it scatters is lost.
+    For water that states moments only, `phase_function_of` computes a phase function
+    from them. Water without forward scattering needs none: all scattered light is lost.
     """
     refuse_layers(water, model="the small-angle model")
     arguments = kernel_arguments(survey, water, view)
