@@ -149,7 +149,7 @@ class FlatSamples:
     """Usable samples."""
 
     def part(self, index: NDArray[np.intp]) -> FlatSamples:
-        """Return the samples of some pixels."""
+        """Return the samples of the pixels at an index."""
         return FlatSamples(
             signal=self.signal[index],
             covariance=self.covariance.part(index),

@@ -298,7 +298,7 @@ def similarity_second_moment(*, asymmetry: ArrayLike) -> NDArray[np.float64]:
 def _distance(
     theta: NDArray[np.float64], g: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return sqrt(1 + g^2 - 2 g cos theta), accurate near 0 and pi."""
+    """Return the root term sqrt(1 + g^2 - 2 g cos theta), accurate near 0 and pi."""
     from_peak = np.where(g >= 0, theta, np.pi - theta)
     return _distance_from_peak(from_peak, g)
 
@@ -306,7 +306,7 @@ def _distance(
 def _distance_from_peak(
     from_peak: NDArray[np.float64], g: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return sqrt(1 + g^2 - 2 g cos theta) from the angle to the peak."""
+    """Return the root term of the phase function, from the angle to the peak."""
     strength = np.abs(g)
     half_chord = np.sin(from_peak / 2)
     square: NDArray[np.float64] = (1 - strength) ** 2 + 4 * strength * half_chord**2

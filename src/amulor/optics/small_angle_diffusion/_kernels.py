@@ -138,7 +138,7 @@ def _slope(z: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _scale(area: float, column: Column) -> float:
-    """Return the depth interval over which S(z) about doubles."""
+    """Return the depth interval over which the squared width S(z) about doubles."""
     scale = np.sqrt(area / column.acceptance)
     if column.spreading > 0.0:
         scale = min(scale, np.cbrt(area / column.spreading))

@@ -149,7 +149,7 @@ class Pixels:
         return len(self.signal)
 
     def part(self, index: NDArray[np.intp] | slice) -> Pixels:
-        """Return some of the pixels."""
+        """Return the pixels at an index."""
         return replace(
             self,
             covariance=Covariance(

@@ -58,7 +58,7 @@ def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
 
 
 def typical_misfit(estimates: Estimates) -> float:
-    """Return the median of chi-square over its expected median, 1 or more."""
+    """Return the median of chi-square over its expected median, at least 1."""
     from scipy.stats import chi2
 
     if not len(estimates.path):
@@ -293,7 +293,7 @@ class Cleaned:
 
 
 def part_of(estimates: Estimates, index: NDArray[np.intp]) -> Estimates:
-    """Return the estimates of some pixels."""
+    """Return the estimates of selected pixels."""
     return Estimates(
         **{f.name: getattr(estimates, f.name)[index] for f in fields(estimates)}
     )

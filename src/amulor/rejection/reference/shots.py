@@ -322,7 +322,7 @@ def fit_shots(
 
 
 def directions_of(cube: xr.Dataset, shots: xr.Dataset) -> Floats:
-    """Return the directions of shots, equal for repeats of a direction.
+    """Return the directions of shots, with equal values for repeats of a direction.
 
     Shape (shot, 2), azimuth and elevation [rad], all zero where they are not known. The
     samples of the cube tell how far stages miss.
