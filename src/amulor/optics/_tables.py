@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 @cache
 def numbers(name: str) -> NDArray[np.float64]:
-    """Return a numeric table from a data file, read-only.
+    """Return a numeric table from a data file, as a read-only array.
 
     Examples
     --------

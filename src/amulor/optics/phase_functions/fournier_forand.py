@@ -189,7 +189,7 @@ def fournier_forand_backscatter_fraction(
 
 
 def _growth(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (delta^power - 1) / log(delta), which is power at delta = 1."""
+    """Return the term (delta^power - 1) / log(delta), which is power at delta = 1."""
     safe = np.where(log_delta == 0, 1.0, log_delta)
     growth: NDArray[np.float64] = np.where(
         log_delta == 0, power, np.expm1(power * safe) / safe
@@ -198,7 +198,7 @@ def _growth(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def _remainder(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (delta^power - 1 - power (delta - 1)) / log(delta)^2."""
+    """Return the term (delta^power - 1 - power (delta - 1)) / log(delta)^2."""
     close = np.abs(log_delta) < 0.1
     safe = np.where(close, 1.0, log_delta)
     direct = (np.expm1(power * safe) - power * np.expm1(safe)) / safe**2

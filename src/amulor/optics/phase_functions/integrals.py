@@ -66,7 +66,7 @@ class Panels:
     head_exponent: float = 0.0
 
     def cumulative(self, angle: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the integral of 2 pi p sin(angle) from 0 to each angle [1]."""
+        """Return the integral of the phase function over directions below each angle [1]."""
         flat = angle.ravel()
         panel = np.searchsorted(self.edges, flat, side="right") - 1
         panel = np.minimum(panel, self.edges.size - 2)
@@ -170,7 +170,7 @@ class Panels:
         return total.reshape(direction_frequency.shape)
 
     def _innermost(self) -> float:
-        """Return the integral of 2 pi p sin(angle) below the first edge."""
+        """Return the integral of the phase function below the first edge [1]."""
         end = self.edges[:1]
         fraction = 2 * np.pi * self.value(end) * end**2 / (2 - self.head_exponent)
         return float(fraction[0])
@@ -221,7 +221,7 @@ def _oscillating(
 
 @cache
 def _legendre(order: int) -> NDArray[np.float64]:
-    """Return (2 l + 1) P_l at the nodes, one row for each degree l."""
+    """Return Legendre polynomials (2 l + 1) P_l at the nodes, one row for each l."""
     nodes, _ = gauss_legendre(order)
     degree = np.arange(order)[:, np.newaxis]
     return np.ascontiguousarray((2 * degree + 1) * special.eval_legendre(degree, nodes))
@@ -297,7 +297,7 @@ _SMALLEST_ANGLE = 1e-18
 def _weighted_integrals(
     phase_function: Callable[[NDArray[np.float64]], ArrayLike], low: float, high: float
 ) -> tuple[float, float]:
-    """Return the integrals of 2 pi p sin(x) and 2 pi p sin(x) x^2, low to high."""
+    """Return the solid-angle integrals of p and p times angle^2 between two angles."""
     nodes, weights = gauss_legendre(12)
     tolerance = np.array([1e-11, 1e-11])  # of the whole sphere, and of its fraction
     panels = max(4, int(np.ceil(np.log(high / low))))

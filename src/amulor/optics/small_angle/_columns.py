@@ -95,7 +95,7 @@ _cached_table = lru_cache(maxsize=32)(_computed_table)
 def _spread_by_transform(
     transform: Callable[..., ArrayLike], edge: Array, x: Array, split: float
 ) -> Array:
-    """Return (1 - mean transform up to x) / x^2 at all nodes, from a transform."""
+    """Return the loss term (1 - mean transform up to x) / x^2, from a transform."""
     node, weight = _gauss()
     at_zero = float(np.asarray(transform(np.zeros(1), split_angle=split))[0])
     if not abs(at_zero - 1) < 1e-6:
@@ -123,7 +123,7 @@ def _spread_by_transform(
 def _spread_by_quadrature(
     phase_function: PhaseFunction, x: Array, split: float
 ) -> Array:
-    """Return (1 - mean transform up to x) / x^2, from the phase function."""
+    """Return the loss term (1 - mean transform up to x) / x^2, by quadrature."""
     coarse = _angle_panels(phase_function, split)
     angle, weight = _angle_rule(coarse[:-1], coarse[1:])
     forward = np.sum(weight * _density(phase_function, angle))
@@ -184,7 +184,7 @@ def _angle_rule(low: Array, high: Array) -> tuple[Array, Array]:
 
 
 def _density(phase_function: PhaseFunction, angle: Array) -> Array:
-    """Return 2 pi sin(angle) times the phase function [1/rad]."""
+    """Return the phase function per angle: times 2 pi sin(angle) [1/rad]."""
     value = np.asarray(phase_function(angle.ravel()), dtype=float)
     return 2 * np.pi * value.reshape(angle.shape) * np.sin(angle)
 
@@ -204,7 +204,7 @@ def disc() -> Array:
 
 @cache
 def _mean_table() -> Array:
-    """Return coefficients of (1 - mean of J0 up to x) / x^2 in cells of width 1."""
+    """Return polynomials for (1 - mean of J0 up to x) / x^2 in cells of width 1."""
     gauss, weight = _gauss()
     node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
     stop = np.append((node + 1) / 2, 1.0)

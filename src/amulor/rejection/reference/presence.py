@@ -267,7 +267,7 @@ def _cut_columns(
     *,
     paper: bool,
 ) -> CutColumns:
-    """Compute a table of open-water fractions from beyond a cut, for a survey's water."""
+    """Compute a table of open-water fractions from beyond a cut, for a survey."""
     properties = water_properties(survey)
     frequency = cube["modulation_frequency"].values
     nearest, farthest = (0.0, np.inf) if interval is None else interval
