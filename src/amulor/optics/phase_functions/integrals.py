@@ -66,7 +66,7 @@ class Panels:
     head_exponent: float = 0.0
 
     def cumulative(self, angle: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the integral of the phase function over directions below each angle [1]."""
+        """Return the integral of the phase function up to each angle [1]."""
         flat = angle.ravel()
         panel = np.searchsorted(self.edges, flat, side="right") - 1
         panel = np.minimum(panel, self.edges.size - 2)

@@ -39,7 +39,7 @@ def group_index(wavelength: _Array, *, temperature: _Array, salinity: _Array) ->
 
 
 def salinity_slope(wavelength: _Array, *, temperature: _Array) -> _Array:
-    """Return the derivative dn/dS by salinity, independent of salinity."""
+    """Return the derivative of the index by salinity, constant for all salinities."""
     return _salt(temperature) + 0.01155 * 1e-9 / wavelength
 
 
