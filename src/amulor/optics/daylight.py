@@ -73,8 +73,8 @@ def daylight_rate(
     Parameters
     ----------
     radiance : array_like
-        Spectral radiance along the receiver's line of sight, not negative [W/(m^2 sr
-        m)].
+        Spectral radiance along the receiver's line of sight, not negative
+        [W/(m^2 sr m)].
     wavelength : array_like
         Wavelength in vacuum, above zero [m].
     bandwidth : array_like
