@@ -39,8 +39,11 @@ def target_cube(
     their terms, of `amulor.cube.schema.SIGNAL_TERMS`, chosen by `present_terms`;
     `tests` are statistics behind flags, of `SAMPLE_TESTS` and `PIXEL_TESTS`.
     """
+    saturated = None
+    if "saturated" in samples:
+        saturated = samples["saturated"].values
     flags = quality.flags(
-        samples,
+        None if saturated is None else saturated != 0,
         target_signal,
         uncertainty,
         residual=residual,
@@ -62,8 +65,8 @@ def target_cube(
             for name, test in (flags.tests | dict(tests or {})).items()
         },
     }
-    if "saturated" in samples:
-        variables["saturated"] = samples["saturated"].values
+    if saturated is not None:
+        variables["saturated"] = saturated
     if residual is not None:
         variables |= {
             "residual_in_phase": residual.real,

@@ -16,6 +16,7 @@ from amulor.rejection.build import present_terms, saturated_in_any, target_cube
 from amulor.rejection.channels import pair_of
 from amulor.rejection.covariance import along
 from amulor.rejection.methods import Needs, method
+from amulor.rejection.observation import Observation
 from amulor.rejection.open_water import cube_of, reference_attributes
 from amulor.rejection.reference.shots import with_noise_of_shots
 from amulor.rejection.subtraction import SubtractionFit, subtract_open_water
@@ -55,13 +56,15 @@ def _combine(
     span: tiles.Span | None = None,
 ) -> tuple[xr.Dataset, CombinedFit]:
     """Combine the channels of a scan or, with `fit`, of some of its rows."""
-    cube, noise_scale = with_noise_of_shots(
-        cubes.checked(cube, "samples"), None if fit is None else fit.noise_scale
+    scan = Observation(cube=cubes.checked(cube, "samples"))
+    scan, noise_scale = with_noise_of_shots(
+        scan, None if fit is None else fit.noise_scale
     )
+    cube = scan.cube
     _refuse_odd(target_ratio, water_change)
     co, cross = pair_of(cube)
     subtracted = subtract_open_water(
-        cube,
+        scan,
         interval=interval,
         column_uncertainty=column_uncertainty,
         fit=None if fit is None else fit.subtraction,

@@ -21,8 +21,8 @@ from amulor.errors import AmulorError, CubeError
 from amulor.optics import ambiguity, detection, ranging
 from amulor.optics._geometry import Geometry
 from amulor.rejection.channels import CROSS_POLARIZED, PARTNERS
-from amulor.rejection.covariance import covariance_of
 from amulor.rejection.methods import Method, compared_methods, load, method
+from amulor.rejection.observation import Observation
 from amulor.survey.view import medium_of
 
 Floats = NDArray[np.float64]
@@ -526,7 +526,7 @@ def _errors(
         return rest, np.zeros(settled.shape), settled, _joint_path(target)[usable]
     signal = target.amulor.signal.values[:, 0][:, usable]
     instrument = instrument_phase(target, target.amulor.survey)
-    errors = covariance_of(target).part((slice(None), 0))
+    errors = Observation(cube=target).covariance.part((slice(None), 0))
     to_range = ranging.range_per_phase(
         target["modulation_frequency"].values[:, None],
         group_index=float(target["geometry"].attrs["group_index"]),

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -81,26 +80,6 @@ class Covariance:
             product, determinant, out=certain, where=determinant > 0
         )
         return np.where(np.isfinite(signal), square, np.nan)
-
-
-def covariance_of(samples: xr.Dataset) -> Covariance:
-    """Return the covariance of the stated errors of samples or shots."""
-    cross = samples.get("in_phase_quadrature_covariance")
-    in_phase = samples["in_phase_uncertainty"].values ** 2
-    return Covariance(
-        in_phase,
-        samples["quadrature_uncertainty"].values ** 2,
-        np.zeros_like(in_phase) if cross is None else cross.values,
-    )
-
-
-def common_covariance_of(target: xr.Dataset) -> Covariance:
-    """Return the covariance of the errors that the pixels of a target signal share."""
-    return Covariance(
-        target["common_in_phase_uncertainty"].values ** 2,
-        target["common_quadrature_uncertainty"].values ** 2,
-        target["common_covariance"].values,
-    )
 
 
 def along(signal: Complex, size: float) -> Covariance:

@@ -15,9 +15,9 @@ from amulor.errors import CubeError
 from amulor.optics import extrema, low_pass, ranging
 from amulor.rejection import quality
 from amulor.rejection.build import present_terms, target_cube
-from amulor.rejection.covariance import covariance_of
 from amulor.rejection.merit import Merit, merit
 from amulor.rejection.methods import Needs, method
+from amulor.rejection.observation import Observation
 from amulor.rejection.quality import LARGEST_PHASE_ERROR
 from amulor.rejection.reference.before_target import WaterFit, water_before_target
 from amulor.rejection.reference.presence import CutColumns, shows_target
@@ -120,10 +120,10 @@ def choose_frequency(
     >>> print(f"{choice.modulation_frequency / 1e6:.0f} MHz")
     80 MHz
     """
-    cube = cubes.checked(cube, "samples")
-    figures = merit(cube, interval=interval)
-    channel = _channel(cube, figures, polarization)
-    frequency = cube["modulation_frequency"].values
+    scan = Observation(cube=cubes.checked(cube, "samples"))
+    figures = merit(scan, interval=interval)
+    channel = _channel(scan.polarizations, figures, polarization)
+    frequency = scan.frequency
     error = figures.error[:, channel]
     if not np.isfinite(error).any():
         raise CubeError(
@@ -131,7 +131,7 @@ def choose_frequency(
             "raise power or dwell, or look for the target elsewhere"
         )
     intervals = ranging.ambiguity_interval(
-        frequency, group_index=float(cube["geometry"].attrs["group_index"])
+        frequency, group_index=float(scan.cube["geometry"].attrs["group_index"])
     )
     span = None if interval is None else interval[1] - interval[0]
     clear = (
@@ -142,14 +142,14 @@ def choose_frequency(
     eligible = clear & np.isfinite(error)
     candidates = eligible if eligible.any() else np.isfinite(error)
     best = int(np.argmin(np.where(candidates, error, np.inf)))
-    cut_off = _fitted_cut_off(cube, channel)
+    cut_off = _fitted_cut_off(scan, channel)
     curves = {
         name: getattr(figures, name)[:, channel]
         for name in ("amplitude", "ratio", "contrast", "noise", "shift")
     }
     return FrequencyChoice(
         modulation_frequency=float(frequency[best]),
-        polarization=cube.amulor.polarizations[channel],
+        polarization=scan.polarizations[channel],
         cut_off=cut_off,
         reason=_reason(frequency, best, curves, cut_off, eligible, error, span),
         warnings=_warnings(frequency, best, curves, intervals, span, eligible, clear),
@@ -187,6 +187,7 @@ def _keep(
 ) -> tuple[xr.Dataset, FrequencyFit]:
     """Keep one frequency of a scan or, with `fit`, of some of its rows."""
     cube = cubes.checked(cube, "samples")
+    scan = Observation(cube=cube)
     warnings: tuple[str, ...] = ()
     choice = None if fit is None else fit.choice
     if modulation_frequency is None:
@@ -196,26 +197,24 @@ def _keep(
         reason, warnings = choice.reason, choice.warnings
     else:
         reason = "chosen by the user"
-    frequencies = cube["modulation_frequency"].values
-    which = np.flatnonzero(np.isclose(frequencies, modulation_frequency, rtol=1e-9))
+    which = np.flatnonzero(np.isclose(scan.frequency, modulation_frequency, rtol=1e-9))
     if len(which) == 0:
-        listed = ", ".join(f"{value / 1e6:g}" for value in frequencies)
+        listed = ", ".join(f"{value / 1e6:g}" for value in scan.frequency)
         raise CubeError(
             f"the cube has no sample at {modulation_frequency / 1e6:g} MHz, but at "
             f"{listed} MHz; choose one of these"
         )
     water = water_before_target(
-        cube, interval=interval, fit=None if fit is None else fit.water, span=span
+        scan, interval=interval, fit=None if fit is None else fit.water, span=span
     )
-    selection = cube.isel(modulation_frequency=which)
     residual = water.signal
     if water.hidden_fraction is not None:
         residual = np.where(np.isfinite(water.hidden_fraction), residual, np.nan)
-    errors = covariance_of(cube) + water.fluctuation + water.common
-    signal = selection.amulor.signal.values
+    errors = scan.covariance + water.fluctuation + water.common
+    signal = scan.signal[which]
     terms = present_terms(
         {
-            "counting": covariance_of(selection),
+            "counting": scan.covariance.part(which),
             "fluctuation": water.fluctuation.part(which),
             "reference": water.common.part(which),
         },
@@ -223,10 +222,10 @@ def _keep(
     )
     # By all frequencies: one alone takes water that is cut off close by for a target.
     has_target, cut, chance = shows_target(
-        cube, water, interval=interval, fit=None if fit is None else fit.cut
+        scan, water, interval=interval, fit=None if fit is None else fit.cut
     )
     result = target_cube(
-        selection,
+        cube.isel(modulation_frequency=which),
         signal,
         errors.part(which),
         water_signal=np.zeros_like(signal),
@@ -304,8 +303,7 @@ def frequency(
     return _keep(cube, modulation_frequency=modulation_frequency, interval=interval)[0]
 
 
-def _channel(cube: xr.Dataset, figures: Merit, polarization: str | None) -> int:
-    names: list[str] = cube.amulor.polarizations
+def _channel(names: list[str], figures: Merit, polarization: str | None) -> int:
     if polarization is None:
         best = np.nanmin(
             np.where(np.isfinite(figures.error), figures.error, np.inf), axis=0
@@ -319,11 +317,9 @@ def _channel(cube: xr.Dataset, figures: Merit, polarization: str | None) -> int:
     return names.index(polarization)
 
 
-def _fitted_cut_off(cube: xr.Dataset, channel: int) -> float | None:
+def _fitted_cut_off(scan: Observation, channel: int) -> float | None:
     """Return the first-order cut-off of the shots [Hz]; None if there is none."""
-    shots = shots_of(cube)
-    signal = shots.amulor.signal.values[:, channel]
-    frequency = cube["modulation_frequency"].values
+    signal, frequency = shots_of(scan).signal[:, channel], scan.frequency
     amplitude = np.abs(np.nanmean(signal, axis=-1))
     try:
         cut_off = low_pass.fit(frequency, amplitude).cut_off

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import UNUSABLE
 from amulor.optics import interference, ranging
 from amulor.rejection import quality
-from amulor.rejection.covariance import covariance_of
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference.before_target import water_before_target
 from amulor.rejection.reference.presence import shows_target
 
@@ -46,25 +45,25 @@ class Merit:
         return np.hypot(self.noise, self.shift)
 
 
-def merit(cube: xr.Dataset, *, interval: tuple[float, float] | None) -> Merit:
+def merit(scan: Observation, *, interval: tuple[float, float] | None) -> Merit:
     """Return the figures of merit of every frequency and channel.
 
     The samples need open-water shots; errors are those of `open_water`.
     """
-    water = water_before_target(cube, interval=interval)
-    signal = cube.amulor.signal.values
+    water = water_before_target(scan, interval=interval)
+    signal = scan.signal
     target = interference.target_signal(signal, water.signal)
-    errors = covariance_of(cube) + water.fluctuation
-    flag = quality.flags(cube, target, errors + water.common).flag
+    errors = scan.covariance + water.fluctuation
+    flag = quality.flags(scan.saturated, target, errors + water.common).flag
     usable = ((flag & UNUSABLE) == 0) & (target != 0) & (signal != 0)
-    usable &= shows_target(cube, water, interval=interval)[0]
+    usable &= shows_target(scan, water, interval=interval)[0]
     phase = quality.phase_error(signal, errors, usable)
     turned = interference.phase_error(
         np.where(usable, target, 1.0), np.where(usable, water.signal, 0.0)
     )
     to_range = ranging.range_per_phase(
-        cube["modulation_frequency"].values[:, None],
-        group_index=float(cube["geometry"].attrs["group_index"]),
+        scan.frequency[:, None],
+        group_index=float(scan.cube["geometry"].attrs["group_index"]),
     )
     amplitude = _median(np.abs(signal), usable)
     water_amplitude = _median(np.abs(water.signal), usable)

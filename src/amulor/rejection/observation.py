@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import tiles
-from amulor.rejection.covariance import Covariance, covariance_of
+from amulor.rejection.covariance import Covariance
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
@@ -42,8 +42,25 @@ class Observation:
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Covariance of the stated errors of the samples."""
-        return covariance_of(self.cube)
+        """Covariance of the stated errors of the samples [V^2]."""
+        cross = self.cube.get("in_phase_quadrature_covariance")
+        in_phase = self.cube["in_phase_uncertainty"].values ** 2
+        return Covariance(
+            in_phase,
+            self.cube["quadrature_uncertainty"].values ** 2,
+            np.zeros_like(in_phase) if cross is None else cross.values,
+        )
+
+    @cached_property
+    def common_covariance(self) -> Covariance | None:
+        """Covariance of the errors that pixels or shots share; None if not stated."""
+        if "common_covariance" not in self.cube:
+            return None
+        return Covariance(
+            self.cube["common_in_phase_uncertainty"].values ** 2,
+            self.cube["common_quadrature_uncertainty"].values ** 2,
+            self.cube["common_covariance"].values,
+        )
 
     @cached_property
     def saturated(self) -> NDArray[np.bool_] | None:

@@ -14,6 +14,7 @@ from amulor.cube import QualityFlag, tiles
 from amulor.rejection import quality
 from amulor.rejection.build import present_terms, target_cube
 from amulor.rejection.methods import Needs, method
+from amulor.rejection.observation import Observation
 from amulor.rejection.quality import ChannelPhase
 from amulor.rejection.reference.shots import with_noise_of_shots
 from amulor.rejection.subtraction import (
@@ -43,13 +44,16 @@ def _subtract(
     **options: Any,
 ) -> tuple[xr.Dataset, OpenWaterFit]:
     """Subtract open water from a scan or, with `fit`, from some of its rows."""
-    cube, noise_scale = with_noise_of_shots(
-        cubes.checked(cube, "samples"), None if fit is None else fit.noise_scale
+    scan = Observation(cube=cubes.checked(cube, "samples"))
+    scan, noise_scale = with_noise_of_shots(
+        scan, None if fit is None else fit.noise_scale
     )
     subtracted = subtract_open_water(
-        cube, fit=None if fit is None else fit.subtraction, span=span, **options
+        scan, fit=None if fit is None else fit.subtraction, span=span, **options
     )
-    result, terms = cube_of(cube, subtracted, terms=None if fit is None else fit.terms)
+    result, terms = cube_of(
+        scan.cube, subtracted, terms=None if fit is None else fit.terms
+    )
     return result, OpenWaterFit(
         noise_scale=noise_scale, subtraction=subtracted.fit, terms=terms
     )

@@ -21,9 +21,10 @@ from amulor.rejection.channels import (
     CROSS_POLARIZED,
     pair_of,
 )
-from amulor.rejection.covariance import Covariance, along, covariance_of
+from amulor.rejection.covariance import Covariance, along
 from amulor.rejection.merit import merit
 from amulor.rejection.methods import Needs, method
+from amulor.rejection.observation import Observation
 from amulor.rejection.open_water import channel_phase_attributes, cube_of
 from amulor.rejection.reference.before_target import (
     WaterFit,
@@ -65,15 +66,14 @@ def _with_water(
             )
         cube = cube.sel(polarization=chosen)
         step = f"reject, {name} channel {', '.join(chosen)}"
-    signal = cube.amulor.signal.values
-    errors = covariance_of(cube)
-    terms = present_terms({"counting": errors}, fit)
+    scan = Observation(cube=cube)
+    terms = present_terms({"counting": scan.covariance}, fit)
     target = target_cube(
         cube,
-        signal,
-        errors,
+        scan.signal,
+        scan.covariance,
         terms=terms,
-        water_signal=np.zeros_like(signal),
+        water_signal=np.zeros_like(scan.signal),
         water_is_in=True,
         step=step,
     )
@@ -237,7 +237,7 @@ def choose_channel(
     ('VH', ('VV', 'VH'))
     """
     cube = cubes.checked(cube, "samples")
-    figures = merit(cube, interval=interval)
+    figures = merit(Observation(cube=cube), interval=interval)
     error = np.where(np.isfinite(figures.error), figures.error, np.inf)
     lowest = error.min(axis=0)
     if not np.isfinite(lowest).any():
@@ -313,16 +313,18 @@ def _unmix(
     span: tiles.Span | None = None,
 ) -> tuple[xr.Dataset, PolarizationFit]:
     """Unmix a scan or, with `fit`, some of its rows."""
-    cube, noise_scale = with_noise_of_shots(
-        cubes.checked(cube, "samples"), None if fit is None else fit.noise_scale
+    scan = Observation(cube=cubes.checked(cube, "samples"))
+    scan, noise_scale = with_noise_of_shots(
+        scan, None if fit is None else fit.noise_scale
     )
+    cube = scan.cube
     co, cross = pair_of(cube)
     of_target = None if fit is None else fit.target_ratio
     of_water = None if fit is None else fit.water_ratio
     channel_phase = None if fit is None else fit.channel_phase
     if target_ratio is None:
         if of_target is None:
-            subtracted = subtract_open_water(cube)
+            subtracted = subtract_open_water(scan)
             of_target = ratios.ratio_of(cube_of(cube, subtracted)[0])
             # Without an interval, one frequency leaves the end of the column open.
             if cube.sizes["modulation_frequency"] > 1:
@@ -343,8 +345,10 @@ def _unmix(
             f"target_ratio ({target_ratio:g}) and water_ratio ({water_ratio:g}) are "
             f"closer than {_SMALLEST_CONTRAST:g}; polarization cannot tell them apart"
         )
-    first, second = cube.sel(polarization=[co]), cube.sel(polarization=[cross])
-    a, b = first.amulor.signal.values, second.amulor.signal.values
+    first, second = (
+        Observation(cube=cube.sel(polarization=[name])) for name in (co, cross)
+    )
+    a, b = first.signal, second.signal
     target = (b - water_ratio * a) / contrast
     water = a - target
     both, fluctuation = _fluctuations(
@@ -358,10 +362,8 @@ def _unmix(
     fluctuations = [
         covariance.scaled((water_ratio / contrast) ** 2) for covariance in both
     ]
-    independent = covariance_of(second).scaled(contrast**-2) + covariance_of(
-        first
-    ).scaled((water_ratio / contrast) ** 2)
-    first = saturated_in_any(first, cube.sel(polarization=[co, cross]))
+    independent = second.covariance.scaled(contrast**-2)
+    independent += first.covariance.scaled((water_ratio / contrast) ** 2)
     # dT/dr_t = -T / contrast and dT/dr_w = -W / contrast.
     by_target_ratio = along(target, target_ratio_uncertainty / contrast)
     common = by_target_ratio + along(water, water_ratio_uncertainty / contrast)
@@ -374,7 +376,7 @@ def _unmix(
         None if fit is None else fit.terms,
     )
     result = target_cube(
-        first,
+        saturated_in_any(first.cube, cube.sel(polarization=[co, cross])),
         target,
         independent + fluctuations[0] + fluctuations[1] + common,
         water_signal=water,
@@ -502,8 +504,8 @@ def polarization(
 
 
 def _fluctuations(
-    co: xr.Dataset,
-    cross: xr.Dataset,
+    co: Observation,
+    cross: Observation,
     water: NDArray[np.complex128],
     relative: float | None,
     *,
@@ -514,7 +516,7 @@ def _fluctuations(
     if relative is not None:
         size, usual = not_smaller_than_usual(water, None if fit is None else fit.usual)
         return 2 * [along(size, relative)], FluctuationFit(usual=usual)
-    if co.amulor.open_water is None:
+    if co.shots is None:
         raise CubeError(
             "the cube has no open-water shots to tell how much the water signal "
             "fluctuates; state water_fluctuation (command line: --water-fluctuation, "
@@ -527,7 +529,6 @@ def _fluctuations(
     for number, channel in enumerate((co, cross)):
         fits, of_shots = fit_shots(
             channel,
-            channel.amulor.open_water,
             fit=None if fit is None else fit.channels[number],
             span=span,
         )
@@ -662,7 +663,8 @@ def unmix_stokes(
     >>> target.amulor.polarizations
     ['VV']
     """
-    cube, _ = with_noise_of_shots(cubes.checked(cube, "samples"))
+    scan, _ = with_noise_of_shots(Observation(cube=cubes.checked(cube, "samples")))
+    cube = scan.cube
     chosen = _launched_as(cube, launched)
     if len(chosen) < 2:
         raise CubeError(
@@ -684,9 +686,8 @@ def unmix_stokes(
         )
     # In units of what the first channel sees of the target.
     weights = [list(passed / fractions[0][0]) for passed in fractions]
-    part = cube.sel(polarization=chosen)
-    signal = part.amulor.signal.values
-    errors = covariance_of(part)
+    part = Observation(cube=cube.sel(polarization=chosen))
+    signal, errors = part.signal, part.covariance
     signals = [signal[:, c] for c in range(len(chosen))]
 
     fluctuation = None
@@ -701,14 +702,13 @@ def unmix_stokes(
         )
 
     solved = solve(errors)
-    shots = part.amulor.open_water
-    if shots is not None:
+    if part.shots is not None:
         # Each channel's water follows from what is left of it.
         water = signal - np.stack([w * solved.target for w in weights[0]], axis=1)
         size, _ = not_smaller_than_shots_say(part, water)
-        fluctuation = fluctuation_of(fit_shots(part, shots)[0], size)
+        fluctuation = fluctuation_of(fit_shots(part)[0], size)
         solved = solve(errors + fluctuation)
-    first = saturated_in_any(cube.sel(polarization=[chosen[0]]), part)
+    first = saturated_in_any(cube.sel(polarization=[chosen[0]]), part.cube)
     target = solved.target[:, None]
     return target_cube(
         first,

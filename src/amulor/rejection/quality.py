@@ -35,7 +35,7 @@ class Flags:
 
 
 def flags(
-    samples: xr.Dataset,
+    saturated: NDArray[np.bool_] | None,
     target_signal: NDArray[np.complex128],
     uncertainty: Covariance,
     *,
@@ -46,8 +46,8 @@ def flags(
     """Return the quality flag of every sample, with its causes and statistics."""
     flag = np.zeros(target_signal.shape, dtype=np.int16)
     missing = ~np.isfinite(target_signal)
-    if "saturated" in samples:
-        flag[samples["saturated"].values != 0] |= QualityFlag.SATURATED
+    if saturated is not None:
+        flag[saturated] |= QualityFlag.SATURATED
     # Water that is left in must not pass for a target: it counts as an error too.
     water = np.zeros_like(target_signal) if residual is None else residual
     power = np.nan_to_num(np.abs(water) ** 2)
@@ -94,7 +94,7 @@ def phase_shift_ratio(
 
 
 def looks_like_water(
-    samples: xr.Dataset,
+    saturated: NDArray[np.bool_] | None,
     signal: NDArray[np.complex128],
     water_signal: NDArray[np.complex128],
     uncertainty: Covariance,
@@ -109,8 +109,8 @@ def looks_like_water(
     from scipy.special import chdtrc
 
     use = np.isfinite(signal) & np.isfinite(water_signal)
-    if "saturated" in samples:
-        use &= samples["saturated"].values == 0
+    if saturated is not None:
+        use &= ~saturated
     determinant = uncertainty.in_phase * uncertainty.quadrature - uncertainty.cross**2
     use &= determinant > 0
     count = use.sum(axis=(0, 1))

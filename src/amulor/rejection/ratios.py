@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from amulor import cube as cubes
 from amulor.errors import CubeError
 from amulor.rejection.channels import pair_of
-from amulor.rejection.covariance import common_covariance_of, covariance_of
+from amulor.rejection.observation import Observation
 from amulor.rejection.open_water import open_water
 from amulor.rejection.reference.shots import with_noise_of_shots
 from amulor.rejection.reference.surface import FEWEST_SHOTS
@@ -96,7 +96,8 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
     >>> print(f"{ratio.value:.4f} ± {ratio.uncertainty:.4f}, true {0.18 / 1.82:.4f}")
     0.0992 ± 0.0009, true 0.0989
     """
-    cube, _ = with_noise_of_shots(cubes.checked(cube, "samples"))
+    scan, _ = with_noise_of_shots(Observation(cube=cubes.checked(cube, "samples")))
+    cube = scan.cube
     co, cross = pair_of(cube)
     if water_only is not None:
         mask = np.asarray(water_only, dtype=bool)
@@ -105,18 +106,17 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
                 f"water_only has the shape {mask.shape}, the scan "
                 f"{cube['azimuth'].shape}; they must agree"
             )
-        signal = cube.amulor.signal.values[..., mask]
+        signal = scan.signal[..., mask]
         source = f"{int(mask.sum())} pixels of water alone"
         needed = "pixels of water alone"
     else:
-        shots = cube.amulor.open_water
-        if shots is None:
+        if scan.shots is None:
             raise CubeError(
                 "nothing tells the depolarization ratio of the water: the cube has no "
                 "open-water shots; name pixels without a target (water_only), or state "
                 "water_ratio (command line: --water-ratio)"
             )
-        signal = shots.amulor.signal.values
+        signal = scan.shots.signal
         source = f"{signal.shape[-1]} open-water shots"
         needed = "open-water shots"
     order = cube.amulor.polarizations
@@ -183,8 +183,10 @@ def target_ratio(
 def ratio_of(target: xr.Dataset) -> Ratio:
     """Estimate the targets' depolarization ratio from the signal after subtraction."""
     co, cross = pair_of(target)
-    first, second = target.sel(polarization=co), target.sel(polarization=cross)
-    flags = first["quality_flag"].values | second["quality_flag"].values
+    pair = first, second = [
+        Observation(cube=target.sel(polarization=name)) for name in (co, cross)
+    ]
+    flags = first.cube["quality_flag"].values | second.cube["quality_flag"].values
     usable = (flags & cubes.UNUSABLE) == 0
     if usable.sum() < FEWEST_SHOTS:
         raise CubeError(
@@ -192,8 +194,8 @@ def ratio_of(target: xr.Dataset) -> Ratio:
             f"open-water subtraction, needed are {FEWEST_SHOTS} to estimate its "
             "depolarization ratio; state target_ratio (command line: --target-ratio)"
         )
-    a, b = (part.amulor.signal.values[usable] for part in (first, second))
-    noise = [_mean_variance(part, usable) for part in (first, second)]
+    a, b = (part.signal[usable] for part in pair)
+    noise = [_mean_variance(part, usable) for part in pair]
     value = 0.0
     for _ in range(3):
         weight = 1 / np.maximum(noise[1] + value**2 * noise[0], np.finfo(float).tiny)
@@ -212,10 +214,7 @@ def ratio_of(target: xr.Dataset) -> Ratio:
     # Chance makes a spread too; only what stands out of it belongs to the targets.
     chance = float(np.sum(strength**2 * 2 * expected**2)) ** 0.25
     spread = spread if spread > 2 * chance else 0.0
-    shared = [
-        np.sqrt(_common_variance(part, usable) / np.abs(a) ** 2)
-        for part in (first, second)
-    ]
+    shared = [np.sqrt(_common_variance(part, usable) / np.abs(a) ** 2) for part in pair]
     common = np.hypot(
         float(np.sum(strength * shared[1])), value * float(np.sum(strength * shared[0]))
     )
@@ -254,15 +253,16 @@ def _weighted_mean(values: Floats, errors: Floats) -> tuple[float, float]:
     return mean, float(np.sqrt(max(scatter, 1.0) / weight.sum()))
 
 
-def _mean_variance(part: xr.Dataset, usable: NDArray[np.bool_]) -> Floats:
+def _mean_variance(part: Observation, usable: NDArray[np.bool_]) -> Floats:
     """Return the mean variance of both outputs, without errors that pixels share."""
-    covariance = covariance_of(part)
+    covariance = part.covariance
     mean = (covariance.in_phase + covariance.quadrature)[usable] / 2
     noise: Floats = np.maximum(mean - _common_variance(part, usable), 0.0)
     return noise
 
 
-def _common_variance(part: xr.Dataset, usable: NDArray[np.bool_]) -> Floats:
-    common = common_covariance_of(part)
+def _common_variance(part: Observation, usable: NDArray[np.bool_]) -> Floats:
+    common = part.common_covariance
+    assert common is not None
     mean: Floats = (common.in_phase + common.quadrature)[usable] / 2
     return mean

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from amulor._progress import part, tell
 from amulor.cube import WaterResidualCause
 from amulor.cube.tiles import Span
 from amulor.rejection import quality
-from amulor.rejection.covariance import Covariance, along, covariance_of
+from amulor.rejection.covariance import Covariance, along
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference.before_target import (
     Strength,
     WaterBeforeTarget,
@@ -110,7 +110,7 @@ class Subtraction:
 
 
 def subtract_open_water(
-    cube: xr.Dataset,
+    scan: Observation,
     *,
     interval: tuple[float, float] | None = None,
     column_uncertainty: float | None = None,
@@ -121,12 +121,12 @@ def subtract_open_water(
     """Subtract the open-water signal from checked samples, phasor by phasor.
 
     Options and errors are those of `amulor.rejection.open_water`. Without `fit`, what
-    it holds is estimated from this cube, whose scan spans `span`.
+    it holds is estimated from these samples, whose scan spans `span`.
     """
     _refuse_odd_fraction(column_uncertainty)
     with part(0.0, 0.7):
         water = water_before_target(
-            cube,
+            scan,
             interval=interval,
             survey_is_right=column_uncertainty is not None,
             fit=None if fit is None else fit.water,
@@ -134,10 +134,10 @@ def subtract_open_water(
         )
     tell("where there are targets", 0.7)
     has_target, cut, chance = shows_target(
-        cube, water, interval=interval, fit=None if fit is None else fit.cut
+        scan, water, interval=interval, fit=None if fit is None else fit.cut
     )
     target, water_signal = water.difference, water.to_the_end
-    counting = covariance_of(cube)
+    counting = scan.covariance
     nothing = np.zeros(target.shape)
     column = Covariance(nothing, nothing, nothing)
     residual = None
@@ -175,13 +175,15 @@ def subtract_open_water(
             water.signal,
             counting + water.fluctuation,
             water.common + column + change,
-            modulation_frequency=cube["modulation_frequency"].values,
+            modulation_frequency=scan.frequency,
             path=water.path,
         )
     target = target - strength.change * water.signal
     change = change + along(water.signal, strength.uncertainty)
     errors = counting + water.fluctuation + water.common + column
-    similar, shape = quality.looks_like_water(cube, target, water.signal, errors)
+    similar, shape = quality.looks_like_water(
+        scan.saturated, target, water.signal, errors
+    )
     cause[similar] |= WaterResidualCause.WATER_SHAPE
     cause |= contradiction(strength, water.turbidity)
     if fit is not None:

@@ -29,9 +29,10 @@ from amulor.imaging import edges, outliers
 from amulor.io.netcdf import open_rows
 from amulor.optics import ambiguity, ranging
 from amulor.rejection import quality, subtraction
-from amulor.rejection.covariance import covariance_of, isotropic
+from amulor.rejection.covariance import isotropic
 from amulor.rejection.joint import cube as joint
 from amulor.rejection.joint.scatter import DETECTION
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference import presence
 
 #: Kinds of names, by the tables of amulor/cube/flags.toml.
@@ -314,8 +315,8 @@ def _numbers_of(part: xr.Dataset) -> dict[str, float]:
 
 def _phases(sample: xr.Dataset) -> dict[str, float]:
     """Phase uncertainty of a sample, and phase error by residual water [rad]."""
-    signal = sample.amulor.signal.values
-    errors = covariance_of(sample)
+    observation = Observation(cube=sample)
+    signal, errors = observation.signal, observation.covariance
     measured = np.isfinite(signal)
     phases = {"phase_error": quality.phase_error(signal, errors, measured).item()}
     if "residual_in_phase" in sample:

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor._progress import tell
 from amulor.cube import WaterResidualCause
 from amulor.cube.tiles import Span
-from amulor.optics import detection
+from amulor.optics import detection, interference
 from amulor.optics.ambiguity import Choices
-from amulor.rejection.covariance import Covariance, covariance_of
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference import column, model
 from amulor.rejection.reference.column import Column
 from amulor.rejection.reference.shots import (
@@ -26,7 +26,6 @@ from amulor.rejection.reference.shots import (
     fit_shots,
     fluctuation_of,
     real_drift_of,
-    shots_of,
 )
 from amulor.survey import Survey
 from amulor.survey.properties import by_coefficients
@@ -74,7 +73,7 @@ class Turbidity:
 
 
 def turbidity_of(
-    cube: xr.Dataset, survey: Survey, open_water: Complex, errors: Covariance
+    scan: Observation, survey: Survey, open_water: Complex, errors: Covariance
 ) -> Turbidity:
     r"""Estimate the factor on absorption and scattering that fits the open water best.
 
@@ -87,7 +86,7 @@ def turbidity_of(
     of that, the latter is the model. What is left in spite of the best factor is the
     model's own error.
     """
-    directions = _spread(cube["azimuth"].size)
+    directions = _spread(scan.azimuth.size)
     frequencies, channels = open_water.shape[:2]
 
     def some(values: NDArray[np.generic]) -> NDArray[np.generic]:
@@ -99,16 +98,15 @@ def turbidity_of(
     floor = (1e-6 * np.abs(measured).max(initial=0.0)) ** 2 + np.finfo(float).tiny
     weight = 1 / np.maximum(variance, floor)
     places = np.stack(
-        [cube[name].values.ravel()[directions] for name in ("azimuth", "elevation")]
+        [angle.ravel()[directions] for angle in (scan.azimuth, scan.elevation)]
     ).T
-    frequency = cube["modulation_frequency"].values
 
     def minimum(*, paper: bool) -> tuple[float, float, float]:
         """Return index, value and curvature of the minimum of chi-square."""
         square = _near_minimum(
             lambda factor: _chi_square(
                 model.open_water(
-                    scaled(survey, factor), places, frequency, paper=paper
+                    scaled(survey, factor), places, scan.frequency, paper=paper
                 ),
                 measured,
                 weight,
@@ -261,7 +259,7 @@ class WaterBeforeTarget:
 
 
 def water_before_target(
-    cube: xr.Dataset,
+    scan: Observation,
     *,
     interval: tuple[float, float] | None,
     survey_is_right: bool = False,
@@ -274,31 +272,28 @@ def water_before_target(
     stand, not corrected by what the shots show. CubeError as `open_water`.
     """
     tell("open water at each pixel", 0.0)
-    fits, by_shots = fit_shots(
-        cube, shots_of(cube), fit=None if fit is None else fit.shots, span=span
-    )
-    samples = cube.amulor.signal.values
-    water, common = expected_at_pixels(fits, samples.shape)
-    difference = subtract(samples, water)
-    survey = cube.amulor.survey
+    fits, by_shots = fit_shots(scan, fit=None if fit is None else fit.shots, span=span)
+    water, common = expected_at_pixels(fits, scan.signal.shape)
+    difference = interference.target_signal(scan.signal, water)
+    survey = scan.survey
     estimate, turbidity, hidden, steeper = None, None, None, None
     first = None if fit is None else fit.first
     choices = None if fit is None else fit.choices
     behind = None if fit is None else fit.column
     steeper_behind = None if fit is None else fit.steeper
-    path = np.full(samples.shape[2:], np.nan)
+    path = np.full(water.shape[2:], np.nan)
     if survey is not None:
         tell("turbidity that the shots tell", 0.2)
         estimate = None if fit is None else fit.estimated_turbidity
         if estimate is None:
-            estimate = turbidity_of(cube, survey, water, common)
+            estimate = turbidity_of(scan, survey, water, common)
         if not survey_is_right:
             turbidity, survey = estimate, estimate.survey
-        errors = covariance_of(cube) + common
+        errors = scan.covariance + common
         tell("water behind the targets", 0.6)
         paper = turbidity is not None and turbidity.paper
         depth, _, first_choices = column.depth(
-            cube,
+            scan,
             difference,
             errors,
             survey,
@@ -306,12 +301,12 @@ def water_before_target(
             fit=None if first is None else first[0],
         )
         hidden, first_column = column.hidden_fraction(
-            cube, survey, depth, paper=paper, fit=None if first is None else first[1]
+            scan, survey, depth, paper=paper, fit=None if first is None else first[1]
         )
         first = first_choices, first_column
         # The column turns the phase that its depth is taken from: a second pass.
         depth, path, choices = column.depth(
-            cube,
+            scan,
             difference + np.nan_to_num(hidden) * water,
             errors,
             survey,
@@ -319,11 +314,11 @@ def water_before_target(
             fit=choices,
         )
         hidden, behind = column.hidden_fraction(
-            cube, survey, depth, paper=paper, fit=behind
+            scan, survey, depth, paper=paper, fit=behind
         )
         if turbidity is not None:
             steeper, steeper_behind = column.hidden_fraction(
-                cube, turbidity.steeper, depth, paper=paper, fit=steeper_behind
+                scan, turbidity.steeper, depth, paper=paper, fit=steeper_behind
             )
     signal = water if hidden is None else (1 - np.nan_to_num(hidden)) * water
     return WaterBeforeTarget(
@@ -352,17 +347,6 @@ def water_before_target(
             steeper=steeper_behind,
         ),
     )
-
-
-def subtract(
-    signal: NDArray[np.complex128], water_signal: NDArray[np.complex128]
-) -> NDArray[np.complex128]:
-    """Subtract the water signal from samples, in place.
-
-    `amulor.optics.interference.target_signal`, (55)-(57) of Ricci et al. 2010, as
-    rederived, without new memory: fetching that takes as long as the subtraction.
-    """
-    return np.subtract(signal, water_signal, out=signal)
 
 
 #: Relative standard deviation by which water departs from its reference unseen [1].
@@ -522,7 +506,7 @@ def _fit(
 
 
 def not_smaller_than_shots_say(
-    cube: xr.Dataset,
+    scan: Observation,
     water: Complex,
     *,
     fit: WaterFit | None = None,
@@ -537,7 +521,7 @@ def not_smaller_than_shots_say(
     had 0.9 mm stated. The phase stays: in a shadow the water is all there is, and no
     error may be left across it.
     """
-    before = water_before_target(cube, interval=None, fit=fit, span=span)
+    before = water_before_target(scan, interval=None, fit=fit, span=span)
     return _at_least(water, np.abs(before.signal)), before.fit
 
 

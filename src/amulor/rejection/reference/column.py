@@ -7,12 +7,12 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from amulor._chebyshev import BoxSeries
 from amulor.optics import ambiguity, detection, ranging, rays
 from amulor.rejection.covariance import Covariance, along, isotropic
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference.model import water_signal
 from amulor.survey import Survey, water_properties
 from amulor.survey.reach import unsettled_interval
@@ -224,7 +224,7 @@ def integrated(
 
 
 def hidden_fraction(
-    cube: xr.Dataset,
+    scan: Observation,
     survey: Survey,
     depth: NDArray[np.float64],
     *,
@@ -245,19 +245,13 @@ def hidden_fraction(
     see `column_of`.
     """
     settled = np.isfinite(depth)
-    frequency = cube["modulation_frequency"].values
+    frequency = scan.frequency
     fraction = np.full((frequency.size, *depth.shape), np.nan, dtype=complex)
-    places = np.stack(
-        [
-            cube["azimuth"].values[settled],
-            cube["elevation"].values[settled],
-            depth[settled],
-        ]
-    )
+    places = np.stack([scan.azimuth[settled], scan.elevation[settled], depth[settled]])
     if fit is None:
         fit = column_of(survey, places, frequency, paper=paper)
     fraction[:, settled] = fit.fractions(places)
-    shape = (frequency.size, cube.sizes["polarization"], *depth.shape)
+    shape = (frequency.size, len(scan.polarizations), *depth.shape)
     return np.broadcast_to(fraction[:, None], shape), fit
 
 
@@ -294,7 +288,7 @@ def hidden_error(
 
 
 def depth(
-    cube: xr.Dataset,
+    scan: Observation,
     signal: NDArray[np.complex128],
     uncertainty: Covariance,
     survey: Survey,
@@ -308,19 +302,16 @@ def depth(
     choices between frequencies that all pixels share, `fit` if it is given. The signal
     is that of the target so far, from whose phase the distance is taken [V].
     """
-    shape = signal.shape[2:]
-    if interval is None and unsettled_interval(
-        survey, modulation_frequency=cube["modulation_frequency"].values
-    ):
+    shape, frequency = signal.shape[2:], scan.frequency
+    if interval is None and unsettled_interval(survey, modulation_frequency=frequency):
         return np.full(shape, np.nan), np.full(shape, np.nan), fit
     surroundings = medium_of(survey)
     beam = rays.enter_water(
         survey.instrument.emitter.position,
-        rays.direction(cube["azimuth"].values, cube["elevation"].values),
+        rays.direction(scan.azimuth, scan.elevation),
         medium=surroundings,
     )
     receiver = np.asarray(survey.instrument.receiver.position)
-    frequency = cube["modulation_frequency"].values
     # One depth for all channels, from the sum of what they see of the target.
     summed = np.nansum(signal, axis=1)
     detected = (np.isfinite(signal).any(axis=1) & (summed != 0)).all(axis=0)

@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference.shots import directions_of
 
 Floats = NDArray[np.float64]
@@ -76,13 +77,12 @@ def drift_of_references(cube: xr.Dataset) -> PhaseDrift | None:
     """
     from scipy.special import chdtrc
 
-    shots: xr.Dataset | None = cube.amulor.open_water
-    if shots is None or shots.sizes["shot"] < 4:
+    shots = Observation(cube=cube).shots
+    if shots is None or shots.signal.shape[-1] < 4:
         return None
     places = directions_of(shots, shots)
     _, group = np.unique(np.round(places, 9), axis=0, return_inverse=True)
-    signal = shots.amulor.signal.values
-    change, error = _halves(signal, group.ravel())
+    change, error = _halves(shots.signal, group.ravel())
     if change is None or error is None:
         return None
     # Channels of a frequency together.

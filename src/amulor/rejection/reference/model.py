@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
@@ -15,7 +14,7 @@ from amulor._chebyshev import BoxSeries
 from amulor.cube.tiles import Span
 from amulor.errors import AmulorError, SurveyError
 from amulor.optics import small_angle, small_angle_diffusion
-from amulor.rejection.covariance import Covariance
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference.surface import (
     FEWEST_SHOTS,
     noise_of,
@@ -130,18 +129,13 @@ class ModelBehindShots:
 
 
 def model_behind_shots(
-    cube: xr.Dataset,
-    shots: Floats,
-    *,
-    signal: Complex,
-    errors: Covariance,
-    span: Span,
+    scan: Observation, shots: Observation, directions: Floats, *, span: Span
 ) -> ModelBehindShots | None:
     """Choose the water model with the smallest cross-validation error at the shots.
 
     None where the survey says nothing of the water, where a polynomial follows its
     water from direction to direction well enough, or follows the shots better than any
-    model. `signal` is that of the shots, shape (frequency, channel, shot).
+    model. `directions` are those of the shots, shape (shot, 2) [rad].
 
     Open water by `model.water_signal` in the survey's turbidity and in others, and by
     the diffusion form (46) of Ricci et al. 2010, as rederived, each with the delay of
@@ -149,33 +143,27 @@ def model_behind_shots(
     directions, foretells directions that are left out best, all frequencies and
     channels together. The pixels take it from a product of Chebyshev polynomials.
     """
-    survey = cube.amulor.survey
+    survey, frequency = scan.survey, scan.frequency
     if survey is None:
         return None
-    frequency = cube["modulation_frequency"].values
-    places = places_of(shots)
-    first = np.unique(places.group, return_index=True)[1]
-    directions = shots[first]
+    group = places_of(directions).group
+    distinct = directions[np.unique(group, return_index=True)[1]]
     candidates = models_for(
-        survey, directions, frequency, repeats=len(shots) // len(directions)
+        survey, distinct, frequency, repeats=len(directions) // len(distinct)
     )
     if candidates is None:
         return None
-    predictions = [candidate(directions, frequency) for candidate in candidates]
-    usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
-    scores = [_cross_validation_error(None, shots, signal, errors, usable)]
-    scores += [
-        _cross_validation_error(
-            prediction[:, places.group], shots, signal, errors, usable
-        )
-        for prediction in predictions
+    predictions = [candidate(distinct, frequency)[:, group] for candidate in candidates]
+    scores = [
+        _cross_validation_error(prediction, directions, shots)
+        for prediction in [None, *predictions]
     ]
     best = int(np.argmin(scores)) - 1
     if best < 0:
         return None
     low, high = np.array([span.azimuth, span.elevation]).T
     model = _Tabled(candidates[best], low, high, frequency).at
-    return ModelBehindShots(model, predictions[best][:, places.group])
+    return ModelBehindShots(model, predictions[best])
 
 
 def models_for(
@@ -229,22 +217,19 @@ def is_measure(model: Complex) -> bool:
 
 
 def _cross_validation_error(
-    model: Complex | None,
-    shots: Floats,
-    signal: Complex,
-    errors: Covariance,
-    usable: NDArray[np.bool_],
+    model: Complex | None, directions: Floats, shots: Observation
 ) -> float:
     """Return the error of a model at directions that are left out of its fit."""
     if model is not None and not is_measure(model):
         return np.inf
     total = 0.0
-    for index in np.ndindex(signal.shape[:2]):
-        use = usable[index]
+    for index in np.ndindex(shots.signal.shape[:2]):
+        use = shots.usable[index]
         if use.sum() < FEWEST_SHOTS:
             continue
-        places = places_of(shots[use])
-        values, instrument = signal[index][use], errors.part(index).part(use)
+        places = places_of(directions[use])
+        values = shots.signal[index][use]
+        instrument = shots.covariance.part(index).part(use)
         total += surface_of(
             values,
             instrument,

@@ -6,17 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor.cube.tiles import Span
-from amulor.rejection.covariance import (
-    Covariance,
-    along,
-    covariance_of,
-    isotropic,
-)
+from amulor.rejection.covariance import Covariance, along, isotropic
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference import column as columns
 from amulor.rejection.reference.before_target import WaterBeforeTarget
 from amulor.rejection.reference.shots import fluctuation_of
@@ -44,7 +39,7 @@ _AT_ONCE = 8192
 
 
 def shows_target(
-    cube: xr.Dataset,
+    scan: Observation,
     water: WaterBeforeTarget,
     *,
     interval: tuple[float, float] | None,
@@ -71,16 +66,16 @@ def shows_target(
 
     open_water = water.to_the_end
     frequencies, channels, *shape = open_water.shape
-    errors = covariance_of(cube) + water.common + fluctuation_of(water.fits, open_water)
-    saturated = cube["saturated"].values != 0 if "saturated" in cube else None
+    errors = scan.covariance + water.common + fluctuation_of(water.fits, open_water)
+    saturated = scan.saturated
     turbidity = water.estimated_turbidity
     cut, span = fit, water.fit.shots.span
     if cut is None and turbidity is not None:
         cut = _cut_columns(
-            cube, turbidity.survey, interval, span, paper=turbidity.paper
+            turbidity.survey, scan.frequency, interval, span, paper=turbidity.paper
         )
-    up = _places(cube["elevation"].values, *span.elevation)
-    across = _places(cube["azimuth"].values, *span.azimuth)
+    up = _places(scan.elevation, *span.elevation)
+    across = _places(scan.azimuth, *span.azimuth)
     largest = None if cut is None else np.abs(cut.smooth).max(axis=(1, 2, 3))
     which = np.repeat(np.arange(frequencies), channels)
 
@@ -260,8 +255,8 @@ def _between(place: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:
 
 
 def _cut_columns(
-    cube: xr.Dataset,
     survey: Survey,
+    frequency: Floats,
     interval: tuple[float, float] | None,
     span: Span,
     *,
@@ -269,7 +264,6 @@ def _cut_columns(
 ) -> CutColumns:
     """Compute a table of open-water fractions from beyond a cut, for a survey."""
     properties = water_properties(survey)
-    frequency = cube["modulation_frequency"].values
     nearest, farthest = (0.0, np.inf) if interval is None else interval
     loss = max(properties.reduced_attenuation, 1e-3)
     end = np.inf if survey.water.column_end is None else survey.water.column_end

@@ -5,19 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube.tiles import Span, span_of
 from amulor.errors import CubeError
 from amulor.rejection.covariance import (
     Covariance,
-    common_covariance_of,
-    covariance_of,
     isotropic,
     stacked,
     times,
 )
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference.model import ModelBehindShots, Shape, model_behind_shots
 from amulor.rejection.reference.surface import (
     FEWEST_SHOTS,
@@ -218,9 +216,9 @@ _BEYOND, BEYOND_AT_LEAST = 0.1, 1e-4
 _NEAR, _MISSES = 1 / 50, 8.0
 
 
-def shots_of(cube: xr.Dataset) -> xr.Dataset:
-    """Return the open-water shots of a cube; CubeError if there are none or too few."""
-    shots: xr.Dataset | None = cube.amulor.open_water
+def shots_of(scan: Observation) -> Observation:
+    """Return the open-water shots of a scan; CubeError if there are none or too few."""
+    shots = scan.shots
     if shots is None:
         raise CubeError(
             "the cube has no open-water shots (group open_water); record them with the "
@@ -228,9 +226,10 @@ def shots_of(cube: xr.Dataset) -> xr.Dataset:
             "or more frequencies, polarization with both ratios stated, or "
             "cross-polarized"
         )
-    if shots.sizes["shot"] < FEWEST_SHOTS:
+    count = shots.signal.shape[-1]
+    if count < FEWEST_SHOTS:
         raise CubeError(
-            f"the cube has {shots.sizes['shot']} open-water shots, needed are at least "
+            f"the cube has {count} open-water shots, needed are at least "
             f"{FEWEST_SHOTS} to judge how much the water signal fluctuates; record more"
         )
     return shots
@@ -251,47 +250,40 @@ class ShotsFit:
 
 
 def fit_shots(
-    cube: xr.Dataset,
-    shots: xr.Dataset,
+    scan: Observation,
     *,
     fit: ShotsFit | None = None,
     span: Span | None = None,
 ) -> tuple[list[Reference], ShotsFit]:
-    """Interpolate the open-water shots to the pixels of a cube; return the fit, too.
+    """Interpolate the open-water shots to the pixels of a scan; return the fit, too.
 
     Modulation frequency by frequency, channel by channel. CubeError if too few shots of
     a channel are numbers, the scan goes beyond them, or the water changed too much from
     the first to the last.
     """
-    pixels = np.stack(
-        [cube["azimuth"].values.ravel(), cube["elevation"].values.ravel()], axis=1
-    )
-    has_directions = all(name in shots for name in _AXES)
+    shots = shots_of(scan)
+    pixels = np.stack([scan.azimuth.ravel(), scan.elevation.ravel()], axis=1)
+    has_directions = all(angle is not None for angle in shots.directions)
     if fit is None:
-        span = span_of(cube) if span is None else span
-        places = directions_of(cube, shots)
+        span = span_of(scan.cube) if span is None else span
+        places = directions_of(scan, shots)
     else:
         span, places = fit.span, fit.directions
-    signal = shots.amulor.signal.values
-    errors = covariance_of(shots)
-    usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
+    signal, errors = shots.signal, shots.covariance
     if has_directions:
-        _refuse_a_scan_beyond_the_shots(cube, places, span)
-    shared = common_covariance_of(shots) if "common_covariance" in shots else None
+        _refuse_a_scan_beyond_the_shots(scan, places, span)
     model = None if fit is None else fit.model
     if has_directions and fit is None:
-        model = model_behind_shots(
-            cube, places, signal=signal, errors=errors, span=span
-        )
+        model = model_behind_shots(scan, shots, places, span=span)
     shapes = None
     if model is not None:
-        shapes = model.over(pixels, cube["modulation_frequency"].values)
+        shapes = model.over(pixels, scan.frequency)
     fits: list[Reference] = []
     for index in np.ndindex(signal.shape[:2]):
-        use = usable[index]
+        use = shots.usable[index]
         if use.sum() < FEWEST_SHOTS:
             raise CubeError(
-                f"only {use.sum()} open-water shots at {_place(cube, index)} are "
+                f"only {use.sum()} open-water shots at {_place(scan, index)} are "
                 f"numbers, needed are {FEWEST_SHOTS}; record more"
             )
         instrument = errors.part(index).part(use)
@@ -304,13 +296,12 @@ def fit_shots(
             shape=shape,
             surface=None if fit is None else fit.surfaces[len(fits)],
         )
-        if shared is not None:
-            reference = replace(
-                reference, common=reference.common + shared.part((*index, None))
-            )
+        if shots.common_covariance is not None:
+            shared = shots.common_covariance.part((*index, None))
+            reference = replace(reference, common=reference.common + shared)
         # Shots of unknown directions may be pixels: their order is no time.
         fits.append(reference if has_directions else replace(reference, drift=NO_DRIFT))
-    _refuse_strong_drift(cube, fits, signal.shape[:2])
+    _refuse_strong_drift(scan, fits, signal.shape[:2])
     if fit is None:
         fit = ShotsFit(
             span=span,
@@ -321,15 +312,17 @@ def fit_shots(
     return fits, fit
 
 
-def directions_of(cube: xr.Dataset, shots: xr.Dataset) -> Floats:
+def directions_of(scan: Observation, shots: Observation) -> Floats:
     """Return the directions of shots, with equal values for repeats of a direction.
 
     Shape (shot, 2), azimuth and elevation [rad], all zero where they are not known. The
-    samples of the cube tell how far stages miss.
+    pixels of the scan tell how far stages miss.
     """
-    if not all(name in shots for name in _AXES):
-        return np.zeros((shots.sizes["shot"], 2))
-    return np.stack([_averaged_repeats(cube, shots, name) for name in _AXES], axis=1)
+    azimuth, elevation = shots.directions
+    if azimuth is None or elevation is None:
+        return np.zeros((shots.signal.shape[-1], 2))
+    angles = zip(_AXES, (azimuth, elevation), strict=True)
+    return np.stack([_averaged_repeats(scan, shots, *angle) for angle in angles], 1)
 
 
 def expected_at_pixels(
@@ -364,18 +357,19 @@ def real_drift_of(fits: list[Reference], shape: tuple[int, ...]) -> Complex:
     return np.array(changes).reshape(*shape[:2], 1, 1)
 
 
-def _averaged_repeats(cube: xr.Dataset, shots: xr.Dataset, name: str) -> Floats:
+def _averaged_repeats(
+    scan: Observation, shots: Observation, name: str, stands: Floats
+) -> Floats:
     """Return one angle of the shots, averaged over repeats of a direction.
 
     A scanner comes to stand a little off, another little each time: without this no
     direction would be repeated. The angle is the mean of what was read back.
     """
-    stands = shots[name].values
     meant = f"user_commanded_{name}"
-    if meant in shots:
-        group = _groups(np.round(shots[meant].values, 9))
+    if meant in shots.cube:
+        group = _groups(np.round(shots.cube[meant].values, 9))
     else:
-        group = _clusters(stands, at_least=_MISSES * _jitter(cube, name))
+        group = _clusters(stands, at_least=_MISSES * _jitter(scan, name))
     # Relative to one of them, so that equal angles stay as they are to the last bit.
     first = stands[np.unique(group, return_index=True)[1]]
     off = np.bincount(group, stands - first[group]) / np.bincount(group)
@@ -397,9 +391,9 @@ def _groups(values: Floats) -> NDArray[np.intp]:
     return np.unique(values, return_inverse=True)[1].ravel()
 
 
-def _jitter(cube: xr.Dataset, name: str) -> float:
+def _jitter(scan: Observation, name: str) -> float:
     """Return the standard deviation of measured from commanded angles [rad]."""
-    meant = f"user_commanded_{name}"
+    cube, meant = scan.cube, f"user_commanded_{name}"
     if meant not in cube:
         return 0.0
     off = (cube[name] - cube[meant]).values
@@ -408,9 +402,9 @@ def _jitter(cube: xr.Dataset, name: str) -> float:
     return 1.4826 * float(np.nanmedian(off)) if np.isfinite(off).any() else 0.0
 
 
-def _place(cube: xr.Dataset, index: tuple[int, ...]) -> str:
-    frequency = float(cube["modulation_frequency"][index[0]]) / 1e6
-    return f"{frequency:g} MHz in channel {cube['polarization'].values[index[1]]}"
+def _place(scan: Observation, index: tuple[int, ...]) -> str:
+    frequency = scan.frequency[index[0]] / 1e6
+    return f"{frequency:g} MHz in channel {scan.polarizations[index[1]]}"
 
 
 def _is_real(drift: Drift, fits: list[Reference]) -> bool:
@@ -418,7 +412,7 @@ def _is_real(drift: Drift, fits: list[Reference]) -> bool:
 
 
 def _refuse_strong_drift(
-    cube: xr.Dataset, fits: list[Reference], shape: tuple[int, ...]
+    scan: Observation, fits: list[Reference], shape: tuple[int, ...]
 ) -> None:
     sure = [
         abs(fit.drift.change) - _SURE * abs(fit.drift.uncertainty)
@@ -429,7 +423,7 @@ def _refuse_strong_drift(
     worst = int(np.argmax(sure))
     if sure[worst] > LARGEST_DRIFT:
         drift = fits[worst].drift
-        place = _place(cube, tuple(map(int, np.unravel_index(worst, shape))))
+        place = _place(scan, tuple(map(int, np.unravel_index(worst, shape))))
         raise CubeError(
             f"the open-water signal at {place} changed by "
             f"{abs(drift.change):.0%} (+- {abs(drift.uncertainty):.0%}) from the first "
@@ -440,11 +434,10 @@ def _refuse_strong_drift(
 
 
 def _refuse_a_scan_beyond_the_shots(
-    cube: xr.Dataset, shots: NDArray[np.float64], span: Span
+    scan: Observation, shots: NDArray[np.float64], span: Span
 ) -> None:
     """Refuse a scan that goes beyond the directions of its open-water shots."""
-    survey = cube.amulor.survey
-    if survey is not None and survey.scan.moves == "both":
+    if scan.survey is not None and scan.survey.scan.moves == "both":
         return  # The receiver turns with the beam: the water is the same everywhere.
     low, high = shots.min(axis=0), shots.max(axis=0)
     room = np.maximum(_BEYOND * (high - low), BEYOND_AT_LEAST)
@@ -472,40 +465,44 @@ _STEPS = 12
 
 
 def with_noise_of_shots(
-    cube: xr.Dataset, scale: float | None = None
-) -> tuple[xr.Dataset, float]:
-    """Scale the stated errors of a cube to match the scatter of open-water shots.
+    scan: Observation, scale: float | None = None
+) -> tuple[Observation, float]:
+    """Scale the stated errors of a scan to match the scatter of open-water shots.
 
     The stated errors of samples and shots times `scale`, by default that of
-    `noise_scale`, which the attribute `open_water_noise_scale` says; the cube as it is,
+    `noise_scale`, which the attribute `open_water_noise_scale` says; the scan as it is,
     if that is 1 or was done. Also return the scale.
     """
     if scale is None:
-        scale = _scale_of(cube)
+        scale = _scale_of(scan)
     if scale == 1:
-        return cube, scale
+        return scan, scale
     larger = {}
-    for name, values in cube.data_vars.items():
+    for name, values in scan.cube.data_vars.items():
         if not str(name).startswith(("truth_", "user_")):
             if str(name).endswith(("in_phase_uncertainty", "quadrature_uncertainty")):
                 larger[name] = values.copy(data=scale * values.values)
             elif str(name).endswith("in_phase_quadrature_covariance"):
                 larger[name] = values.copy(data=scale**2 * values.values)
-    return cube.assign(larger).assign_attrs({NOISE_SCALE: scale}), scale
+    cube = scan.cube.assign(larger).assign_attrs({NOISE_SCALE: scale})
+    return Observation(cube=cube), scale
 
 
-def _scale_of(cube: xr.Dataset) -> float:
-    """Return the factor for a cube's stated errors, 1 if they are scaled already."""
-    shots: xr.Dataset | None = cube.amulor.open_water
-    if shots is None or shots.sizes["shot"] < FEWEST_SHOTS or NOISE_SCALE in cube.attrs:
+def _scale_of(scan: Observation) -> float:
+    """Return the factor for a scan's stated errors, 1 if they are scaled already."""
+    shots = scan.shots
+    if (
+        shots is None
+        or shots.signal.shape[-1] < FEWEST_SHOTS
+        or NOISE_SCALE in scan.cube.attrs
+    ):
         return 1.0
-    signal, errors = shots.amulor.signal.values, covariance_of(shots)
-    usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
-    directions = directions_of(cube, shots)
+    signal, errors = shots.signal, shots.covariance
+    directions = directions_of(scan, shots)
     parts = [
         scatter_of(signal[index][use], errors.part(index).part(use), places)
         for index in np.ndindex(signal.shape[:2])
-        if (use := usable[index]).any() and (places := places_of(directions[use]))
+        if (use := shots.usable[index]).any() and (places := places_of(directions[use]))
     ]
     return noise_scale([scatter for part in parts for scatter in part])
 

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference import grid
-from amulor.rejection.reference.shots import fit_shots, shots_of
+from amulor.rejection.reference.shots import fit_shots
 from amulor.simulation import simulate
 from amulor.studies.trust.surveys import scaled, survey
 from amulor.survey import Survey
@@ -19,7 +20,7 @@ def _missed(made: Survey, options: dict[str, Any], water: Any) -> float:
     cube = simulate(survey(1, water=water, **options), rng=2)
     truth = cube["truth_water_in_phase"] + 1j * cube["truth_water_quadrature"]
     cube = cube.assign_attrs(survey=made.to_toml())
-    fits, _ = fit_shots(cube, shots_of(cube))
+    fits, _ = fit_shots(Observation(cube=cube))
     return max(
         float(np.abs(found.signal - true).max() / np.abs(true).max())
         for found, true in zip(fits, truth.values.reshape(len(fits), -1), strict=True)

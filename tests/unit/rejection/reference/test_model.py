@@ -11,8 +11,9 @@ import xarray as xr
 from amulor.cube import tiles
 from amulor.optics import rays
 from amulor.rejection.covariance import Covariance
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference import model as shapes
-from amulor.rejection.reference.shots import Reference, fit_channel, fit_shots, shots_of
+from amulor.rejection.reference.shots import Reference, fit_channel, fit_shots
 from amulor.simulation import simulate
 from amulor.simulation.models import DiffusionModel
 from amulor.studies.trust.surveys import scaled, survey
@@ -28,7 +29,7 @@ TALL: dict[str, Any] = {"wide": 9, "tall": 19, "columns": 8, "rows": 20}
 
 def _fits(cube: xr.Dataset) -> list[tuple[Reference, np.ndarray]]:
     truth = cube["truth_water_in_phase"] + 1j * cube["truth_water_quadrature"]
-    fits, _ = fit_shots(cube, shots_of(cube))
+    fits, _ = fit_shots(Observation(cube=cube))
     return list(zip(fits, truth.values.reshape(len(fits), -1), strict=True))
 
 
@@ -70,13 +71,11 @@ def test_the_form_of_the_paper_is_a_candidate_too() -> None:
 
 def test_a_narrow_scan_needs_no_model() -> None:
     cube = simulate(survey(1, columns=6, rows=4), rng=1)
-    shots = shots_of(cube)
-    places = np.stack([shots[name].values for name in ("azimuth", "elevation")], 1)
-    signal = shots.amulor.signal.values
-    nothing = np.zeros(signal.shape)
-    errors = Covariance(nothing + 1e-18, nothing + 1e-18, nothing)
+    scan = Observation(cube=cube)
+    assert scan.shots is not None
+    places = np.stack([scan.shots.azimuth, scan.shots.elevation], axis=1)
     found = shapes.model_behind_shots(
-        cube, places, signal=signal, errors=errors, span=tiles.span_of(cube)
+        scan, scan.shots, places, span=tiles.span_of(cube)
     )
     assert found is None
 
@@ -138,11 +137,26 @@ def test_photons_between_the_shots_agree() -> None:
     instrument = Covariance(variance, variance, np.zeros(36))
     cube = simulate(made, rng=0)
     low, high = pixels.min(axis=0), pixels.max(axis=0)
+    variables = {
+        "in_phase": shots.real,
+        "quadrature": shots.imag,
+        "in_phase_uncertainty": np.sqrt(variance),
+        "quadrature_uncertainty": np.sqrt(variance),
+    }
     model = shapes.model_behind_shots(
-        cube,
+        Observation(cube=cube),
+        Observation(
+            cube=xr.Dataset(
+                {
+                    name: (
+                        ("modulation_frequency", "polarization", "shot"),
+                        values[None, None],
+                    )
+                    for name, values in variables.items()
+                }
+            )
+        ),
         places,
-        signal=np.array([[shots]]),
-        errors=Covariance(*(part[None, None] for part in vars(instrument).values())),
         span=tiles.Span((low[0], high[0]), (low[1], high[1])),
     )
     assert model is not None

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from amulor.rejection.covariance import Covariance
+from amulor.rejection.observation import Observation
 from amulor.rejection.reference.shots import (
     NOISE_SCALE,
     noise_scale,
@@ -77,10 +78,11 @@ def test_samples_and_shots_are_scaled_once() -> None:
     cube = simulate(survey(1, columns=3, rows=2), rng=1)
     names = [name for name in cube if str(name).endswith("_uncertainty")]
     understated = cube.assign({name: cube[name] / 2 for name in names})
-    found, _ = with_noise_of_shots(understated)
+    scaled, _ = with_noise_of_shots(Observation(cube=understated))
+    found = scaled.cube
     factor = found.attrs[NOISE_SCALE]
     assert factor == pytest.approx(2, rel=0.15)
     for name in names:
         np.testing.assert_allclose(found[name], cube[name] * factor / 2)
-    assert with_noise_of_shots(found)[0] is found
-    assert with_noise_of_shots(cube)[0] is cube
+    for again in (scaled, Observation(cube=cube)):
+        assert with_noise_of_shots(again)[0] is again

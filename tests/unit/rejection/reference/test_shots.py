@@ -8,7 +8,8 @@ import xarray as xr
 
 from amulor import cube as cubes
 from amulor import simulation
-from amulor.rejection.reference.shots import fit_shots, shots_of
+from amulor.rejection.observation import Observation
+from amulor.rejection.reference import shots as reference
 from amulor.survey import Survey
 
 #: Columns, rows and repeats of the shots.
@@ -27,6 +28,11 @@ def exact(plate: Survey) -> xr.Dataset:
         }
     )
     return simulation.simulate(survey, rng=3)
+
+
+def fits_of(cube: xr.Dataset) -> list[reference.Reference]:
+    """Return the fits of the shots of a cube."""
+    return reference.fit_shots(Observation(cube=cube))[0]
 
 
 def moved(cube: xr.Dataset, jitter: float, *, commanded: bool) -> xr.Dataset:
@@ -49,7 +55,7 @@ def test_shots_that_stand_a_little_off_count_as_repeats(
     exact: xr.Dataset, jitter: float, commanded: bool
 ) -> None:
     cube = moved(exact, jitter, commanded=commanded)
-    found, ideal = (fit_shots(one, shots_of(one))[0] for one in (cube, exact))
+    found, ideal = fits_of(cube), fits_of(exact)
     for one, other in zip(found, ideal, strict=True):
         # Fifty microradians are a thousandth of the span of the scan.
         np.testing.assert_allclose(one.signal, other.signal, rtol=2e-3)
@@ -63,7 +69,7 @@ def test_commanded_directions_hold_however_far_the_read_back_is_off(
 ) -> None:
     # Half a milliradian is a fiftieth of what the rows of the shots span.
     cube = moved(exact, 5e-4, commanded=True)
-    for fit in fit_shots(cube, shots_of(cube))[0]:
+    for fit in fits_of(cube):
         assert np.isfinite(fit.drift.uncertainty)
 
 
@@ -75,7 +81,7 @@ def test_directions_all_over_the_scan_are_no_repeats(exact: xr.Dataset) -> None:
         where = np.concatenate([[low, high], rng.uniform(low, high, 34)])
         shots[name] = ("shot", where, shots[name].attrs)
     cube = cubes.attach(cubes.without_groups(exact), shots, "open_water")
-    for fit in fit_shots(cube, shots_of(cube))[0]:
+    for fit in fits_of(cube):
         assert not np.isfinite(fit.drift.uncertainty)
 
 
@@ -98,5 +104,5 @@ def test_one_row_of_shots_is_told_by_the_misses_of_the_pixels(
         cube[f"user_commanded_{name}"] = cube[name].variable.copy(deep=True)
         off = 2e-5 * rng.standard_normal(cube[name].shape)
         cube[name] = cube[name].copy(data=cube[name].values + off)
-    for fit in fit_shots(cube, shots_of(cube))[0]:
+    for fit in fits_of(cube):
         assert np.isfinite(fit.drift.uncertainty)
