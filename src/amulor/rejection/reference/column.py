@@ -16,7 +16,7 @@ from amulor.rejection.observation import Observation
 from amulor.rejection.reference.model import water_signal
 from amulor.survey import Survey, water_properties
 from amulor.survey.reach import unsettled_interval
-from amulor.survey.view import medium_of
+from amulor.survey.view import medium_of, view
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -214,8 +214,8 @@ def integrated(
     # Open water does not depend on the depth: once for each direction.
     beams, beam = np.unique(places[:2], axis=1, return_inverse=True)
     form = partial(water_signal, survey, modulation_frequency=frequency, paper=paper)
-    open_water = form(*beams)[:, beam]
-    behind = open_water - form(azimuth, elevation, end=depth)
+    open_water = form(view(survey, *beams))[:, beam]
+    behind = open_water - form(view(survey, azimuth, elevation), end=depth)
     # A receiver that sees no water has none behind the target either.
     fraction: Complex = np.divide(
         behind, open_water, out=np.zeros_like(behind), where=open_water != 0

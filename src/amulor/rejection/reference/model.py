@@ -24,7 +24,7 @@ from amulor.rejection.reference.surface import (
 )
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.properties import by_coefficients
-from amulor.survey.view import kernel_arguments, view
+from amulor.survey.view import View, kernel_arguments, view
 from amulor.survey.waters.whole_function import (
     whole_function_arguments,
     whole_phase_function,
@@ -36,8 +36,7 @@ Complex = NDArray[np.complex128]
 
 def water_signal(
     survey: Survey,
-    azimuth: Floats,
-    elevation: Floats,
+    where: View,
     *,
     modulation_frequency: Floats,
     end: Floats | float | None = None,
@@ -50,7 +49,6 @@ def water_signal(
     has by the diffusion form (46).
     """
     water = water_properties(survey)
-    where = view(survey, azimuth, elevation)
     far = np.inf if survey.water.column_end is None else survey.water.column_end
     form: Callable[..., Complex]
     if not paper and _has_phase_function(water):
@@ -245,9 +243,7 @@ def open_water(
 ) -> Complex:
     """Return the modeled open-water signal, with the delay before the water."""
     where = view(survey, *places.T)
-    response = water_signal(
-        survey, *places.T, modulation_frequency=frequency, paper=paper
-    )
+    response = water_signal(survey, where, modulation_frequency=frequency, paper=paper)
     turn = 2j * np.pi * frequency[:, None] * where.optical_offset / speed_of_light
     return np.asarray(response * np.exp(turn))
 
