@@ -69,7 +69,7 @@ class Caution(enum.StrEnum):
     NO_PIXEL = "no pixel"
     """No pixel shows a target."""
     LONE_PIXELS = "lone pixels"
-    """The few pixels that it trusts have no trusted neighbour: noise."""
+    """The few pixels that it trusts have no trusted neighbor: noise."""
     BIAS_UNKNOWN = "bias unknown"
     """Water is left in and nothing tells how much."""
     INSTRUMENT = "instrument"
@@ -252,7 +252,7 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     if best is None and any(row.caution is Caution.LONE_PIXELS for row in rows):
         raise CubeError(
             "no method sees a target: single pixels pass for one here and there, and "
-            "none of them has a neighbour, as in noise; aim at the target, go nearer, "
+            "none of them has a neighbor, as in noise; aim at the target, go nearer, "
             "or raise power or dwell"
         )
     if best is None and any(row.caution is Caution.NO_PIXEL for row in rows):
@@ -462,7 +462,7 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
         mask.any() and not (mask & _has_neighbor(mask)).any()
         for mask in (usable, sound)
     ):
-        caution, note = Caution.LONE_PIXELS, "no pixel that it trusts has a neighbour"
+        caution, note = Caution.LONE_PIXELS, "no pixel that it trusts has a neighbor"
     row = Row(
         method=method.name,
         polarization=target.amulor.polarizations[0],

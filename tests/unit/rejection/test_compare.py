@@ -169,13 +169,13 @@ def _where(target: xr.Dataset, rest: xr.Dataset, there: np.ndarray) -> xr.Datase
     return cube
 
 
-def test_a_few_pixels_are_a_target_if_they_are_neighbours(by_hand: Make) -> None:
+def test_a_few_pixels_are_a_target_if_they_are_neighbors(by_hand: Make) -> None:
     shape = (12, 16)
     scan = {"frequency": [39e6], "channels": {"VV": (1.0, 1.0)}, "shape": shape}
     bright, dark = by_hand(1, **scan), by_hand(2, **scan, target=0.0)
     lone = np.zeros(shape, dtype=bool)
     lone[2, 3] = lone[8, 12] = True
-    with pytest.raises(CubeError, match="none of them has a neighbour"):
+    with pytest.raises(CubeError, match="none of them has a neighbor"):
         rejection.compare(_where(bright, dark, lone))
     rung = np.zeros(shape, dtype=bool)
     rung[4, 5:9] = True

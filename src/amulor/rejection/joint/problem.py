@@ -245,7 +245,7 @@ class Problem:
         return total
 
     def scatter(
-        self, state: Shared, estimates: Estimates, *, neighbours: bool = True
+        self, state: Shared, estimates: Estimates, *, neighbors: bool = True
     ) -> Scatter:
         """Estimate noise scale and fluctuation from the scatter between pixels."""
         return scatter_of(
@@ -253,18 +253,18 @@ class Problem:
             self.groups(state, estimates),
             transfer=self.transfer,
             phase_per_path=self.frame.phase_per_path,
-            neighbours=neighbours,
+            neighbors=neighbors,
         )
 
     def scattered(
-        self, state: Shared, paths: Floats | None = None, *, neighbours: bool = True
+        self, state: Shared, paths: Floats | None = None, *, neighbors: bool = True
     ) -> tuple[Shared, Estimates]:
         """Update noise and fluctuation, and return shared parameters and estimates.
 
         `paths` are the start of the search; by default all paths are searched.
         """
         estimates = self.local(state, paths)
-        scatter = self.scatter(state, estimates, neighbours=neighbours)
+        scatter = self.scatter(state, estimates, neighbors=neighbors)
         state = replace(
             state, fluctuation=scatter.fluctuation, noise_scale=scatter.noise_scale
         )

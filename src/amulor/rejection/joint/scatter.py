@@ -26,8 +26,8 @@ _LAST = len(_RATIOS) - 1
 _GOLDEN, _SECTIONS = 0.618, 7
 #: A fluctuation that explains less, in twice the logarithm of odds, is none [1].
 _REAL = 9.0
-#: Pixels that are looked at, and fewer than have neighbours to compare with.
-_JUDGED, _FEWEST_NEIGHBOURS = 384, 12
+#: Pixels that are looked at, and fewer than have neighbors to compare with.
+_JUDGED, _FEWEST_NEIGHBORS = 384, 12
 #: Pixels whose distances count as alike.
 _ALIKE = 24
 _TINY = 1e-300
@@ -91,19 +91,19 @@ def scatter_of(
     *,
     transfer: Complex,
     phase_per_path: Floats,
-    neighbours: bool = True,
+    neighbors: bool = True,
 ) -> Scatter:
     r"""Estimate noise scale and water fluctuation from the scatter between pixels.
 
     Restricted maximum likelihood of :math:`s^2 C + \phi^2 w w^T` over the scale s and
     the fluctuation :math:`\phi`, with the stated covariance C and the water signal w,
     paths and amplitudes projected out. The sum of squares is that of differences
-    between pixels at neighbouring distances: what is random differs from one to the
+    between pixels at neighboring distances: what is random differs from one to the
     next, what the model does not know is the same in both and passes for no noise.
     """
     parts = [
         _residuals_of(
-            state, group, neighbours, transfer=transfer, phase_per_path=phase_per_path
+            state, group, neighbors, transfer=transfer, phase_per_path=phase_per_path
         )
         for group in groups
     ]
@@ -135,7 +135,7 @@ def scatter_of(
 def _significant_scale(square: float, parts: list[_Residuals]) -> float:
     """Return the noise scale, or 1 if not significantly different from 1."""
     freedom = sum(part.freedom for part in parts)
-    # Differences of neighbours share every pixel with another one: 3/2 of the variance.
+    # Differences of neighbors share every pixel with another one: 3/2 of the variance.
     chance = 3 * np.sqrt(3 / max(freedom, 1))
     return float(np.sqrt(square)) if square > 1 + chance else 1.0
 
@@ -154,7 +154,7 @@ class _Residuals:
     """Derivatives by amplitudes and path, (pixel, channel, frequency, parameter)."""
     freedom: int
     """Usable outputs less the parameters of single pixels."""
-    neighbours: bool
+    neighbors: bool
     """Whether only differences between neighbors count as random."""
 
     def sums(self, ratio: float) -> tuple[float, float, float]:
@@ -181,7 +181,7 @@ class _Residuals:
             volume += float(
                 np.sum(np.linalg.slogdet(gram)[1] + 2 * np.log(size).sum(1))
             )
-        if not self.neighbours or count < _FEWEST_NEIGHBOURS:
+        if not self.neighbors or count < _FEWEST_NEIGHBORS:
             return float(np.sum(residual**2)), self.freedom, volume
         # Two samples that both count; the others have no weight and no difference.
         usable = np.repeat(self.pixels.usable.reshape(count, -1), 2, axis=1)
@@ -209,7 +209,7 @@ def _mixed(order: NDArray[np.intp], is_target: NDArray[np.bool_]) -> NDArray[np.
 def _residuals_of(
     state: Shared,
     group: Fitted,
-    neighbours: bool,
+    neighbors: bool,
     *,
     transfer: Complex,
     phase_per_path: Floats,
@@ -242,7 +242,7 @@ def _residuals_of(
         water_signal=model.water_signal[order],
         derivatives=derivatives[order],
         freedom=used - (channels + 1) * int(is_target[order].sum()),
-        neighbours=neighbours,
+        neighbors=neighbors,
     )
 
 

@@ -230,12 +230,12 @@ def fit(
         return result.state
     # A drift that follows the distance looks like a model that is wrong.
     with_drift = _with_departures(
-        replace(initial, problem=result.problem), neighbours=False
+        replace(initial, problem=result.problem), neighbors=False
     )
     return min((result.state, with_drift.state), key=result.problem.cost)
 
 
-def _with_departures(initial: InitialFit, *, neighbours: bool = True) -> InitialFit:
+def _with_departures(initial: InitialFit, *, neighbors: bool = True) -> InitialFit:
     """Continue a fit with departures, noise scale and fluctuation."""
     problem, state, paths = initial.problem, initial.state, initial.paths
     frame, deepest = problem.frame, problem.deepest
@@ -248,10 +248,10 @@ def _with_departures(initial: InitialFit, *, neighbours: bool = True) -> Initial
     )
     for number in range(_ROUNDS):
         before = state.fluctuation, state.noise_scale
-        state, estimates = problem.scattered(state, paths, neighbours=neighbours)
+        state, estimates = problem.scattered(state, paths, neighbors=neighbors)
         changed = False
         # Both fits use the same samples: only so are they comparable.
-        if number and neighbours:
+        if number and neighbors:
             cleaner, state = _cleaned(problem, state, estimates)
             changed = cleaner is not problem
             problem = cleaner

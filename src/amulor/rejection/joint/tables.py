@@ -86,7 +86,7 @@ def table_of(
     """Integrate the water signal up to every depth.
 
     (29) of Ricci et al. 2010, as rederived and conjugated, by Gauss's rule with
-    four points between neighbouring nodes.
+    four points between neighboring nodes.
     """
     period = 2 * np.pi / frame.phase_per_path.max() / (2 * frame.medium.group_index)
     far = min(frame.nothing_left(shape), frame.end)

@@ -171,7 +171,7 @@ def _chi_square(model: Complex, measured: Complex, weight: Floats) -> float:
 def _near_minimum(chi_square: Callable[[float], float]) -> Floats:
     """Return chi-squares of `_FACTORS` near their minimum, infinite elsewhere.
 
-    Each sixth factor first, then halfway, then neighbours until none is lower.
+    Each sixth factor first, then halfway, then neighbors until none is lower.
     """
     values = np.full(len(_FACTORS), np.inf)
     last = len(_FACTORS) - 1
