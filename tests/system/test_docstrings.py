@@ -40,6 +40,7 @@ WITHOUT_EXAMPLE = {
     "amulor.rejection.joint": "takes seconds; the gallery's rejection of each kind",
     "amulor.view.figures.write_response_curves": "writes that of response_curves",
     "amulor.view.image_report.write": "draws for a second; amulor report",
+    "amulor.simulation.SceneLight": "scene_light's example makes one",
     "amulor.rejection.split_scattering": "water_fit's example goes on with it",
 }
 #: What is held: https://numpydoc.readthedocs.io/en/latest/validation.html. Unknown or

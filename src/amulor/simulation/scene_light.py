@@ -38,22 +38,7 @@ class LightByDirection:
 
 @dataclass(frozen=True)
 class SceneLight:
-    """Noiseless light of a survey, with its targets in the water and without them.
-
-    Examples
-    --------
-    >>> from amulor import Survey, simulation
-    >>> survey = Survey.preset("amulor-2010").with_(
-    ...     {
-    ...         "instrument.polarizations": ["VV"],
-    ...         "scan.columns": 3,
-    ...         "scan.rows": 2,
-    ...     }
-    ... )
-    >>> light = simulation.scene_light(survey, model=simulation.ClosureModel())
-    >>> type(light).__name__
-    'SceneLight'
-    """
+    """Noiseless light of a survey, with its targets in the water and without them."""
 
     with_target: LightByDirection
     """Light in the directions of the scan."""
