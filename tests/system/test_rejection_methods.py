@@ -264,7 +264,15 @@ LIMITS = ["--nearest", "0.5 m", "--farthest", "3 m"]
 
 
 @pytest.mark.parametrize(
-    "method", ["open-water", "polarization", "frequency", "combined", "joint", "none"]
+    "method",
+    [
+        "open-water",
+        "none",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("polarization", "frequency", "combined", "joint")
+        ),
+    ],
 )
 def test_every_method_writes_a_target_signal(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], method: str

@@ -101,16 +101,15 @@ def test_survey_check_says_the_reach_and_the_repetition_as_json(
         pytest.param(4, marks=[pytest.mark.slow, pytest.mark.study]),
     ],
 )
-def test_empty_water_shows_no_target(count: int) -> None:
-    methods = ["open-water 20 %", "combined"]
-    for seed in (1, 2):
-        for row in run(["empty"], methods, [count], seed=seed):
-            assert row.score.empty == 384
-            # 1 in 100,000 is what is promised, of some 4,600 pixels in all.
-            assert row.score.phantoms == 0, row
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_empty_water_shows_no_target(count: int, seed: int) -> None:
+    for row in run(["empty"], ["open-water 20 %", "combined"], [count], seed=seed):
+        assert row.score.empty == 384
+        # 1 in 100,000 is what is promised, of some 4,600 pixels in all.
+        assert row.score.phantoms == 0, row
 
 
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_black_surface_ends_the_water_and_is_no_target(count: int) -> None:
     cube = simulate(survey(count, plate(2.6, lean=20)), rng=1)
     dark = cube.assign(
@@ -215,11 +214,14 @@ def test_a_spike_at_the_best_of_four_frequencies_is_told_by_the_other_channel() 
         pytest.param("a, b halved", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.parametrize(
+    "counts", [[2], pytest.param([1, 16], marks=pytest.mark.slow)], ids=str
+)
 def test_open_water_by_default_is_trusted_and_holds_whatever_the_survey_says(
-    scene: str,
+    scene: str, counts: list[int]
 ) -> None:
     # Nothing was trusted by default; with a survey twice off, 12 sigma were.
-    for row in run([scene], ["open-water", "combined"], [1, 2, 16]):
+    for row in run([scene], ["open-water", "combined"], counts):
         assert row.score.trusted > 0.95, row
         # 384 pixels, and an error that they share: three points of chance.
         assert row.score.inside_95 > 0.92, row
@@ -266,12 +268,14 @@ def test_one_frequency_of_two_noisy_channels_sees_two_plates_as_well() -> None:
         assert row.score.trusted <= 0.1, row
 
 
-def test_surfaces_without_an_edge_have_no_mixed_pixels() -> None:
-    for scene in ("flat", "slope 75"):
-        for row in run([scene], ["open-water"], [16]):
-            # Five sigma from both sides at once do not happen in 384 pixels; in one
-            # image of ten there is an outlier by chance.
-            assert row.score.trusted > 1 - 1.5 / 384, row
+@pytest.mark.parametrize(
+    "scene", [pytest.param("flat", marks=pytest.mark.slow), "slope 75"]
+)
+def test_surfaces_without_an_edge_have_no_mixed_pixels(scene: str) -> None:
+    for row in run([scene], ["open-water"], [16]):
+        # Five sigma from both sides at once do not happen in 384 pixels; in one
+        # image of ten there is an outlier by chance.
+        assert row.score.trusted > 1 - 1.5 / 384, row
 
 
 # What spoils samples, and water that is not that of the shots ------------------------
@@ -285,9 +289,10 @@ def test_surfaces_without_an_edge_have_no_mixed_pixels() -> None:
         "drift 10 %",
     ],
 )
-def test_water_that_changed_is_seen_through(scene: str) -> None:
+@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_water_that_changed_is_seen_through(scene: str, count: int) -> None:
     # 63 % of the intervals held with water 5 % stronger; drifts were refused.
-    for row in run([scene], ["open-water", "combined"], [2, 4]):
+    for row in run([scene], ["open-water", "combined"], [count]):
         assert row.score.trusted > 0.97, row
         # 384 pixels: 1.1 % by chance, three of them, and what all of them share.
         assert row.score.inside_95 > 0.91, row
@@ -316,7 +321,11 @@ def test_noise_that_is_twice_what_is_stated_is_noticed() -> None:
         assert row.score.inside_95 > 0.87, row
 
 
-@pytest.mark.parametrize("scene", ["delay", "baseline", "index"])
+@pytest.mark.parametrize(
+    "scene",
+    [*(pytest.param(name, marks=pytest.mark.slow) for name in ("delay", "index")),
+     "baseline"],
+)  # fmt: skip
 def test_what_no_data_can_show_is_covered_where_it_is_stated(scene: str) -> None:
     for row in run([f"{scene} stated"], ["combined"], [2]):
         assert row.score.trusted > 0.97, row

@@ -39,7 +39,7 @@ def outcome(folder: Path, text: str, *words: str, **variables: str) -> tuple[int
     return done.returncode, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("processes", ["0", "1"])
+@pytest.mark.parametrize("processes", ["0", pytest.param("1", marks=pytest.mark.slow)])
 def test_a_missing_browser_fails_the_run_and_is_named(tmp_path, processes) -> None:
     code, text = outcome(tmp_path, CASES, "-n", processes)
     assert code == 1

@@ -189,7 +189,9 @@ def test_a_delay_of_one_scan_is_named() -> None:
     assert [one.scan for one in found.contradictions if one.scan] == ["a2"]
 
 
-@pytest.mark.parametrize("seed", [1, 3, 7])
+@pytest.mark.parametrize(
+    "seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 3)), 7]
+)
 def test_a_scan_that_fits_no_other_is_named(seed: int) -> None:
     # Of seed 7 scan a2 came to a pose 45 cm off, with misfits of 80 and 139.
     drawn = one_visit(
@@ -245,7 +247,14 @@ def of_size(pattern: str, size: float, distance: np.ndarray) -> np.ndarray:
     return distance + size * shapes[pattern]
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("bed", 2), ("wall", 3), ("amphorae", 2)])
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        ("bed", 2),
+        pytest.param("wall", 3, marks=pytest.mark.slow),
+        pytest.param("amphorae", 2, marks=pytest.mark.slow),
+    ],
+)
 def test_an_undetected_error_moves_a_pose_as_far_as_stated(
     kind: str, seed: int
 ) -> None:
@@ -265,9 +274,14 @@ def test_an_undetected_error_moves_a_pose_as_far_as_stated(
     assert np.linalg.norm(moved) == pytest.approx(stated.shift, rel=0.25)
 
 
-def test_scores_of_patterns_are_standard_normal_and_sizes_are_detectable() -> None:
+@pytest.mark.parametrize(
+    "seeds", [(11, 12), pytest.param((11, 12, 13, 14), marks=pytest.mark.slow)]
+)
+def test_scores_of_patterns_are_standard_normal_and_sizes_are_detectable(
+    seeds: tuple[int, ...],
+) -> None:
     scores = []
-    for seed in range(11, 15):
+    for seed in seeds:
         found = registered(one_visit("bed", seed, rows=36))
         assert found.contradictions == ()
         scores += [test.score for test in found.patterns]
@@ -276,5 +290,5 @@ def test_scores_of_patterns_are_standard_normal_and_sizes_are_detectable() -> No
         for test in found.patterns:
             # 3.89 and 0.84 are the quantiles of 1e-4, both sides, and of 80 percent.
             assert test.detectable == pytest.approx(4.732 * test.uncertainty, rel=1e-3)
-    # Of 112 numbers, of which those of one site hang together: 1 +- 0.2.
+    # 56 or 112 numbers, of which those of one site hang together: 1 +- 0.3 or 0.2.
     assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.4)
