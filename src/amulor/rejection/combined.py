@@ -75,7 +75,7 @@ def _combine(
         if estimate is None:
             # The column by the shots alone, whatever is stated for the rest.
             estimate = (
-                ratios.ratio_of(cube_of(cube, subtracted)[0])
+                ratios.ratio_of(cube_of(scan, subtracted)[0])
                 if column_uncertainty is None
                 else ratios.target_ratio(cube, interval=interval)
             )

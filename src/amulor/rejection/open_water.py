@@ -51,9 +51,7 @@ def _subtract(
     subtracted = subtract_open_water(
         scan, fit=None if fit is None else fit.subtraction, span=span, **options
     )
-    result, terms = cube_of(
-        scan.cube, subtracted, terms=None if fit is None else fit.terms
-    )
+    result, terms = cube_of(scan, subtracted, terms=None if fit is None else fit.terms)
     return result, OpenWaterFit(
         noise_scale=noise_scale, subtraction=subtracted.fit, terms=terms
     )
@@ -170,7 +168,7 @@ def open_water(
 
 
 def cube_of(
-    cube: xr.Dataset, subtracted: Subtraction, *, terms: tuple[str, ...] | None = None
+    scan: Observation, subtracted: Subtraction, *, terms: tuple[str, ...] | None = None
 ) -> tuple[xr.Dataset, tuple[str, ...]]:
     """Return the target-signal cube of a subtraction, and its error-term names."""
     present = present_terms(
@@ -184,7 +182,7 @@ def cube_of(
         terms,
     )
     result = target_cube(
-        cube,
+        scan.cube,
         subtracted.target,
         subtracted.independent + subtracted.shared,
         water_signal=subtracted.water_signal,
@@ -199,7 +197,7 @@ def cube_of(
         **{
             f"phase_error_gain_{name}": gain
             for name, gain in zip(
-                cube.amulor.polarizations,
+                scan.polarizations,
                 subtracted.fit.phase_error_gain.T,
                 strict=True,
             )

@@ -325,7 +325,7 @@ def _unmix(
     if target_ratio is None:
         if of_target is None:
             subtracted = subtract_open_water(scan)
-            of_target = ratios.ratio_of(cube_of(cube, subtracted)[0])
+            of_target = ratios.ratio_of(cube_of(scan, subtracted)[0])
             # Without an interval, one frequency leaves the end of the column open.
             if cube.sizes["modulation_frequency"] > 1:
                 channel_phase = subtracted.fit.channel_phase
