@@ -57,9 +57,9 @@ _digests: dict[Path, tuple[object, str]] = {}
 def keep_fresh(package: Path) -> None:
     """Make numba recompile a function when any source that it depends on changes.
 
-    To be called before the functions are decorated with `numba.njit(cache=True)`.
-    Functions of other packages are stored as numba does it. What is stored of former
-    sources is removed when the function is compiled anew.
+    Call it before functions are decorated with `numba.njit(cache=True)`. Functions of
+    other packages are cached as usual. Cached files of former sources are removed when
+    the function is compiled again.
     """
     # Before version 0.61 of numba the class had a private name; a numba that has
     # neither stores as it does.
@@ -123,8 +123,8 @@ def _last_resort(place: Any) -> Any:
 def _temporary_folder() -> Path:
     """Return the user's temporary folder for compiled code; report if it is new.
 
-    What lies in it is run, so no other user may be able to write there. If somebody
-    can, or it cannot be told, a folder of this process alone takes its place.
+    Its content is executed, so no other user may have write access. If one has, or if
+    this is unknown, a folder of this process is used instead.
     """
     user = getattr(os, "getuid", lambda: None)()
     above = Path(tempfile.gettempdir())
@@ -163,7 +163,7 @@ def _only_written_by(user: int, folder: Path) -> bool:
 class _Compiling(event.Listener):
     """Progress report while a loop, and all loops that it calls, are compiled.
 
-    numba compiles one at a time, whichever threads ask for it.
+    numba compiles one function at a time, for all threads.
     """
 
     def __init__(self) -> None:
@@ -207,8 +207,8 @@ def _is_loop(value: Any) -> bool:
 def digest_of(path: Path, package: Path) -> str:
     """Return a digest of a file and of the package files that it imports.
 
-    Only imports at the left margin count: others are for types, or come after the
-    decorators. A name of a package that imports lazily is followed to where it is from.
+    Only imports without indentation are followed; others are for types, or come after
+    the decorators. A lazily imported name is followed to the file that defines it.
     """
     imported = _import_of(path, package)
     if path in _digests and _digests[path][0] is imported:

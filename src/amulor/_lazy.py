@@ -15,8 +15,8 @@ def attach(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return the `__getattr__` and the `__dir__` of a package.
 
-    Type checkers and import-linter read the `TYPE_CHECKING` block, people and tab
-    completion see `__all__`, and nothing is imported before it is used::
+    Type checkers and import-linter read the `TYPE_CHECKING` block; readers and tab
+    completion use `__all__`. Nothing is imported before its first use::
 
         if TYPE_CHECKING:
             from amulor.optics import ranging, small_angle

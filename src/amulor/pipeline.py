@@ -141,16 +141,16 @@ def run(
     Parameters
     ----------
     cube : xarray.Dataset
-        Level `samples`, `target_signal` or `range_image`; the last is returned as it
-        is.
+        Level `samples`, `target_signal` or `range_image`; a range image is returned
+        unchanged.
     method : str, optional
-        Rejection method, one of `amulor.rejection.names`; needed for samples.
+        Rejection method, a name from `amulor.rejection.names`; needed for samples.
     polarization : str, optional
         Channel of the image; needed if there are several.
     interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m].
+        Nearest and farthest possible slant range [m].
     **options
-        Other options of the method.
+        Further options of the method.
 
     Returns
     -------

@@ -57,12 +57,12 @@ def example(quantity: str) -> str:
     Parameters
     ----------
     quantity : str
-        A key of `SI_UNITS`.
+        Physical quantity, a key of `SI_UNITS`.
 
     Returns
     -------
     str
-        Number and unit.
+        Example with number and unit.
 
     Examples
     --------
@@ -78,19 +78,20 @@ def parse(text: str, quantity: str) -> float:
     Parameters
     ----------
     text : str
-        Number and unit, with or without a space between.
+        Number and unit, with or without a space.
     quantity : str
-        What it measures, a key of `SI_UNITS`.
+        Physical quantity, a key of `SI_UNITS`.
 
     Returns
     -------
     float
-        The value in the unit of `SI_UNITS`; temperatures in degrees Celsius.
+        Value in the unit of `SI_UNITS`; temperatures in degrees Celsius.
 
     Raises
     ------
     ValueError
-        If there is no number, no unit, an unknown one, or one of another quantity.
+        If the number or the unit is missing, or the unit is unknown or of another
+        quantity.
 
     Examples
     --------
@@ -120,17 +121,18 @@ def parse_frequencies(text: str) -> list[float]:
     Parameters
     ----------
     text : str
-        "50 MHz, 100 MHz", or first, last and number as in "0.5MHz:138MHz:200".
+        List such as "50 MHz, 100 MHz", or first, last and number such as
+        "0.5MHz:138MHz:200".
 
     Returns
     -------
     list of float
-        Frequencies in the order given, or evenly from first to last [Hz].
+        Frequencies in the given order, or evenly spaced from first to last [Hz].
 
     Raises
     ------
     ValueError
-        If a frequency cannot be read, or a range is not made of three parts.
+        If a frequency is invalid, or a range does not have three parts.
 
     Examples
     --------
@@ -251,7 +253,7 @@ def write(value: float, quantity: str) -> str:
     value : float
         Value in the unit of `SI_UNITS`.
     quantity : str
-        A key of `SI_UNITS`.
+        Physical quantity, a key of `SI_UNITS`.
 
     Returns
     -------
@@ -282,12 +284,12 @@ def write_like(value: float, text: str) -> str:
     value : float
         Value in the unit of `SI_UNITS`.
     text : str
-        Number and unit, as `parse` takes it for some quantity.
+        Number and unit that `parse` accepts.
 
     Returns
     -------
     str
-        Number and that unit; the number alone where the text has no unit.
+        Number with the same unit; the number alone if the text has no unit.
 
     Examples
     --------

@@ -43,9 +43,9 @@ _OFFERS: dict[str, tuple[str, tuple[str, ...]]] = {
 class PageProducts:
     """Maker of downloadable products from the image that a page shows.
 
-    A product is written into a folder of its own among the temporary ones, which
-    nobody else can read and which is gone before the page gets its answer: the formats'
-    libraries write files. One is made at a time.
+    Libraries of the formats write files. A product is therefore written to a private
+    temporary folder, which is removed before the page gets its response. Products are
+    made one at a time.
     """
 
     def __init__(self, *, against: Path | None = None, unit: Unit = "m") -> None:

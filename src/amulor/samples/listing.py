@@ -64,12 +64,12 @@ class Sample:
         Parameters
         ----------
         name : str
-            One of `files`.
+            File name, an item of `files`.
 
         Returns
         -------
         bytes
-            As the file has them.
+            Content of the file.
 
         Raises
         ------
@@ -99,7 +99,7 @@ def samples() -> dict[str, Sample]:
     Returns
     -------
     dict of str to Sample
-        In the order in which a course would use them.
+        Sample data by name, in the order of a course.
 
     Examples
     --------
@@ -129,17 +129,17 @@ def sample(name: str) -> Sample:
     Parameters
     ----------
     name : str
-        Such as "ladder".
+        Name of the sample data, such as "ladder".
 
     Returns
     -------
     Sample
-        With the files and what to try.
+        Sample data, with files and suggestions.
 
     Raises
     ------
     ValueError
-        If there is none of that name; the message lists all.
+        If there are no sample data of this name; the message lists all names.
 
     Examples
     --------
@@ -162,17 +162,17 @@ def cube(name: str) -> xr.Dataset:
     Parameters
     ----------
     name : str
-        Sample data that are a cube, such as "ladder".
+        Name of sample data with a cube, such as "ladder".
 
     Returns
     -------
     xarray.Dataset
-        A copy of its own for each call, as `amulor.read_cube` gives it.
+        New copy of the cube, as from `amulor.read_cube`.
 
     Raises
     ------
     ValueError
-        If there is none of that name, or if it is no cube.
+        If there are no sample data of this name, or they have no cube.
 
     Examples
     --------
@@ -206,21 +206,21 @@ def copy(
     Parameters
     ----------
     name : str
-        Such as "ladder".
+        Name of the sample data, such as "ladder".
     folder : path-like
-        Made if it is not there.
+        Folder for the files; it is created if it does not exist.
     overwrite : bool
-        Replace files that are there.
+        Whether existing files are replaced.
 
     Returns
     -------
     tuple of pathlib.Path
-        What was written.
+        Paths of the written files.
 
     Raises
     ------
     ValueError
-        If there are no such data.
+        If there are no sample data of this name.
     FormatError
         If a file is there already, and nothing is written then, or the folder cannot be
         written.

@@ -77,8 +77,8 @@ def import_file(
 ) -> RecordedSummary:
     """Import a recording of any size as a measurement cube, tile by tile.
 
-    Beside the file that is made, about 200 bytes for each sample stand on its disk
-    until it is whole. Open-water shots and the frequencies that differ are in memory.
+    Until the file is complete, about 200 bytes per sample are stored beside it on disk.
+    Open-water shots and the list of distinct frequencies are in memory.
     """
     path, output = Path(path), Path(output)
     with (

@@ -96,9 +96,9 @@ def run_site(
 ) -> tuple[Done, ...]:
     """Process all scans of a site.
 
-    Files have the same bytes wherever they are made: all of a run is dated by its first
-    start, which stands in `run.json`. A scan whose worker dies is begun again on
-    another one, from its last whole file.
+    Files have equal bytes wherever they are made, because all dates are those of the
+    first start of the run, which is stored in `run.json`. If a worker dies, another one
+    continues its scan from the last complete file.
     """
     if scheduler is not None:
         require("scale", purpose="a cluster")

@@ -39,7 +39,7 @@ def signal_images(cube: xr.Dataset, *, frequency: int = 0) -> Figure:
     cube : xarray.Dataset
         Level `samples` or `target_signal`.
     frequency : int
-        Which of the modulation frequencies, counted from 0.
+        Index of the modulation frequency, from 0.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
     Parameters
     ----------
     before, after : xarray.Dataset
-        Level `range_image`, of the same scan.
+        Range images (level `range_image`) of one scan.
 
     Returns
     -------
@@ -183,13 +183,13 @@ def image_overview(image: xr.Dataset) -> Figure:
 def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
     """Draw all rows of range images as superimposed line profiles.
 
-    Of more rows than can be told apart, the median and the bands that hold 68 and 95
-    of 100 rows are drawn.
+    If there are too many rows to distinguish, the median and the bands with 68 % and
+    95 % of the rows are drawn.
 
     Parameters
     ----------
     images : mapping
-        Case to ("before", "after") to a `range_image`.
+        Range images by case and stage, the stages "before" and "after".
 
     Returns
     -------
@@ -238,12 +238,12 @@ def surfaces(images: Mapping[str, xr.Dataset]) -> Figure:
     Parameters
     ----------
     images : mapping
-        Title to `range_image`.
+        Range images by title.
 
     Returns
     -------
     matplotlib.figure.Figure
-        One panel for each, all with the same axes; near is up.
+        One panel per image, all with equal axes; near points are on top.
 
     Examples
     --------

@@ -49,19 +49,19 @@ def write(
     path : str or pathlib.Path
         File to write.
     images : mapping of str to xarray.Dataset
-        Name to range image (level `range_image`).
+        Range images (level `range_image`) by name.
     checks : sequence of Check
-        Known lengths, measured in each of the images.
+        Known lengths to measure in each image.
     wholes : mapping of str to Whole, optional
-        What is known of all pixels of images that are thinned
-        (`amulor.imaging.selection.thinned`), check distances among it.
+        Counts and check distances over all pixels, for images that are thinned
+        (`amulor.imaging.selection.thinned`).
     overwrite : bool
-        Whether a file that is there may be replaced.
+        Whether an existing file may be replaced.
 
     Raises
     ------
     CubeError
-        If one of the cubes is no range image, or an end of a check holds no range.
+        If a cube is no range image, or an end of a check distance has no range.
     FormatError
         If the file exists, or cannot be written.
     """
@@ -132,14 +132,14 @@ def flag_sentence(image: xr.Dataset, whole: Whole | None = None) -> str:
     Parameters
     ----------
     image : xarray.Dataset
-        With `quality_flag`.
+        Range image with `quality_flag`.
     whole : Whole, optional
-        What is known of all pixels, where the image holds some of them.
+        Counts over all pixels, if the image is thinned.
 
     Returns
     -------
     str
-        For a caption.
+        Sentence for a caption.
 
     Examples
     --------
@@ -179,12 +179,12 @@ def interactive(images: Mapping[str, xr.Dataset]) -> list[Part]:
     Parameters
     ----------
     images : mapping of str to xarray.Dataset
-        Name to range image.
+        Range images by name.
 
     Returns
     -------
     list of Part
-        One page each; a sentence for those that are too large for a report.
+        One page per image; a sentence for an image that is too large for a report.
 
     Examples
     --------

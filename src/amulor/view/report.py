@@ -133,11 +133,11 @@ def write_report(
     path : str or pathlib.Path
         File to write.
     title : str
-        What the report is about.
+        Title of the report.
     parts : sequence
         Headings, paragraphs, pictures, tables and listings, in order.
     overwrite : bool
-        Whether a file that is there may be replaced.
+        Whether an existing file may be replaced.
 
     Raises
     ------

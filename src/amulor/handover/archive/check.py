@@ -21,10 +21,9 @@ _SIGNATURES = {".laz": b"LASF", ".las": b"LASF", ".e57": b"ASTM-E57"}
 def missing_of(folder: Path) -> list[str]:
     """Return the problems of an archive folder, one line of text per problem.
 
-    Looked for are: the tables with all their fields; for each scan its raw files, its
-    registered clouds with as many points as are stated, its matrix, which must be a
-    turn and a shift; a checksum of every file, and no file without; names that all file
-    systems take.
+    The check covers: tables with all their fields; for each scan the raw files, the
+    registered clouds with the stated number of points, and a matrix of rotation and
+    translation; a checksum for every file; file names that all file systems accept.
     """
     if not folder.is_dir():
         raise FormatError(f"{folder} is no folder; name an archive")

@@ -42,10 +42,11 @@ _FORMATS = {
 def write_archive(project: Project, folder: Path) -> dict[str, int]:
     """Write a project's folder in the form that heritage archives require.
 
-    After the ADS / Digital Antiquity Guides to Good Practice for laser scanning: raw
-    scans as recorded; the registered cloud of each scan as text, LAZ and E57; tables on
-    project, scans and registration; a matrix for each scan; SHA-256 of all files.
-    Everything is made in a hidden folder beside it that takes the name at the end.
+    The folder follows the ADS / Digital Antiquity Guides to Good Practice for laser
+    scanning. It has raw scans as recorded; the registered cloud of each scan as text,
+    LAZ and E57; tables on project, scans and registration; a matrix for each scan; and
+    SHA-256 checksums of all files. All is written to a hidden folder first, which is
+    renamed at the end.
     """
     folder = Path(os.path.abspath(folder))
     if os.path.lexists(folder):

@@ -91,15 +91,14 @@ def change(
 ) -> Change:
     r"""Compute the change between two visits to a site.
 
-    Notes
-    -----
-    M3C2 [1]_, with patches of second degree instead of means: through the points of
-    either epoch in a cylinder along the normal, weighted by the noise of each. The
-    variance is that of their heights on the axis, from the stated noise or from the
-    scatter, whichever is larger, and :math:`j \Sigma j^T` with the
-    derivative j of the distance by all poses and shared errors and their covariance, so
-    that what both epochs share cancels. Instead of one limit of detection, Benjamini
-    and Hochberg keep the share of false alarms.
+    Notes ----- The method is M3C2 [1]_, with patches of second degree instead of means.
+    Patches are fitted to the points of either epoch in a cylinder along the normal,
+    weighted by their noise. The variance of a distance has two parts. One is that of
+    the heights on the axis, from the stated noise or the scatter, whichever is larger.
+    The other is :math:`j \Sigma j^T`, with the derivative j of the distance by all
+    poses and shared errors, and their covariance :math:`\Sigma`; errors that both
+    epochs share cancel. The method of Benjamini and Hochberg limits the fraction of
+    false alarms, in place of a fixed limit of detection.
 
     References
     ----------
@@ -176,8 +175,8 @@ def _cores(
 ) -> tuple[Floats, Floats, Floats]:
     """Return position, normal and area of one comparison point per surface cell.
 
-    Cells are squares across the axis that the normal is nearest to; layers along that
-    axis are surfaces of their own.
+    Cells are squares across the coordinate axis nearest to the normal. Layers along
+    that axis are separate surfaces.
     """
     place, normals = cloud.position[at], cloud.normal[at]
     smooth = np.isfinite(normals).all(axis=1)
@@ -304,7 +303,8 @@ def _in_cylinders(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
     """Return cylinder and index of each point inside, its offset, and the offset along.
 
-    Some cylinders at a time: the spheres around them hold many more points.
+    Cylinders are processed in groups, because the spheres around them contain many more
+    points.
     """
     place = cloud.position[at]
     tree = cKDTree(place)
@@ -364,10 +364,10 @@ def _patches(
 ) -> _Patches:
     """Return heights of curved surfaces fitted to points in cylinders, with errors.
 
-    Of second degree, so that two epochs that sample a slope or a bend in other places
-    have the same height. Points that scatter more than their noise follow no such
-    patch, as on a steep flank: the height then has an error by its shape. `share` is
-    how a height follows from each point.
+    Patches have the second degree, so that two epochs with different sampling of a
+    slope or a bend have equal heights. Points that scatter more than their noise, as on
+    a steep flank, do not lie on such a patch; the height then has an error by its
+    shape. `share` has the derivatives of a height by the heights of the points.
     """
     size = len(normal)
     helper = np.where(np.abs(normal[:, :1]) < 0.8, [[1.0, 0, 0]], [[0, 1.0, 0]])
@@ -470,8 +470,8 @@ def regions(change: Change) -> tuple[Region, ...]:
 def region_of(change: Change, members: NDArray[np.intp]) -> Region:
     """Return area, mean change and volume of a group of comparison points.
 
-    At the rim a change is below its error, place by place, but not as a whole: the
-    volume is summed over all places up to a cylinder and a half from the points.
+    At the rim of a region single changes are below their errors, but their sum is not.
+    The volume is therefore summed up to one and a half cylinder radii from the points.
     """
     members = members[np.isfinite(change.value[members])]
     place, area = change.position[members], change.area[members]

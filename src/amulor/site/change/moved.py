@@ -80,8 +80,8 @@ def _along(vector: Floats, covariance: Floats) -> float:
 def bodies(places: Sequence[Region]) -> tuple[tuple[int, ...], ...]:
     """Group regions of change that one moved object may have caused.
 
-    Where it lay the surface is lower, where it lies it is higher: two regions that
-    reach each other.
+    The surface is lower at the former position of a body, and higher at its new one.
+    These are two regions within reach of each other.
     """
     waiting = list(range(len(places)))
     groups = []
@@ -124,9 +124,9 @@ def motion_of(
 ) -> Motion | None:
     """Fit the rigid motion of an object between two visits.
 
-    The object is what stands above the ground around it, a plane through the surfaces
-    from its reach to one and a half of it. Its points in the second epoch are fitted to
-    its surface in the first, as scans are to each other.
+    The object is everything above the ground, a plane fitted to the surfaces between
+    one and one and a half times `reach` from the center. Its points in the second epoch
+    are fitted to its surface in the first, as scans are to each other.
     """
     cut = {}
     for scan in site.scan:
@@ -225,8 +225,8 @@ def _to_middle(pair: Pair, middle: Floats) -> Floats:
 def _held(pairs: list[Pair], middle: Floats) -> tuple[Floats, tuple[Floats, ...]]:
     """Return the projector onto motions that scan pairs determine, and other motions.
 
-    What one pair does not hold another one may, and each of them by itself would leave
-    out another turn of a round body.
+    All pairs are combined, because each alone would leave a different rotation of a
+    round body undetermined.
     """
     matrix = np.zeros((6, 6))
     for pair in pairs:
@@ -331,7 +331,7 @@ def _result(
 def _best_place(covariance: Floats) -> Floats:
     """Return the reference point for which the translation is most certain [m].
 
-    The shift at d is t + w x d; d is such that its mean square error is least.
+    The translation of the point d is t + w x d; d minimizes its mean square error.
     """
     turns, both = covariance[3:, 3:], covariance[:3, 3:]
     matrix = np.trace(turns) * np.eye(3) - turns

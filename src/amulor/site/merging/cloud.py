@@ -147,10 +147,10 @@ def merge(
 ) -> Merged:
     r"""Merge all scans of a site into one point cloud.
 
-    :math:`C_i = \sigma_i^2 d d^T + J_i \Sigma J_i^T` with the beam d, the pixel's own
-    noise and the derivatives J by pose and shared errors, whose covariance
-    :math:`\Sigma` is that of the registration, so that what the scans told each other
-    of these errors counts.
+    The covariance of a point is :math:`C_i = \sigma_i^2 d d^T + J_i \Sigma J_i^T`, with
+    the direction d of the beam, the noise :math:`\sigma_i` of the pixel, and the
+    derivatives J by pose and shared errors. Their covariance :math:`\Sigma` is that of
+    the registration, which has estimated these errors from all scans.
     """
     parts: dict[str, list[NDArray[np.generic]]] = {}
 

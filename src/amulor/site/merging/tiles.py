@@ -45,11 +45,11 @@ def write_tiles(
 ) -> list[Path]:
     """Write a merged point cloud as square LAZ tiles.
 
-    LAS 1.4, point format 6, steps of 1e-5 m from one offset, the same for all tiles and
-    epochs: that of the site's reference system, or whole metres near its middle.
-    Millimetres are kept at coordinates in the millions, and two tiles can be
-    subtracted. `point_source_id` is the number of the scan, counted from 1; moving and
-    doubtful points are withheld.
+    The format is LAS 1.4, point format 6. Coordinates have steps of 1e-5 m from an
+    offset common to all tiles and epochs: that of the site's reference system, or whole
+    meters near the middle of the site. Coordinates in the millions thus keep their
+    precision, and tiles can be subtracted. `point_source_id` is the number of the scan,
+    from 1. Moving and doubtful points have the flag "withheld".
     """
     laspy = _laspy()
     folder = Path(folder)

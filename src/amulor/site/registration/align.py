@@ -248,9 +248,9 @@ def _rough_pose(
 ) -> ScanPose:
     """Return the best of several attempts to align a scan with the others.
 
-    Alignment may end at another object of the same shape. Attempts differ in their
-    start and in how far points are matched; the best leaves the least distance in the
-    overlap, and lies where the start pose may be.
+    Alignment may end at another object of the same shape. Attempts differ in initial
+    pose and in matching distance. The best attempt has the smallest distances in the
+    overlap, among poses that agree with the start pose.
     """
     sample = cloud[:: max(len(cloud) // _JUDGES, 1)]
     attempts = [first_guess]

@@ -25,8 +25,8 @@ def held_directions(
 ) -> tuple[Floats, tuple[Floats, ...]]:
     """Return the projector onto motions that surfaces determine, and other motions.
 
-    Noise of normals in both scans makes products whose mean is zero; a direction is
-    held if its sum stands out of their scatter.
+    Noise of the normals in both scans gives products with a mean of zero. A direction
+    is determined if its sum is significant against their scatter.
     """
     scale = np.array([1.0, 1.0, 1.0, length, length, length])
     scaled = matrix / np.outer(scale, scale)
@@ -97,13 +97,14 @@ def moved_bodies(
 ) -> Flags:
     r"""Return a mask of the points on objects that moved relative to the scene.
 
-    The part of a body that stands off least passes for noise, pulls the scans along,
-    and hides the motion; so a body counts as a whole. It moved if much of it stands
-    off, or else by a test: with the sums :math:`g = Z^T W e` and :math:`N = Z^T W X` of
-    the body and of all other points, :math:`g_b - N_b N_r^{-1} g_r` has the mean zero
-    wherever the scans stand, if the body stayed. Its variance is that of pixels,
-    patches and shared errors; directions that the others do not hold are left out.
-    Chi-square then tells what moved, the surest first.
+    The least displaced part of a body looks like noise, pulls the scans along, and
+    hides the motion; a body is therefore tested as a whole. It moved if many of its
+    points are displaced, or else if a test is significant. With the sums :math:`g = Z^T
+    W e` and :math:`N = Z^T W X` of the body (b) and of all other points (r), :math:`g_b
+    - N_b N_r^{-1} g_r` has a mean of zero for any poses if the body did not move. Its
+    variance is that of pixels, patches and shared errors. Directions that the other
+    points do not determine are omitted. Chi-square selects bodies, the most significant
+    first.
     """
     labels, _ = ndimage.label(points.smooth)
     body = labels.ravel()[points.pixel]

@@ -37,9 +37,9 @@ def centre_of(
 ) -> tuple[Centre, Flags]:
     """Return the center of a target in a scan, and the mask of its pixels.
 
-    Ranges are compared along their beams with those of the shape, so that noise does
-    not pull a sphere towards the instrument. The uncertainty of a radius moves the
-    centre along the line of sight, and is one error for all scans that see the target.
+    Ranges are compared with those of the shape along the beams, so that noise does not
+    bias a sphere towards the instrument. An error of the radius moves the center along
+    the line of sight, and is common to all scans of the target.
     """
     find: dict[type, Callable[..., tuple[Centre, Flags]]] = {
         SphereTarget: _sphere,

@@ -206,9 +206,10 @@ def covariance(
 ) -> tuple[Floats, Layout]:
     r"""Return the covariance of all estimates of the adjustment.
 
-    :math:`A^{-1} B A^{-T}` with the derivative A of the gradient and its variance B.
-    The noise of each pixel is followed into the gradient, through every point, patch
-    and pair that it takes part in, so that what neighbours share is not averaged away.
+    The covariance is :math:`A^{-1} B A^{-T}`, with the derivative A of the gradient and
+    its variance B. B contains the effect of each pixel's noise through every point,
+    patch and pair that uses the pixel. Noise shared by neighbors is thus not averaged
+    out.
     """
     layout = Layout(state, ties.fixed)
     projection, _ = projector(state, pairs, trust, layout, free)
@@ -296,8 +297,8 @@ def projector(
 ) -> tuple[Floats, int]:
     """Return the projector onto determined directions, and the number of others.
 
-    Directions of all poses at once: a direction that one pair leaves free may be
-    constrained by another one, and pairs must not disagree about a free one.
+    Directions are those of all poses together, because one pair may determine a
+    direction that another pair does not.
     """
     size = layout.size
     information, extent = np.zeros((size, size)), np.zeros((size, size))

@@ -106,11 +106,11 @@ def compared(
 ) -> Pair | None:
     r"""Compare the points of one scan with the surface patches of another.
 
-    A point p of the source lies on a beam of the target, between its pixels; there the
-    patch has the range :math:`\hat\rho`, and the distance is :math:`e = \rho_p -
-    \hat\rho`, with the gradient :math:`n / (n \cdot d)`. The pixel's range and the
-    pixels of the patch are the noise; neighbouring points share patches. Only pixels of
-    the source in `among` have a weight.
+    A point p of the source lies on a beam between pixels of the target. The patch has
+    the range :math:`\hat\rho` there, and the distance is :math:`e = \rho_p - \hat\rho`,
+    with the gradient :math:`n / (n \cdot d)`. Its noise is that of the source pixel and
+    of the pixels in the patch; neighboring points share patches. Only source pixels in
+    `among` have a weight.
     """
     pixel = _chosen(source)
     point = source.position.reshape(-1, 3)[pixel]
@@ -362,7 +362,7 @@ def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
 def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
     """Return the effect of a scan's shared errors at points, shape (k, n) [m].
 
-    By the range of the point, so that they hold none of the noise of the pixel.
+    They are computed for the range of the point, without the noise of the pixel.
     """
     count = len(scan.shared.keys)
     shapes, growth = (

@@ -113,7 +113,7 @@ def pattern_values(surface: ScanSurface) -> Floats:
 def _mean_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
     """Means of values over wide windows that average out the noise of single pixels.
 
-    A pattern with the noise of the range itself is correlated with the distances.
+    A pattern that contained the noise of the ranges would correlate with the distances.
     """
     size = max(_WINDOW, min(values.shape) // 4)
     total, count = (
@@ -258,7 +258,8 @@ def _tests_of(
 def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
     """Return the strongest range error of all tests, if it is significant.
 
-    Others are mostly its shadow: poses carry it into the neighbors of a scan.
+    Other significant errors are mostly its consequences, because the fit of the poses
+    transfers it to the neighbors of a scan.
     """
     if not tests:
         return None
@@ -270,9 +271,10 @@ def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
 def unfit_scan(pairs: Sequence[Pair], scans: Sequence[str]) -> tuple[str, float] | None:
     """Return the only scan that fits no other, with its misfit; else None.
 
-    A body that moved leaves the misfit of all other points at 1, and too small a stated
-    noise excludes no points; a bent scan does both in each of its pairs. A misfit that
-    no noise explains is that of a wrong pose. The later of two such scans is named.
+    A bent scan has a large misfit and excluded points in each of its pairs. A moved
+    body leaves the misfit of all other points at 1, and an understated noise excludes
+    no points. A misfit that no noise explains is that of a wrong pose. Of two such
+    scans the later is returned.
     """
     worst = None
     for name in scans:

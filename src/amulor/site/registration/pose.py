@@ -41,7 +41,8 @@ class ScanPose:
     def changed(self, step: Floats) -> ScanPose:
         """Return the pose after a translation [m] and rotation [rad] about site axes.
 
-        The six numbers are east, north, up of either; the turn is about `position`.
+        `step` has six numbers: east, north and up of the translation, then of the
+        rotation about `position`.
         """
         turn = Rotation.from_rotvec(step[3:]).as_matrix()
         return ScanPose(turn @ self.rotation, self.position + step[:3])
@@ -119,9 +120,8 @@ def aligned(
 ) -> ScanPose:
     """Align points with other points, from a start pose; return the pose found.
 
-    Planes to planes, from coarse voxels to fine ones. Its sum of squares
-    is no information matrix (errors 40 to 85 times too small), so that nothing but the
-    pose is taken from it.
+    Planes are matched with planes, from coarse to fine voxels. Only the pose is used:
+    errors from this sum of squares would be 40 to 85 times too small.
     """
     try:
         import small_gicp

@@ -349,8 +349,8 @@ def _seen_through(
 ) -> Iterator[Contradiction]:
     """Yield a contradiction for each scan that looks through surfaces of others.
 
-    Of both scans of a pair, the scan with more such pairs is named; of equal numbers,
-    the scan farther from its start pose.
+    Of the two scans in a pair, the one with more such pairs is named; if equal, the one
+    farther from its start pose.
     """
     pairs = [
         pair
@@ -427,10 +427,11 @@ def _weak_directions(
 ) -> tuple[Weakness, ...]:
     """Return pose directions that nothing but start poses determines.
 
-    A start pose that is good to a part of a pixel, as of a surveyed station, is enough.
+    A start pose that is accurate to a fraction of a pixel, as of a surveyed station,
+    suffices.
 
-    The error of a pose against the nearest neighbour counts, not that of the whole
-    site, which all scans have alike.
+    The error of a pose is relative to the nearest scan, because all scans share the
+    error of the whole site.
     """
     weaknesses = []
     tied = {spread.scan for spread in ties.centres}

@@ -72,8 +72,9 @@ def pairs_seen_through(
 ) -> tuple[Sight, ...]:
     """Return the pairs of scans of one visit that look through each other's surface.
 
-    A fish is in front of the surfaces of all other scans. At a wrong pose only the scan
-    itself sees through points of the others: these are in front of no third scan.
+    A passing object, such as a fish, is in front of the surfaces of all other scans. A
+    scan with a wrong pose sees through points of the others, but these points are not
+    in front of a third scan.
     """
     if len(scans) < 2:
         return ()

@@ -45,10 +45,10 @@ def shared_errors(
 ) -> Shared:
     r"""Return the range errors that the pixels of a scan have in common.
 
-    A cosine of the difference of two phases is :math:`\cos a \cos b + \sin a \sin b`,
-    so the correlations of reference and water are sums of products of shapes: those of
-    the polynomial of the reference times the two parts of each frequency. Principal
-    axes of these are few.
+    Since :math:`\cos(a - b) = \cos a \cos b + \sin a \sin b`, correlations by reference
+    and water are sums of products of shapes: terms of the reference polynomial times
+    cosine and sine of the phase at each frequency. Few principal components of these
+    suffice.
     """
     distance = image["slant_range"].values
     measured = np.isfinite(distance)
@@ -104,7 +104,7 @@ def _filled(values: Floats, measured: NDArray[np.bool_]) -> Floats:
 def _turns(image: xr.Dataset, distance: Floats) -> list[tuple[Floats, Floats]]:
     """Return cosine and sine of the phase at each frequency, and their derivatives.
 
-    The squares of the parts add up to 1.
+    The squares of all cosines and sines add up to 1.
     """
     group_index = float(image["geometry"].attrs["group_index"])
     frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
@@ -236,13 +236,13 @@ def scan_surface(
 ) -> ScanSurface:
     r"""Compute the surface of a range image: patches, normals and shared errors.
 
-    The inverse range of a plane is linear in the direction of the beam, so patches have
-    no error by the angle of incidence. Those of second degree (Savitzky and Golay)
-    leave out how a bend changes, which neighbours share: 0.03 mm, a third of the noise
-    of a pixel, put scans five standard errors off. Of fourth degree they have twice the
-    noise, a sixth of that of the point compared with them. Normals are of second
-    degree: their noise counts, and a small error that all share does not; the noise of
-    one scan is independent of that of another: see `pair`.
+    The inverse range of a plane is linear in the direction of the beam. Patches, which
+    are polynomials in inverse range, thus have no error by the angle of incidence.
+    Patches of second degree (Savitzky and Golay) neglect changes of curvature, an error
+    that neighbors share: 0.03 mm, a third of the pixel noise, moved poses by five
+    standard errors. Patches of fourth degree have twice the noise, a sixth of that of
+    the compared point. Normals have the second degree, because their noise matters more
+    than a small common error. Noise of different scans is independent; see `pair`.
     """
     beam = geometry_of(image).beam
     distance = image["slant_range"].values

@@ -39,8 +39,8 @@ def quick_layers(
 ) -> dict[str, NDArray[np.float64]]:
     """Range map and amplitude map of a newly measured row.
 
-    Phases to paths to slant ranges as `amulor.imaging.range_image`, but all frequencies
-    with one phase error, and without late light: within what that takes off, the same.
+    Slant ranges are computed as by `amulor.imaging.range_image`, but with equal phase
+    errors at all frequencies, and without the late-light correction.
     """
     frequency = np.atleast_1d(row["modulation_frequency"].values)
     geometry = geometry_of(row)

@@ -58,12 +58,12 @@ def drift_of(
 ) -> Drift:
     """Drift of the open-water signal between complete rounds of open-water shots.
 
-    Each series has a level of its own, the mean of all its rounds, so that no round is
-    the one that all others are compared with. Changes of a round are the same in all
-    series per unit of their level (least squares). The error follows from the scatter
-    of the directions: of all rounds together, or of the contrast itself if that is
-    larger, as with a single shot that is far off. Chances are those of Student's t,
-    times the number of tests of the scan (Bonferroni).
+    Each series is relative to the mean of all its rounds, so that no single round is
+    the reference. The relative change of a round is assumed equal in all series (least
+    squares). Its error follows from the scatter between directions: of all rounds
+    together, or of the contrast itself if that is larger, as with a single outlier.
+    Probabilities are those of Student's t, times the number of tests of the scan
+    (Bonferroni).
     """
     shots = np.asarray(signal, dtype=complex)
     times = np.asarray(elapsed, dtype=float)

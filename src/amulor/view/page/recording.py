@@ -411,7 +411,8 @@ def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset 
 def _rejected(cube: xr.Dataset) -> xr.Dataset:
     """Subtract open water from a scan whose channels may be incomplete.
 
-    A target that one channel has not seen yet would count as none at all.
+    Channels are processed one by one, because a target that one channel has not yet
+    measured would count as open water in all.
     """
     finite = np.isfinite(cube["in_phase"].values).all(axis=0)
     if bool((finite == finite[:1]).all()):
