@@ -91,14 +91,16 @@ def change(
 ) -> Change:
     r"""Compute the change between two visits to a site.
 
-    Notes ----- The method is M3C2 [1]_, with patches of second degree instead of means.
-    Patches are fitted to the points of either epoch in a cylinder along the normal,
-    weighted by their noise. The variance of a distance has two parts. One is that of
-    the heights on the axis, from the stated noise or the scatter, whichever is larger.
-    The other is :math:`j \Sigma j^T`, with the derivative j of the distance by all
-    poses and shared errors, and their covariance :math:`\Sigma`; errors that both
-    epochs share cancel. The method of Benjamini and Hochberg limits the fraction of
-    false alarms, in place of a fixed limit of detection.
+    Notes
+    -----
+    The method is M3C2 [1]_, with patches of second degree instead of means. Patches are
+    fitted to the points of either epoch in a cylinder along the normal, weighted by
+    their noise. The variance of a distance has two parts. One is that of the heights on
+    the axis, from the stated noise or the scatter, whichever is larger. The other is
+    :math:`j \Sigma j^T`, with the derivative j of the distance by all poses and shared
+    errors, and their covariance :math:`\Sigma`; errors that both epochs share cancel.
+    The method of Benjamini and Hochberg limits the fraction of false alarms, in place
+    of a fixed limit of detection.
 
     References
     ----------
