@@ -183,7 +183,7 @@ def flags_page() -> str:
         "the measured value, the limit and the remedy for each channel. Rows and",
         "columns count from 0.",
         "",
-        "The file contains the measured values of the tests as variables, such as",
+        "A file with flags also contains the measured values of the tests, such as",
         "`no_target_probability` and `water_residual_cause` ([cube files](cube.md)).",
         "`docs/make_reference.py` generates this page with the limits that the code",
         "uses.",
