@@ -124,7 +124,9 @@ def _fields(model: type[BaseModel]) -> list[str]:
     if issubclass(model, WaterState) and not whole:
         rows += [
             "",
-            "Fields of all waters: " + ", ".join(f"`{n}`" for n in common) + ".",
+            "Further fields, common to all kinds of water: "
+            + ", ".join(f"`{n}`" for n in common)
+            + ".",
         ]
     return rows
 
