@@ -349,8 +349,8 @@ def tally(checks: Iterable[Check]) -> str:
     text = f"{passed} of {tests} statements of the paper hold."
     if chosen:
         text += (
-            f" For {chosen} more statements, a number of the study was chosen to fit the "
-            f"statement, and {met} of these hold."
+            f" For {chosen} more statements, a number of the study was chosen to fit "
+            f"the statement, and {met} of these hold."
         )
     if unstated:
         text += (
