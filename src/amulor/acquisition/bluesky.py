@@ -47,8 +47,8 @@ def scan(
     -----
     A sample is in the journal before its event is emitted. A pause of the RunEngine
     makes all devices safe, and so does every end of the plan. After a
-    pause the reference is taken again, as after any break. The streams are `dark`,
-    `open_water` and `scan`.
+    pause the reference measurement is repeated, as after any interruption. The streams
+    are `dark`, `open_water` and `scan`.
 
     Examples
     --------
@@ -94,12 +94,12 @@ def scan(
 class ScanDevice:
     """Bluesky device of a scan; setting it to n acquires samples up to number n.
 
-    It is staged (devices are connected), set and read sample by sample, stopped (light
-    off, all safe; the next set goes on) and unstaged (the scan ends where it is).
+    It is staged (devices are connected), set and read sample by sample, stopped (laser
+    off, devices safe; the next set continues) and unstaged (the scan ends).
 
-    The scan is `acquire`, in a separate thread that waits between two dwells. Values
-    read are those of the journal. Setting the same number twice, as a RunEngine does
-    after a pause, acquires nothing twice.
+    The scan runs by `acquire` in a separate thread that waits between two dwells.
+    Values read are those of the journal. Setting a number twice, as a RunEngine does
+    after a pause, does not acquire again.
     """
 
     name = "amulor"

@@ -23,8 +23,8 @@ _LEAST = 2.0
 class Deadline:
     """Timeout of a wait for an instrument.
 
-    It ends when the time has passed by the clock of the scan and, where that clock runs
-    faster, at least a part of it in real time: answers take real time on the wire.
+    The timeout passes by the clock of the scan. If that clock is faster than real time,
+    a part of the timeout must also pass in real time, because links have delays.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ class RealClock:
     Parameters
     ----------
     speed : float
-        Seconds of this clock in one second of real time, 0.001 to a million [1].
-        Anything but 1 is for simulated devices.
+        Seconds of this clock in one second of real time, 0.001 to a million [1]. Use
+        values other than 1 for simulated devices only.
     """
 
     def __init__(self, speed: float = 1.0) -> None:

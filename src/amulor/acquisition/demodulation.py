@@ -47,10 +47,10 @@ def demodulate(
     .. math:: v_k = v_0 + \sum_n a_n \cos \omega_n t_k + b_n \sin \omega_n t_k, \quad
         S_n = a_n + i b_n,
 
-    so that an echo :math:`A \cos(\omega t - \varphi)` has :math:`S = A e^{i \varphi}`,
-    and no tone leaks into another one, whatever part of a period the record ends in.
-    The noise of a tone is that of 32 bins of the spectrum of the residual beside it,
-    which need not be white; the standard deviation has an error of 12 %.
+    so that an echo :math:`A \cos(\omega t - \varphi)` has :math:`S = A e^{i \varphi}`.
+    No tone leaks into another one, even if the record does not contain whole periods.
+    The noise of a tone is that of 32 adjacent bins in the spectrum of the residual, so
+    that noise need not be white. Its standard deviation has an error of 12 %.
 
     Examples
     --------
@@ -95,10 +95,11 @@ def clock_offset(
 ) -> float:
     r"""Estimate the relative frequency error of the digitizer clock [1].
 
-    From one half of a stretch to the other the phase falls by
-    :math:`\omega \epsilon T / 2`. The first stretch is so short that this is below half
-    a turn for the largest offset; each further one is four times as long, corrected by
-    the offset found before. Tones count by amplitude and frequency squared.
+    From the first to the second half of an interval of length T the phase falls by
+    :math:`\omega \epsilon T / 2`. The first interval is so short that this is below
+    half a turn for the largest offset. Each further interval is four times as long, and
+    is corrected by the previous estimate. The weight of a tone is the square of
+    amplitude times frequency.
     """
     values = np.asarray(reference, dtype=float)
     nominal = np.asarray(frequencies, dtype=float)

@@ -47,12 +47,13 @@ _MOST, _WEIGHT = 4.0, 0.1
 class Settling:
     r"""Wait for a settled lock-in: successive readings agree within their noise.
 
-    A one-pole filter with the output :math:`y_0` on arrival and y after a time t has a
-    remainder :math:`(y - y_0) / (e^{t / T} - 1)` of the last direction. This gives the
-    further wait until the remainder is a quarter of the noise of a reading. Then two
-    readings a time constant apart must agree, since a stage that rings or light that
-    rises follows no step response. The noise is that of counting, or of the readings of
-    earlier dwells, whichever is larger: moving water is no unsettled filter.
+    A one-pole filter with the output :math:`y_0` on arrival and y after a time t still
+    has a remainder :math:`(y - y_0) / (e^{t / T} - 1)` of the last direction. The wait
+    continues until the remainder is a quarter of the noise of a reading. Then two
+    readings a time constant apart must agree, because a ringing stage or rising light
+    does not follow a step response. The noise is that of counting, or of the readings
+    of earlier dwells, whichever is larger, so that moving water does not count as
+    unsettled.
     """
 
     def __init__(

@@ -53,11 +53,12 @@ def permissible_irradiance(wavelength: float, *, exposure: float) -> float:
 
     Notes
     -----
-    IEC 60825-1:2014, table A.1, for an angular subtense of at most 1.5 mrad: by heat
-    :math:`18\, t^{3/4}` J/m2 up to 10 s and 10 W/m2 beyond; by photochemistry, from
-    10 s on and below 600 nm, :math:`100\, C_3` J/m2 up to 100 s and :math:`C_3` W/m2
-    beyond, with :math:`C_3 = 10^{0.02 (\lambda / \mathrm{nm} - 450)}` and at least 1.
-    The smaller one counts.
+    The limits are from IEC 60825-1:2014, table A.1, for an angular subtense of at most
+    1.5 mrad. Thermal limit: :math:`18\, t^{3/4}` J/m2 up to 10 s and 10 W/m2 beyond.
+    Photochemical limit, from 10 s on and below 600 nm: :math:`100\, C_3` J/m2 up to
+    100 s and :math:`C_3` W/m2 beyond, with
+    :math:`C_3 = 10^{0.02 (\lambda / \mathrm{nm} - 450)}`, at least 1. The smaller limit
+    applies.
 
     Examples
     --------
@@ -104,10 +105,10 @@ def hazard(
 ) -> Hazard:
     """Return the eye hazard of the laser beam of a survey.
 
-    The beam grows by its divergence, in water by that over the refractive index; water
-    absorbs. What it scatters forward may still reach the eye, so scattering counts as
-    no protection. A modulation period below 5 us is one pulse with its neighbours, so
-    that the mean power counts.
+    The beam widens by its divergence, in water by the divergence over the refractive
+    index, and is absorbed. Scattering counts as no protection, because light scattered
+    forward may still reach the eye. Periods of the modulation below 5 us count as one
+    pulse, so that the mean power applies.
     """
     if not (beam_diameter > 0 and divergence >= 0):
         raise ValueError(

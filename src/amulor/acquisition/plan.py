@@ -71,8 +71,8 @@ class Step:
     def without(self, done: Container[Key]) -> Step | None:
         """Return the dwell with only its missing samples; None if there are none.
 
-        All modulation frequencies stay: light at one frequency must not depend on
-        whether the sample at another one is missing.
+        All modulation frequencies are kept, because light at one frequency must not
+        depend on whether the sample at another one is missing.
         """
         remaining = [key for key in self.keys if key not in done]
         return (

@@ -51,12 +51,12 @@ def names(part: str) -> list[str]:
     Parameters
     ----------
     part : str
-        One of `GROUPS`.
+        Part of the instrument, a name in `GROUPS`.
 
     Returns
     -------
     list of str
-        In alphabetical order.
+        Names in alphabetical order.
     """
     return list(_plugins.names(GROUPS[part]))
 
@@ -67,16 +67,16 @@ def make(part: str, name: str, wiring: Wiring) -> Any:
     Parameters
     ----------
     part : str
-        One of `GROUPS`.
+        Part of the instrument, a name in `GROUPS`.
     name : str
-        Name of its entry point.
+        Name of the entry point.
     wiring : Wiring
-        Arguments of its factory.
+        Arguments for the factory.
 
     Returns
     -------
     object
-        Device with the protocol of its part, see `amulor.acquisition.protocols`.
+        Device with the protocol of its part; see `amulor.acquisition.protocols`.
 
     Raises
     ------

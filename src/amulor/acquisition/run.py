@@ -228,32 +228,32 @@ def acquire(
     folder : pathlib.Path
         Folder of the scan; created if it does not exist.
     settings : Settings, optional
-        Devices and procedure; the embedded simulated ones by default.
+        Devices and procedure; by default simulated devices in this program.
     resume : bool
-        Go on with the scan in the folder instead of beginning one.
+        Whether the scan in the folder is continued.
     retake_flagged : bool
-        Acquire overloaded and misplaced samples of earlier runs once more, after all
-        missing ones. Each take has a separate key; the last one goes into the cube.
+        Whether overloaded and misplaced samples of earlier runs are acquired again,
+        after all missing ones. Each take has a separate key; the cube gets the last.
     devices : Devices, optional
         Connected devices, instead of those that the settings name. They are made safe
         but not closed.
     scene : callable, optional
-        Light of embedded simulated devices, such as `amulor.simulation.scene_light`;
-        other devices do not need it.
+        Light of the simulated devices, such as `amulor.simulation.scene_light`; other
+        devices do not need it.
     control : Control, optional
-        Interruption; none by default.
+        Interface for pausing or ending the scan; by default none.
     progress : callable
-        Called after each sample.
+        Function called after each sample.
     acknowledged : callable
-        Called with the key of each sample once it survives a loss of power.
+        Function called with the key of each sample once it survives a loss of power.
     ask : callable, optional
-        Shows a request to an operator and returns when it is fulfilled.
+        Function that shows a request to an operator and returns when it is fulfilled.
 
     Returns
     -------
     Outcome
-        `finished` is False only if `control` ended the scan, or if a device could not
-        be made safe in a pause.
+        Result; `finished` is False only if `control` ended the scan, or if a device
+        could not be made safe in a pause.
 
     Raises
     ------

@@ -43,8 +43,8 @@ class DarkLevel:
     def is_dark(self, polarization: str, means: Sequence[float]) -> bool:
         r"""Return whether readings with the laser on contain no light.
 
-        With the standard deviation :math:`s` of one dark reading, n readings and m dark
-        ones, dark is a mean of at most :math:`d + 5 s \sqrt{1 / n + 1 / m}`.
+        With n readings and m dark ones of mean d and standard deviation s, a mean is
+        dark up to :math:`d + 5 s \sqrt{1 / n + 1 / m}`.
         """
         dark = self._readings.get(polarization)
         if not dark or len(means) == 0:

@@ -105,13 +105,13 @@ def pitch_of(survey: Survey) -> float:
 class SweepReader:
     r"""Reader of whole rows in continuous mode.
 
-    The beam moves by one column in one dwell, so that a sample is the mean over its
-    pixel. The lock-in records without a gap. A straight line through readings of the
-    scanner assigns points of the record to pixels, as many to each; a sample has the
-    direction of the middle of its points. The output of the filter at the start of a
-    pixel is subtracted (`amulor.acquisition.uncertainty.filtered_input`): no light of
-    one pixel enters the next one, and the noise of neighbors is independent. The error
-    by an edge of the scene inside one interval is a separate term
+    The beam moves by one column during one dwell, so that a sample is the mean over its
+    pixel. The lock-in records without gaps. A straight line fitted to readings of the
+    scanner assigns an equal number of points to each pixel. A sample has the direction
+    of the middle of its points. The output of the filter at the start of a pixel is
+    subtracted (`amulor.acquisition.uncertainty.filtered_input`). Light of one pixel
+    thus does not enter the next, and the noise of neighbors is independent. The error
+    due to an edge of the scene within one interval is a separate term
     (`amulor.acquisition.uncertainty.edge_error`).
     """
 

@@ -23,8 +23,8 @@ def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.flo
 
     Notes
     -----
-    White noise behind a one-pole filter keeps :math:`r = e^{-s}` of itself from one
-    reading to the next, so that the mean of n has the fraction
+    White noise behind a one-pole filter has the correlation :math:`r = e^{-s}` between
+    successive readings. The mean of n readings therefore has the variance ratio
 
     .. math:: \frac{1}{n} \left[ 1 + 2 \sum_{k=1}^{n-1} (1 - k / n) r^k \right]
         = \frac{1}{n} \left[ \frac{1 + r}{1 - r}
@@ -69,7 +69,7 @@ def filtered_input(
 
     .. math:: u_k = \frac{y_k - r_k y_{k-1}}{1 - r_k}.
 
-    White noise makes independent errors of the :math:`u_k`.
+    White noise gives independent errors of the :math:`u_k`.
 
     Examples
     --------
@@ -133,8 +133,9 @@ def input_variance_ratio(
 
     Notes
     -----
-    One settled output counts for two time constants, so n intervals count for
-    :math:`2 n T \tanh(s / 2)`: of one time constant each, for 0.92 of their time.
+    A settled output integrates the input over two time constants. The inputs of n
+    intervals integrate over :math:`2 n T \tanh(s / 2)`, which for intervals of one time
+    constant is 0.92 of their duration.
 
     Examples
     --------

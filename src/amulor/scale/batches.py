@@ -42,9 +42,11 @@ def spread_batches(
 ) -> Iterator[Spread]:
     """Compute the batches of a photon transport run on a cluster.
 
-    Notes ----- Size and random numbers of a batch follow from the run and the number of
-    the batch, and batches are added in order. The result has equal bytes with any
-    number of workers and without a cluster.
+    Notes
+    -----
+    Size and random numbers of a batch follow from the run and the number of the batch,
+    and batches are added in order. The result has equal bytes with any number of
+    workers and without a cluster.
 
     Examples
     --------

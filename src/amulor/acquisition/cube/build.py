@@ -66,21 +66,22 @@ def recover(
     folder : pathlib.Path
         Folder of the scan.
     output : pathlib.Path, optional
-        File to write; `cube.nc` in the folder by default.
+        File to write; by default `cube.nc` in the folder.
     calibration : Calibration, optional
-        Delays of the instrument, which are subtracted from the phases.
+        Phase delays of the instrument, which are subtracted from the phases.
     overwrite : bool
         Whether an existing file is replaced.
     told : callable
-        Called with a line for each damaged row of the journal, which is left out; with
-        more than 20 of them, with their number.
+        Function called with a line of text for each damaged row of the journal, which
+        is omitted; with more than 20 rows, with their number.
     damaged : callable, optional
-        Called with these lines in place of `told`.
+        Function called with these lines instead of `told`.
 
     Returns
     -------
     pathlib.Path
-        The file, read back and compared with the journal. The journal stays in place.
+        Path of the file, which was read back and compared with the journal. The journal
+        stays in place.
 
     Raises
     ------
@@ -142,9 +143,9 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     Parameters
     ----------
     journal : Journal
-        Of a scan, finished or not; samples that it lacks are not numbers.
+        Journal of a scan, finished or not; missing samples become NaN.
     calibration : Calibration, optional
-        Delays of the instrument, which are subtracted from the phases.
+        Phase delays of the instrument, which are subtracted from the phases.
 
     Returns
     -------
@@ -160,12 +161,12 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
 
     Notes
     -----
-    The mean of the dark readings of a channel is subtracted from its samples. The
-    variance is the sum of counting, of the phase floor of the survey and of that mean.
-    Counting follows from the mean output of the detector, or, where that is not wired,
-    from the amplitude, which is a lower limit. The modulation frequencies are those
-    that the instrument reads back, since ranges follow from them; the commanded ones
-    are in the survey.
+    The mean of a channel's dark readings is subtracted from its samples. The variance
+    is the sum of counting noise, the phase floor of the survey, and the variance of
+    that mean. Counting noise follows from the mean output of the detector. If the mean
+    output is not connected, it follows from the amplitude, as a lower limit. The cube
+    has the modulation frequencies that the instrument reads back, since ranges follow
+    from them; the survey has the commanded ones.
 
     Examples
     --------

@@ -79,17 +79,17 @@ class Calibration(Description):
         Parameters
         ----------
         path : str or pathlib.Path
-            TOML file that `to_toml` wrote.
+            File from `to_toml`.
 
         Returns
         -------
         Calibration
-            In SI units.
+            Calibration in SI units.
 
         Raises
         ------
         FormatError
-            If it cannot be read, with one line for each thing that is wrong.
+            If the file is invalid; the message has one line per error.
         """
         text = toml_file.text_of(path, error=FormatError)
         return cls.from_text(text, name=str(Path(path)))
@@ -101,14 +101,15 @@ class Calibration(Description):
         Parameters
         ----------
         text : str
-            TOML, also that of the attribute `calibration` of a cube.
+            Content of a calibration file (TOML), or of the attribute `calibration` of a
+            cube.
         name : str
             Name of the calibration in messages.
 
         Returns
         -------
         Calibration
-            In SI units.
+            Calibration in SI units.
 
         Raises
         ------
@@ -125,7 +126,7 @@ class Calibration(Description):
         Returns
         -------
         str
-            Text that `from_toml` reads back to an equal calibration.
+            Text that `from_toml` converts back to an equal calibration.
         """
         import tomli_w
 
@@ -166,16 +167,17 @@ def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration
     Parameters
     ----------
     plates : sequence of xarray.Dataset
-        Cubes of level `target_signal`, recorded without a calibration: the plate
-        alone, through filters of different density if there are several.
+        Cubes of level `target_signal`, recorded without a calibration. The plate is the
+        only target; several cubes differ by density filters.
     distance : float
-        Forward coordinate of the plate, which stands square to it, above zero [m].
+        Forward coordinate of the plate, above zero [m]. The plate is perpendicular to
+        the forward axis.
 
     Returns
     -------
     Calibration
-        For each frequency the delay at the mean amplitude of each cube, the strongest
-        channel of polarization in the middle half of rows and columns.
+        For each frequency, the delay at the mean amplitude of each cube, from the
+        strongest channel in the middle half of rows and columns.
 
     Raises
     ------
@@ -186,9 +188,9 @@ def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration
 
     Notes
     -----
-    The delay is the phase of the sum of all samples, each without the phase of its
-    path: 2 pi f / c times the group index times the length, out to the plate and back
-    to the receiver.
+    The delay is the phase of the sum of all samples, after subtraction of the phase of
+    each path. That is 2 pi f / c times the group index times the length to the plate
+    and back to the receiver.
 
     Examples
     --------

@@ -131,8 +131,9 @@ class LabjackOutputs:
 class Mirror:
     """Calibration of a mirror: beam angle as a function of voltage.
 
-    A line for three or four pairs, a parabola from five on, by least squares; `spread`
-    is the standard deviation of the residuals, the uncertainty of an angle.
+    The fit is a line for three or four pairs, and a parabola for five or more, by least
+    squares. `spread` is the standard deviation of the residuals, the uncertainty of an
+    angle.
     """
 
     def __init__(self, settings: MirrorSettings) -> None:

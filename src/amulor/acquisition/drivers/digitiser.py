@@ -21,11 +21,12 @@ _PRESENT = 10.0
 class DigitiserLockIn:
     """Software lock-in amplifier that demodulates detector records of a digitizer.
 
-    Phases are those of the detector against the reference, tone by tone, so that
-    neither the start of a record nor a common trigger matters; a difference of the
-    clocks of digitiser and generator is found in the reference and taken out. There is
-    no output filter, and nothing is waited for. Where no reference is recorded, the
-    digitiser promises to start each record in phase with its own generator.
+    Phases are those of the detector relative to the reference, tone by tone, so that
+    the start of a record has no effect and no trigger is needed. The frequency
+    difference between the clocks of digitizer and generator is estimated from the
+    reference and corrected. There is no output filter that must settle. Without a
+    recorded reference, the digitizer must start each record in phase with its
+    generator.
     """
 
     #: It integrates by itself, without a filter to settle, and estimates its errors.

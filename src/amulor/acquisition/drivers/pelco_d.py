@@ -65,10 +65,10 @@ def frame(number: int, command: int, value: int = 0) -> bytes:
 class PelcoHead:
     """Pan-tilt head that turns the whole instrument.
 
-    Set positions are 0x4B and 0x4D, questions 0x51 and 0x53, answers 0x59 and 0x5B. A
-    head reports neither arrival nor refusal. It has arrived when two positions in a row
-    lie within 0.02 degrees of its goal. One at rest, more than half a degree off, is an
-    error.
+    Commands for positions are 0x4B and 0x4D, queries 0x51 and 0x53, answers 0x59 and
+    0x5B. A head reports neither arrival nor refusal. It has arrived when two successive
+    positions lie within 0.02 degrees of the goal. A head at rest more than half a
+    degree from the goal is an error.
     """
 
     def __init__(

@@ -32,8 +32,8 @@ _MOUNT_OFF, _TARGET_OFF = 0.5, 1.0
 class PiController:
     """Stage controller of Physik Instrumente with one or more axes.
 
-    Lines end with a line feed; in an answer of several lines all but the last end with
-    a space before it (chapter "GCS commands" of the manuals, such as MS249E, page 116).
+    Lines end with a line feed. In an answer of several lines, all but the last have a
+    space before it (chapter "GCS commands" of the manuals, such as MS249E, page 116).
     """
 
     #: What a line ends with on a serial port.
@@ -239,7 +239,7 @@ class PiScanner(_OnController):
         Notes
         -----
         Axes already at their goal are not moved. Velocities (VEL) are constant over the
-        whole path; the next move and the end restore those set before.
+        whole path; the next move, or the end of the scan, restores the former ones.
         """
         if not self._fast:
             self._fast = self._controller.velocities(self._axes)

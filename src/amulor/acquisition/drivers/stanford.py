@@ -171,12 +171,12 @@ class Sr844(Stanford):
     """Lock-in amplifier SR844, with its internal oscillator as the reference.
 
     The commands are those of chapter 4 of its manual: syntax (4-8, 4-10), SNAP? (4-25,
-    4-26), LIAS? (4-32). It counts in volts rms and its phase falls with delay; readings
-    are peak amplitudes whose phase rises with delay.
+    4-26), LIAS? (4-32). Its outputs are in volts rms, with a phase that falls with
+    delay; readings are peak amplitudes with a phase that rises with delay.
 
-    Everything is answered over the interface that OUTX names (4-10), which is sent
-    first: 1 for GPIB, 0 for the serial port, also behind a converter to a network. By
-    ASCII it makes about 60 readings a second.
+    Answers go to the interface set by OUTX (4-10), which is sent first: 1 for GPIB, 0
+    for the serial port, also behind a network converter. With ASCII the instrument
+    gives about 60 readings a second.
     """
 
     model = "SR844"

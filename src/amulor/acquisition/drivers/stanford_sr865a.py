@@ -57,9 +57,9 @@ class Sr865a(Stanford):
 
     The commands are those of the remote programming chapter of its manual: RSRC, FREQ,
     OFLT, OFSL, SCAL, IRNG, SNAP?, LIAS?, AUXV. Outputs that the panel counts from 1 to
-    4 are 0 to 3 in AUXV, as in the maker's own package srsinst.sr860. It counts in
-    volts rms and its phase falls with delay; readings are peak amplitudes whose phase
-    rises with delay.
+    4 are 0 to 3 in AUXV, as in the maker's own package srsinst.sr860. Its outputs
+    are in volts rms, with a phase that falls with delay; readings are peak amplitudes
+    with a phase that rises with delay.
     """
 
     model = "SR865A"
@@ -167,11 +167,11 @@ class Sr865a(Stanford):
         its fastest rate, and every n-th point is queried: finer steps lose less time
         before the first point.
 
-        A point counts only if it was recorded after this call. With n points at the
-        answer to a query and the rate f, the buffer began after :math:`t_s - n / f`,
-        where :math:`t_s` is the time of the query, however late the answer. The latest
-        of these bounds counts, less the drift of the clocks since. Answers give an
-        upper bound, which checks that the instrument counts as assumed.
+        Only points recorded after this call are used. If a query sent at :math:`t_s`
+        reports n points at the rate f, the buffer began after :math:`t_s - n / f`,
+        regardless of the delay of the answer. The latest of these bounds is used, less
+        the drift of the clocks since then. The times of answers give an upper bound,
+        which checks that the instrument counts as assumed.
         """
         for _ in range(_ATTEMPTS):
             try:
@@ -225,8 +225,8 @@ class Sr865a(Stanford):
 
         Notes
         -----
-        A buffer with enough room continues. Else it restarts, at a lower rate if its
-        fastest one would fill it earlier.
+        A buffer with enough remaining time continues. Otherwise it restarts, at a lower
+        rate if the fastest rate would fill it too early.
         """
         if self._room() < duration:
             self._start_capture(duration)
@@ -335,7 +335,7 @@ class Sr865a(Stanford):
     def _start_capture(self, duration: float = 0.0) -> float:
         """Restart the capture buffer; return its sample rate [1/s].
 
-        The rate is the fastest one that leaves room for a time [s].
+        The rate is the fastest one at which the buffer lasts for the duration [s].
         """
         if self._rate:
             self._link.send("CAPTURESTOP")

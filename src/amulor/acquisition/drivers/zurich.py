@@ -149,7 +149,7 @@ def _explained(method: _Method) -> _Method:
 class ZurichLockIn:
     """Lock-in UHFLI or HF2LI: first input and output, and one or more oscillators.
 
-    Its demodulators count in volts rms, and their phase falls with delay. Several
+    Its demodulators output volts rms, with a phase that falls with delay. Several
     frequencies at once need the option MF: oscillator, demodulator and mixer channel n
     belong together. A record comes from the stream of the data server. It begins at
     the time of the instrument's clock at the request, however late the data arrive.
@@ -283,7 +283,7 @@ class ZurichLockIn:
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
         """Set the modulation frequency [Hz]; return the actual one [Hz].
 
-        The oscillator is the reference itself: there is nothing to lock to.
+        The oscillator is the reference itself, so that there is no lock to wait for.
         """
         return self.set_frequencies([frequency], timeout=timeout)[0]
 

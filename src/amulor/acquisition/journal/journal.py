@@ -72,13 +72,12 @@ class Journal:
         Returns
         -------
         sqlite3.Connection
-            The lock, for `create`; closing it releases the folder.
+            Lock for `create`; closing it releases the folder.
 
         Raises
         ------
         FormatError
-            If there is a journal, or a part of one, or if another program is about to
-            write one.
+            If there is a journal or a part of one, or if another program starts one.
         """
         claim = journal_file.claimed(folder)
         # Checked under the claim: no other program can create one in between.
@@ -113,19 +112,19 @@ class Journal:
         folder : pathlib.Path
             An existing folder without a journal.
         meta : mapping
-            Description of the scan; `refuse_another` lists the keys that it compares.
+            Metadata of the scan; `refuse_another` lists the keys that it compares.
         claim : sqlite3.Connection, optional
-            Lock from `claim`; taken now if left out.
+            Lock from `claim`; by default it is taken now.
 
         Returns
         -------
         Journal
-            Empty, on disk, and locked against other writers.
+            Empty journal on disk, locked against other writers.
 
         Raises
         ------
         FormatError
-            If there is a journal, or if it cannot be made.
+            If there is a journal, or if it cannot be created.
         """
         claim = claim or cls.claim(folder)
         path = folder / FILE_NAME
@@ -149,12 +148,12 @@ class Journal:
         folder : pathlib.Path
             Folder of the scan.
         meta : mapping
-            Present description of the scan, as for `refuse_another`.
+            Present metadata of the scan, as for `refuse_another`.
 
         Returns
         -------
         Journal
-            Locked against other writers.
+            Journal, locked against other writers.
 
         Raises
         ------
@@ -196,7 +195,7 @@ class Journal:
         Returns
         -------
         Journal
-            Every method that writes raises.
+            Journal, of which every method that writes raises.
 
         Raises
         ------
@@ -286,7 +285,7 @@ class Journal:
         Parameters
         ----------
         key : Key
-            Must be new.
+            New key of the sample.
         record : Record
             Measured quantities.
 
@@ -348,13 +347,13 @@ class Journal:
         Parameters
         ----------
         than : int
-            Number of the last sample read before, 0 for all [1].
+            Number of the last known sample, 0 for none [1].
 
         Returns
         -------
         list of tuple
-            Number, key and record, in the order of acquisition; read at once, so that
-            no reader blocks the writer.
+            Number, key and record in the order of acquisition. They are read at once,
+            so that no reader blocks the writer.
         """
         entries = self.meta()
         with explained(self._path):
@@ -435,13 +434,13 @@ class Journal:
         Parameters
         ----------
         meta : mapping
-            `survey_digest`, and `instrument_digest` with `identities`; keys that are
-            left out are not compared.
+            `survey_digest`, and `instrument_digest` with `identities`; missing keys are
+            not compared.
 
         Raises
         ------
         FormatError
-            If the schema is another one.
+            If the schema differs.
         SurveyError, InstrumentError
             If the survey or the instrument is.
         """

@@ -132,8 +132,8 @@ class SerialPort:
 class Link:
     """Link through PyVISA: GPIB, serial port, USB or network.
 
-    Lines end with a line feed everywhere but on a serial port of an instrument that
-    ends them otherwise, as an SR844 does.
+    Lines end with a line feed, except on the serial port of an instrument with another
+    line end, such as an SR844.
     """
 
     def __init__(

@@ -21,7 +21,7 @@ class Speaker(Protocol):
     def answer(self, line: str) -> Sequence[str | bytes]:
         """Return the answers to one command line, if any.
 
-        Text is ended by a line feed; bytes, such as a binary block, by nothing.
+        A line feed ends each text; nothing is added to bytes, such as a binary block.
 
         A device with an attribute `at_once` (bytes) receives each of these characters
         without the end of a line. A method `cutter` returns an object like `_Lines`,

@@ -393,17 +393,17 @@ class Settings(Description):
         Parameters
         ----------
         path : str or pathlib.Path
-            TOML file.
+            Devices file (TOML).
 
         Returns
         -------
         Settings
-            In SI units.
+            Settings in SI units.
 
         Raises
         ------
         InstrumentError
-            With one line for each thing that is wrong.
+            If the file is invalid; the message has one line per error.
         """
         return toml_file.described(
             toml_file.text_of(path, error=InstrumentError),
@@ -419,7 +419,7 @@ class Settings(Description):
         Returns
         -------
         str
-            Text that `from_toml` reads back to equal settings.
+            Text that `from_toml` converts back to equal settings.
         """
         import tomli_w
 

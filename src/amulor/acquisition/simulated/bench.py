@@ -123,8 +123,8 @@ class Bench:
     """Laser, water, target, detector and lock-in filter of a survey, over time.
 
     Simulated devices set its inputs and read its output. A direction between pixels has
-    the light of the nearest pixel or shot, also while the beam moves: the filter
-    integrates all of the path. Safe to use from several threads.
+    the light of the nearest pixel or shot. The filter integrates the light along the
+    whole path of a moving beam. Several threads may use a bench.
     """
 
     def __init__(
@@ -298,7 +298,7 @@ class Bench:
     def output(self) -> tuple[complex, float]:
         """Return the filtered peak signal and the mean output of the detector [V].
 
-        Each call counts as a reading, by which faults are timed.
+        Each call counts as a reading; faults begin at given readings.
         """
         signals, mean = self.outputs()
         return signals[0], mean

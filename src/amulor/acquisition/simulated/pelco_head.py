@@ -39,9 +39,9 @@ class _Frames:
 class SimulatedPelcoHead:
     """Simulated Pelco-D pan-tilt head that points the beam of a simulated bench.
 
-    As real heads, it ignores frames with another number, a wrong checksum or an unknown
-    command, and acknowledges others by four bytes. It stops at its limits. Positions
-    can be queried while it turns.
+    Like real heads, it ignores frames with another number, a wrong checksum or an
+    unknown command, and acknowledges others by four bytes. It stops at its limits.
+    Positions can be queried while it turns.
     """
 
     def __init__(self, bench: Bench, number: int = 1) -> None:
