@@ -1,4 +1,4 @@
-// The page of a scan: what is shown, what is pointed at, and who is told.
+// Page of a scan: the view, the pixel under the pointer, and the links between all panels.
 
 import { CloudView } from "./cloud.js";
 import { $, inkOf, made } from "./dom.js";
@@ -78,7 +78,7 @@ function draw() {
   document.documentElement.dataset.ready = "yes";
 }
 
-/** Draw what depends on the pixel pointed at, over what is drawn already. */
+/** Draw overlays that depend on the pixel under the pointer. */
 function drawPointer() {
   if (!state.scene?.maps.has(state.layerName)) return;
   views.map.point(state, page.colours);
@@ -86,7 +86,7 @@ function drawPointer() {
   drawProfile($("profile"), state, page.colours);
 }
 
-/** Return the unit in which the limits of a map read well. */
+/** Return a unit that gives the limits of a map few digits. */
 function unitOf({ kind, unit }) {
   if (kind === "range") return { unit, factor: 1 };
   return scaled(Math.max(...state.limits.map(Math.abs)), unit);
@@ -114,7 +114,7 @@ function shownRaw() {
   return state.raw && state.scene.byName.has(`${state.scene.main}_before`);
 }
 
-/** Return the noise of means over neighbours, and the slope that it makes by itself. */
+/** Return the noise of means over neighbors, and the slope that this noise causes. */
 function noiseOf(reach) {
   const { scene } = state;
   const middle = (name) => {
@@ -125,13 +125,13 @@ function noiseOf(reach) {
   const common = middle("common") || 0;
   const wide = 2 * reach + 1;
   const noise = Math.sqrt(Math.max(total ** 2 - common ** 2, 0)) / wide;
-  // Two such means, two pixels apart, have a part of their pixels in common.
+  // Two such means, two pixels apart, share some of their pixels.
   const apart = 1 - Math.max(wide - 2, 0) / wide;
   const slope = Math.atan((Math.sqrt(2 * apart) * noise) / (2 * scene.spacing.column));
   return { wide, noise, degrees: (slope * 180) / Math.PI };
 }
 
-/** Choose a smoothing in which noise makes no relief; no light where none does. */
+/** Choose a smoothing in which noise causes no visible relief; without one, no shading. */
 function calm() {
   const { scene } = state;
   if (!scene.maps.has("uncertainty")) return;
@@ -140,12 +140,12 @@ function calm() {
   while (reach < most && noiseOf(reach).degrees > 6) reach += 1;
   $("reach").value = String(reach);
   $("light").checked = noiseOf(reach).degrees <= 12;
-  // Noise of single pixels that is steeper than this would be all there is to see.
+  // Noise of single pixels steeper than this would hide all relief.
   $("averaged").checked = noiseOf(0).degrees > 35 && noiseOf(reach).degrees <= 12;
   for (const name of [scene.main, "range_before"]) scene.smooth(name, reach);
 }
 
-/** Say beside the light what it can show. */
+/** Describe next to the shading option what shading can show. */
 function lightNote() {
   if (!state.scene.maps.has("uncertainty")) return;
   const { wide, noise, degrees } = noiseOf(Number($("reach").value));
@@ -155,7 +155,7 @@ function lightNote() {
   $("light-note").dataset.slope = String(degrees);
 }
 
-/** Return what is shown, for the line below the title. */
+/** Return a description of the view, for the line below the title. */
 function subtitle(scene) {
   const strided = scene.stride > 1 ? `, every ${scene.stride}th row and column drawn` : "";
   const parts = [
@@ -174,7 +174,7 @@ function channels(scene) {
   $("channel").replaceChildren(...scene.channels.map(option));
 }
 
-/** Say which of the maps with and without the water signal there are. */
+/** Update the switch between the maps with and without the water signal. */
 function switches(scene) {
   const [without, within] = $("water").querySelectorAll("button");
   const both = scene.byName.has("range") && scene.byName.has("range_before");
@@ -199,7 +199,7 @@ async function opened(channel) {
   await show(
     scene.byName.has(state.layerName) ? state.layerName.replace("_before", "") : scene.main,
   );
-  // The view of a scan that grows grows with it, until someone moves it.
+  // The view of a running scan grows with it, until the user moves the view.
   if (!views.placed || (state.live && !shownRaw() && !views.cloud.moved())) {
     views.cloud.home(scene);
     views.placed = true;
@@ -267,7 +267,7 @@ function thumbnails() {
     fitted(canvas);
     const { width, height } = canvas;
     const tall = scene.high * scene.aspect;
-    // The whole width, the middle of the height: a strip that fills its place.
+    // The whole width and the middle of the height, to fill the panel.
     const per = Math.min(scene.wide / width, tall / height);
     const parts = scene.uniforms(name, limitsOf(name), {
       ...state.look,
@@ -285,7 +285,7 @@ function thumbnails() {
   }
 }
 
-/** Return the map that a tab stands for: before or after, as the switch says. */
+/** Return the map of a tab: before or after rejection, according to the switch. */
 function actual(name) {
   const { scene } = state;
   const before = `${name}_before`;
@@ -299,7 +299,7 @@ function limitsOf(name) {
   const { scene } = state;
   const own = scene.limits(name);
   if (key === name || !scene.maps.has(key)) return own;
-  // The same span for both, so that the switch shows what became of the shape.
+  // Both maps have equal limits, so that the switch shows how the shape changes.
   const after = scene.limits(key);
   const shift = key === "range" ? (own[0] + own[1] - after[0] - after[1]) / 2 : 0;
   const middle = sampled(scene.maps.get(name).values, 4000)
@@ -413,7 +413,7 @@ function readout() {
     ...cursor,
     scene.maps.has("flags") && !waterIn ? "flags" : "flags_before",
   );
-  // A row of a running scan has its range at once, errors and flags with the next picture.
+  // A new row of a running scan has ranges at once, errors and flags after recomputation.
   const fresh =
     Number.isFinite(waterIn ? raw : range) && flags.some((flag) => flag.name === "missing");
   if (fresh) rows.splice(1, 0, ["error", "being estimated", ""]);
@@ -465,12 +465,12 @@ async function finish() {
   } catch (error) {
     words = [error.message, true];
   }
-  // What the user did meanwhile has said something newer.
+  // The user has since caused a newer message.
   if (before === page.hints) page.hint(...words);
   page.redraw();
 }
 
-/** Return a measurement in words, for the list. */
+/** Return a measurement as text, for the list. */
 function said({ kind, channel, found }) {
   const { main: parts, rests } = tools.worded(found);
   const name = page.tool(kind).name;
@@ -478,7 +478,7 @@ function said({ kind, channel, found }) {
   return { main: parts[0], doubt: found.doubt, words: words.filter(Boolean).join(" · ") };
 }
 
-/** Drags on the map that are no pan: regions of fits and the line of a section. */
+/** Drags on the map other than panning: regions of fits and the line of a section. */
 function dragged(phase, start, event, view) {
   const tool = page.tool();
   const line = state.profileKind === "section" && state.drawing;
@@ -515,7 +515,7 @@ function profileAlong(kind) {
   page.redraw();
 }
 
-/** A view as a picture that says what it shows. */
+/** Picture of a view with title, color scale and description. */
 async function picture(view) {
   const { scene } = state;
   const layer = scene.byName.get(state.layerName);
@@ -602,13 +602,13 @@ const KEYS = {
   Enter: entered,
 };
 
-/** Change between the surface through the pixels and the points alone. */
+/** Switch between the surface through the pixels and points only. */
 function pointsOrSurface() {
   views.cloud.points = !views.cloud.points;
   $("points").setAttribute("aria-pressed", String(views.cloud.points));
 }
 
-/** Close a measurement that has its points, or else pick the pixel pointed at. */
+/** Finish a measurement that has enough points, or else pick the pixel under the pointer. */
 function entered() {
   const least = page.tool()?.least;
   if (least && state.picks.length >= least) finish();
@@ -644,7 +644,7 @@ function numbered(at) {
   return Boolean(name);
 }
 
-/** Return why a tool is not there: what needs the server in a saved page. */
+/** Return why a tool is missing: it needs the server, which a saved page does not have. */
 function unable({ kind, axis }) {
   const alone = kind === "distance" || axis;
   return state.source.saved && !alone ? "Needs the server: open the file by amulor view" : "";
@@ -715,18 +715,18 @@ function thumbnailsLater() {
 
 let reloading = Promise.resolve();
 
-/** What the live part needs of the page. */
+/** Functions of the page that the live view calls. */
 const forLive = {
   state,
   say,
   unsay,
   colours: () => page.colours,
-  /** Load all maps again: they were worked out anew. */
+  /** Load all maps again after a recomputation. */
   async reload() {
     const before = state.scene.limits(state.scene.main);
     const nothing = before[0] === 0 && before[1] === 1;
     if (nothing) views.placed = state.calmed = false;
-    // One after the other: two at once would mix their maps.
+    // Loads run one after the other; two at once would mix their maps.
     reloading = reloading
       .catch(() => {})
       .then(async () => {
@@ -737,13 +737,13 @@ const forLive = {
       });
     return reloading;
   },
-  /** Point at the newest row of a running scan, unless somebody points elsewhere. */
+  /** Move the cursor to the newest row of a running scan, unless the user has moved it. */
   follow(row) {
     const { cursor, pinned, scene } = state;
     const to = row - (row % scene.stride);
     if (state.follow && !pinned && cursor && cursor[0] !== to) point([to, cursor[1]]);
   },
-  /** Show what came in, in colours that fit it. */
+  /** Draw new rows, with color limits that include them. */
   refresh() {
     state.limits = limitsOf(state.layerName);
     readout();
@@ -756,7 +756,7 @@ async function main() {
   state.renderer.lost = () => say("The graphics unit was lost; reload the page.");
   page.theme();
   const hover = (pixel) => {
-    // A pointer that was moved stays; a double click lets it follow a scan again.
+    // A moved cursor stays where it is; a double click makes it follow the scan again.
     if (pixel !== undefined) state.follow = pixel === null;
     return point(pixel);
   };
@@ -783,7 +783,7 @@ async function main() {
   document.documentElement.dataset.complete = "yes";
 }
 
-// In a report, the map and the points alone; measuring goes on in the map.
+// Inside a report only map and points are shown; measuring works in the map.
 if (window.self !== window.top) document.documentElement.dataset.embedded = "yes";
 Object.assign(window, { amulor: state });
 main().catch(failed);

@@ -1,4 +1,4 @@
-// A camera that goes around what it looks at; matrices in the order of WebGL.
+// Camera that orbits its target; matrices have the element order of WebGL.
 
 /** @typedef {[number, number, number]} Point */
 
@@ -15,7 +15,7 @@ const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
  */
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
-/** Turns about a point, from the side of the instrument; "up" is up in the water. */
+/** Camera that orbits a point; "up" is the upward direction in the water. */
 export class Camera {
   /** Angle from the lowest to the highest line of sight [rad]. */
   static ANGLE = (38 * Math.PI) / 180;
@@ -30,7 +30,7 @@ export class Camera {
   rise = 0.42;
 
   /**
-   * Look at a thing of some size from a little above and to the side.
+   * Look at an object of a given size, slightly from above and from the side.
    * @param {{target: Point, size: number}} thing
    */
   home({ target, size }) {
@@ -42,7 +42,7 @@ export class Camera {
   }
 
   /**
-   * Come so near that places just fit into a view of some width to height.
+   * Move so close that all points just fit into a view of a given aspect ratio.
    * @param {number[][]} places
    * @param {number} aspect
    */
@@ -61,7 +61,7 @@ export class Camera {
     if (distance > 0) this.distance = clamp(distance, this.start.size * 0.01, this.start.size * 20);
   }
 
-  /** Look straight along the beams, as the map does. */
+  /** Look along the beams, as in the map. */
   straight() {
     this.turn = 0;
     this.rise = 0;
@@ -91,7 +91,7 @@ export class Camera {
   }
 
   /**
-   * Move by parts of the view's height.
+   * Move by fractions of the view's height.
    * @param {number} dx
    * @param {number} dy
    */
@@ -101,7 +101,7 @@ export class Camera {
     for (let k = 0; k < 3; k += 1) this.target[k] += (-dx * right[k] + dy * up[k]) * span;
   }
 
-  /** Return how many metres the view is high where the target is. */
+  /** Return the height of the view at the distance of the target [m]. */
   span() {
     return 2 * this.distance * Math.tan(Camera.ANGLE / 2);
   }
@@ -123,7 +123,7 @@ export class Camera {
     return this.target.map((part, k) => part - forward[k] * this.distance);
   }
 
-  /** Return how near and how far is drawn [m]. */
+  /** Return the distances of the near and the far clipping plane [m]. */
   planes() {
     return [
       Math.max(this.distance - 6 * this.start.size, this.distance * 0.02),
@@ -132,7 +132,7 @@ export class Camera {
   }
 
   /**
-   * Return the matrix from metres to the view.
+   * Return the matrix from coordinates [m] to the view.
    * @param {number} aspect
    */
   matrix(aspect) {
@@ -154,8 +154,8 @@ export class Camera {
 }
 
 /**
- * Return middle and size of places, all but the outermost, and the places within: a few
- * that stand far off make nothing small.
+ * Return center and size of points without outliers, and these points, so that a few
+ * far points do not shrink the view.
  * @param {Point[]} places
  */
 export function extent(places) {
@@ -176,7 +176,7 @@ export function extent(places) {
 }
 
 /**
- * Return a matrix that stretches x and y, and makes (a z + b) / (c z + d) of z.
+ * Return a matrix that scales x and y, and maps z to (a z + b) / (c z + d).
  * @param {number} x
  * @param {number} y
  * @param {{a: number, b: number, c: number, d: number}} depth
@@ -207,7 +207,7 @@ export function multiplied(a, b) {
 }
 
 /**
- * Return where a point falls on a canvas, in its own pixels, null behind the eye.
+ * Return the position of a point on a canvas [canvas pixel]; null behind the camera.
  * @param {number[]} matrix
  * @param {number[]} point
  * @param {number} width

@@ -1,4 +1,4 @@
-// The surface of a scan in space, or its points, seen by a camera that goes around them.
+// Surface or points of a scan in space, viewed by an orbiting camera.
 
 import { Camera, extent, projected } from "./camera.js";
 import { inkOf, over, ratioOf, spotOn } from "./dom.js";
@@ -6,12 +6,12 @@ import { clearedOver } from "./map.js";
 import { axes, chains, dot, scaleBar } from "./marks.js";
 import { Motion, turnable } from "./turning.js";
 
-/** Pixels that are drawn at rest, and the fewest while the view moves. */
+/** Number of pixels drawn at rest, and smallest number while the view moves. */
 const RESTING = 2000000;
 const FEWEST = 20000;
-/** Pixels up to which the pointer is followed. */
+/** Largest number of pixels at which the point under the pointer is searched. */
 const HOVERED = 250000;
-/** Time of a frame in motion, above which fewer pixels are drawn, below which more [ms]. */
+/** Frame times in motion above which fewer pixels are drawn, below which more [ms]. */
 const SLOW = 70;
 const FAST = 25;
 const AXES = [
@@ -20,20 +20,20 @@ const AXES = [
   ["forward", [0, 0, 1]],
 ];
 
-/** Draws the surface or the points of a scan and tells what is pointed at. */
+/** View of a scan's surface or points, which reports the pixel under the pointer. */
 export class CloudView {
   constructor(canvas, { hover, pick, changed }) {
     this.canvas = canvas;
     this.context = inkOf(canvas);
     this.over = inkOf(over(canvas));
     this.camera = new Camera();
-    /** Places that are to be in view. */
+    /** Points that must be in view. */
     this.places = /** @type {import("./camera.js").Point[]} */ ([]);
-    /** Distance and pose at which they were put in view. */
+    /** Camera distance and pose when the points were put in view. */
     this.fitting = 1;
     this.placed = "";
     this.motion = new Motion(changed);
-    /** Pixels that are drawn while the view moves; follows from the time that frames take. */
+    /** Number of pixels drawn while the view moves; adapted to the frame time. */
     this.moving = 250000;
     this.points = false;
     turnable(canvas, this.camera, {
@@ -51,7 +51,7 @@ export class CloudView {
     });
   }
 
-  /** Look at a scene as a whole. */
+  /** Show a whole scene. */
   home(scene, shape = scene.main) {
     const places = [];
     const step = Math.max(1, Math.floor(Math.sqrt((scene.wide * scene.high) / 3000)));
@@ -77,7 +77,7 @@ export class CloudView {
     this.#fitted();
   }
 
-  /** Keep another shape of the scene in view, from the same side and as near. */
+  /** Show a changed scene from the same direction and distance. */
   follow(scene, shape) {
     const { turn, rise, target, start, distance } = this.camera;
     const before = this.fitting;
@@ -90,7 +90,7 @@ export class CloudView {
     if (!moved) this.placed = this.#pose();
   }
 
-  /** Return whether someone has turned, moved or zoomed since the scene was put in view. */
+  /** Return whether the user has changed the view since the scene was put in view. */
   moved() {
     return this.#pose() !== this.placed;
   }
@@ -121,7 +121,7 @@ export class CloudView {
     const parts = scene.uniforms(state.layerName, state.limits, state.look);
     const across = Math.ceil(scene.wide / stride);
     const matrix = camera.matrix(width / height);
-    // As large on the screen as the pixels are apart, so that surfaces close.
+    // Dots as large as the spacing of the pixels, so that surfaces have no gaps.
     const gap = Math.max(scene.spacing.row, scene.spacing.column) * stride * 1.32;
     const focal = camera.orthographic
       ? height / camera.span()
@@ -165,13 +165,13 @@ export class CloudView {
     this.point(state, colours);
   }
 
-  /** Draw fewer pixels in motion where a frame took long, more where it did not. */
+  /** Draw fewer pixels in motion after a slow frame, more after a fast one. */
   #paced(time) {
     if (time > SLOW) this.moving = Math.max(this.moving / 2, FEWEST);
     else if (time < FAST) this.moving = Math.min(this.moving * 1.5, RESTING);
   }
 
-  /** Return the pixel whose point is seen at a place, null beside all of them. */
+  /** Return the pixel whose point is at a screen position; null if there is none. */
   seen(event) {
     const { state } = this;
     if (!state) return null;
@@ -187,7 +187,7 @@ export class CloudView {
     return point && projected(this.matrix, point, this.canvas.width, this.canvas.height);
   }
 
-  /** Draw the pointer, on a layer of its own. */
+  /** Draw the cursor on a separate layer. */
   point(state, colours) {
     const ctx = clearedOver(this.over, this.canvas);
     const { scene, cursor } = state;
@@ -207,7 +207,7 @@ export class CloudView {
   }
 }
 
-/** Return the map that the points are made of. */
+/** Return the range map from which the points are computed. */
 function shapeOf({ scene, look }) {
   return look.raw && scene.byName.has("range_before") ? "range_before" : scene.main;
 }

@@ -1,4 +1,4 @@
-// Colours that mean one thing, and that colour-blind people tell apart.
+// Color scales with one meaning each, distinguishable by color-blind readers.
 
 /**
  * @typedef {object} Layer
@@ -24,11 +24,11 @@ const STOPS = {
 
 /** @typedef {keyof typeof STOPS} MapName */
 
-/** Names of all maps of colours. */
+/** Names of all color scales. */
 export const MAPS = /** @type {MapName[]} */ (Object.keys(STOPS));
 
 /**
- * What each kind of map is drawn in.
+ * Color scale of each kind of map.
  * @type {Record<string, MapName>}
  */
 export const MAP_OF = {
@@ -39,7 +39,7 @@ export const MAP_OF = {
   signed: "signed",
 };
 
-// Okabe and Ito's colours, for lines and flags.
+// Colors of Okabe and Ito, for lines and flags.
 export const INK = {
   blue: "#0072B2",
   vermilion: "#D55E00",
@@ -72,7 +72,7 @@ export function flagColour(name) {
 }
 
 /**
- * Return the name of a flag as `amulor explain` takes it.
+ * Return the name of a flag for `amulor explain`.
  * @param {string} name
  */
 export function explained(name) {
@@ -92,7 +92,7 @@ function hexes(name) {
 }
 
 /**
- * Return 256 colours of a map as RGBA bytes.
+ * Return the 256 colors of a scale as RGBA bytes.
  * @param {MapName} name
  */
 export function table(name) {
@@ -111,7 +111,7 @@ export function table(name) {
 }
 
 /**
- * Return the colours of flags, one texel each: 0 is good.
+ * Return the colors of flags, one texel each; texel 0 is for good pixels.
  * @param {Flag[]} flags
  * @param {string} good
  */
@@ -123,7 +123,7 @@ export function flagTable(flags, good) {
 }
 
 /**
- * Return which texel of `flagTable` each pixel has: of its first flag that makes it
+ * Return the texel of `flagTable` for each pixel: that of its first flag that makes it
  * unusable, or else of its first flag.
  * @param {ArrayLike<number>} values
  * @param {Flag[]} flags

@@ -1,8 +1,8 @@
-// Lines of equal value in a grid: marching squares.
+// Contour lines of a grid, by marching squares.
 
 /**
- * Return segments [x0, y0, x1, y1], in steps of the grid, where a field has a level.
- * Cells with a value that is no number have none.
+ * Return the segments [x0, y0, x1, y1] of a contour line, in grid steps.
+ * Cells with NaN have no segments.
  * @param {ArrayLike<number>} field
  * @param {number} wide
  * @param {number} high
@@ -25,7 +25,7 @@ export function segments(field, wide, high, level) {
       if (b > 0 !== c > 0) cuts.push([x + 1, y + b / (b - c)]);
       if (d > 0 !== c > 0) cuts.push([x + d / (d - c), y + 1]);
       if (a > 0 !== d > 0) cuts.push([x, y + a / (a - d)]);
-      // Of four cuts the ones that the middle of the cell does not part belong together.
+      // With four crossings, the value at the middle of the cell decides which are joined.
       if (cuts.length === 4 && a > 0 !== a + b + c + d > 0) cuts.push(...cuts.splice(0, 1));
       for (let k = 0; k + 1 < cuts.length; k += 2) out.push([...cuts[k], ...cuts[k + 1]]);
     }

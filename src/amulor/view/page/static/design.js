@@ -1,4 +1,4 @@
-// The page of a design: sliders, and the map of what the instrument would reach.
+// Page of an instrument design: sliders, and the map of predicted errors.
 
 import { table } from "./colour.js";
 import { $, inkOf, made, ratioOf } from "./dom.js";
@@ -8,11 +8,11 @@ import { failed, say } from "./panel.js";
 import { download, themed } from "./picture.js";
 import { short } from "./text.js";
 
-/** Steps of a slider. */
+/** Number of steps of a slider. */
 const STEPS = 200;
 
 const state = {
-  // What the server says of the design, and of the map that was asked for last.
+  // Answers of the server on the design and on the latest map.
   scene: /** @type {any} */ (null),
   found: /** @type {any} */ (null),
   settings: /** @type {Record<string, number>} */ ({}),
@@ -116,7 +116,7 @@ function reset() {
   return update();
 }
 
-/** Ask for the map of what the sliders say; while one is on its way, the last one waits. */
+/** Request the map for the slider settings; during a request, the latest one waits. */
 async function update() {
   state.wanted = true;
   if (state.busy) return;
@@ -138,7 +138,7 @@ async function update() {
         total: drawn - begun,
       });
       $("timing").textContent = `${Math.round(drawn - begun)} ms`;
-      // The map comes first; whether all is met can wait until the hand rests.
+      // The map has priority; the verdict is requested when the slider rests.
       if (!state.wanted)
         goals(await (await ask("met", { settings: state.settings, water: state.water })).json());
     }
@@ -157,7 +157,7 @@ function draw() {
   point();
 }
 
-/** Draw the mark over the map, and say what is there. */
+/** Draw the marker on the map, and display the errors there. */
 function point() {
   if (!state.found) return;
   map.point({ scene: state.scene, mark: state.mark, colours });

@@ -1,7 +1,7 @@
-// Elements of a page: found by name, and made.
+// Elements of a page: look-up by name, and creation.
 
 /**
- * Return an element of the page by its name. Its kind stands in the HTML, which tsc does not read.
+ * Return an element of the page by its name. tsc cannot read its type from the HTML.
  * @type {(id: string) => any}
  */
 export const $ = (id) => document.getElementById(id);
@@ -21,7 +21,7 @@ export function made(tag, properties = {}, ...children) {
 }
 
 /**
- * Return what draws on a canvas.
+ * Return the drawing context of a canvas.
  * @param {HTMLCanvasElement} canvas
  */
 export function inkOf(canvas) {
@@ -29,7 +29,7 @@ export function inkOf(canvas) {
 }
 
 /**
- * Return a new canvas over another one, for what moves with the pointer.
+ * Return a new canvas over another one, for overlays that follow the pointer.
  * @param {HTMLCanvasElement} canvas
  */
 export function over(canvas) {
@@ -39,7 +39,7 @@ export function over(canvas) {
 }
 
 /**
- * Return the pixels of a canvas for each pixel of the page.
+ * Return the number of canvas pixels per page pixel.
  * @param {HTMLCanvasElement} canvas
  */
 export function ratioOf(canvas) {
@@ -47,7 +47,7 @@ export function ratioOf(canvas) {
 }
 
 /**
- * Return where a pointer is on a canvas, in the canvas' own pixels.
+ * Return the position of the pointer on a canvas [canvas pixel].
  * @param {HTMLCanvasElement} canvas
  * @param {{clientX: number, clientY: number}} event
  * @returns {[number, number]}

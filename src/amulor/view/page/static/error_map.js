@@ -1,4 +1,4 @@
-// The map of total error: colours, lines at whole millimetres, hatched regions, a mark.
+// Map of the total error: colors, contour lines, hatched regions and a marker.
 
 import { segments } from "./contours.js";
 import { inkOf, over, ratioOf, spotOn } from "./dom.js";
@@ -6,16 +6,16 @@ import { clearedOver } from "./map.js";
 import { dot } from "./marks.js";
 import { ticks } from "./text.js";
 
-/** Errors at both ends of the colours [mm]. */
+/** Errors at both ends of the color scale [mm]. */
 export const LIMITS = [0.1, 100];
-/** A line at a whole error: dark below, white on it. */
+/** Contour line: white on a dark border. */
 const LINES = [
   { width: 3.4, colour: "rgba(8, 24, 34, 0.6)" },
   { width: 1.6, colour: "#ffffff" },
 ];
 const EDGE = { left: 56, right: 14, top: 12, bottom: 42 };
 
-/** Return how a region is hatched. */
+/** Return the hatch pattern of a region. */
 export function hatch(context, number, ratio) {
   const size = Math.round(9 * ratio);
   const tile = document.createElement("canvas");
@@ -44,13 +44,13 @@ export function hatch(context, number, ratio) {
   return context.createPattern(tile, "repeat");
 }
 
-/** Return where a logarithm of an error lies among 256 colours. */
+/** Return the color index, 0 to 255, of the logarithm of an error. */
 export function shade(value) {
   const [low, high] = LIMITS.map(Math.log);
   return Math.round((255 * (Math.min(Math.max(Math.log(value), low), high) - low)) / (high - low));
 }
 
-/** Draws the map and tells where a place of the screen lies in it. */
+/** View of the error map, which converts screen positions to map positions. */
 export class ErrorMap {
   constructor(canvas) {
     this.canvas = canvas;
@@ -59,7 +59,7 @@ export class ErrorMap {
     this.image = document.createElement("canvas");
   }
 
-  /** Return the corners of the map on the canvas [pixel]. */
+  /** Return the corners of the map on the canvas [canvas pixel]. */
   frame(ratio) {
     const { width, height } = this.canvas;
     return {
@@ -70,7 +70,7 @@ export class ErrorMap {
     };
   }
 
-  /** Return column and row of the grid under a place of the screen, null beside it. */
+  /** Return grid column and row at a screen position; null outside the map. */
   place(event, scene) {
     const { x0, x1, y0, y1 } = this.frame(this.canvas.width / this.canvas.clientWidth);
     const [x, y] = spotOn(this.canvas, event);
@@ -82,7 +82,7 @@ export class ErrorMap {
     ];
   }
 
-  /** Draw the mark, on a layer of its own. */
+  /** Draw the marker on a separate layer. */
   point({ scene, mark, colours }) {
     const ctx = clearedOver(this.over, this.canvas);
     if (!mark) return;
@@ -109,7 +109,7 @@ export class ErrorMap {
     ctx.beginPath();
     ctx.rect(x0, y0, x1 - x0, y1 - y0);
     ctx.clip();
-    // Values lie in the middle of the image's pixels, the outermost on the frame.
+    // Values belong to the centers of image pixels; the outermost lie on the frame.
     ctx.imageSmoothingEnabled = true;
     ctx.drawImage(this.image, x0 - stepX / 2, y0 - stepY / 2, wide * stepX, high * stepY);
     scene.regions.forEach((region, number) =>
@@ -247,7 +247,7 @@ function plain(value) {
   return String(Number(value.toPrecision(3)));
 }
 
-/** Return where a value lies among increasing ones, in steps. */
+/** Return the fractional index of a value among increasing values. */
 export function placeIn(values, value) {
   let at = 0;
   while (at + 2 < values.length && values[at + 1] < value) at += 1;

@@ -1,9 +1,9 @@
-// Points of a scan from its ranges, and the errors of distances between them.
+// Points of a scan from its ranges, and errors of distances between points.
 
 /** @typedef {import("./camera.js").Point} Point */
 /** @typedef {[number, number]} Pixel row and column of the scan */
 /**
- * How errors of pixels hang together.
+ * Parameters of the correlation between the errors of pixels.
  * @typedef {object} Sharing
  * @property {number[][] | null} matrix of monomials of the beams, into the basis of the reference
  * @property {number[][]} powers of azimuth and elevation in each monomial
@@ -13,7 +13,7 @@
  * @property {string[]} of_water maps of errors that turn with the modulation phase
  */
 /**
- * What lengths are computed from.
+ * Data from which lengths are computed.
  * @typedef {object} Measured
  * @property {Beams} beams
  * @property {Sharing | null} sharing
@@ -56,7 +56,7 @@ export class Beams {
   }
 
   /**
-   * Return the eight numbers of a beam: place, direction, azimuth, elevation.
+   * Return the eight numbers of a beam: origin, direction, azimuth, elevation.
    * @param {number} row
    * @param {number} column
    * @returns {number[]}
@@ -77,7 +77,7 @@ export class Beams {
   }
 
   /**
-   * Return where a range along a beam ends: right, down, forward [m].
+   * Return the point at a range along a beam: right, down, forward [m].
    * @param {number} row
    * @param {number} column
    * @param {number} range
@@ -111,7 +111,7 @@ export const norm = (a) => Math.hypot(a[0], a[1], a[2]);
 const inner = (a, b) => a.reduce((sum, part, k) => sum + part * b[k], 0);
 
 /**
- * Return the vector of a pixel in the basis of the reference, of length 1.
+ * Return the unit vector of a pixel in the basis of the reference.
  * @param {Sharing} sharing
  * @param {number[]} beam
  * @returns {number[] | null}
@@ -131,7 +131,7 @@ function reference(sharing, beam) {
 }
 
 /**
- * Return the covariance of the slant ranges of pixels, as amulor.imaging.correlation.
+ * Return the covariance of the slant ranges of pixels, as in amulor.imaging.correlation.
  * @param {Measured} scene
  * @param {Pixel[]} pixels
  * @returns {number[][]}
@@ -221,7 +221,7 @@ function result(scene, kind, pixels, value, slopes) {
 }
 
 /**
- * Return the distance of two pixels with its uncertainty.
+ * Return the distance between two pixels, with its uncertainty.
  * @param {Measured} scene
  * @param {Pixel[]} pixels
  */
@@ -238,7 +238,7 @@ export function distance(scene, pixels) {
 }
 
 /**
- * Return how far the second pixel lies beyond the first along an axis.
+ * Return the coordinate difference of two pixels along an axis, with uncertainty.
  * @param {Measured} scene
  * @param {Pixel[]} pixels
  * @param {number[]} [axis]
@@ -255,9 +255,9 @@ export function height(scene, pixels, axis = [0, -1, 0]) {
 }
 
 /**
- * Marks of pixels for a surface through the grid: 1 for a step to the next column, 2 for one
- * to the next row, 4 for a pixel off the surface, 8 for one that belongs to a triangle. A cell
- * of four pixels has two triangles along the diagonal that keeps more of them; a triangle has
+ * Marks of pixels for a surface through the grid: 1 for a step to the next column, 2 for a
+ * step to the next row, 4 for a pixel off the surface, 8 for a pixel of a triangle. A cell of
+ * four pixels has two triangles, along the diagonal that keeps more of them. A triangle has
  * three usable corners and no step along its two sides in the grid.
  * @param {ArrayLike<number>} range
  * @param {ArrayLike<number>} steps

@@ -1,10 +1,10 @@
-// A scan that is going on: rows as they come, how it goes, and what to do about it.
+// Live view of a running scan: new rows, state and advice.
 
 import { $, inkOf } from "./dom.js";
 import { fitted } from "./map.js";
 import { clockIn, duration, short, ticks } from "./text.js";
 
-/** How long to wait before asking again for a server that is gone [ms]. */
+/** Delay before another attempt to reach a lost server [ms]. */
 const PAUSES = [500, 1000, 2000, 5000];
 
 function made(tag, className, text = "") {
@@ -14,7 +14,7 @@ function made(tag, className, text = "") {
   return element;
 }
 
-/** Follows the scan of the server, and shows a finished one again. */
+/** Follows the running scan of the server, and replays a finished one. */
 export class Live {
   constructor(card, page) {
     this.card = card;
@@ -51,7 +51,7 @@ export class Live {
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       this.page.say("");
-      // What was missed meanwhile comes with the maps.
+      // Rows missed in the meantime come with the maps.
       if (this.tries) this.page.reload().catch((error) => this.page.say(error.message));
       this.tries = 0;
     };
@@ -74,7 +74,7 @@ export class Live {
 
   #told(message) {
     if (message.type === "picture") {
-      // Rows that come meanwhile would be overwritten: they wait for the maps.
+      // New rows wait for the maps, which would overwrite them.
       this.loads = (this.loads ?? 0) + 1;
       this.held ??= [];
       this.page
@@ -167,7 +167,7 @@ export class Live {
     if (left !== null) parts.push(made("span", "end", `ends ${clockIn(left, new Date())}`));
     const [first] = advice;
     if (first) parts.push(made("span", "advice", `${first[0].toUpperCase()}${first.slice(1)}.`));
-    // A status is read aloud where it changes: only then it is written again.
+    // Screen readers read a status when it is written; it is written only if it changes.
     const words = parts.map((part) => part.textContent).join();
     if (words !== this.words) band.replaceChildren(...parts);
     this.words = words;
@@ -177,7 +177,7 @@ export class Live {
 
   #advise({ advice, resume }) {
     const said = advice.map((text) => text[0].toUpperCase() + text.slice(1));
-    // While nothing changes it stays, so that a command can be selected and copied.
+    // Unchanged content stays, so that a command in it can be selected and copied.
     if (this.said === said.join("\n")) return;
     this.said = said.join("\n");
     this.advice.replaceChildren(
@@ -203,7 +203,7 @@ export class Live {
       Math.max(0.01, ...change.map((value, k) => Math.abs(value) + Math.min(error[k] ?? 0, 0.2))) *
       1.15;
     ctx.font = `11px ${colours.font}`;
-    // Five parts of a range about zero leave at least one mark on either side.
+    // Five parts of an interval about zero give at least one tick on either side.
     const marks = ticks(-most, most, 5).values.map((value) => [
       value,
       `${value > 0 ? "+" : ""}${short(100 * value, 2)} %`,
@@ -243,7 +243,7 @@ export class Live {
     );
   }
 
-  /** A finished scan once more, from its first pixel to its last. */
+  /** Replay of a finished scan, from the first pixel to the last. */
   #replaying() {
     const play = made("button", "mini", "replay");
     play.type = "button";

@@ -1,10 +1,10 @@
-// The map of one layer: zoom, pick, lines and regions on it.
+// Map of one layer: zoom, picks, lines and regions.
 
 import { inkOf, over, ratioOf, spotOn } from "./dom.js";
 import { chain, dot, halo, polyline, scaleBar } from "./marks.js";
 import { ticks, withUnit } from "./text.js";
 
-/** Fit a canvas to its place on the screen; returns whether it changed. */
+/** Fit a canvas to its size on the screen; return whether it changed. */
 export function fitted(canvas) {
   const ratio = Math.min(window.devicePixelRatio || 1, 2);
   const width = Math.max(1, Math.round(canvas.clientWidth * ratio));
@@ -15,7 +15,7 @@ export function fitted(canvas) {
   return true;
 }
 
-/** Return the cleared layer over a canvas, as large as the canvas is. */
+/** Return the overlay of a canvas, cleared and of equal size. */
 export function clearedOver(ctx, canvas) {
   const { width, height } = canvas;
   if (ctx.canvas.width !== width || ctx.canvas.height !== height) {
@@ -25,7 +25,7 @@ export function clearedOver(ctx, canvas) {
   return ctx;
 }
 
-/** Draws a map and tells what is pointed at. */
+/** View of a map, which reports the pixel under the pointer. */
 export class MapView {
   constructor(canvas, { hover, pick, drag }) {
     this.canvas = canvas;
@@ -43,7 +43,7 @@ export class MapView {
     this.middle = null;
   }
 
-  /** Return column and row at the top left, and columns and rows a canvas pixel. */
+  /** Return column and row at the top left, and columns and rows per canvas pixel. */
   view(scene) {
     const { width, height } = this.canvas;
     const tall = scene.high * scene.aspect;
@@ -64,7 +64,7 @@ export class MapView {
     };
   }
 
-  /** Return the pixel of the scan at a place on the screen, null beside it. */
+  /** Return the pixel of the scan at a screen position; null outside the map. */
   pixel(scene, event, kept = false) {
     const [x, y] = spotOn(this.canvas, event);
     const view = this.view(scene);
@@ -81,7 +81,7 @@ export class MapView {
     ];
   }
 
-  /** Return where the middle of a pixel is on the canvas. */
+  /** Return the position of a pixel's center on the canvas. */
   spot(scene, [row, column]) {
     const view = this.view(scene);
     return [
@@ -101,7 +101,7 @@ export class MapView {
     this.point(state, colours);
   }
 
-  /** Draw the pointer, on a layer of its own: nothing else is drawn again. */
+  /** Draw the cursor on a separate layer, so that nothing else is redrawn. */
   point({ scene, cursor }, colours) {
     const ctx = clearedOver(this.over, this.canvas);
     if (!cursor) return;
@@ -117,7 +117,7 @@ export class MapView {
     const { context: ctx, canvas } = this;
     const { scene } = state;
     const ratio = ratioOf(canvas);
-    // Beams spread: the bar holds at the median range, which it states.
+    // Beams diverge; the scale bar is valid at the stated median range.
     if (scene.columns > 1) {
       const perMetre = 1 / (this.view(scene).x * scene.spacing.column);
       this.bar = scaleBar(ctx, perMetre, ratio, colours, ` at ${withUnit(scene.typical, "m", 3)}`);
@@ -202,7 +202,7 @@ export class MapView {
     if (this.pointers.size === 2) {
       const [other] = [...this.pointers.values()].filter((one) => one !== pointer);
       const span = (x, y) => Math.hypot(x - other.x, y - other.y);
-      // The middle of two fingers moves by half of what one of them does.
+      // The midpoint of two fingers moves by half the motion of one.
       this.#panned((event.clientX - before[0]) / 2, (event.clientY - before[1]) / 2);
       this.#zoomed(span(event.clientX, event.clientY) / Math.max(span(...before), 1), {
         clientX: (event.clientX + other.x) / 2,
@@ -235,7 +235,7 @@ export class MapView {
   }
 }
 
-/** Begin a path of four arms about a place, between two distances from it. */
+/** Begin a cross-shaped path around a position, between two distances from it. */
 function hair(ctx, x, y, gap, end) {
   const { width, height } = ctx.canvas;
   ctx.beginPath();
@@ -249,9 +249,9 @@ function hair(ctx, x, y, gap, end) {
   ctx.lineTo(x, Math.min(y + end, height));
 }
 
-/** Draw the scale of colours with its ticks. */
+/** Draw the color scale with its ticks. */
 export function colourBar(canvas, gradientStops, [low, high], unit, colours, own = 0) {
-  // A canvas that is nowhere on the screen states the size of its pixels itself.
+  // An off-screen canvas states its pixel size itself.
   if (!own) fitted(canvas);
   const ctx = inkOf(canvas);
   const ratio = own || ratioOf(canvas);

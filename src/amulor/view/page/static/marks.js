@@ -1,17 +1,17 @@
-// Marks over a view: lines that are seen on any colour, picks, axes and a scale bar.
+// Overlays of a view: lines visible on any color, picks, axes and a scale bar.
 
 import { ticks, withUnit } from "./text.js";
 
 const AXES = ["#D55E00", "#009E73", "#0072B2"];
 
-/** Begin a path along spots. */
+/** Begin a path along positions. */
 export function polyline(ctx, spots) {
   ctx.beginPath();
   spots.forEach(([x, y], k) => (k ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
 }
 
-/** Stroke a path white on black, one of which is seen on any colour; what is chosen has the
-marking color, which no map has, along its middle. */
+/** Stroke a path white on black, visible on any color; a selected path has the marking color,
+which no map contains, along its middle. */
 export function halo(ctx, width, colours, path, chosen = false) {
   ctx.save();
   ctx.lineJoin = "round";
@@ -29,7 +29,7 @@ export function halo(ctx, width, colours, path, chosen = false) {
   ctx.restore();
 }
 
-/** Draw a mark on a place: black, white, and within what says whether it is chosen. */
+/** Draw a dot at a position: black, white, and a center that shows whether it is selected. */
 export function dot(ctx, [x, y], size, colours, chosen = false) {
   ctx.save();
   const discs = [
@@ -46,7 +46,7 @@ export function dot(ctx, [x, y], size, colours, chosen = false) {
   ctx.restore();
 }
 
-/** Draw a short text on a plate. */
+/** Draw a short text on a background. */
 export function tag(ctx, text, [x, y], ratio, colours) {
   ctx.save();
   ctx.font = `600 ${12 * ratio}px ${colours.font}`;
@@ -73,7 +73,7 @@ export function chain(ctx, spots, { kind, number, strong }, ratio, colours, labe
   }
 }
 
-/** Draw all measurements, and the picks of the one that is being made. */
+/** Draw all measurements, and the picks of the unfinished one. */
 export function chains(ctx, state, spotOf, ratio, colours) {
   const { measurements, chosen, tool, picks } = state;
   const all = measurements.map((kept) => ({ ...kept, strong: kept === chosen }));
@@ -82,7 +82,7 @@ export function chains(ctx, state, spotOf, ratio, colours) {
   }
 }
 
-/** Draw three axes, named and given as the camera sees them, in a corner of the view. */
+/** Draw three labeled axes, in camera directions, in a corner of the view. */
 export function axes(ctx, camera, named, ratio, colours) {
   const { right, up, forward } = camera.frame();
   const inner = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -114,8 +114,8 @@ export function axes(ctx, camera, named, ratio, colours) {
   ctx.restore();
 }
 
-/** Draw a scale bar of a view with so many pixels a meter, with words behind its length; returns
-the length in meters and pixels. */
+/** Draw a scale bar for a number of pixels per meter, with text after its length; return the
+length in meters and pixels. */
 export function scaleBar(ctx, perMetre, ratio, colours, words = "") {
   const { width, height } = ctx.canvas;
   const { step } = ticks(0, (150 * ratio) / perMetre, 1.2);

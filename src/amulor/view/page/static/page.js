@@ -1,4 +1,4 @@
-// What the pages of scans and of clouds have in common: tools, hints, keys, colours, files.
+// Common functions of the pages of scans and clouds: tools, hints, keys, colors, files.
 
 import { flagColour, MAP_OF, table } from "./colour.js";
 import { $, made } from "./dom.js";
@@ -14,11 +14,11 @@ const ARROWS = {
   ArrowDown: [0, 1],
 };
 
-/** A page around a state; `draw`, `point`, `idle`, `said` and `tools`, and of some pages `themed` and
-`unable`, are what differs. */
+/** A page with its state. Pages differ in `draw`, `point`, `idle`, `said` and `tools`, some also
+in `themed` and `unable`. */
 export class Page {
   colours = {};
-  /** How often a hint was given. */
+  /** Number of times that a hint was shown. */
   hints = 0;
   #on;
   #waiting = 0;
@@ -39,13 +39,13 @@ export class Page {
     listMeasurements(this.state, this.#on.said, () => this.redraw());
   }
 
-  /** Draw everything soon, once. */
+  /** Schedule one redraw of everything. */
   redraw() {
     this.#all = true;
     this.repoint();
   }
 
-  /** Draw soon, once, what moves with the pointer; all else stays as it is. */
+  /** Schedule one redraw of the overlays that follow the pointer. */
   repoint() {
     if (this.#waiting) return;
     this.#waiting = requestAnimationFrame(() => {
@@ -57,7 +57,7 @@ export class Page {
     });
   }
 
-  /** Take the colours of a theme; without a name those that the system prefers. */
+  /** Apply the colors of a theme; by default the one that the system prefers. */
   theme(name = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light") {
     this.colours = themed(name);
     this.#on.themed?.(this.colours);
@@ -74,12 +74,12 @@ export class Page {
     $("hint").classList.toggle("wrong", wrong);
   }
 
-  /** Return the tool of a kind; without one, of the one that is chosen. */
+  /** Return the tool of a kind; by default the selected tool. */
   tool(kind = this.state.tool) {
     return this.#on.tools.find((tool) => tool.kind === kind);
   }
 
-  /** Choose a tool; the one that is chosen is laid down. */
+  /** Select a tool; deselect it if it is selected already. */
   choose(kind) {
     const { state } = this;
     state.tool = state.tool === kind ? null : kind;
@@ -93,12 +93,12 @@ export class Page {
     this.redraw();
   }
 
-  /** Let a finger draw on a view instead of scrolling the page. */
+  /** Make touches draw on a view instead of scrolling the page. */
   dragsOn(id, draws) {
     $(id)?.classList.toggle("draws", draws);
   }
 
-  /** Keep a measurement. */
+  /** Add a measurement to the record. */
   keep(measurement) {
     const { state } = this;
     state.number += 1;
@@ -107,7 +107,7 @@ export class Page {
     state.record.change([...state.measurements, kept]);
   }
 
-  /** Say what is shown: title, line below it, and notes. */
+  /** Display title, the line below it, and notes. */
   titled({ title, notes }, subtitle) {
     document.title = `${title} · amulor`;
     $("title").textContent = title;
@@ -116,7 +116,7 @@ export class Page {
     $("notes").replaceChildren(...notes.map((note) => made("li", { textContent: note })));
   }
 
-  /** Return what a bar of colours shows, in a unit. */
+  /** Return the label of a color scale, with its unit. */
   bar({ kind, label }, { unit, factor }) {
     const { tables, limits } = this.state;
     return { table: tables[kind], limits: limits.map((value) => value * factor), unit, label };
@@ -127,7 +127,7 @@ export class Page {
     colourBar($("bar"), bar.table, bar.limits, bar.unit, this.colours);
   }
 
-  /** Change between a view in perspective and one to scale. */
+  /** Switch between perspective and orthographic view. */
   orthographic(camera) {
     camera.orthographic = !camera.orthographic;
     $("ortho").setAttribute("aria-pressed", String(camera.orthographic));
@@ -137,14 +137,14 @@ export class Page {
     return this.state.scene.name.replace(/\.\w+$/, "");
   }
 
-  /** Keep a view as a picture that says what it shows. */
+  /** Save a view as a picture with title and description. */
   async picture(view, name, words, bar) {
     const { title } = this.state.scene;
     const canvas = pictureOf({ view, title, words, bar, colours: this.colours });
     download(`${this.stem()}-${name}.png`, await png(canvas));
   }
 
-  /** Keep the page as one file. */
+  /** Save the page as one file. */
   async save() {
     const { source, measurements } = this.state;
     try {
@@ -156,8 +156,8 @@ export class Page {
     }
   }
 
-  /** Let buttons, tools and keys act. `clicks`: what buttons do by their names; `keys`: what
-  keys do; `arrow` and `numbered` say whether they took a key; `texts`: the record in words. */
+  /** Connect buttons, tools and keys. `clicks`: functions by button; `keys`: functions by key;
+  `arrow` and `numbered` return whether they used a key; `texts`: the record as text. */
   wire({ clicks, keys, arrow, numbered, texts }) {
     for (const [id, act] of Object.entries(clicks)) {
       $(id).addEventListener("click", () => {
@@ -194,13 +194,13 @@ export class Page {
   }
 }
 
-/** Return whether a key is meant for a field, a dialog, or the browser. */
+/** Return whether a key belongs to an input field, a dialog, or the browser. */
 function elsewhere({ ctrlKey, metaKey, altKey, target }) {
   const field = target instanceof HTMLInputElement || target instanceof HTMLSelectElement;
   return ctrlKey || metaKey || altKey || field || document.querySelector("dialog[open]");
 }
 
-/** Return whether a key presses the button that has the focus. */
+/** Return whether a key activates the focused button. */
 function pressing({ key, target }) {
   return (key === "Enter" || key === " ") && target instanceof HTMLButtonElement;
 }

@@ -1,4 +1,4 @@
-// Parts that the pages have beside their views: messages, numbers of a point, flags, measurements.
+// Panels beside the views: messages, values of a point, flags, measurements.
 
 import { explained, flagColour } from "./colour.js";
 import { $, made } from "./dom.js";
@@ -9,12 +9,12 @@ export function say(text) {
   $("message").hidden = !text;
 }
 
-/** Hide a message, unless another one stands in its place. */
+/** Hide a message, unless another one has replaced it. */
 export function unsay(text) {
   if ($("message").textContent === text) say("");
 }
 
-/** Show what went wrong, and mark the page as failed. */
+/** Show an error, and mark the page as failed. */
 export function failed(error) {
   say(error.message ?? String(error));
   document.documentElement.dataset.failed = "yes";
@@ -26,7 +26,7 @@ function swatch(text, colour) {
   return made("span", {}, mark, text);
 }
 
-/** Say in the legend what share of the values carries each flag. */
+/** Show in the legend the fraction of values with each flag. */
 export function showLegend(values, flags) {
   const share = (count) => `${((100 * count) / values.length).toFixed(1)} %`;
   const counted = flags
@@ -48,7 +48,7 @@ export function showLegend(values, flags) {
   $("legend").replaceChildren(...entries.map(([text, colour]) => swatch(text, colour)), ...asked);
 }
 
-/** Show terms with their texts, and the words for flags. */
+/** Show names with their values, and the descriptions of flags. */
 export function showReadout(rows, flags) {
   $("readout").replaceChildren(
     ...rows.flatMap(([term, text, kind]) => [
@@ -65,7 +65,7 @@ export function showReadout(rows, flags) {
   );
 }
 
-/** List measurements; `said` gives number, words and doubt of one, `changed` redraws. */
+/** List measurements; `said` returns value, text and doubt of one, `changed` redraws. */
 export function listMeasurements(state, said, changed) {
   const again = () => {
     listMeasurements(state, said, changed);

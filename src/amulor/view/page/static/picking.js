@@ -1,4 +1,4 @@
-// Which point of a cloud or place of a mesh is seen at a pixel, and lengths between such.
+// Points of a cloud or mesh at a screen position, and lengths between them.
 
 /** @typedef {import("./camera.js").Point} Point */
 /** @typedef {{place: Point, corners: number[], weights: number[]}} Pick */
@@ -6,12 +6,12 @@
 /** @typedef {{x: number, y: number, width: number, height: number}} Spot of a canvas */
 /** @typedef {{dot: number, shrinks: boolean}} Dots size, and whether far ones are smaller */
 /**
- * Errors by name, whether beams come from the origin, and what was taken off all places.
+ * Errors by name, whether beams start at the origin, and the offset of all coordinates.
  * @typedef {{numbers: Record<string, ArrayLike<number>>, beams: boolean, centre: number[]}} Known
  */
 
 /**
- * Return what is seen at a place on the canvas [its pixels], null beside all of it.
+ * Return the visible point at a canvas position [canvas pixel]; null if there is none.
  * @param {Shape} shape
  * @param {number[]} matrix
  * @param {Spot} spot
@@ -38,7 +38,7 @@ export function seen(
  * @returns {Pick | null}
  */
 function onCloud(position, count, m, { x, y, width, height }, { dot, shrinks }) {
-  // Numbers by themselves: millions of points are looked at while somebody waits.
+  // Plain numbers are used for speed: millions of points are searched.
   const [x0, y0, z0, w0, x1, y1, z1, w1, x2, y2, z2, w2, x3, y3, z3, w3] = m;
   const [u, v] = [(2 * x) / width - 1, 1 - (2 * y) / height];
   const [perX, perY] = [2 / width, 2 / height];
@@ -56,7 +56,7 @@ function onCloud(position, count, m, { x, y, width, height }, { dot, shrinks }) 
     const dy = y0 * a + y1 * b + y2 * c + y3 - v * w;
     if (Math.abs(dy) > size * perY * w) continue;
     const depth = (z0 * a + z1 * b + z2 * c + z3) / w;
-    // Beyond the planes of the camera nothing is drawn.
+    // Points beyond the clipping planes are not drawn.
     if (Math.abs(depth) <= 1 && depth < least) {
       least = depth;
       best = i;
@@ -107,7 +107,7 @@ function onMesh(position, faces, m, { x, y, width, height }) {
     const total = u + v + w;
     if (total === 0) continue;
     const depth = (u * spot[i + 2] + v * spot[j + 2] + w * spot[k + 2]) / total;
-    // Beyond the planes of the camera nothing is drawn.
+    // Points beyond the clipping planes are not drawn.
     if (Math.abs(depth) <= 1 && depth < least) {
       least = depth;
       best = t;
@@ -125,7 +125,7 @@ function onMesh(position, faces, m, { x, y, width, height }) {
 }
 
 /**
- * Return a number of a picked place, between the corners of its triangle.
+ * Return a value at a picked point, interpolated within its triangle.
  * @param {ArrayLike<number> | undefined} values
  * @param {{corners: number[], weights: number[]}} pick
  */
@@ -134,8 +134,8 @@ export function numberAt(values, { corners, weights }) {
 }
 
 /**
- * Return a length along a direction between two picks, and how large its error may be.
- * The file knows the error of each point, and not how those of two points correlate; the
+ * Return the distance of two picks along a direction, and a bound of its error.
+ * The file has the error of each point, but not the correlation of two points; the
  * bound holds for every correlation from 0 to 1.
  * @param {Known} scene
  * @param {Pick} one
@@ -163,12 +163,12 @@ function errorAlong({ numbers, beams, centre }, pick, direction) {
   const get = (/** @type {string} */ name) => numberAt(numbers[name], pick);
   const sigma = get("uncertainty");
   if (beams && Number.isFinite(sigma)) {
-    // In the instrument's axes the beam comes from the origin.
+    // In the axes of the instrument, beams start at the origin.
     const beam = pick.place.map((part, k) => part + centre[k]);
     const cosine =
       beam.reduce((sum, part, k) => sum + part * direction[k], 0) / Math.hypot(...beam);
     const common = Math.min(get("common") ?? NaN, sigma);
-    // Of a file that does not say which part is shared, all of it may be.
+    // If a file does not state the shared part of the errors, all may be shared.
     const shared = Number.isFinite(common) ? common : sigma;
     return {
       signed: true,
@@ -178,7 +178,7 @@ function errorAlong({ numbers, beams, centre }, pick, direction) {
     };
   }
   const parts = ["sigma_x", "sigma_y", "sigma_z"].map(get);
-  // Errors of unknown sign: nothing is known of what two points share.
+  // The sign is unknown: nothing is known about errors that two points share.
   const known = { signed: false, own: NaN, shared: NaN };
   if (parts.every(Number.isFinite)) {
     const whole = parts.reduce((sum, part, k) => sum + Math.abs(part * direction[k]), 0);
@@ -188,7 +188,7 @@ function errorAlong({ numbers, beams, centre }, pick, direction) {
 }
 
 /**
- * Return the distance of two picks and how large its error may be.
+ * Return the distance of two picks, and a bound of its error.
  * @param {Known} scene
  * @param {Pick} one
  * @param {Pick} other

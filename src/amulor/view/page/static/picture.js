@@ -1,9 +1,9 @@
-// A view as a picture that says what it shows: title, colours, and what it rests on.
+// Picture of a view with title, color scale and data source.
 
 import { inkOf, ratioOf } from "./dom.js";
 import { colourBar } from "./map.js";
 
-/** Return a canvas with a view, its title above, its colours and words below. */
+/** Return a canvas with a view, its title above, color scale and text below. */
 export function pictureOf({ view, title, words, bar, colours }) {
   const ratio = ratioOf(view);
   const width = Math.max(view.width, Math.round(420 * ratio));
@@ -67,7 +67,7 @@ function wrapped(ctx, text, width) {
   return lines;
 }
 
-/** Let the browser keep bytes as a file. */
+/** Download bytes as a file. */
 export function download(name, blob) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
@@ -76,7 +76,7 @@ export function download(name, blob) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
-/** Return the colours of the page as drawings need them. */
+/** Return the colors of the page for drawings. */
 export function themed(name) {
   document.documentElement.dataset.theme = name;
   const style = getComputedStyle(document.documentElement);

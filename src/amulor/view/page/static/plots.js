@@ -111,7 +111,7 @@ export function along(scene, { kind, cursor, section }) {
   return Array.from({ length: scene.wide }, (_, k) => [cursor[0], k * stride]);
 }
 
-/** Return a profile: metres along, and values of a map with what they may be off. */
+/** Return a profile: distance along it [m], and values of a map with uncertainties. */
 export function profileOf(scene, pixels, name) {
   const places = pixels.map(([row, column]) => scene.beams.point(row, column, scene.typical));
   let run = 0;
@@ -177,7 +177,7 @@ export function drawProfile(canvas, state, colours) {
   return legend(ctx, frame.box, entries, colours);
 }
 
-/** Return the lowest and highest value that a profile is drawn between. */
+/** Return the limits between which a profile is drawn. */
 function profileLimits(line, other, uncertain, least) {
   const known = line.filter((one) => Number.isFinite(one.value));
   const sizes = known.map((one) => one.value).sort((a, b) => a - b);
@@ -185,7 +185,7 @@ function profileLimits(line, other, uncertain, least) {
   const spread = 2 * spreads[spreads.length >> 1];
   let low = sizes[Math.floor(0.005 * sizes.length)] - spread;
   let high = sizes[Math.ceil(0.995 * (sizes.length - 1))] + spread;
-  // Where there is no target, raw ranges are those of the water alone.
+  // Without a target, raw ranges are those of the water alone.
   const beside = (other ?? [])
     .filter((one, k) => Number.isFinite(line[k].value) && Number.isFinite(one.value))
     .map((one) => one.value)
@@ -205,7 +205,7 @@ function profileUnit({ kind, unit }, low, high) {
   return unit === "V" ? scaled(high, "V") : { unit, factor: 1 };
 }
 
-/** Draw the values of a profile, with gaps where there are none. */
+/** Draw the values of a profile, with gaps at missing values. */
 function stroke(ctx, line, spot, colour, width, dash = []) {
   ctx.strokeStyle = colour;
   ctx.lineWidth = width;
@@ -221,7 +221,7 @@ function stroke(ctx, line, spot, colour, width, dash = []) {
   ctx.setLineDash([]);
 }
 
-/** Fill what lies within one standard uncertainty of a profile. */
+/** Fill the band of one standard uncertainty around a profile. */
 function band(ctx, line, spot, colour) {
   ctx.fillStyle = colour;
   let part = [];
@@ -241,7 +241,7 @@ function band(ctx, line, spot, colour) {
   close();
 }
 
-/** Draw a line from top to bottom of a frame. */
+/** Draw a vertical line through a frame. */
 function upright(ctx, x, { top, bottom }, colour) {
   ctx.strokeStyle = colour;
   ctx.lineWidth = 1;
@@ -255,7 +255,7 @@ function legend(ctx, box, entries, colours) {
   ctx.font = `11px ${colours.font}`;
   ctx.textBaseline = "middle";
   ctx.textAlign = "left";
-  // Above the frame, where it hides no line; closer together where there is less room.
+  // The legend is above the frame, where it hides no line, and denser if narrow.
   const words = entries.reduce((sum, [text]) => sum + ctx.measureText(text).width, 0);
   const room = box.right - 20;
   const long = Math.min(18, Math.max(9, (room - words) / entries.length - 18));
@@ -281,7 +281,7 @@ function legend(ctx, box, entries, colours) {
   }
 }
 
-/** Draw how often the values of the shown map occur; bars in the colours of the map. */
+/** Draw the histogram of the shown map, with bars in the colors of the map. */
 export function drawHistogram(canvas, state, colours) {
   const view = started(canvas);
   const map = state.scene.maps.get(state.layerName);
@@ -368,7 +368,7 @@ function drawFlags({ ctx, width, height }, state, colours) {
   });
 }
 
-/** Draw the spectrum of a pixel, or its phasors where there is one frequency. */
+/** Draw the spectrum of a pixel, or its phasors for a single frequency. */
 export function drawSpectrum(canvas, state, colours) {
   const view = started(canvas);
   const { spectrum, scene } = state;
@@ -485,7 +485,7 @@ function drawPhasors({ ctx, width, height }, spectrum, parts, colours) {
   return ctx.fillText(`${(spectrum.frequency[0] / 1e6).toFixed(2)} MHz`, left, height - 14);
 }
 
-/** Draw the axes of phasors, and circles at half and all of the largest. */
+/** Draw the axes of phasors, with circles at half and full of the largest amplitude. */
 function rings(ctx, x, y, size, colour) {
   ctx.strokeStyle = colour;
   ctx.lineWidth = 1;

@@ -1,4 +1,4 @@
-// Draws points and triangles of a file; edges darken what lies behind them.
+// Drawing of points and triangles; edges darken the points behind them.
 
 import { program } from "./program.js";
 
@@ -93,9 +93,9 @@ void main() {
 }`,
 };
 
-/** Points or triangles on the graphics unit. */
+/** Points or triangles on the graphics card. */
 export class PointRenderer {
-  /** Points, and corners of triangles where there are some. */
+  /** Points, and the corners of triangles if there are any. */
   count = 0;
   corners = 0;
 
@@ -122,7 +122,7 @@ export class PointRenderer {
     this.table = gl.createTexture();
   }
 
-  /** Keep places, and corners of triangles where there are some. */
+  /** Store positions, and the corners of triangles if there are any. */
   keep(position, faces) {
     const { gl } = this;
     gl.bindVertexArray(this.array);
@@ -133,13 +133,13 @@ export class PointRenderer {
     this.corners = faces ? faces.length : 0;
   }
 
-  /** Keep the numbers that are coloured. */
+  /** Store the values that are shown as colors. */
   numbers(values) {
     this.gl.bindVertexArray(this.array);
     this.#filled(1, values, 1, this.gl.FLOAT, false);
   }
 
-  /** Keep the file's own colours. */
+  /** Store the colors of the file. */
   own(colours) {
     this.gl.bindVertexArray(this.array);
     this.#filled(2, colours, 3, this.gl.UNSIGNED_BYTE, true);
@@ -197,7 +197,7 @@ export class PointRenderer {
       throw new Error("The graphics unit has no room for a picture of this size.");
   }
 
-  /** Draw into a canvas; `most` points at most while the view moves. */
+  /** Draw on a canvas; while the view moves, at most `most` points. */
   draw(
     context,
     {

@@ -1,9 +1,9 @@
-// What is made of the scan and handed over: chosen here, made by the server, kept here.
+// Products of a scan: selected here, made by the server, downloaded here.
 
 import { made } from "./dom.js";
 import { download } from "./picture.js";
 
-/** Options of products: what they are called, and what may be said. Lengths in mm. */
+/** Options of products: labels and allowed values; lengths in mm. */
 const OPTIONS = {
   show: {
     label: "shows",
@@ -90,7 +90,7 @@ export class Products {
     this.page = page;
   }
 
-  /** Ask what can be made; returns whether there is anything. */
+  /** Query the available products; return whether there are any. */
   async offered() {
     this.offers = await this.page.source.products();
     if (!this.offers.length) return false;
@@ -164,7 +164,7 @@ export class Products {
     return made("label", { htmlFor: id }, made("span", { textContent: option.label }), input);
   }
 
-  /** Say what a section still needs. */
+  /** Show what is missing for a section. */
   #line() {
     const wanting = this.kind.value === "section" && !this.page.section();
     this.#say(wanting ? "Close this, draw a line on the map (L), and come back." : "", wanting);

@@ -1,7 +1,7 @@
-// A program for the graphics unit, compiled, and the places of its uniforms by name.
+// Compiled program of the graphics card, with the locations of its uniforms.
 
 /**
- * Return a program of two shaders, and the places of its uniforms.
+ * Return a program of two shaders, and the locations of its uniforms.
  * @param {WebGL2RenderingContext} gl
  * @param {{vertex: string, fragment: string}} sources
  */
@@ -11,7 +11,7 @@ export function program(gl, { vertex, fragment }) {
     { kind: gl.VERTEX_SHADER, text: vertex },
     { kind: gl.FRAGMENT_SHADER, text: fragment },
   ].map(({ kind, text }) => {
-    // Null where the graphics unit was lost, which the page is told by an event of its own.
+    // Null if the graphics context was lost, which a separate event reports.
     const shader = /** @type {WebGLShader} */ (gl.createShader(kind));
     gl.shaderSource(shader, text);
     gl.compileShader(shader);

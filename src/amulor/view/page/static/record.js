@@ -1,8 +1,8 @@
-// The record of measurements: kept over a reload, undone, and written as files.
+// Record of measurements: survives a reload, can be undone, and is written to files.
 
 import { $ } from "./dom.js";
 
-/** Keeps the measurements of a page; every change can be undone. */
+/** Measurements of a page; every change can be undone. */
 export class MeasurementRecord {
   #state;
   #changed;
@@ -14,10 +14,10 @@ export class MeasurementRecord {
     this.#changed = changed;
   }
 
-  /** Take up what this tab measured in a file before, or else what a saved page holds. */
+  /** Restore earlier measurements of this tab, or else those in a saved page. */
   open(name) {
     const { source } = this.#state;
-    // A saved page that was written anew is another one.
+    // A page that was saved again has a new identity.
     this.#key = ["amulor", location.pathname, name, source.saved ? document.lastModified : ""].join(
       " ",
     );
@@ -49,7 +49,7 @@ export class MeasurementRecord {
     try {
       sessionStorage.setItem(this.#key, JSON.stringify(measurements));
     } catch {
-      // Full, or forbidden: the record lasts as long as the page.
+      // If the storage is full or forbidden, the record lasts as long as the page.
     }
     this.#changed();
   }
@@ -67,7 +67,7 @@ export function table(rows) {
     .join("");
 }
 
-/** Let the buttons below the list act on the record. */
+/** Connect the buttons below the list to the record. */
 export function wireRecord(state, { download, hint, stem, text, rows, content }) {
   const file = (ending, made, type) =>
     download(`${stem()}-measurements.${ending}`, new Blob([made], { type }));

@@ -1,9 +1,9 @@
-// One graphics context for all views: textures are made once and drawn anywhere.
+// One graphics context for all views, so that textures are stored once.
 
 import { program } from "./program.js";
 import { CLOUD, MAP, SURFACE } from "./shaders.js";
 
-/** Draws maps and clouds into any canvas. */
+/** Renderer of maps and clouds on any canvas. */
 export class Renderer {
   constructor() {
     this.canvas = document.createElement("canvas");
@@ -30,7 +30,7 @@ export class Renderer {
     this.textures = new Map();
   }
 
-  /** Keep numbers as a texture; each name has one. */
+  /** Store values as a texture, by name. */
   keep(name, width, height, values, parts = 1) {
     const { gl } = this;
     const formats = { 1: [gl.R32F, gl.RED], 2: [gl.RG32F, gl.RG], 4: [gl.RGBA32F, gl.RGBA] };
@@ -92,18 +92,18 @@ export class Renderer {
   }
 
   #sized(width, height) {
-    // Never smaller again: setting the size costs a new buffer.
+    // The size never shrinks, because a change allocates a new buffer.
     if (this.canvas.width < width || this.canvas.height < height) {
       this.canvas.width = Math.max(this.canvas.width, width);
       this.canvas.height = Math.max(this.canvas.height, height);
     }
-    // The lower left part of the buffer is drawn to.
+    // Drawing uses the lower left part of the buffer.
     this.gl.viewport(0, 0, width, height);
     this.gl.scissor(0, 0, width, height);
     this.gl.enable(this.gl.SCISSOR_TEST);
   }
 
-  /** Copy what was drawn last to the context of a canvas. */
+  /** Copy the last drawing to the context of a canvas. */
   #copied(context, width, height) {
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.drawImage(
@@ -134,8 +134,8 @@ export class Renderer {
     this.#copied(context, width, height);
   }
 
-  /** Draw a surface of some cells with the points beside it, or, without cells, all points;
-  with `pick`, return the number of the pixel at a place, or -1. */
+  /** Draw a surface of cells with the points off it, or, without cells, all points; with
+  `pick`, return the index of the pixel at a position, or -1. */
   drawCloud(context, { layer, table, set, textures, points, across = 0, cells = 0, ground, pick }) {
     const { gl } = this;
     const { width, height } = context.canvas;

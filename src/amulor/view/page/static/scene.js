@@ -1,17 +1,17 @@
-// One channel of a recording: its maps, its beams, and what a pixel of it says.
+// One channel of a recording: maps, beams, and values of pixels.
 
 import { flagRanks, flagTable, MAP_OF, MAPS, table } from "./colour.js";
 import { Beams, surfaceMarks } from "./geometry.js";
 
-/** Lengths [m] and chances [1] below this are rounding. */
+/** Lengths [m] and probabilities [1] below this are rounding errors. */
 export const ROUNDING = 1e-9;
 
 /** @typedef {import("./colour.js").Layer} Layer */
 /** @typedef {import("./colour.js").Flag} Flag */
 
-/** Numbers of a channel, kept here and on the graphics unit. */
+/** Maps of a channel, stored here and on the graphics card. */
 export class Scene {
-  // What the server, or the page, says of a channel.
+  // Description of the channel, from the server or from the page.
   channel = "";
   rows = 0;
   columns = 0;
@@ -22,7 +22,7 @@ export class Scene {
   flags = [];
   /** @type {{rows: number[], columns: number[]}} */
   nodes = { rows: [], columns: [] };
-  // What follows from it.
+  // Values derived from the description.
   wide = 0;
   high = 0;
   main = "range";
@@ -39,19 +39,19 @@ export class Scene {
     this.renderer = renderer;
     this.maps = new Map();
     this.loading = new Map();
-    /** Rows that came in since the last picture. */
+    /** Rows received since the last recomputation. */
     this.fresh = new Set();
     for (const name of MAPS) renderer.keep(`table ${name}`, 256, 1, table(name));
   }
 
-  /** Return what is said of a map. */
+  /** Return the description of a map. */
   about(name) {
     const layer = this.byName.get(name);
     if (!layer) throw new Error(`There is no map "${name}" here.`);
     return layer;
   }
 
-  /** Load what is described; maps come when they are asked for. */
+  /** Load the description; maps are loaded when needed. */
   async open(channel) {
     const before = [this.channel, this.wide, this.high].join();
     Object.assign(this, await this.source.scene(channel));
@@ -60,7 +60,7 @@ export class Scene {
     this.wide = Math.ceil(this.columns / this.stride);
     this.high = Math.ceil(this.rows / this.stride);
     this.byName = new Map(this.layers.map((layer) => [layer.name, layer]));
-    // Of a scan that grows, the maps that are there stay until the new ones are.
+    // For a running scan, the old maps stay until the new ones are loaded.
     if (before !== [this.channel, this.wide, this.high].join()) this.maps.clear();
     const main = this.byName.has("range") ? "range" : "range_before";
     this.renderer.keep("table flags", 256, 1, flagTable(this.flags, "#2c7f62"));
@@ -119,7 +119,7 @@ export class Scene {
     this.aspect = Math.min(Math.max(aspect, 0.05), 20);
   }
 
-  /** Return a map, loading it if it is not there yet. */
+  /** Return a map; load it if necessary. */
   load(name) {
     if (!this.loading.has(name)) this.loading.set(name, this.#loaded(name));
     return this.loading.get(name);
@@ -144,7 +144,7 @@ export class Scene {
     return map;
   }
 
-  /** Bring a map to the graphics unit, all of it. */
+  /** Copy a whole map to the graphics card. */
   upload(name) {
     const { layer, values } = this.maps.get(name);
     const shown = layer.kind === "flags" ? flagRanks(values, this.flags) : values;
@@ -154,8 +154,8 @@ export class Scene {
     if (layer.kind === "flags") this.#marked(name.replace("flags", "range"));
   }
 
-  /** Average a range map over neighbours, for light and contours only. Until it is known
-  where the surface has steps, which no mean goes across, it stays as it is. */
+  /** Average a range map over neighbors, for shading and contours only. Means do not cross
+  steps of the surface; until steps are known, the map stays unchanged. */
   smooth(name, reach = this.reach) {
     this.reach = reach;
     const map = this.maps.get(name);
@@ -166,8 +166,8 @@ export class Scene {
     this.#marked(name);
   }
 
-  /** Mark steps, pixels off the surface, and those that belong to one. Until steps are known,
-  all pixels are off it: rows that came in since the last picture, too. */
+  /** Mark steps, pixels off the surface, and pixels of triangles. Until steps are known, all
+  pixels are off the surface, as are rows since the last recomputation. */
   #marked(name) {
     const map = this.maps.get(name);
     if (!map) return;
@@ -183,7 +183,7 @@ export class Scene {
     this.renderer.keep(`edges ${name}`, this.wide, this.high, Float32Array.from(marks));
   }
 
-  /** Take over rows that came in; the maps must have been loaded. */
+  /** Insert new rows; the maps must be loaded. */
   patch(name, first, values) {
     const map = this.maps.get(name);
     if (!map) return;
@@ -194,27 +194,27 @@ export class Scene {
     this.renderer.rows(`map ${name}`, first, count, this.wide, shown);
   }
 
-  /** Return a number of a pixel of the scan, not a number while it is not there. */
+  /** Return a value of a pixel of the scan; NaN while it is missing. */
   value(name, row, column) {
     const map = this.maps.get(name);
     if (!map) return NaN;
     return map.values[Math.floor(row / this.stride) * this.wide + Math.floor(column / this.stride)];
   }
 
-  /** Return the point of a pixel, null where it has no range. */
+  /** Return the point of a pixel; null without a range. */
   point(row, column, name = this.main) {
     const range = this.value(name, row, column);
     return Number.isFinite(range) ? this.beams.point(row, column, range) : null;
   }
 
-  /** Return the words for the flags of a pixel. */
+  /** Return the descriptions of a pixel's flags. */
   reasons(row, column, name = "flags") {
     const bits = this.value(name, row, column);
     return this.flags.filter((flag) => bits & flag.mask);
   }
 
-  /** Return the half span below which differences of a map mean nothing: a hundredth of
-  the error of ranges, a tenth of an error itself, or rounding. */
+  /** Return the half span of insignificant differences of a map: a hundredth of the range
+  error, a tenth of an error in an error map, or rounding. */
   least(name) {
     const { values, layer } = this.maps.get(name);
     const middle = (all) => {
@@ -236,7 +236,7 @@ export class Scene {
     return layer.kind === "signed" && values.every((value) => !(Math.abs(value) >= ROUNDING));
   }
 
-  /** Return the limits of a map: all but its extremes, symmetric for signed ones. */
+  /** Return the color limits of a map without its extremes; symmetric for signed maps. */
   limits(name) {
     const { values, layer } = this.maps.get(name);
     if (layer.kind === "flags") return [0, 255];
@@ -256,7 +256,7 @@ export class Scene {
     return [(low + high) / 2 - half, (low + high) / 2 + half];
   }
 
-  /** Return what the programs of the graphics unit need of this scene. */
+  /** Return the uniforms of this scene for the graphics card. */
   uniforms(name, limits, look) {
     const layer = this.about(name);
     const shape = look.raw && this.byName.has("range_before") ? "range_before" : this.main;
@@ -277,7 +277,7 @@ export class Scene {
         uLimits: ["2f", ...limits],
         uKind: ["1i", layer.kind === "flags" ? 1 : 0],
         uMissing: ["3f", ...look.missing],
-        // Light is for relief: on other maps it would change what colors mean.
+        // Shading is for relief; on other maps it would change the meaning of colors.
         uLight: ["3f", ...(layer.kind === "range" ? look.light : [0, 0, 0])],
         uRelief: ["1f", look.relief],
         uContour: ["1f", look.contour],
@@ -300,7 +300,7 @@ function shares(nodes, count, stride) {
   return out;
 }
 
-/** Return about so many of the values, evenly spread. */
+/** Return an even subset of about a given number of values. */
 export function sampled(values, wanted) {
   const step = Math.max(1, Math.floor(values.length / wanted));
   const out = [];
@@ -308,9 +308,8 @@ export function sampled(values, wanted) {
   return out;
 }
 
-/** Return means over squares of neighbours, as far as no step lies on the way along the
-column and then the row; a pixel without a number stays without. As in
-amulor.imaging.edges.reached. */
+/** Return means over squares of neighbors that no step separates from the pixel, along the
+column and then the row. NaN stays NaN. As in amulor.imaging.edges.reached. */
 function averaged(values, wide, high, reach, steps) {
   if (reach === 0) return Float32Array.from(values);
   const along = (source, count, length, step, stride, bit) => {

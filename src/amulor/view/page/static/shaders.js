@@ -1,4 +1,4 @@
-// Programs of the graphics unit: a map of one layer, and surface and points made from ranges.
+// Programs of the graphics card: map of a layer, and surface and points from ranges.
 
 const HEADER = `#version 300 es
 precision highp float;
@@ -6,7 +6,7 @@ precision highp int;
 precision highp sampler2D;
 `;
 
-// Beams between the nodes of a coarse grid, and points with light on them.
+// Beams interpolated between the nodes of a coarse grid, and shaded points.
 const POINTS = `
 uniform sampler2D uRange;    // slant range of every pixel
 uniform sampler2D uSmooth;   // the same, averaged over neighbours, for light only
@@ -36,7 +36,7 @@ bool bad(float value) { return !(value == value) || abs(value) > 1e30; }
 
 bool steps(ivec2 at, int bit) { return (int(texelFetch(uSteps, at, 0).r + 0.5) & bit) != 0; }
 
-// The normal of the surface from the pixel's own neighbours, towards the instrument.
+// Surface normal towards the instrument, from the neighbors of the pixel.
 vec3 normalAt(ivec2 at) {
   ivec2 low = max(at - 1, ivec2(0));
   ivec2 high = min(at + 1, uSize - 1);
@@ -82,7 +82,7 @@ uniform float uRelief;        // by how much slopes are exaggerated
 float lit(ivec2 at) {
   if (dot(uLight, uLight) < 0.5) return 1.0;
   vec3 n = normalAt(at);
-  // Slopes against the middle of the view count more, as raking light shows them.
+  // Slopes relative to the view's direction are enhanced, as by raking light.
   vec3 flat0 = vec3(0.0, 0.0, -1.0);
   n = normalize(flat0 * dot(n, flat0) + uRelief * (n - flat0 * dot(n, flat0)));
   return clamp(0.28 + 0.92 * max(dot(n, uLight), 0.0), 0.0, 1.25);
@@ -147,7 +147,7 @@ bool parted(ivec2 at, ivec2 end, int bit) {
 
 bool usable(ivec2 at) { return !bad(rangeAt(uRange, at)) && !steps(at, 4); }
 
-// As neighbours in geometry.js: two triangles a cell, along the better of its diagonals.
+// As in geometry.js: two triangles per cell, along the better of its diagonals.
 void main() {
   int cell = gl_VertexID / 6;
   int corner = gl_VertexID % 6;

@@ -1,6 +1,6 @@
-// Where the numbers come from: the server of this computer, or the page itself.
+// Source of the data: the server on this computer, or the page itself.
 
-/** Asks the server that the page came from. */
+/** Source that queries the server of the page. */
 class Served {
   saved = false;
 
@@ -47,12 +47,12 @@ class Served {
     return (await this.#post("save", { measurements })).blob();
   }
 
-  /** Return which products the server makes. */
+  /** Return the products that the server can make. */
   async products() {
     return (await this.#answer("products")).json();
   }
 
-  /** Return a product: name of its file, what it is in words, and its bytes. */
+  /** Return a product: file name, description and bytes. */
   async product(request) {
     const answer = await this.#post("product", request);
     const named = /filename\*=UTF-8''([^;]+)/.exec(answer.headers.get("content-disposition") ?? "");
@@ -72,7 +72,7 @@ class Served {
   }
 }
 
-/** Reads what stands in the page. */
+/** Source that reads data embedded in the page. */
 class Saved {
   saved = true;
   #scenes;
@@ -164,7 +164,7 @@ async function unpacked(name, width) {
   return out;
 }
 
-/** What a page of a cloud or mesh shows: of the server, or in the page itself. */
+/** Source of a cloud or mesh: the server, or the page itself. */
 export class SpaceSource {
   #served = new Served();
 
@@ -180,7 +180,7 @@ export class SpaceSource {
   }
 
   /**
-   * Return numbers by name: floats, whole numbers, or bytes.
+   * Return an array by name: floats, integers or bytes.
    * @param {string} name
    * @param {Float32ArrayConstructor | Uint32ArrayConstructor | Uint8ArrayConstructor} [Kind]
    */

@@ -1,4 +1,4 @@
-// The page of a point cloud or a mesh: colours, picks, lengths with what is known of them.
+// Page of a point cloud or mesh: colors, picks, and lengths with error bounds.
 
 import { Camera, extent, multiplied, projected } from "./camera.js";
 import { flagRanks, flagTable } from "./colour.js";
@@ -15,14 +15,14 @@ import { SpaceSource } from "./source.js";
 import { short, withUnit } from "./text.js";
 import { Motion, turnable } from "./turning.js";
 
-/** Points that a moving view draws, and that a pointer is compared with while it moves. */
+/** Number of points that a moving view draws, and that a moving pointer is compared with. */
 const MOVING = 400000;
 const HOVERED = 250000;
 const TOOLS = [
   { kind: "distance", name: "distance", hint: "Pick two points." },
   { kind: "height", name: "height", hint: "Pick the lower point, then the upper one." },
 ];
-/** Axes of the file as the camera sees them: right, down, forward. */
+/** Axes of the file in camera directions: right, down, forward. */
 const TURNS = {
   "-y": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
   y: [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1],
@@ -35,7 +35,7 @@ const UPWARDS = { "-y": [0, -1, 0], y: [0, 1, 0], z: [0, 0, 1] };
 
 const state = {
   source: new SpaceSource(),
-  // What the server, or the page, says, and the numbers by name.
+  // Description from the server or the page, and arrays by name.
   scene: /** @type {any} */ (null),
   layerName: "height",
   limits: [0, 1],
@@ -65,7 +65,7 @@ let pointer;
 let by = null;
 
 /**
- * Return a place of the file as the camera sees it.
+ * Return a point of the file in camera axes.
  * @returns {import("./camera.js").Point}
  */
 function turned(place) {
@@ -138,7 +138,7 @@ function draw() {
   document.documentElement.dataset.ready = "yes";
 }
 
-/** Draw the place pointed at, over what is drawn already. */
+/** Draw the overlay for the point under the pointer. */
 function drawPointer() {
   const canvas = $("space");
   const ink = clearedOver(pointer, canvas);
@@ -170,7 +170,7 @@ function marks({ matrix }, canvas, ratio) {
     state.bar = scaleBar(context, canvas.height / camera.span(), ratio, colours);
 }
 
-/** The middle, where Enter picks. */
+/** The center of the view, where Enter picks. */
 function cross(canvas, ratio) {
   const [x, y] = [canvas.width / 2, canvas.height / 2];
   halo(context, ratio, page.colours, () => {
@@ -206,7 +206,7 @@ function fit() {
   if (clientHeight) camera.fit(state.places, clientWidth / clientHeight);
 }
 
-/** Return the heights of all points, in the axes that are chosen. */
+/** Return the heights of all points, along the selected vertical axis. */
 function heights() {
   const { position, centre } = state.scene;
   const up = UPWARDS[state.up];
@@ -253,7 +253,7 @@ function show(name) {
 
 function places(place) {
   const { centre, size } = state.scene;
-  // As many digits as the numbers have that came here.
+  // As many digits as the received numbers have.
   const digits = Math.min(Math.max(Math.ceil(-Math.log10(Math.max(...size) * 2 ** -23)), 0), 6);
   return place.map((part, k) => (part + centre[k]).toFixed(Math.min(digits, 5)).replace("-", "−"));
 }
@@ -405,14 +405,14 @@ function seenBy(event) {
   return seenAt(...spotOn($("space"), event));
 }
 
-/** Pick what is in the middle of the view. */
+/** Pick the point at the center of the view. */
 function middle() {
   const pick = seenAt($("space").width / 2, $("space").height / 2);
   if (pick) picked(pick);
   else page.hint("Nothing is in the middle of the view.", true);
 }
 
-/** Look from a side, all in view. */
+/** Show everything from a given side. */
 function from(side) {
   side.call(camera);
   fit();
@@ -441,7 +441,7 @@ function arrow(into, [dx, dy], { shiftKey }) {
   return true;
 }
 
-/** Point at a place while it is no large work to find it. */
+/** Search the point under the pointer, unless the search would be slow. */
 function hover(event) {
   const { scene } = state;
   if (!scene || (scene.faces ?? scene.position).length / 3 > HOVERED) return;
@@ -502,7 +502,7 @@ function wired() {
   new ResizeObserver(redraw).observe(/** @type {Element} */ (document.querySelector("main")));
 }
 
-/** Load all numbers of the file. */
+/** Load all arrays of the file. */
 async function loaded() {
   const { source } = state;
   const scene = await source.scene();
@@ -527,7 +527,7 @@ async function loaded() {
   return scene;
 }
 
-/** Return how much of the file is shown, in words. */
+/** Return a text on the shown fraction of the file. */
 function amount({ mesh, triangles, points, total }) {
   const number = (count) => count.toLocaleString("en");
   if (mesh) return `${number(triangles)} triangles, ${number(points)} vertices`;

@@ -1,4 +1,4 @@
-// Numbers in words: units that fit, and as many digits as the uncertainty leaves.
+// Numbers as text, with suitable units and as many digits as the uncertainty permits.
 
 const LENGTHS = [
   { unit: "m", factor: 1 },
@@ -18,7 +18,7 @@ const VOLTS = [
 ];
 
 /**
- * Return unit and factor in which a size reads well.
+ * Return a suitable unit for a value, and its factor.
  * @param {number} size
  * @param {string} unit
  * @returns {{unit: string, factor: number}}
@@ -38,7 +38,7 @@ export function scaled(size, unit) {
 }
 
 /**
- * Return a number in a few digits, without an exponent where it can be helped.
+ * Return a number with a few digits, without an exponent if possible.
  * @param {number | null} value
  * @param {number} [digits]
  */
@@ -63,14 +63,14 @@ export function withUnit(value, unit, digits = 4) {
 }
 
 /**
- * Return a value and its standard uncertainty, two digits of that.
+ * Return a value with its standard uncertainty in two digits.
  * @param {number} value
  * @param {number} uncertainty
  * @param {string} unit
  */
 export function withError(value, uncertainty, unit) {
   if (!Number.isFinite(uncertainty) || uncertainty <= 0) return withUnit(value, unit);
-  // Lengths of up to ten metres are read in millimetres where their error is one.
+  // Lengths up to ten meters are shown in millimeters if their error is of that size.
   const one =
     unit === "m" && Math.abs(value) < 10 && uncertainty < 0.1
       ? LENGTHS[1]
@@ -91,7 +91,7 @@ function minus(text) {
 }
 
 /**
- * Return ticks that fall on round numbers, and how many places they need.
+ * Return ticks at round numbers, and their number of decimal places.
  * @param {number} low
  * @param {number} high
  * @param {number} [wanted]
@@ -110,7 +110,7 @@ export function ticks(low, high, wanted = 5) {
 }
 
 /**
- * Return the time of day some seconds from now, with the day of the week where it is another day.
+ * Return the time of day some seconds from now, with the weekday if not today.
  * @param {number} seconds
  * @param {Date} now
  */
@@ -122,7 +122,7 @@ export function clockIn(seconds, now) {
 }
 
 /**
- * Return seconds as a person says them.
+ * Return a duration in seconds as readable text.
  * @param {number} seconds
  */
 export function duration(seconds) {

@@ -1,10 +1,10 @@
-// Measuring: what is picked, what it comes to, and how far off it may be.
+// Measurements: picked points, results and uncertainties.
 
 import { distance, height } from "./geometry.js";
 import { withError, withUnit } from "./text.js";
 
 /**
- * What is measured.
+ * One measurement.
  * @typedef {object} Tool
  * @property {string} kind
  * @property {string} name on its button
@@ -71,7 +71,7 @@ export function toolOf(kind) {
   return /** @type {Tool} */ (TOOLS.find((tool) => tool.kind === kind));
 }
 
-/** Measure what was picked, by the server or in the page. */
+/** Compute a measurement from its picks, by the server or in the page. */
 export async function measured(state, tool, picks, region) {
   const { scene, source } = state;
   if (source.saved && (tool.kind === "distance" || tool.axis) && state.average === 0) {
@@ -96,7 +96,7 @@ export async function measured(state, tool, picks, region) {
 
 const ANGLE = { "normal x": true, "normal y": true, "normal z": true };
 
-/** Return a measurement as lines of text: the first one is the main one. */
+/** Return a measurement as lines of text, the main result first. */
 export function worded(found) {
   const kept = found.lines.filter(
     (line) => !ANGLE[line.label] && !/^(axis|point|centre) /.test(line.label),
@@ -117,7 +117,7 @@ export function worded(found) {
   return { main, rests: rests.join(" · ") };
 }
 
-/** Return what a measurement was made in, beside its pixels. */
+/** Return channel and settings of a measurement. */
 export function circumstances(state) {
   const { scene } = state;
   const wide = 2 * state.average + 1;
@@ -188,7 +188,7 @@ export function asObject(state) {
   };
 }
 
-/** Return all measurements as a text that says what they rest on. */
+/** Return all measurements as text, with their data source. */
 export function asText(state) {
   const { scene } = state;
   const lines = [

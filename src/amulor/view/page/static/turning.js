@@ -1,8 +1,8 @@
-// Turning a view in space: drag turns, Shift or two fingers move, the wheel zooms.
+// Control of a 3D view: drag rotates, Shift or two fingers move, the wheel zooms.
 
 /** @typedef {{x: number, y: number, moved: number}} Pointer */
 /**
- * What is done when the view has moved, is pointed at, is picked in, and double-clicked.
+ * Functions called after a motion of the view, a hover, a pick and a double click.
  * @typedef {object} Acts
  * @property {() => void} moved
  * @property {(event: PointerEvent) => void} hover
@@ -10,10 +10,10 @@
  * @property {() => void} home
  */
 
-/** How long a view counts as moving after its last move [ms]. */
+/** Time after the last motion during which a view counts as moving [ms]. */
 const REST = 180;
 
-/** Tells whether a view moves, so that fewer points are drawn meanwhile. */
+/** State of motion of a view, so that fewer points are drawn during motion. */
 export class Motion {
   #count = 0;
   #changed;
@@ -29,7 +29,7 @@ export class Motion {
     return this.#count > 0;
   }
 
-  /** Say that the view has moved; it is drawn now, and once more at rest. */
+  /** Report a motion of the view; it is drawn now, and again at rest. */
   moved() {
     this.#count += 1;
     const now = this.#count;
@@ -43,7 +43,7 @@ export class Motion {
 }
 
 /**
- * Let pointers on a canvas move a camera; they pick where they are not dragged.
+ * Connect pointer events on a canvas to a camera; a click without dragging picks.
  * @param {HTMLCanvasElement} canvas
  * @param {import("./camera.js").Camera} camera
  * @param {Acts} acts
