@@ -113,8 +113,8 @@ def test_a_target_elsewhere_moves_the_extrema(study: Study) -> None:
     near = parameters.varied(study.parameters, "distance_2", 2.5)
     failing = _failing(figure_07.checks(study.with_parameters(near)))
     assert (
-        "experiment 2: neighboring extrema of one kind are 33.5 to 43.4 MHz apart"
-        in failing
+        "experiment 2: neighboring maxima, and neighboring minima, are 33.5 to "
+        "43.4 MHz apart" in failing
     )
 
 

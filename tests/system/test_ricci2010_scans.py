@@ -53,9 +53,9 @@ FAILURES: dict[PaperFigure, set[str]] = {
     # 39 MHz is twice the cut-off of thin water.
     figure_06: {
         "the modulation frequency is just above the cut-off "
-        "(modulation frequency over cut-off)"
+        "(modulation frequency divided by cut-off)"
     },
-    figure_13: {"(c) VH, milk: steps are right to the stated 2 mm (largest error)"},
+    figure_13: {"(c) VH, milk: steps are right within the stated 2 mm (largest error)"},
     figure_14: set(),
     # The water left in moves the disc nearer, so that it seems smaller.
     figure_15: {
