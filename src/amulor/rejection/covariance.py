@@ -100,7 +100,7 @@ _LARGEST = 2**17
 
 
 def times(rows: Floats, matrix: Floats) -> Floats:
-    """Return a matrix product whose rows do not depend on the number of rows.
+    """Return a matrix product whose rounding does not depend on the number of rows.
 
     Libraries of linear algebra choose the order of their sums by the shape of what they
     are given; here that is always the same.

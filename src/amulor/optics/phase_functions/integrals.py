@@ -190,7 +190,7 @@ def _oscillating(
     angle: NDArray[np.float64],
     fraction: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return sums of fraction * J0(k angle), precise for fast oscillations."""
+    """Return Hankel sums of fraction * J0(k angle), precise for fast oscillations."""
     from amulor.optics.phase_functions import _kernels
 
     order = angle.shape[1]

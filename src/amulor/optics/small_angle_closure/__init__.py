@@ -1,4 +1,4 @@
-"""Small-angle closure: fast model of the water signal, with a Gaussian spread."""
+"""Small-angle closure: fast model of the water signal, with Gaussian beam widening."""
 
 from __future__ import annotations
 

@@ -287,7 +287,7 @@ class _Step:
         return step
 
     def select(self, selected: Bools, others: _Step) -> _Step:
-        """Return these equations for selected pixels, and others elsewhere."""
+        """Return these equations for selected pixels, and `others` for the rest."""
         return _Step(
             np.where(selected[:, None, None], self.matrix, others.matrix),
             np.where(selected[:, None], self.vector, others.vector),
