@@ -36,7 +36,7 @@ class Key(NamedTuple):
     frequency: float
     """Commanded modulation frequency [Hz]."""
     polarization: str
-    """Launched and analysed polarization state, or "none"."""
+    """Launched and analyzed polarization state, or "none"."""
     repeat: int
     """Number of the sample among those of the same place and channel. In the scan it is
     0, and higher for a retake [1]."""
@@ -88,7 +88,7 @@ class Comb(NamedTuple):
     frequencies: tuple[float, ...]
     """Modulation frequencies at once [Hz]."""
     polarization: str
-    """Launched and analysed polarization state, or "none"."""
+    """Launched and analyzed polarization state, or "none"."""
 
     def step(
         self, kind: str, place: tuple[int, int], repeat: int, where: tuple[float, float]

@@ -197,7 +197,7 @@ def _whereabouts(survey: Survey, position: tuple[float, float, float]) -> str:
         low, high = middle - span / 2, middle + span / 2
         if not low <= angle <= high:
             directions.append(
-                f"its centre has {name} {math.degrees(angle):.3g} degrees, the scan "
+                f"its center has {name} {math.degrees(angle):.3g} degrees, the scan "
                 f"{math.degrees(low):.3g} to {math.degrees(high):.3g}"
             )
     return (

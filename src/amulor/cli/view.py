@@ -88,7 +88,7 @@ def view(
             "cube, not with a cloud or a mesh"
         )
     if unit is not None and not in_space and against is None:
-        raise UsageError("--unit goes with a mesh or a cloud; scans are in metres")
+        raise UsageError("--unit goes with a mesh or a cloud; scans are in meters")
     if against is not None and save is not None:
         raise UsageError("--against goes with a page that is served, not with --save")
     inputs = [option for option in (path, samples, against) if option is not None]

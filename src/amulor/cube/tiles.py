@@ -289,7 +289,7 @@ class Whole:
 
 #: Pixels of the sample on which a scan in tiles is judged.
 SAMPLE = 2**16
-#: Rows and columns of a scan that stand together in its sample, at least: neighbours
+#: Rows and columns of a scan that stand together in its sample, at least: neighbors
 #: tell the noise.
 _BAND = 8
 

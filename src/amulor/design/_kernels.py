@@ -30,7 +30,7 @@ NUMBERS = (
     "rate",  # photoelectrons if all launched light came back [1/s]
     "shot",  # variance of either output per rate, 2 F / T [1/s]
     "dark",  # dark counts [1/s]
-    "sky",  # photoelectrons by daylight without an analyser [1/s]
+    "sky",  # photoelectrons by daylight without an analyzer [1/s]
     "echo",  # reflectance over pi, cosine, window [1/sr]
     "passed",  # window [1]
     "phase_floor",  # [rad]

@@ -242,7 +242,7 @@ def _distance_of(survey: Survey) -> float:
     if reach is None:
         raise SurveyError(
             "distance: is missing, and the survey does not say how far its targets "
-            "are; state it, in metres"
+            "are; state it, in meters"
         )
     return (reach[0] + reach[1]) / 2
 

@@ -171,7 +171,7 @@ def relief_statement(raster: products.Raster) -> str:
     slope = float(np.nanmedian(raster.own)) * 2**0.5 / apart
     return (
         "Light from the upper left, 40 degrees high, on means of 3 x 3 cells; noise "
-        f"alone tilts neighbouring pixels by {np.degrees(np.arctan(slope)):.1f} "
+        f"alone tilts neighboring pixels by {np.degrees(np.arctan(slope)):.1f} "
         "degrees (standard uncertainty): flatter relief is no tool mark"
     )
 

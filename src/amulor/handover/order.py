@@ -120,7 +120,7 @@ def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
         statements.append(f"Not in them: {', '.join(unknown)}")
     geometry = image["geometry"].attrs
     index = float(geometry["group_index"])
-    statements.append(f"Metres of water range by the group index {index:.4f}")
+    statements.append(f"Meters of water range by the group index {index:.4f}")
     if image.attrs.get("simulated"):
         statements.append("Simulated data; nothing here was measured")
     history = str(image.attrs.get("history", "")).splitlines()

@@ -205,7 +205,7 @@ def _write_map(
         drawings.write_bands(raster, bands, path, statements[1], overwrite=overwrite)
         return
     shown = np.where(sure >= 0.5, value, np.nan)
-    note = "Coloured where the deviation is significant, grey elsewhere"
+    note = "Colored where the deviation is significant, gray elsewhere"
     if not np.isfinite(shown).any():
         shown, note = value, "No deviation is significant: what is shown is chance"
     about = Sheet(

@@ -32,7 +32,7 @@ class SiteFrame(Description):
     """Local frame of all scans: x east, y north, z up."""
 
     crs: ReferenceSystem = ""
-    """Reference system that the local frame belongs to: a projected one in metres, such
+    """Reference system that the local frame belongs to: a projected one in meters, such
     as "EPSG:32632", or a name; none if left out."""
     crs_offset: Position = (0.0, 0.0, 0.0)
     """Offset from the local frame to the reference system (east, north, up), common to

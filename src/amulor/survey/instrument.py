@@ -54,7 +54,7 @@ class Daylight(Description):
     """Diffuse attenuation coefficient K_d of the water above the instrument [1/m]."""
 
 
-#: Launched and analysed state: vertical, horizontal, +45 and -45 degrees, right, left.
+#: Launched and analyzed state: vertical, horizontal, +45 and -45 degrees, right, left.
 PolarizationPair = Annotated[str, Field(pattern=f"^({stokes.PAIR_PATTERN})$")]
 
 

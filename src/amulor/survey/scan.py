@@ -21,7 +21,7 @@ from amulor.survey.quantity import (
     Time,
 )
 
-_NEEDED = 'state a projected system in metres, such as "EPSG:32632", or a name'
+_NEEDED = 'state a projected system in meters, such as "EPSG:32632", or a name'
 
 
 def epsg_code(text: str) -> int | None:

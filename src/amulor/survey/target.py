@@ -23,7 +23,7 @@ from amulor.survey.surface import SurfaceStated
 PAINTED_METAL = SURFACES["painted-metal"]
 
 
-#: Metres of the units that coordinates of a mesh may have [m].
+#: Meters of the units that coordinates of a mesh may have [m].
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 
 
@@ -198,7 +198,7 @@ class Mesh(_Target):
     def _glb_is_in_metres(self) -> Self:
         if self.file.suffix.lower() == ".glb" and self.unit != "m":
             raise ValueError(
-                f"unit is {self.unit!r}, but coordinates of a GLB file are metres by "
+                f"unit is {self.unit!r}, but coordinates of a GLB file are meters by "
                 "definition; leave unit out, or export the mesh as PLY, OBJ or STL"
             )
         return self

@@ -241,7 +241,7 @@ def _water_rows(survey: Survey) -> list[list[str]]:
         ["absorption", f"{water.absorption:.4g} 1/m"],
         ["scattering", f"{water.scattering:.4g} 1/m"],
         ["attenuation", f"{attenuation:.4g} 1/m"],
-        ["group index, which makes the metres", f"{water.group_index:.5g}"],
+        ["group index, which makes the meters", f"{water.group_index:.5g}"],
         ["refractive index", f"{water.refractive_index:.5g}"],
     ]
 

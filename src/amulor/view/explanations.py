@@ -407,7 +407,7 @@ def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[
         _Test(flag.OUTLIER, "channel_disagreement",
               "phase off another channel, in units of its scatter", ">",
               float(channels.min())),
-        _Test(flag.OUTLIER, "stand_off", "off its neighbours, in standard errors", ">",
+        _Test(flag.OUTLIER, "stand_off", "off its neighbors, in standard errors", ">",
               outliers.LEAST),
     ]  # fmt: skip
 

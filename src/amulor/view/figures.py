@@ -51,7 +51,7 @@ def signal_images(cube: xr.Dataset, *, frequency: int = 0) -> Figure:
     >>> from amulor import samples
     >>> from amulor.view import figures
     >>> drawn = figures.signal_images(samples.cube("ladder"))
-    >>> len(drawn.axes)  # colour bars included
+    >>> len(drawn.axes)  # color bars included
     8
     """
     channels = [str(value) for value in cube["polarization"].values]
@@ -103,7 +103,7 @@ def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
     >>> raw = rejection.keep_water(samples.cube("ladder"))
     >>> before = imaging.range_image(raw, polarization="VH")
     >>> drawn = figures.range_images(before, image)
-    >>> len(drawn.axes)  # colour bars included
+    >>> len(drawn.axes)  # color bars included
     8
     """
     ranges = [image["slant_range"].values * 1e3 for image in (before, after)]
@@ -158,7 +158,7 @@ def image_overview(image: xr.Dataset) -> Figure:
     >>> image = imaging.range_image(target)
     >>> from amulor.view import figures
     >>> drawn = figures.image_overview(image)
-    >>> len(drawn.axes)  # colour bars included
+    >>> len(drawn.axes)  # color bars included
     8
     """
     panels = (

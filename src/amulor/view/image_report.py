@@ -160,7 +160,7 @@ def flag_sentence(image: xr.Dataset, whole: Whole | None = None) -> str:
     error = f" {words[0].upper()}{words[1:]}." if words else ""
     hints = f" What they mean: {hint(counted)}." if counts else ""
     return (
-        f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{hints}{error}"
+        f"Gray pixels hold no range. Flags, of {pixels} pixels: {listed}.{hints}{error}"
     )
 
 

@@ -133,7 +133,7 @@ class TestGeotiff:
     def test_no_file_is_written_in_a_system_that_is_none_of_metres(
         self, values, tmp_path, crs
     ):
-        with pytest.raises(FormatError, match="state a projected system in metres"):
+        with pytest.raises(FormatError, match="state a projected system in meters"):
             write_geotiff(
                 [Band(name="height", unit="m", values=values)],
                 tmp_path / "dem.tif",

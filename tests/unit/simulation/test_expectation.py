@@ -55,7 +55,7 @@ def test_more_light_saturates(plate: Survey) -> None:
     ("position", "said"),
     [
         ('["0 cm", "0 cm", "-150 cm"]', "it stands 1.5 m behind the instrument"),
-        ('["80 cm", "0 cm", "150 cm"]', "its centre has azimuth 28.1 degrees, the sc"),
+        ('["80 cm", "0 cm", "150 cm"]', "its center has azimuth 28.1 degrees, the sc"),
     ],
 )
 def test_a_target_that_no_beam_meets_is_told(

@@ -119,7 +119,7 @@ def test_the_bent_disc_lies_on_its_cylinder() -> None:
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj", "glb"])
 def test_mesh_files_are_placed_and_scaled(tmp_path, suffix: str) -> None:
     path = tmp_path / f"box.{suffix}"
-    # GLB is in metres by its format, the others in what the survey says.
+    # GLB is in meters by its format, the others in what the survey says.
     unit = "m" if suffix == "glb" else "mm"
     size = np.array((200, 100, 40)) / (1000 if unit == "m" else 1)
     trimesh.creation.box(size).export(path)
@@ -174,7 +174,7 @@ def test_a_mesh_too_large_for_metres_needs_its_unit(tmp_path) -> None:
 def test_a_glb_file_takes_no_unit() -> None:
     known = {"kind": "mesh", "file": "a.glb", "position": (0, 0, 1), "reflectance": 0.3}
     assert Mesh(**known).unit == "m"
-    with pytest.raises(ValueError, match="metres by definition"):
+    with pytest.raises(ValueError, match="meters by definition"):
         Mesh(unit="mm", **known)
 
 

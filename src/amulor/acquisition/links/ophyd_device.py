@@ -41,7 +41,7 @@ class AsyncLoop:
         try:
             return future.result(timeout + _GRACE)
         except concurrent.futures.CancelledError:
-            raise RuntimeError("it was cancelled by its event loop") from None
+            raise RuntimeError("it was canceled by its event loop") from None
         except BaseException:
             future.cancel()
             raise

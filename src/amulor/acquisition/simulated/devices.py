@@ -349,7 +349,7 @@ class SimulatedDigitiser:
         faults, number = self.bench.faults, self.bench.readings + 1
         if faults.active("timeout", number) or faults.active("lost-link", number):
             self.bench.readings += 1
-            raise InstrumentError("the simulated digitiser does not answer in time")
+            raise InstrumentError("the simulated digitizer does not answer in time")
         count = int(min(max(round(duration * self._rate), 1024), self._memory))
         tones, mean = self.bench.instant()
         spread = self.bench.noise * math.sqrt(self.bench.time_constant * self._rate)

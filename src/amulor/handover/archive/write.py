@@ -270,7 +270,7 @@ processed/      the range image of each scan, with its error budget and history
 registered/     the points of each scan in the frame of the project: the same points as
                 text (.xyz), LAZ and E57
 registration/   one matrix a scan, 4 x 4 row by row: it turns the instrument's axes
-                (x right, y down, z forward, metres) into those of the registered points
+                (x right, y down, z forward, meters) into those of the registered points
 metadata/       project.csv, scans.csv, registration.csv, files.csv
 manifest-sha256.txt   checksums; sha256sum --check reads it
 

@@ -543,7 +543,7 @@ def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -
     rows = [
         ",".join(
             [
-                # Micrometres, however far from the origin of the frame.
+                # Micrometers, however far from the origin of the frame.
                 *(f"{v:.6f}" for v in row[:3]),
                 *(f"{v:.6g}" for v in row[3:-2]),
                 f"{row[-2]:.0f}",

@@ -231,7 +231,7 @@ def counted(points: Points, good: Flags, gate: float | None) -> Counted:
     score = points.distance / sigma
     middle = np.median(score[good])
     scatter = 1.4826 * np.median(np.abs(score[good] - middle))
-    # A sample of n has a scatter of 1 +- 1.17 / sqrt(n) by chance; neighbours share
+    # A sample of n has a scatter of 1 +- 1.17 / sqrt(n) by chance; neighbors share
     # a fifth of their noise.
     sure = 1 + 3 * 1.17 / np.sqrt(max(int(good.sum()) / 2, 1.0))
     misfit = float(scatter) if scatter > sure else 1.0
@@ -271,7 +271,7 @@ def _offset_together(
         for values in (total, count, patches)
     )
     number = np.maximum(count, 1.0)
-    # Noise of the patches is the same in neighbours, at worst.
+    # Noise of the patches is the same in neighbors, at worst.
     error = misfit * np.sqrt(1 / number + patches / number)
     off = (np.abs(total / number) > _MOVED * error) & (count >= 5)
     off = ndimage.binary_dilation(off, iterations=2)

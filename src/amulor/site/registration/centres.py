@@ -133,7 +133,7 @@ def _sphere(
         if number > 5 and np.linalg.norm(step) < 1e-7:
             break
     gain = np.linalg.solve(normal, gradient.T * weight)
-    # A larger sphere that the same points lie on has its centre farther away.
+    # A larger sphere that the same points lie on has its center farther away.
     by_radius = np.linalg.solve(
         normal, gradient.T @ (weight / np.abs(np.einsum("ij,ij->i", spot, beam)))
     ) * (target.radius * target.radius_uncertainty)

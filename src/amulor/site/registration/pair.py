@@ -3,7 +3,7 @@
 Normals are noisy, and noise in both factors of a sum of squares adds up: a flat sea
 bed would look as if it held a scan sideways, and a site would shrink, since a smaller
 one has smaller residuals. So distances are multiplied with derivatives whose noise is
-independent of theirs: normals of the other scan, places by neighbours (instrumental
+independent of theirs: normals of the other scan, places by neighbors (instrumental
 variables).
 """
 
@@ -153,7 +153,7 @@ def compared(
     window = _window(target, at)
     noises = [one.own.ravel() for one in (source, target)]
     # What distances are multiplied with knows nothing of their noise, not even by the
-    # place: where neighbours of the pixel put it, on the patches there.
+    # place: where neighbors of the pixel put it, on the patches there.
     guessed = poses[0].place(source.apart.reshape(-1, 3)[pixel])
     at_guess = on_grid(target, poses[1].back(guessed), at.pixel)
     rows, alongs = [], []

@@ -103,7 +103,7 @@ def cross_matrix(vectors: Floats) -> Floats:
     )
 
 
-#: small_gicp stops when a step is smaller [m, rad]; its own default leaves millimetres.
+#: small_gicp stops when a step is smaller [m, rad]; its own default leaves millimeters.
 _STOP, _TURN = 1e-6, 1e-7
 #: Voxels are so many times coarser, and points are looked for in so large a part of
 #: the reach, one step after the other [1].

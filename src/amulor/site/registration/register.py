@@ -459,7 +459,7 @@ def _weak_directions(
         root = np.linalg.cholesky(start.covariance)
         others = [_relative_to_prior(spread, start.covariance) for spread in options]
         for value, axis in zip(values, axes.T, strict=True):
-            # Two start poses by themselves make a mean; a neighbour may know better.
+            # Two start poses by themselves make a mean; a neighbor may know better.
             if min(float(axis @ spread @ axis) for spread in others) > _NO_BETTER**2:
                 step = root @ axis * math.sqrt(value)
                 surface = surfaces[name]

@@ -88,7 +88,7 @@ class Contradiction:
                 f"scan {self.scan!r}: its ranges change {PATTERNS[self.error]} by "
                 f"{abs(self.shift) * 1e3:.1f} +- {self.stated_shift * 1e3:.1f} mm "
                 f"({np.sqrt(self.score):.1f} standard uncertainties) beside those of "
-                "its neighbours, which no pose and no stated error explains; look "
+                "its neighbors, which no pose and no stated error explains; look "
                 "whether the instrument drifted or its delay changed, or state the "
                 "drift of this scan"
             )
@@ -110,7 +110,7 @@ class Contradiction:
             f"{self.turn * 1e3:.0f} mrad off its start pose, which is stated to "
             f"{self.stated_shift * 1e3:.1f} mm and {self.stated_turn * 1e3:.1f} mrad "
             f"(chi-square {self.score:.0f} per degree of freedom); check [scan.start] "
-            "of this scan and of its neighbours, or state the uncertainty as large as "
+            "of this scan and of its neighbors, or state the uncertainty as large as "
             "it is"
         )
 

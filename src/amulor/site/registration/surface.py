@@ -275,7 +275,7 @@ def scan_surface(
     # The fit without the pixel in the middle; its slopes are the same.
     middle = plain[0, window // 2, window // 2]
     without = (low[0] - middle * inverse) / (1 - middle)
-    # No neighbour has a range where the inverse is 0.
+    # No neighbor has a range where the inverse is 0.
     reach = np.where(without > 0, 1 / np.where(without > 0, without, 1.0), np.nan)
     steps = np.array(
         [[_steps(grid, axis) for axis in (0, 1)] for grid in (origin, direction)]

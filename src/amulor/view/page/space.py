@@ -71,7 +71,7 @@ def opened(path: Path, *, unit: float | None = None) -> Space:
     ending = path.suffix.lower()
     if unit is not None and (ending in _METRES or ending not in ENDINGS):
         raise FormatError(
-            f"{path.name}: the format is in metres by itself; leave out --unit"
+            f"{path.name}: the format is in meters by itself; leave out --unit"
         )
     try:
         shape = _read(path, ending, unit)
@@ -98,7 +98,7 @@ def _read(path: Path, ending: str, unit: float | None) -> Shape:
         from_amulor = any(line.startswith("axes:") for line in shape.statements)
         if from_amulor and unit is not None:
             raise FormatError(
-                f"{path.name}: amulor wrote it, in metres; leave out --unit"
+                f"{path.name}: amulor wrote it, in meters; leave out --unit"
             )
         if shape.faces is not None and not from_amulor and unit is None:
             raise _without_unit(path)

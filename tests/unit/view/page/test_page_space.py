@@ -177,7 +177,7 @@ def test_meshes_are_read_in_the_unit_that_is_stated(tmp_path: Path) -> None:
     box.export(path)
     assert_allclose(space.opened(path).size, [20, 30, 40], rtol=1e-6)
     assert space.opened(path).up == "y"
-    with pytest.raises(FormatError, match="metres by itself"):
+    with pytest.raises(FormatError, match="meters by itself"):
         space.opened(path, unit=1e-3)
 
 
