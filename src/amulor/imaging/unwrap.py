@@ -90,7 +90,8 @@ def unwrapped_range_image(
     )
     length = np.zeros(phase.shape)
     settled = np.zeros(phase.shape, dtype=bool)
-    slack = _SLACK * sigma[0] * wavelength / (2 * np.pi)
+    sigma_of_path = sigma[0] * wavelength / (2 * np.pi)
+    slack = _SLACK * sigma_of_path
     for box, surface in _surfaces(usable):
         path = _unwrapped(phase[box], surface)[surface] * wavelength / (2 * np.pi)
         low = (shortest - slack)[box][surface]
@@ -105,11 +106,18 @@ def unwrapped_range_image(
             )
             >= _INSIDE
         ]
-        length[box][surface] = path + (fits[0] if fits else 0) * wavelength
-        settled[box][surface] = len(fits) == 1
+        chosen_length = path + (fits[0] if fits else 0) * wavelength
+        length[box][surface] = chosen_length
+        # A lone pixel just outside is rather one turn off.
+        sure = (_MEDIAN_SLACK * sigma_of_path)[box][surface]
+        beyond = np.maximum(
+            np.median(shortest[box][surface] - sure - chosen_length),
+            np.median(chosen_length - longest[box][surface] - sure),
+        )
+        settled[box][surface] = len(fits) == 1 and beyond <= 0
     chosen = ambiguity.Path(
         length=length,
-        uncertainty=sigma[0] * wavelength / (2 * np.pi),
+        uncertainty=sigma_of_path,
         weight=np.ones((1, *phase.shape)),
         settled=settled,
         wrong=np.where(settled, 0.0, 1.0),
@@ -125,6 +133,8 @@ def unwrapped_range_image(
 
 #: A range may lie this many standard errors outside the interval: it was measured.
 _SLACK = 4.0
+#: The median of a surface may lie outside by fewer: one pixel is a surface, too.
+_MEDIAN_SLACK = 2.0
 
 
 def _frequency(channel: xr.Dataset, chosen: float | None) -> int:

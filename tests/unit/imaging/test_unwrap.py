@@ -167,3 +167,22 @@ def test_the_frequency_with_the_smallest_error_of_the_range_is_taken(
     np.testing.assert_array_equal(
         image["slant_range"].values, alone["slant_range"].values
     )
+
+
+@pytest.mark.parametrize("below", [-1.0, 1.5, 2.5, 3.9])
+def test_a_lone_weak_pixel_below_the_interval_by_more_than_its_noise_is_flagged(
+    below: float,
+) -> None:
+    sigma = 0.05 * speed_of_light / (4 * np.pi * FREQUENCY)
+    distance = np.full((5, 5), 1.2)
+    distance[2, 2] = 1.0 - below * sigma
+    cube = _scene(distance)
+    for name in ("in_phase_uncertainty", "quadrature_uncertainty"):
+        cube[name].values[..., 2, 2] = 0.05
+    # No neighbor has a target: the pixel is a surface of its own.
+    cube["quality_flag"].values[..., 1:4, 1:4] = QualityFlag.NO_TARGET
+    cube["quality_flag"].values[..., 2, 2] = 0
+    image = imaging.unwrapped_range_image(cube, interval=(1.0, 1.6))
+    ambiguous = (image["quality_flag"].values & QualityFlag.AMBIGUOUS) != 0
+    assert ambiguous[2, 2] == (below > 2)
+    assert not ambiguous[0].any()
