@@ -78,6 +78,11 @@ TERMS = {
             meaning="leakage, walk, harmonics and drift of the instrument",
             kind="A, B",
         ),
+        Term(
+            name="corners",
+            meaning="light that concave corners of the scene reflect twice",
+            kind="B",
+        ),
     )
 }
 #: Terms that a rejection method may put into its target signal.
@@ -94,7 +99,14 @@ SIGNAL_TERMS = (
 #: combination of channels, is a matter of each sample.
 SHARED_TERMS = ("reference", "drift", "column", "polarization_optics")
 #: Terms that move all pixels of an image the same way.
-ALIKE_TERMS = ("late_echo", "delay", "group_index", "geometry", "instrument")
+ALIKE_TERMS = (
+    "late_echo",
+    "delay",
+    "group_index",
+    "geometry",
+    "instrument",
+    "corners",
+)
 #: Terms in proportion to the water, the same part of it at all pixels.
 WATER_TERMS = ("drift", "column")
 #: Start of the names of variables that hold one term.

@@ -16,6 +16,7 @@ from scipy.constants import speed_of_light
 from amulor.cube import error_unknown
 from amulor.cube.error import by_frequency, instrument_phase
 from amulor.cube.schema import RANGE_PREFIX, TERMS, Term
+from amulor.imaging.corners import Patches, corner_error
 from amulor.imaging.late_light import LateFit, late_light
 from amulor.imaging.observation import Observation
 from amulor.imaging.ranges import Ranges
@@ -29,8 +30,12 @@ _SHAPE_KNOWN = 4
 
 
 def completed(
-    observation: Observation, ranges: Ranges, *, fit: LateFit | None = None
-) -> tuple[Ranges, dict[str, Any], LateFit]:
+    observation: Observation,
+    ranges: Ranges,
+    *,
+    fit: LateFit | None = None,
+    patches: Patches | None = None,
+) -> tuple[Ranges, dict[str, Any], LateFit, Patches | None]:
     """Return ranges without late light, with error terms, attributes and statistics."""
     slant_range = np.where(ranges.usable, ranges.slant_range, np.nan)
     light, fit = late_light(observation, slant_range, weight=ranges.weight, fit=fit)
@@ -42,6 +47,16 @@ def completed(
     phases = instrument_term(observation, ranges.weight, ranges.slope)
     if phases is not None:
         shared["instrument"] = phases
+    corners, patches = corner_error(
+        observation,
+        slant_range - light.late,
+        weight=ranges.weight,
+        slope=ranges.slope,
+        noise=ranges.total,
+        fit=patches,
+    )
+    if corners is not None:
+        shared["corners"] = corners
     unknown = _unknown_of_water(observation.channel)
     unknown += [name for name in CALIBRATION_TERMS if name not in shared]
     further = dict(ranges.others)
@@ -76,6 +91,7 @@ def completed(
         ),
         attributes,
         fit,
+        patches,
     )
 
 

@@ -17,6 +17,7 @@ from amulor.cube.schema import PIXEL_TESTS
 from amulor.cube.tiles import Span
 from amulor.imaging import budget
 from amulor.imaging.common import with_flag
+from amulor.imaging.corners import Patches
 from amulor.imaging.late_light import LateFit, dispersion
 from amulor.imaging.observation import Observation, channel_of, noise_scale, observe
 from amulor.imaging.ranges import (
@@ -54,6 +55,8 @@ class RangeImageFit:
     """Statistics for slant ranges: frequency weights and error terms."""
     late: LateFit
     """Statistics for late light in the final ranges."""
+    patches: Patches | None = None
+    """Surfaces that light each other; None for a cube without such light."""
     path: PathFit | None = None
     """Statistics for optical paths; None after a joint estimation."""
     noise_scale: float = 1.0
@@ -169,7 +172,10 @@ def fitted_range_image(
         ranges, of_ranges = ranges_of_path(observation, path, fit=of_ranges)
     tell("error budget", 0.6)
     late = None if fit is None else fit.late
-    image, late = _image(observation, ranges, interval=interval, fit=late)
+    patches = None if fit is None else fit.patches
+    image, late, patches = _image(
+        observation, ranges, interval=interval, fit=late, patches=patches
+    )
     reason = ""
     if interval is None:
         reason = unsettled_interval(
@@ -186,6 +192,7 @@ def fitted_range_image(
     return image, RangeImageFit(
         ranges=of_ranges,
         late=late,
+        patches=patches,
         path=of_path,
         noise_scale=factor,
         rescaled=rescaled,
@@ -260,9 +267,12 @@ def _image(
     *,
     interval: tuple[float, float] | None,
     fit: LateFit | None = None,
-) -> tuple[xr.Dataset, LateFit]:
+    patches: Patches | None = None,
+) -> tuple[xr.Dataset, LateFit, Patches | None]:
     """Range image with error budget from given ranges, and the statistics used."""
-    ranges, attributes, fit = budget.completed(observation, ranges, fit=fit)
+    ranges, attributes, fit, patches = budget.completed(
+        observation, ranges, fit=fit, patches=patches
+    )
     channel, usable = observation.channel, ranges.usable
     variables: dict[str, NDArray[Any]] = {
         "slant_range": ranges.slant_range,
@@ -300,7 +310,7 @@ def _image(
     if truth is not None:
         pixel_truth = truth[[n for n in truth if truth[n].dims == ("row", "column")]]
         image = cubes.attach(image, pixel_truth, "truth")
-    return cubes.without_unknown_errors(image), fit
+    return cubes.without_unknown_errors(image), fit, patches
 
 
 #: Statistic of a pixel from those of its frequencies: the one nearest to a flag.

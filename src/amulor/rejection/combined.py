@@ -161,8 +161,7 @@ def _combine(
         frequencies_share_errors=np.int32(0),
         target_ratio=target_ratio,
         target_ratio_uncertainty=target_ratio_uncertainty,
-        **{f"phase_error_gain_{co}": gain},
-        **reference_attributes(subtracted),
+        **{f"phase_error_gain_{co}": gain, **reference_attributes(subtracted)},
     )
     # Whether there is a target was decided before a column was put back.
     result = quality.add(result, QualityFlag.NO_TARGET, ~subtracted.has_target)

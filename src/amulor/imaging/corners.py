@@ -1,0 +1,306 @@
+"""Range error by light that is reflected twice in concave corners of the scene."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from amulor.cube.tiles import Span
+from amulor.errors import SurveyError
+from amulor.imaging.observation import Observation
+from amulor.optics import target_echo
+from amulor.survey import Survey, counting, water_properties
+from amulor.survey.view import view
+from amulor.survey.waters.whole_function import whole_function_arguments
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Patches of a scan, about.
+_PATCHES = 400
+#: Least width of a patch, in pixels.
+_NARROWEST = 3
+#: A patch is flat if it deviates from its plane by less than this part of its width,
+#: or by so many standard errors of its pixels [1].
+_FLAT, _NOISE = 0.05, 4.0
+#: Least cosine of the angle between a surface and the direction to the receiver [1].
+_GRAZING = 0.05
+#: Light that is reflected twice counts from this part of a range error on [1].
+_MATTERS = 0.05
+#: Share of a painted echo that a channel passes, in the absence of a better number; and
+#: of light that is reflected twice, which has no polarization left [1].
+_PASSED = {True: 0.75, False: 0.25}
+_UNPOLARIZED = 0.5
+#: Depths at which the echo of a white surface is computed.
+_DEPTHS = 5
+#: Pixels that are computed at once.
+_AT_ONCE = 4096
+
+
+@dataclass(frozen=True, kw_only=True)
+class Patches:
+    """Flat parts of the surfaces of a scan, as sources of light for other parts."""
+
+    position: Floats
+    """Centers, shape (patches, 3) [m]."""
+    normal: Floats
+    """Unit normals toward the instrument, shape (patches, 3) [1]."""
+    area: Floats
+    """Areas, shape (patches,) [m^2]."""
+    brightness: Floats
+    """Reflectance times the cosine toward the receiver, shape (patches,) [1]."""
+    concerned: NDArray[np.bool_]
+    """Patches with a range error by other patches that matters, shape (patches,)."""
+
+
+def corner_ratio(
+    position: Floats,
+    normal: Floats,
+    patches: Patches,
+    *,
+    receiver: Floats,
+    modulation_frequency: Floats,
+    group_index: float,
+    attenuation: float = 0.0,
+    acceptance: float = math.inf,
+) -> Complex:
+    r"""Return light reflected twice over light reflected once, by frequency and point.
+
+    A Lambertian patch Q of area A, at the distance r from the lit point P, adds
+
+    .. math:: \frac{\varrho_Q \cos\theta_Q}{\pi \cos\theta_P}
+        \frac{\cos\theta_{PQ} \cos\theta_{QP} A}{r^2 + A / \pi}
+        \left(\frac{z_P}{z_Q}\right)^2 \exp (i \omega / v - k) (r + z_Q - z_P) .
+
+    The form factor with :math:`A / \pi` is that of a disk on the axis, and is finite
+    where patches touch.
+    """
+    way = patches.position[None] - position[:, None]
+    distance = np.maximum(np.linalg.norm(way, axis=2), 1e-9)
+    leaving = np.einsum("pqi,pi->pq", way, normal) / distance
+    arriving = -np.einsum("pqi,qi->pq", way, patches.normal) / distance
+    form = np.maximum(leaving, 0.0) * np.maximum(arriving, 0.0) * patches.area
+    form /= distance**2 + patches.area / math.pi
+    back, direct = receiver - patches.position, receiver - position
+    back_length, direct_length = (np.linalg.norm(v, axis=1) for v in (back, direct))
+    facing = np.einsum("pi,pi->p", direct, normal) / direct_length
+    size = form * patches.brightness / (math.pi * np.maximum(facing, _GRAZING)[:, None])
+    size *= (direct_length[:, None] / back_length) ** 2
+    longer = distance + back_length - direct_length[:, None]
+    size *= np.exp(-attenuation * longer)
+    if math.isfinite(acceptance):
+        aside = np.einsum(
+            "pi,qi->pq", direct / direct_length[:, None], back / back_length[:, None]
+        )
+        size *= np.exp(-((np.arccos(np.clip(aside, -1, 1)) / acceptance) ** 2))
+    per_path = 2 * math.pi * modulation_frequency * group_index / speed_of_light
+    return np.stack([np.sum(size * np.exp(1j * k * longer), axis=1) for k in per_path])
+
+
+def corner_error(
+    observation: Observation,
+    slant_range: Floats,
+    *,
+    weight: Floats,
+    slope: Floats,
+    noise: Floats,
+    fit: Patches | None = None,
+) -> tuple[Floats | None, Patches | None]:
+    """Return the range error by light reflected twice, and the patches of the scan.
+
+    None without a survey, and for simulated samples, which have no such light unless
+    the attribute `corner_light` is "present". The reflectance of a patch comes from its
+    amplitude and the survey, and is at most 1.
+    """
+    channel, survey = observation.channel, observation.survey
+    absent = "absent" if channel.attrs.get("simulated", 0) else "present"
+    if survey is None or channel.attrs.get("corner_light", absent) == "absent":
+        return None, None
+    position = _positions(observation, slant_range)
+    name = str(channel["polarization"].item())
+    passed = 1.0 if name == "none" else _PASSED[name in ("VV", "HH", "RL", "LR")]
+    # Light that is reflected twice is unpolarized, and passes crossed analyzers better.
+    boost = 1.0 if name == "none" else max(1.0, _UNPOLARIZED / passed)
+    receiver = np.asarray(observation.geometry.receiver, dtype=float).reshape(-1, 3)[0]
+    try:
+        water = water_properties(survey)
+        if fit is None:
+            fit = _patches(
+                observation, slant_range, position, noise,
+                brightness=_brightness(observation, survey, slant_range) / passed,
+            )  # fmt: skip
+    except SurveyError:
+        return None, None
+    if not fit.area.size:
+        return None, fit
+    patches = fit
+    group_index = float(observation.geometry.medium.group_index)
+    acceptance = _acceptance(survey)
+    per_phase = (weight * observation.path_per_phase.ravel())[:, None]
+
+    def path_error(position: Floats, normal: Floats) -> Floats:
+        ratio = corner_ratio(
+            position,
+            normal,
+            patches,
+            receiver=receiver,
+            modulation_frequency=observation.frequency,
+            group_index=group_index,
+            attenuation=water.reduced_attenuation,
+            acceptance=acceptance,
+        )
+        return np.asarray(np.sum(per_phase * np.angle(1 + boost * ratio), axis=0))
+
+    error = np.zeros(slant_range.shape)
+    valid = np.isfinite(position).all(axis=-1)
+    near = _nearest(position[valid], fit.position)
+    if not fit.concerned.size:
+        limit = _MATTERS * float(np.median(noise[valid])) if valid.any() else math.inf
+        shift = np.median(slope[valid]) * path_error(fit.position, fit.normal)
+        fit = replace(fit, concerned=np.abs(shift) > limit)
+    rows, columns = np.nonzero(valid)
+    chosen = np.flatnonzero(fit.concerned[near])
+    for first in range(0, chosen.size, _AT_ONCE):
+        part = chosen[first : first + _AT_ONCE]
+        place = rows[part], columns[part]
+        shift = path_error(position[place], fit.normal[near[part]])
+        error[place] = np.abs(slope[place] * shift)
+    return (error if fit.concerned.any() else None), fit
+
+
+def _positions(observation: Observation, slant_range: Floats) -> Floats:
+    """Points of the pixels in the instrument's axes, last axis (3,) [m]."""
+    beam = observation.geometry.beam
+    water = slant_range - beam.length_before
+    return np.asarray(beam.entry + water[..., None] * beam.direction)
+
+
+def _brightness(
+    observation: Observation, survey: Survey, slant_range: Floats
+) -> Floats:
+    """Return the echo over that of a white surface that faces the receiver [1]."""
+    geometry = observation.geometry
+    depth = geometry.depth(slant_range)
+    usable = np.isfinite(depth) & (depth > 0)
+    if not usable.any():
+        return np.full(depth.shape, np.nan)
+    water = water_properties(survey)
+    center = (np.array([np.mean(a)]) for a in (geometry.azimuth, geometry.elevation))
+    seen = view(survey, *center)
+    ends = float(depth[usable].min()), float(depth[usable].max())
+    depths = np.geomspace(ends[0] * 0.999, ends[1] * 1.001, _DEPTHS)
+    white = target_echo.small_angle_target_response(
+        observation.frequency[0],
+        depth=depths,
+        optical_path=2 * depths,
+        reflectance=1.0,
+        **whole_function_arguments(survey, water, seen),
+    )
+    instrument = survey.instrument
+    volt = (
+        instrument.modulation_depth
+        * instrument.detector.volt_per_photoelectron_rate
+        * counting.full_rate(survey)
+        * float(seen.transmission.ravel()[0])
+    )
+    logarithm = np.interp(
+        np.log(np.where(usable, depth, ends[0])), np.log(depths), np.log(np.abs(white))
+    )
+    bright = np.abs(observation.signal[0]) / (volt * np.exp(logarithm))
+    return np.asarray(np.where(usable, bright, np.nan))
+
+
+def _acceptance(survey: Survey) -> float:
+    """Field of view about the beam; infinite where the receiver does not follow it."""
+    if survey.scan.moves != "both":
+        return math.inf
+    return float(view(survey, np.zeros(1), np.zeros(1)).acceptance)
+
+
+def _patches(
+    observation: Observation,
+    slant_range: Floats,
+    position: Floats,
+    noise: Floats,
+    *,
+    brightness: Floats,
+) -> Patches:
+    """Flat blocks of pixels, with planes fitted to them."""
+    rows, columns = slant_range.shape
+    side = max(_NARROWEST, math.ceil(math.sqrt(rows * columns / _PATCHES)))
+    scale = _coverage(observation)
+    found: list[tuple[Floats, Floats, float, float]] = []
+    for row in range(0, rows, side):
+        for column in range(0, columns, side):
+            block = slice(row, row + side), slice(column, column + side)
+            patch = _plane(position[block], noise[block], brightness[block])
+            if patch is not None:
+                found.append(patch)
+    normals = np.array([patch[1] for patch in found]).reshape(-1, 3)
+    centers = np.array([patch[0] for patch in found]).reshape(-1, 3)
+    receiver = np.asarray(observation.geometry.receiver, dtype=float).reshape(-1, 3)[0]
+    away = np.einsum("pi,pi->p", normals, receiver - centers) < 0
+    normals[away] *= -1
+    back = receiver - centers
+    facing = np.einsum("pi,pi->p", normals, back) / np.linalg.norm(back, axis=1)
+    return Patches(
+        position=centers,
+        normal=normals,
+        area=scale * np.array([patch[2] for patch in found]),
+        # A surface reflects no more light than it receives.
+        brightness=np.minimum(np.array([patch[3] for patch in found]), facing),
+        concerned=np.zeros(0, dtype=bool),
+    )
+
+
+def _plane(
+    position: Floats, noise: Floats, brightness: Floats
+) -> tuple[Floats, Floats, float, float] | None:
+    """Center, normal, area and brightness of a block; None if it is not flat."""
+    valid = np.isfinite(position).all(axis=-1)
+    if valid.sum() < max(4, valid.size / 2) or min(valid.shape) < 2:
+        return None
+    down, right = (np.diff(position, axis=axis).reshape(-1, 3) for axis in (0, 1))
+    sides = [step[np.isfinite(step).all(axis=1)] for step in (down, right)]
+    if any(not len(step) for step in sides):
+        return None
+    points = position[valid]
+    center = points.mean(axis=0)
+    spread, axes = np.linalg.eigh(np.cov((points - center).T))
+    width = math.sqrt(12 * max(spread[2], 0.0))
+    flat = max(_FLAT * width, _NOISE * float(np.median(noise[valid])))
+    if not math.sqrt(max(spread[0], 0.0)) < flat or not spread[1] > 4 * spread[0]:
+        return None
+    first, second = (np.median(step, axis=0) for step in sides)
+    area = valid.sum() * abs(float(np.cross(first, second) @ axes[:, 0]))
+    return center, axes[:, 0], area, float(np.median(brightness[valid]))
+
+
+def _coverage(observation: Observation) -> float:
+    """Ratio of the solid angle of the scan to that of the pixels at hand, 1 or more."""
+    span: Span | None = observation.span
+    geometry = observation.geometry
+    if span is None or min(geometry.azimuth.shape) < 2:
+        return 1.0
+    steps = (
+        float(np.median(np.abs(np.diff(geometry.azimuth, axis=1)))),
+        float(np.median(np.abs(np.diff(geometry.elevation, axis=0)))),
+    )
+    if min(steps) <= 0:
+        return 1.0
+    angles = zip((span.azimuth, span.elevation), steps, strict=True)
+    counts = [(high - low) / step + 1 for (low, high), step in angles]
+    return max(1.0, counts[0] * counts[1] / geometry.azimuth.size)
+
+
+def _nearest(position: Floats, centers: Floats) -> NDArray[np.intp]:
+    """Return the number of the nearest patch of each point."""
+    from scipy.spatial import cKDTree
+
+    if not len(position):
+        return np.zeros(0, dtype=np.intp)
+    return np.asarray(cKDTree(centers).query(position)[1], dtype=np.intp)
