@@ -2,7 +2,7 @@
 
 
 class AmulorError(Exception):
-    """Base of all errors that a user can correct; its text is one line.
+    """Base of all errors that a user can correct; its text says what to do.
 
     Examples
     --------

@@ -104,7 +104,7 @@ class ScanDevice:
 
     name = "amulor"
     parent = None
-    #: `set` waits for each sample before the next one is asked for.
+    #: `set` waits for each sample before the next one is requested.
     in_step = True
 
     def __init__(
@@ -138,7 +138,7 @@ class ScanDevice:
         self._samples: dict[int, tuple[Key, Record, float]] = {}
         self._waiting: list[tuple[int, _Status]] = []
         self._ready, self._over = _Status(), _Status()
-        #: Whether a pause or the end is requested, and whether it has come.
+        #: Whether a pause or the end is requested, and whether it has begun.
         self._pause_requested = self._end_requested = self._paused = self._ended = False
         self._error: BaseException | None = None
         self._outcome: Outcome | None = None

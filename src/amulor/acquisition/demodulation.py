@@ -12,8 +12,8 @@ Floats = NDArray[np.float64]
 
 #: Samples of a block.
 _BLOCK = 65_536
-#: First and last bin, on either side of a tone, that its noise is estimated from. The
-#: fit has taken noise away from nearer ones.
+#: First and last bin beside a tone from which its noise is estimated. The fit has
+#: removed noise from nearer bins.
 _NEAREST, _FARTHEST = 2, 17
 #: Largest relative clock offset of the search [1].
 _CLOCK = 1e-4

@@ -235,7 +235,7 @@ class DwellReader:
         self._settling = procedure.settling
         self._filter_is_known = procedure.output_filter == "known"
         self._lock_in, self._clock = lock_in, clock
-        #: Whether the lock-in integrates and estimates its errors by itself.
+        #: Whether the lock-in integrates and estimates its errors itself.
         self._records = getattr(lock_in, "records", False)
         self._buffer = procedure.readings == "buffer" or self._records
         self._filter_is_known = self._filter_is_known and not self._records

@@ -9,8 +9,8 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-#: Command, where it lives, and its line in the help. The functions are imported when
-#: they are called, so that `amulor --help` answers at once.
+#: Command, location of its function, and its line in the help. Functions are imported
+#: when called, so that `amulor --help` answers at once.
 COMMANDS = {
     "demo": ("demo:demo", "Scan a ladder in clear and milky water; write a report."),
     "warm-up": (
@@ -123,7 +123,7 @@ COMMANDS = {
         "Redraw the figures of Ricci et al. 2010 and check their statements.",
     ),
 }
-#: Commands by what a user wants, in the order of `amulor --help`.
+#: Commands by the task of the user, in the order of `amulor --help`.
 TOPICS = {
     "measure": (
         "devices calibrate", "acquire", "watch", "recover", "devices simulate",

@@ -13,11 +13,11 @@ from typing import Any
 
 from amulor import _progress
 
-#: In a pipe, work says what it does after this time [s], ...
+#: Time after which work prints its step in a pipe [s], ...
 _SILENT = 2.0
-#: ... and that it goes on with the same after this one [s].
+#: ... and after which it prints an unchanged step again [s].
 _AGAIN = 30.0
-#: Share of flagged values above which a command says what to do [1].
+#: Fraction of flagged values above which a command gives advice [1].
 _NEARLY_ALL = 0.9
 
 

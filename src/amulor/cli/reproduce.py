@@ -13,7 +13,7 @@ from amulor.cli._arguments import SEED, UsageError
 from amulor.cli._output import print_json, progress_bar
 
 Result = TypeVar("Result")
-#: How often Ctrl-C is looked for [s].
+#: Interval of checks for Ctrl-C [s].
 _LOOK = 0.1
 #: Figures that need an extra: milk is spheres.
 _EXTRAS = {"mie": {7, 10, 11, 12}}

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from amulor.view.page import Live
 
-#: How often the journal is looked at [s].
+#: Interval of reading the journal [s].
 _POLL = 0.5
 
 

@@ -20,9 +20,11 @@ __all__ = [
 ]
 
 
-#: A target that so many of the frequencies do not show is still there [1].
+#: A target counts as present if no more than this fraction of the frequencies lacks it
+#: [1].
 _HALF = 0.5
-#: Joint estimation has left its outliers out itself, any fraction of them but all [1].
+#: Joint estimation has excluded its outliers itself, so that any fraction below all is
+#: accepted [1].
 JOINT_OUTLIERS = 1 - 1e-9
 
 
@@ -72,9 +74,9 @@ def _name(channel: xr.Dataset) -> str:
 
 WATER_NOT_REMOVED = flag_words()["pixel"]["NO_OPEN_WATER"]["short"]
 _UNSETTLED = flag_words()["pixel"]["RELATIVE"]["short"]
-#: Attribute of images and clouds that holds these words.
+#: Attribute of images and clouds with this text.
 _WORDS = "error_unknown"
-#: Uncertainties of all terms together; those of single terms stay as they are.
+#: Combined uncertainties; those of single terms are not changed.
 _COMBINED = (
     "slant_range_uncertainty",
     "slant_range_common_uncertainty",

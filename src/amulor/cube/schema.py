@@ -85,7 +85,7 @@ TERMS = {
         ),
     )
 }
-#: Terms that a rejection method may put into its target signal.
+#: Terms that a rejection method may add to its target signal.
 SIGNAL_TERMS = (
     "counting",
     "fluctuation",
@@ -95,8 +95,8 @@ SIGNAL_TERMS = (
     "water_model",
     "polarization_optics",
 )
-#: Those of them that the pixels of a scan share. Water that may change, in a
-#: combination of channels, is a matter of each sample.
+#: Terms that the pixels of a scan share. Changing water, in a combination of channels,
+#: affects each sample separately.
 SHARED_TERMS = ("reference", "drift", "column", "polarization_optics")
 #: Terms that move all pixels of an image the same way.
 ALIKE_TERMS = (
@@ -109,7 +109,7 @@ ALIKE_TERMS = (
 )
 #: Terms in proportion to the water, the same part of it at all pixels.
 WATER_TERMS = ("drift", "column")
-#: Start of the names of variables that hold one term.
+#: Prefix of the names of variables with one term.
 RANGE_PREFIX, PHASE_PREFIX = "slant_range_uncertainty_", "phase_uncertainty_"
 
 
@@ -312,7 +312,7 @@ _MEASURED = {
     "saturated": _optional(_SAMPLE, "1", "1 where the detector was overloaded"),
 }
 
-#: Statistics of the tests behind the flags of a pixel, kept by its range image.
+#: Statistics of the tests behind the flags of a pixel, stored in the range image.
 PIXEL_TESTS = {
     "no_target_probability": _optional(
         _PIXEL,
@@ -363,7 +363,7 @@ SAMPLE_TESTS = {
     ),
 }
 
-#: What the joint estimation knows of every pixel; NaN without a target.
+#: Results of joint estimation for every pixel; NaN without a target.
 _JOINT = {
     "joint_slant_range": _optional(
         _PIXEL, "m", "distance from the emitter along the beam"
@@ -551,7 +551,7 @@ OPEN_WATER_VARIABLES = {
     "elevation": _optional(("shot",), "rad", "direction of the beam"),
 }
 
-#: What a simulated cube was made from.
+#: Inputs of a simulated cube.
 TRUTH_VARIABLES = {
     "slant_range": _needed(_PIXEL, "m", "distance from the emitter along the beam"),
     "target": _needed(_PIXEL, "1", "number of the target met, -1 for none"),
@@ -562,8 +562,8 @@ TRUTH_VARIABLES = {
 }
 GROUP_VARIABLES = {"open_water": OPEN_WATER_VARIABLES, "truth": TRUTH_VARIABLES}
 
-#: Attributes of the scalar coordinate `geometry`: what a phase needs to become a
-#: point in space. Positions [m] are (right, down, forward).
+#: Attributes of the scalar coordinate `geometry`, by which a phase becomes a point in
+#: space. Positions [m] are (right, down, forward).
 GEOMETRY_ATTRIBUTES = {
     "group_index": "group index of the water, which delays the modulation [1]",
     "refractive_index": "phase index of the water, which bends the beam [1]",

@@ -34,8 +34,8 @@ __all__ = [
 #: Bytes of one variable above which a scan is processed by rows; a step in one piece
 #: takes up to 75 times as much. AMULOR_LARGE states another number.
 LARGE = 2**24
-#: Samples of a variable that are worked on at once, unless somebody says otherwise:
-#: what a step holds beside them is ten to a hundred times as much.
+#: Default number of samples of a variable that are processed at once; a step needs ten
+#: to a hundred times as much memory.
 SAMPLES_AT_ONCE = 2**18
 
 
@@ -52,7 +52,7 @@ def is_large(size: float) -> bool:
 
 
 Indices = NDArray[np.intp]
-#: From rows of a scan, and the number of the first of them, to the rows of a result.
+#: Function from rows of a scan and the number of their first to the rows of a result.
 OfRows = Callable[[xr.Dataset, int], xr.Dataset]
 
 
@@ -289,8 +289,8 @@ class Whole:
 
 #: Pixels of the sample on which a scan in tiles is judged.
 SAMPLE = 2**16
-#: Rows and columns of a scan that stand together in its sample, at least: neighbors
-#: tell the noise.
+#: Least number of adjacent rows and columns in a sample of a scan; noise is estimated
+#: from neighbors.
 _BAND = 8
 
 

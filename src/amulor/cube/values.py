@@ -86,7 +86,7 @@ def _restored(
 
 #: Detectors and lock-ins give volts; so much more is damage, or another unit [V].
 _LARGEST_SIGNAL = 1e15
-#: Errors that all samples share come together or not at all.
+#: Errors that all samples share: all of them are present, or none.
 _COMMON = (
     "common_in_phase_uncertainty",
     "common_quadrature_uncertainty",

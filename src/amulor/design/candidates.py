@@ -280,8 +280,8 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
 
 Floats = NDArray[np.float64]
 
-#: Standard errors that hold 95 % of a normal distribution on either side, and to which
-#: it is cut off.
+#: Half-widths of the central 95 % of a normal distribution, and of its truncation
+#: [standard deviations].
 _NINETY_FIVE, _CUT = 1.959964, 2 * 1.959964
 
 

@@ -198,13 +198,13 @@ def _ratio(
 _COLUMNS, _ROWS, _SPAN = 16, 9, 4e-3
 #: Share of the pixels that must have a range.
 _SEEN = 0.5
-#: Achieved over predicted uncertainty within which a prediction holds [1].
+#: Achieved over predicted uncertainty for which a prediction is confirmed [1].
 HOLDS = (0.9, 1.1)
 #: Relative difference of light up to which model and photons agree [1].
 LIGHT = 0.1
-#: What imaging takes off for late light over the uncertainty that it states for that:
-#: three quarters of the delay by the phase function, over the root of 15 % of this
-#: squared and half the delay, rectangular, squared; `amulor.imaging.late_light` [1].
+#: Late-light correction of imaging over its stated uncertainty: three quarters of the
+#: delay by the phase function, over the root of 15 % of this squared and half the
+#: delay, rectangular, squared; `amulor.imaging.late_light` [1].
 TAKEN_OFF = 0.75 / math.hypot(0.15 * 0.75, 0.5 / math.sqrt(12))
 #: Share of the required accuracy up to which a shift by late light is ignored.
 SHIFT = 0.25

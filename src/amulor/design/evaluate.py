@@ -319,7 +319,7 @@ _JERLOV = {
     "source": "williamson-hollins-2022",
     "salinity": 35.0,
 }
-#: Waters that go by name: what each is called, and how a survey states it.
+#: Waters known by name, with their description and their form in a survey.
 WATERS: dict[str, tuple[str, dict[str, Any]]] = {
     "pure": ("pure sea water", {"kind": "pure", "salinity": 35.0}),
     **{

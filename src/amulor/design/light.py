@@ -231,7 +231,7 @@ def _nodes(
     )
 
 
-#: Distances at which the delay is worked out, for each factor of two.
+#: Number of distances per factor of two at which the delay is computed.
 _PER_OCTAVE = 3
 #: Up to it the delay hardly depends on the modulation; beyond, it is less [Hz].
 _FREQUENCY = 50e6
@@ -309,7 +309,7 @@ def late_uncertainty(
     return np.asarray(math.hypot(relative, spread) * np.abs(per_square) * depth**2)
 
 
-#: What is assumed where nothing is stated: of the water, of what is known of it.
+#: Assumed values where none are stated, for the water and its uncertainties.
 ASSUMED = {
     "reflectance": 0.1,
     "slope": 0.0,

@@ -32,11 +32,11 @@ Floats = NDArray[np.float64]
 
 #: Share of the frequencies of which the phase may be lost in noise [1].
 _UNSEEN = 0.5
-#: How much a requirement that is missed counts, over the accuracy.
+#: Weight of a missed requirement relative to the accuracy.
 _MISSED = 10.0
-#: Logarithms of ratios are cut off here, so that all of them are finite.
+#: Logarithms of ratios are limited to this, so that all are finite.
 _WORST = 40.0
-#: Points that are worked on at once, for the memory.
+#: Number of points that are processed at once, which limits the memory.
 _AT_ONCE = 200_000
 #: Axes of a grid, its frequencies, distances and draws.
 _DIMENSIONS = 8

@@ -237,9 +237,10 @@ Floats = NDArray[np.float64]
 
 #: Draws and distances for judging the grid, before the best are judged with all.
 _FEW_DRAWS, _FEW_DISTANCES = 8, 3
-#: Best candidates of each laser, scheme and method whose frequencies are exchanged.
+#: Number of best candidates of each laser, scheme and method whose frequencies are
+#: exchanged.
 _STARTS = 2
-#: Steps of the refinement, and the draws that it looks at.
+#: Steps of the refinement, and the number of random waters that it uses.
 _STEPS, _REFINED_DRAWS = 70, 24
 
 

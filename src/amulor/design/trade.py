@@ -58,7 +58,7 @@ def knee(cost: ArrayLike, error: ArrayLike) -> int | None:
 
 Floats = NDArray[np.float64]
 
-#: Dwells that are tried, and how far beyond what the goal allows they go.
+#: Number of dwell times to evaluate, and their factor beyond what the goal allows.
 _DWELLS, _BEYOND = 13, 4.0
 
 

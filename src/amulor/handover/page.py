@@ -27,7 +27,7 @@ _AXES = ("instrument", "z-up", "pose")
 _SHOWN = ("amplitude", "height", "relief", "uncertainty")
 _DRAWN = ("side", "scale", "axes", "good_only", "largest_uncertainty")
 
-#: Label and options of what is offered, in the order of the page.
+#: Label and options of available products, in the order of the page.
 _OFFERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "report": ("Report with accuracy statement", ()),
     "orthoimage": ("Orthoimage", ("show", "dpi", "cell", "contours", *_DRAWN)),

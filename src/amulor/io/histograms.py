@@ -24,7 +24,7 @@ from amulor.io.files import read_bytes
 _INCH = 0.0254
 #: Bytes that one array of a file may take: more is damage, or a scan to be cut.
 _LARGEST = 2**32
-#: How damage of a zip archive or of an array in it shows itself.
+#: Exceptions raised for a damaged zip archive, or a damaged array in it.
 _DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -41,9 +41,9 @@ _DAMAGE = (
     ValueError,
     tokenize.TokenError,  # of the text before the numbers, which is Python
 )
-#: What bins of photon counters last [s].
+#: Narrowest and widest possible bin of a photon counter [s].
 _NARROWEST, _WIDEST = 1e-15, 1e-3
-#: Photons in one bin: no counter has so many [1].
+#: Largest number of photons in a bin; no counter reaches it [1].
 _MOST_COUNTS = 10**15
 _NEEDED = (
     "needed is an npz file with whole-number 'counts' (rows, columns, bins) and "
@@ -295,7 +295,7 @@ def _thickness(
     return thickness.astype(float) * _INCH
 
 
-#: Values that one step of the transform holds, about 16 MiB of float64.
+#: Values in one step of the transform, about 16 MiB of float64.
 BLOCK = 2**21
 
 

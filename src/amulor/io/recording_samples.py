@@ -27,7 +27,7 @@ _PEAK = 2**0.5
 _SAME_FREQUENCY, _SAME_TEMPERATURE = 1e-6, 0.05
 #: Temperatures of one scan may differ by so much [degC].
 _SPREAD = 1.0
-#: How far a sample may be off the grid of the scan, in steps [1].
+#: Largest distance of a sample from the grid of the scan, in steps [1].
 _OFF_GRID = 0.5
 
 

@@ -43,12 +43,13 @@ Complex = NDArray[np.complex128]
 #: Bits of `user_sample_flag`.
 ZERO, BREAKDOWN, NO_NUMBER = 1, 2, 4
 _WORDS = "zero_output breakdown no_number"
-#: A sample is a breakdown that is farther from each of its neighbors than so many
-#: typical distances, and than so many of its standard uncertainties [1].
+#: A sample is a breakdown if it differs from each neighbor by more than this many
+#: typical differences, and this many of its standard uncertainties [1].
 _BREAKDOWN, _SURE = 12.0, 8.0
-#: And farther from all mixtures of two of them than so often they differ [1].
+#: It must also differ from all mixtures of two neighbors by this factor times their
+#: difference [1].
 _SPREAD = 2.0
-#: What lock-ins put out for no number is above this [V].
+#: Values above this are codes of lock-ins for a missing number [V].
 _NO_VOLTAGE = 1e6
 _SAMPLE = ("modulation_frequency", "polarization", "row", "column")
 _PIXEL = ("row", "column")

@@ -34,7 +34,8 @@ KNOWN = {
     "intensity": ("intensity", "reflectance", "i"),
     "flags": ("quality_flag",),
 }
-#: Further numbers of points that are shown; the rest is left out, and the page says so.
+#: Largest number of point values that are shown; others are omitted, which the page
+#: states.
 _MOST_OTHERS = 8
 _TAKEN = (*KNOWN, "height", "position", "faces", "colour")
 

@@ -22,9 +22,9 @@ from amulor.io.histograms import (
 __all__ = ["Slabs", "mean_delay", "read_slabs", "slab_response"]
 
 
-#: Frequencies that are worked on at a time, which bounds the memory.
+#: Number of frequencies processed at a time, which limits the memory.
 _TOGETHER = 64
-#: A bin holds no light if it is above the background by this many deviations at most.
+#: A bin counts as dark if it exceeds the background by at most this many deviations.
 _DARK = 3.0
 
 

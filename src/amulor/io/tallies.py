@@ -24,7 +24,7 @@ from amulor.io.netcdf import (
 if TYPE_CHECKING:
     from amulor.transport.tally import Tally
 
-#: Version of what the file holds.
+#: Version of the file format.
 _VERSION = "1"
 _DIMENSIONS = ("batch", "part", "component", "modulation_frequency")
 _PER_LIGHT = {"units": "1", "long_name": "light per launched light"}

@@ -26,7 +26,7 @@ __all__ = ["VOLTS_PER_COUNT", "medium_from_minimum", "read_transients"]
 
 Floats = NDArray[np.float64]
 
-#: An echo stands out of the smallest scene by this many standard errors [1].
+#: An echo is significant above the smallest scene by this many standard errors [1].
 _SURE = 5.0
 #: Parts of a histogram over which its smallest values are smoothed.
 _PARTS = 64

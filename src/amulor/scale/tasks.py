@@ -23,7 +23,7 @@ from amulor.site.load import options_of
 __all__ = ["RECORD", "Done", "Record", "Task", "Work", "in_order", "tasks_of"]
 
 
-#: Name of the file that says what is done, in the folder of each scan.
+#: Name of the record file in the folder of each scan.
 RECORD = "steps.json"
 
 
@@ -186,7 +186,7 @@ def _made_of(of: str, how: dict[str, Any]) -> str:
     return json.dumps({"of": of, "how": how, "amulor": version}, sort_keys=True)
 
 
-#: How often a task is begun again whose worker has died.
+#: Number of times that a task is repeated if its worker dies.
 RETRIES = 3
 #: Word for a cluster of processes on this machine.
 LOCAL = "local"

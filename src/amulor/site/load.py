@@ -11,7 +11,7 @@ from amulor import io, pipeline
 from amulor.errors import CubeError
 from amulor.site.description import Processing, SiteScan
 
-#: Remedy for a scan whose error is not known.
+#: Remedy for a scan whose error is unknown.
 WHAT_TO_DO = (
     "scans are placed and merged by their errors: remove the water with amulor reject, "
     "and state the nearest and farthest range with amulor image --nearest --farthest"

@@ -56,7 +56,7 @@ def _settled(value: Any, folder: Path, *, where: str, path: str) -> Any:
 
 
 _Model = TypeVar("_Model", bound=BaseModel)
-#: Largest number of a table: peaks of phase functions stay far below [1].
+#: Largest number in a table; peaks of phase functions are far smaller [1].
 _LARGEST = 1e15
 _SIZE_LIMIT = 1_000_000
 

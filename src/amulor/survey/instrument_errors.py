@@ -11,7 +11,7 @@ from pydantic import Field
 
 from amulor.survey.quantity import Angle, Description, Fraction, Time, Voltage
 
-#: What is recorded with an error: scan and open-water references, or one of them.
+#: Measurements that have the error: scan and open-water references, or one of them.
 Part = Literal["all", "scan", "open_water"]
 _Share = Annotated[Fraction, Field(ge=0, le=1)]
 _Change = Annotated[Fraction, Field(gt=-1, le=10)]

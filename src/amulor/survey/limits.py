@@ -57,7 +57,7 @@ _TARGET = Limit(
 )
 _SIZE = Limit(quantity="length", most=1000.0, reason="no scan is so wide")
 
-#: By the path of the field; `*` stands for each item of a list.
+#: Limits by the path of the field; `*` matches each item of a list.
 LIMITS: Mapping[str, Limit] = {
     **{
         f"water.{name}": _COEFFICIENT

@@ -217,8 +217,8 @@ def indices(survey: Survey) -> tuple[float, float]:
     return phase_index, group_index
 
 
-#: Standard uncertainty of a phase where the survey states none: leakage of 1 % of the
-#: echo turns it by 0.4 degrees (root mean square) [rad].
+#: Default standard uncertainty of a phase: leakage of 1 % of the echo rotates it by 0.4
+#: degrees (root mean square) [rad].
 TYPICAL_PHASE_UNCERTAINTY = math.radians(0.5)
 
 

@@ -52,8 +52,9 @@ class Description(BaseModel):
         return type(self).model_validate({**fields, **update})
 
 
-#: Largest size of what a file may state, where no field says less: beyond, a digit or
-#: a unit slipped [SI]. Of a limit in volts "never" may be said by a number.
+#: Largest value of a number in a file, unless a field has a smaller limit. Larger
+#: numbers have a wrong digit or unit [SI]. A limit in volts may state "never" by a
+#: large number.
 _LARGEST = {"angle": 1e4, "voltage": 1e30}
 _LARGEST_OTHER = 1e16
 _LARGEST_COUNT = 2**53

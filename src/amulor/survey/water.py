@@ -146,7 +146,7 @@ class Water(WaterState):
         return {name: content[name] for name in _ORDER if name in content}
 
 
-#: Order of the fields in a file: surveys are told apart by digests of their text.
+#: Order of the fields in a file; surveys are compared by digests of their text.
 _ORDER = (
     "kind",
     "absorption",

@@ -21,7 +21,7 @@ from amulor.view.style import MISSING_COLOUR
 
 Floats = NDArray[np.float64]
 
-#: Good, doubtful and missing pixels; what has no range is gray in every map.
+#: Good, doubtful and missing pixels; pixels without a range are gray in every map.
 QUALITY = {"good": "#ffffff", "doubtful": "#E69F00", "no range": MISSING_COLOUR}
 
 # Sizes [inch]: the whole figure, and what stands beside a map.

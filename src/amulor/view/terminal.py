@@ -24,7 +24,7 @@ __all__ = ["CHOICES", "going", "map_name", "picture", "screen", "signal_to_noise
 
 Floats = NDArray[np.float64]
 
-#: Maps that can be watched, and the colors that tell them.
+#: Maps that can be watched, and their color scales.
 CHOICES = {
     "range": DISTANCE_MAP,
     "amplitude": BRIGHTNESS_MAP,
@@ -32,7 +32,7 @@ CHOICES = {
 }
 #: From little to much, on terminals without colors.
 _SHADES = " .:-=+*#%@"
-#: A cell of the terminal holds this pixel above another one.
+#: Character with two halves: one pixel above another.
 _HALF = "▀"
 _UNITS = {layer.name: layer.unit for layer in MAPS.values()}
 

@@ -27,7 +27,7 @@ from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
 
-#: Signal where nothing was measured: both parts are NaN.
+#: Signal without a measurement: both parts are NaN.
 MISSING = complex(np.nan, np.nan)
 
 

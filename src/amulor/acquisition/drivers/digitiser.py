@@ -12,7 +12,8 @@ from amulor.acquisition.demodulation import clock_offset, demodulate
 from amulor.acquisition.protocols import Digitiser, Overload, Reading, Recorded
 from amulor.errors import InstrumentError
 
-#: Fraction of the range that counts as clipped, and below which a finer one is taken.
+#: Fractions of the range above which a signal counts as clipped, and below which a
+#: finer range is selected.
 _FULL, _FINER_BELOW = 0.999, 0.25
 #: Least signal-to-noise ratio of a reference tone [1].
 _PRESENT = 10.0
@@ -29,7 +30,8 @@ class DigitiserLockIn:
     generator.
     """
 
-    #: It integrates by itself, without a filter to settle, and estimates its errors.
+    #: The lock-in integrates without an output filter to settle, and estimates its
+    #: errors.
     records = True
 
     def __init__(self, digitiser: Digitiser, *, clock: Clock) -> None:

@@ -20,12 +20,12 @@ _ANSWER = {"pan": 0x59, "tilt": 0x5B}
 _TURN = 36_000
 #: Steps within which an axis has arrived, and positions in a row that show it.
 _NEAR, _LOOKS = 2, 2
-#: Wait for an axis at rest near its goal and far from it [s]; time between queries
+#: Waits for an axis at rest near its goal and far from it [s]; time between queries
 #: [s].
 _STILL, _HELD, _POLL = 1.0, 3.0, 0.02
 #: Distance from its goal beyond which an axis was blocked [0.01 degrees].
 _ASTRAY = 50
-#: Most bytes that may come before an answer.
+#: Largest number of bytes that may precede an answer.
 _MOST_OTHERS = 64
 
 

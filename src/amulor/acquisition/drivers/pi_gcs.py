@@ -18,9 +18,9 @@ _FIRST_POLL, _POLL = 0.2e-3, 2e-3
 _MAKER = "physik instrumente"
 #: Asks for the axes that move, as bits of a hexadecimal number: the one character 5.
 _MOTION = "\x05"
-#: Longest time to come to rest after HLT, before STP [s].
+#: Longest time for coming to rest after HLT, before STP is sent [s].
 _HALT = 2.0
-#: Difference of position and goal beyond which the controller is asked for an error,
+#: Difference of position and goal above which the controller is queried for an error,
 #: in the unit of the axis.
 _ASTRAY = 0.01
 #: Fraction of the longest path of a sweep below which another axis is not moved.
@@ -36,7 +36,7 @@ class PiController:
     space before it (chapter "GCS commands" of the manuals, such as MS249E, page 116).
     """
 
-    #: What a line ends with on a serial port.
+    #: Line end on a serial port.
     serial_end = "\n"
 
     def __init__(self, link: Conversation, *, clock: Clock) -> None:

@@ -18,14 +18,14 @@ class Stanford:
     """Commands shared by Stanford lock-ins: identity, queries, auxiliary channels."""
 
     model = ""
-    #: What a line ends with on a serial port.
+    #: Line end on a serial port.
     serial_end = "\n"
-    #: How many auxiliary inputs there are.
+    #: Number of auxiliary inputs.
     _inputs = 0
-    #: Number of the first auxiliary output in commands, and how many there are.
+    #: Number of the first auxiliary output in commands, and count of outputs.
     _first_output, _outputs = 1, 0
     _set_output = ""
-    #: What an auxiliary input is asked by, and its first number.
+    #: Query of an auxiliary input, and number of the first one.
     _get_input, _first_input = "", 1
 
     def __init__(
@@ -163,7 +163,7 @@ _FREQUENCIES = (25e3, 200e6)
 #: Reserves by the codes of WRSV and CRSV: the first is the largest.
 _HIGH, _NORMAL = 0, 1
 _POLL = 0.01
-#: Fraction of the full scale below which a finer one is taken; the steps are 3.2.
+#: Fraction of the full scale below which a finer scale is selected; the steps are 3.2.
 _FINER_BELOW = 0.2
 
 

@@ -40,11 +40,12 @@ _FASTEST = 20e3
 #: Largest relative drift between the clocks of instrument and computer [1]; the clock
 #: of a computer under time synchronization may drift as much for a while.
 _DRIFT = 5e-4
-#: Bits of CAPTURESTAT?: points are recorded; the buffer has come to its end.
+#: Bits of CAPTURESTAT?: points are recorded; the buffer is full.
 _RECORDING, _WRAPPED = 1, 4
 #: Attempts to query points that are late.
 _ATTEMPTS = 10
-#: Fraction of the full scale below which a finer one is taken; the steps are 2 and 2.5.
+#: Fraction of the full scale below which a finer scale is selected; the steps are 2 and
+#: 2.5.
 _FINER_BELOW = 0.3
 
 

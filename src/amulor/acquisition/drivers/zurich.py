@@ -107,8 +107,8 @@ def _polled(
 INPUT_RANGES = (0.01, 0.03, 0.1, 0.3, 1.0, 1.5)
 #: Output ranges, peak [V].
 _OUTPUT_RANGES = {"UHF": (0.15, 1.5), "HF2": (0.01, 0.1, 1.0, 10.0)}
-#: Channel of the output mixer that the first oscillator drives, without the option MF;
-#: with it, it is the first one (as `zhinst.utils.default_output_mixer_channel` says).
+#: Channel of the output mixer that the first oscillator drives without the option MF;
+#: with it, it is the first channel (see `zhinst.utils.default_output_mixer_channel`).
 _MIXER_CHANNEL = {"UHF": 3, "HF2": 6}
 #: Oscillators, and as many demodulators and mixer channels, with the option MF.
 _OSCILLATORS = {"UHF": 8, "HF2": 6}

@@ -25,7 +25,7 @@ from amulor.errors import InstrumentError
 
 #: Full scales of the lock-in, as peak amplitudes [V].
 FULL_SCALES = tuple(10.0**exponent for exponent in range(-7, 1))
-#: Fraction of the full scale below which a finer one is taken.
+#: Fraction of the full scale below which a finer scale is selected.
 _FINER_BELOW = 0.05
 
 

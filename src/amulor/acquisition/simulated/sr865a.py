@@ -19,8 +19,8 @@ from amulor.acquisition.simulated.stanford import (
 
 #: Fastest rate of any time constant (page 134) [1/s].
 _FASTEST = 1.25e6
-#: Points a time constant that the fastest rate of a time constant has at least. The
-#: manual says that shorter time constants allow faster rates, and no more.
+#: Least number of points per time constant at the fastest rate. The manual says only
+#: that shorter time constants allow faster rates.
 _POINTS = 16
 #: Bytes of a number, of a block, and of the largest buffer.
 _NUMBER, _BLOCK, _MOST = 4, 2048, 4096 * 1024

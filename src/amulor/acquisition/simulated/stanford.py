@@ -63,7 +63,7 @@ class SimulatedStanford:
     frequencies = (0.0, math.inf)
     #: Form of a command.
     command = _COMMAND
-    #: Whether the answers of one line come in one line, with semicolons.
+    #: Whether the answers to one line are sent as one line, with semicolons.
     joins_answers = False
     #: Bits of *STB? without any event.
     idle_status = 0

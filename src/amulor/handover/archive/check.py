@@ -14,7 +14,7 @@ from amulor.handover.archive import project as layout
 
 #: Names that every file system and archive takes.
 _PORTABLE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-#: What the first bytes of registered clouds are.
+#: First bytes of registered clouds, by format.
 _SIGNATURES = {".laz": b"LASF", ".las": b"LASF", ".e57": b"ASTM-E57"}
 
 

@@ -29,13 +29,13 @@ Flags = NDArray[np.bool_]
 _FEWEST = 12
 #: Largest distance of a point of a patch, in units of the scatter [1].
 _OFF = 3.5
-#: Where points scatter about a patch by more than this part of its radius there is no
-#: one surface [1].
+#: If points scatter about a patch by more than this fraction of its radius, there is no
+#: single surface [1].
 _ROUGH = 0.3
 #: Scatter about a patch above that of noise is its shape, and this part of it an error
 #: of the height [1].
 _SHAPE = 0.75
-#: Scatter is more than noise if it exceeds it by so many standard errors [1].
+#: Scatter exceeds noise if it is larger by this many standard errors [1].
 _SURE = 4.0
 #: Gap between layers of surface in one cell, in spacings [1].
 _LAYER = 2.0

@@ -24,7 +24,8 @@ Counts = NDArray[np.int16]
 #: Standard errors in front of a surface beyond which a point is seen through, and
 #: within which it is confirmed [1].
 _THROUGH, _CONFIRMED = 6.0, 4.0
-#: Smallest cosine of the angle of incidence for a look through a point [1].
+#: Smallest cosine of the angle of incidence for which a beam can see through a point
+#: [1].
 _GRAZING = 0.15
 
 

@@ -23,14 +23,14 @@ Floats = NDArray[np.float64]
 
 #: Steps with a wide gate, narrowing, then with that of the noise [1].
 _WIDE_STEPS, _FINE_STEPS = 3, 20
-#: After so many fine steps a point that was left out stays out, and no direction is
-#: constrained again: at a limit they would come and go for ever [1].
+#: After this many fine steps an excluded point stays excluded, and no further direction
+#: is determined: near a limit they would alternate forever [1].
 _FREE_STEPS = 5
-#: After so many fine steps only half a step is taken: where points change the pixel
-#: that they are compared with, whole steps may go to and fro [1].
+#: After this many fine steps only half steps are used: whole steps may oscillate,
+#: because points change the pixel that they are compared with [1].
 _HALF_STEPS = 8
-#: Chi-square of a step that ends the work, and of one that has settled: a fifth of the
-#: stated uncertainty, all unknowns together [1].
+#: Chi-square of a step that ends the iteration, and of a settled step: a fifth of the
+#: stated uncertainty, for all unknowns [1].
 _DONE, _SETTLED = 4e-4, 0.04
 #: Chance of calling a good pair a disagreement [1].
 _CHANCE = 1e-4
@@ -39,8 +39,8 @@ _REACHES = (0.25, 0.1, 0.05)
 #: Offset of further guesses, in standard deviations of heading and of position across
 #: the site [1].
 _ASIDE = 1.0
-#: Chance of the distance from its start beyond which a pose is taken only if no nearer
-#: one fits [1].
+#: Probability of a distance from the start pose below which a pose is used only if no
+#: nearer pose fits [1].
 _UNLIKELY = 1e-4
 #: Number of points that rank rough poses [1].
 _JUDGES = 1500

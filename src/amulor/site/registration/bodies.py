@@ -48,9 +48,9 @@ def held_directions(
 Flags = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-#: Chance of calling a body at rest moved [1].
+#: False-alarm probability of the test for a moved body [1].
 _CHANCE = 1e-5
-#: Part of the points of a body that stand off, above which it has moved [1].
+#: A body has moved if more than this fraction of its points are displaced [1].
 _MUCH = 0.3
 #: Smallest number of points of a body [1].
 _FEWEST = 10
@@ -209,7 +209,7 @@ def _chance(
 
 #: Standard errors of a distance beyond which the point is of another surface [1].
 _FAR = 4.0
-#: Standard errors of the mean of neighbors that stand off together [1].
+#: Standard errors of the mean of neighbors that are displaced together [1].
 _MOVED = 5.0
 
 

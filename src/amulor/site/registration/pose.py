@@ -105,8 +105,8 @@ def cross_matrix(vectors: Floats) -> Floats:
 
 #: small_gicp stops when a step is smaller [m, rad]; its own default leaves millimeters.
 _STOP, _TURN = 1e-6, 1e-7
-#: Voxels are so many times coarser, and points are looked for in so large a part of
-#: the reach, one step after the other [1].
+#: Factors by which voxels are coarser, and fractions of the reach in which points are
+#: matched, step by step [1].
 _STEPS = ((3.0, 1.0), (2.0, 0.5), (1.0, 0.25), (1.0, 0.1))
 
 

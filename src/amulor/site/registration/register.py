@@ -49,8 +49,8 @@ Floats = NDArray[np.float64]
 _CHANCE = 1e-5
 #: Largest gain by the data, posterior over prior, of a direction called weak [1].
 _NO_BETTER = 0.5
-#: A start pose suffices by itself if points are off by less than this part of their
-#: spacing [1].
+#: A start pose alone suffices if points are displaced by less than this fraction of
+#: their spacing [1].
 _ENOUGH = 0.5
 
 

@@ -23,7 +23,7 @@ from amulor.site.registration.surface import ScanSurface, corrected
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: A point is in front of a surface beyond so many standard errors, and beyond so many
+#: A point is in front of a surface beyond this many standard errors, and this many
 #: point spacings [1].
 _THROUGH, _RELIEF = 6.0, 3.0
 #: Least part and least number of points in front, in both directions; scans at correct

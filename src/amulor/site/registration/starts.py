@@ -28,7 +28,7 @@ _BETTER = 0.25
 _ALIKE = 0.1
 #: Number of draws of start poses within their stated uncertainties [1].
 _DRAWS = 20
-#: Cells of the plan whose heights are compared [m], and how many there must be [1].
+#: Size of the cells in plan whose heights are compared [m], and their least number [1].
 _CELL, _CELLS = 0.25, 6
 
 

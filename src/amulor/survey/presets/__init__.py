@@ -9,7 +9,7 @@ from importlib import resources
 
 from amulor.errors import SurveyError
 
-#: What every line that states a number says about where it comes from.
+#: Words that state the basis of every number in a preset.
 _BASES = ("published", "deduced", "assumed")
 
 

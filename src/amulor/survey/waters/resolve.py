@@ -26,7 +26,7 @@ from amulor.survey.waters.named import (
 )
 from amulor.survey.waters.phase_function import phase_function
 
-#: Wavelengths at which coefficients of Petzold's stations hold, about 530 nm [m].
+#: Wavelengths at which coefficients of Petzold's stations are valid, about 530 nm [m].
 _PETZOLD_SPAN = 20e-9
 _PETZOLD = 530e-9
 #: Depolarization ratio of the molecules of water for natural light [1].

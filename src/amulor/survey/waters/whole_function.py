@@ -25,11 +25,11 @@ __all__ = ["phase_function_of", "whole_function_arguments", "whole_phase_functio
 
 #: Scattering beyond the split angle up to which a survey may call it none [1].
 NEGLIGIBLE = 0.02
-#: Range in which the shape k of the curve beyond the split angle is looked for.
+#: Range in which the shape k of the curve beyond the split angle is searched.
 _LOWEST, _HIGHEST = -5.0, 12.0
 _POINTS = 2000
-#: Stands for a phase function of 0 straight backwards; the models take that from the
-#: survey [1/sr].
+#: Replaces a phase function of 0 at 180 degrees; the models use the survey's value
+#: there [1/sr].
 _DARK = 1e-6
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 #: Total errors that get a line [mm].
 CONTOURS = (1.0, 3.0, 10.0)
-#: Regions where a range must not be trusted: flag, what it is, how it is hatched.
+#: Regions where a range must not be trusted: flag, label and hatch pattern.
 REGIONS = (
     ("ambiguous", "ambiguous", "///"),
     ("saturated", "detector saturated", "..."),

@@ -256,7 +256,7 @@ def _written(chosen: Parameters, name: str) -> str:
     return value if isinstance(value, str) else written(name, value)
 
 
-#: Margins above this one are told apart by nobody [1].
+#: Margins above this have no practical difference [1].
 _AMPLE = 1000
 
 

@@ -57,7 +57,7 @@ MAPS = {
         for term in (*ALIKE_TERMS, *WATER_TERMS)
     },
 }
-#: Where the surface steps to the next pixel: means do not go across.
+#: Steps of the surface to the next pixel, which means do not cross.
 STEPS = Layer(name="steps", label="Steps", unit="1", kind="hidden")
 #: Maps that exist of the picture before rejection, too.
 BEFORE = ("slant_range", "intensity", "quality_flag", "slant_range_uncertainty")
@@ -89,7 +89,8 @@ def stored(values: np.ndarray, layer: Layer) -> bytes:
     return np.ascontiguousarray(values).astype(form).tobytes()
 
 
-#: Fast; what is left after sorting the bytes is noise, which no level makes smaller.
+#: Fast level: after sorting of the bytes the remainder is noise, which no level
+#: compresses.
 _LEVEL = 4
 
 

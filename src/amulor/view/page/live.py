@@ -63,9 +63,9 @@ def quick_layers(
     }
 
 
-#: How often the journal is looked at [s].
+#: Interval of reading the journal [s].
 POLL = 0.2
-#: All pixels are worked out again after this time, or longer if it takes long [s].
+#: All pixels are recomputed after this time, or later if it takes long [s].
 _AGAIN = 2.0
 #: At most this part of the time is spent on that [1].
 _SHARE = 0.15

@@ -51,7 +51,7 @@ _FITS: dict[str, Callable[..., measure.Fit]] = {
     "sphere": measure.sphere,
     "cylinder": measure.cylinder,
 }
-#: Kind of a measurement and how many pixels it needs.
+#: Number of pixels that each kind of measurement needs.
 _FIGURES = {"distance": 2, "height": 2, "angle": 3}
 
 

@@ -23,7 +23,7 @@ from amulor.view.page.layers import MAPS
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
-#: A point may lie this far from where its own beam would put it [m].
+#: Largest displacement of a point by interpolated beams [m].
 TOLERANCE = 2e-6
 #: Values of a node: place at range zero (3), direction (3), azimuth, elevation.
 VALUES = 8
@@ -233,9 +233,10 @@ class Channel:
 
 
 _BAND = 256
-#: Rows and columns that stand for the scan beside the pixels that are measured [1].
+#: Number of rows and columns that represent the scan, in addition to measured pixels
+#: [1].
 _MESH = 128
-#: Behind the file a digest of it stands, see `amulor.io.netcdf` [byte].
+#: Length of the digest after the content of a file, see `amulor.io.netcdf` [byte].
 _SEAL_LENGTH = 80
 
 

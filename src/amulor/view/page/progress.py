@@ -19,7 +19,7 @@ from amulor.acquisition.sampler import SPOILED, SampleFlag
 from amulor.acquisition.settings import Procedure
 from amulor.survey import Survey
 
-#: With fewer directions their scatter says too little [1].
+#: With fewer directions their scatter is not reliable [1].
 _FEWEST = 3
 #: Contrasts that are tested at each round: a straight line, the newest round [1].
 _CONTRASTS = 2
@@ -130,7 +130,7 @@ WORTH_A_REFERENCE = 0.02
 CHANCE = 1e-3
 #: Share of samples with a flag that is worth a word [1].
 WORTH_A_WORD = 0.01
-#: Without a sample for so many times as long as one takes, something may be wrong.
+#: Without a sample for this many times the usual interval, something may be wrong.
 _PATIENCE = 20.0
 _SHORTEST = 15.0
 

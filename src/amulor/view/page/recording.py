@@ -100,7 +100,7 @@ Interval = tuple[float, float] | None
 
 #: More pixels than these are drawn by strides [1].
 MOST_PIXELS = 10_000_000
-#: Rows in which steps are looked for at once [1].
+#: Number of rows in which steps are searched at once [1].
 _BAND = 512
 #: Textures of most graphics units reach this far along a side [1].
 LONGEST_SIDE = 8192

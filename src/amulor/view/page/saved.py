@@ -19,7 +19,7 @@ from amulor.view.page.layers import packed, stored
 from amulor.view.page.recording import MOST_PIXELS, Recording, spectra
 from amulor.view.page.space import Space
 
-#: Files of the page, in the order in which nothing comes before what it needs.
+#: Types of the page's files, in loading order: each follows those that it needs.
 TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",

@@ -375,7 +375,7 @@ class _Pages:
             return
 
 
-#: What a page says on a websocket is a word or two [byte].
+#: Largest message of a page on a websocket, which has one or two words [byte].
 _LARGEST_MESSAGE = 4096
 _EVERYWHERE = ("0.0.0.0", "::")
 

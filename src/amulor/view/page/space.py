@@ -29,7 +29,7 @@ MOST_POINTS = 4_000_000
 MOST_TRIANGLES = 2_000_000
 _TEXT = (".xyz", ".csv", ".txt", ".asc", ".pts")
 _MESHES = (".stl", ".obj", ".off", ".glb")
-#: Formats that say by themselves what a unit is.
+#: Formats that define the unit of length.
 _METRES = (".laz", ".las", ".e57", ".glb")
 ENDINGS = (".ply", ".laz", ".las", ".e57", *_TEXT, *_MESHES)
 
