@@ -53,7 +53,8 @@ def outcome(method: str, case: Case) -> Outcome:
             interval=case.interval,
         )
     except (AmulorError, ValueError) as error:
-        return Outcome(target=None, image=None, note=f"refused: {error}")
+        note = f"refused: {' '.join(str(error).split())}"
+        return Outcome(target=None, image=None, note=note)
     except (ArithmeticError, SystemError) as error:
         return Outcome(target=None, image=None, note=f"CRASH: {error!r}")
     note = str(target.attrs.get("rejection_method", "")) if method == "auto" else ""
