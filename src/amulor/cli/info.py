@@ -120,6 +120,8 @@ def _print_ranges(values: Any) -> None:
 
 def _uncertainty(image: Any) -> dict[str, Any]:
     """Return the error budget of a range image as a dictionary for JSON [m]."""
+    from dataclasses import asdict
+
     from amulor.imaging.budget import COVERAGE_FACTOR, error_budget
 
     budget = error_budget(image)
@@ -143,6 +145,7 @@ def _uncertainty(image: Any) -> dict[str, Any]:
         "late_echo_taken_off_m": budget.late,
         "delay_calibrated": budget.calibrated,
         "delay_calibration_age_days": budget.age,
+        "instrument_tests": [asdict(test) for test in budget.tests],
     }
 
 
@@ -181,4 +184,9 @@ def _lines(budget: dict[str, Any]) -> list[str]:
         age = budget["delay_calibration_age_days"]
         day = budget["delay_calibrated"]
         lines.append(f"delay calibrated on {day}{age_in_words(age)}")
+    lines += [
+        f"{test['result']} (chance below {test['probability']:.1g}): {test['cause']}; "
+        f"to do: {test['measurement']}"
+        for test in budget["instrument_tests"]
+    ]
     return lines

@@ -17,6 +17,7 @@ from amulor.cube import error_unknown
 from amulor.cube.error import by_frequency, instrument_phase
 from amulor.cube.schema import RANGE_PREFIX, TERMS, Term
 from amulor.imaging.corners import Patches, corner_error
+from amulor.imaging.instrument_tests import InstrumentTest, instrument_tests
 from amulor.imaging.late_light import LateFit, late_light
 from amulor.imaging.observation import Observation
 from amulor.imaging.ranges import Ranges
@@ -221,6 +222,8 @@ class ErrorBudget:
     [days]."""
     error_unknown: str
     """Reason for a missing combined uncertainty of all or some pixels; else empty."""
+    tests: tuple[InstrumentTest, ...] = ()
+    """Failed tests of the instrument by the data of the scan."""
 
     @property
     def expanded(self) -> float:
@@ -292,6 +295,7 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
         calibrated=str(image.attrs.get("delay_calibrated", "")),
         age=float(image.attrs.get("delay_calibration_age_days", math.nan)),
         error_unknown=error_unknown(image),
+        tests=instrument_tests(image),
     )
 
 

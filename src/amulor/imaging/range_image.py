@@ -18,6 +18,7 @@ from amulor.cube.tiles import Span
 from amulor.imaging import budget
 from amulor.imaging.common import with_flag
 from amulor.imaging.corners import Patches
+from amulor.imaging.instrument_tests import FrequencyPhase, frequency_phase
 from amulor.imaging.late_light import LateFit, dispersion
 from amulor.imaging.observation import Observation, channel_of, noise_scale, observe
 from amulor.imaging.ranges import (
@@ -57,6 +58,8 @@ class RangeImageFit:
     """Statistics for late light in the final ranges."""
     patches: Patches | None = None
     """Surfaces that light each other; None for a cube without such light."""
+    phases: FrequencyPhase | None = None
+    """Test of the phases of all frequencies; None with fewer than three."""
     path: PathFit | None = None
     """Statistics for optical paths; None after a joint estimation."""
     noise_scale: float = 1.0
@@ -149,6 +152,7 @@ def fitted_range_image(
     of_path = None if fit is None else fit.path
     rescaled = None if fit is None else fit.rescaled
     factor = 1.0 if fit is None else fit.noise_scale
+    phases = None if fit is None else fit.phases
     if joint:
         ranges, of_ranges = ranges_of_joint(
             observation, interval=interval, fit=of_ranges
@@ -170,12 +174,16 @@ def fitted_range_image(
             observation = observation.with_noise(factor)
             path, rescaled = _settled_path(observation, interval, fit=rescaled)
         ranges, of_ranges = ranges_of_path(observation, path, fit=of_ranges)
+        if fit is None:
+            phases = frequency_phase(observation, path)
     tell("error budget", 0.6)
     late = None if fit is None else fit.late
     patches = None if fit is None else fit.patches
     image, late, patches = _image(
         observation, ranges, interval=interval, fit=late, patches=patches
     )
+    if phases is not None:
+        image = image.assign_attrs(phases.attributes)
     reason = ""
     if interval is None:
         reason = unsettled_interval(
@@ -193,6 +201,7 @@ def fitted_range_image(
         ranges=of_ranges,
         late=late,
         patches=patches,
+        phases=phases,
         path=of_path,
         noise_scale=factor,
         rescaled=rescaled,

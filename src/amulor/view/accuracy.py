@@ -381,6 +381,11 @@ def _limits(budget: ErrorBudget) -> str:
     if budget.calibrated:
         old = age_in_words(budget.age)
         sentences.append(f"The delay was calibrated on {budget.calibrated}{old}.")
+    sentences += [
+        f"Instrument: {test.result}. Probable cause: {test.cause}. To do: "
+        f"{test.measurement}."
+        for test in budget.tests
+    ]
     if budget.unknown:
         names = ", ".join(term.name.replace("_", " ") for term in budget.unknown)
         sentences.append(
