@@ -86,7 +86,11 @@ def drawn_columns():
     return cases
 
 
-@pytest.mark.parametrize("number", range(8))
+@pytest.mark.parametrize(
+    "number",
+    # Each value of each argument is in one of the first five.
+    [*(1, 3, 4, 5, 7), *(pytest.param(k, marks=pytest.mark.slow) for k in (0, 2, 6))],
+)
 def test_response_agrees_with_plain_quadrature(number):
     column = drawn_columns()[number]
     expected = oracle.water_response(FREQUENCIES, **column)

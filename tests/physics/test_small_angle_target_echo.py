@@ -59,7 +59,7 @@ def plain_overlap(name, depth, column):
 # ------------------------------------------------------------------------- numbers
 
 
-@pytest.mark.parametrize("baseline", [0.07, 0.20])
+@pytest.mark.parametrize("baseline", [0.20, pytest.param(0.07, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", FORMS)
 def test_the_echo_agrees_with_plain_quadrature(name, baseline):
     column = WATER | VIEW | {"baseline": baseline}
@@ -382,11 +382,16 @@ def test_a_way_back_along_the_beam_changes_nothing(name, column, depth):
     ("receiver", "name", "baseline", "distance", "aim", "attenuation"),
     [
         (GaussianReceiver, "Gaussian", 0.4, 1.0, 1.0, 1e-3),
-        (DiscReceiver, "sharp", 0.2, 2.0, 2.0, 1e-3),
-        (DiscReceiver, "sharp", 0.4, 1.0, 1.0, 1e-3),
-        (DiscReceiver, "sharp", 0.07, 1.0, np.inf, 1e-3),
-        (GaussianReceiver, "Gaussian", 0.4, 1.0, 1.0, 0.3),
         (DiscReceiver, "sharp", 0.4, 1.0, 1.0, 0.3),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                (DiscReceiver, "sharp", 0.2, 2.0, 2.0, 1e-3),
+                (DiscReceiver, "sharp", 0.4, 1.0, 1.0, 1e-3),
+                (DiscReceiver, "sharp", 0.07, 1.0, np.inf, 1e-3),
+                (GaussianReceiver, "Gaussian", 0.4, 1.0, 1.0, 0.3),
+            )
+        ),
     ],
 )
 def test_photons_bring_what_the_way_back_says(

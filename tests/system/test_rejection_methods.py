@@ -399,7 +399,7 @@ repeats = 8
 """
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_no_trusted_pixel_is_wrong_by_a_turn_where_little_is_seen(seed: int) -> None:
     # A turn of 150 MHz is 0.73 m. Of these draws each had a trusted pixel at 2.47 m.
     cube = simulate(Survey.from_text(HARBOR), rng=np.random.default_rng(seed))

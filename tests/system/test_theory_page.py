@@ -214,6 +214,7 @@ def test_the_tables_of_the_models_are_those_of_the_kept_photons(models) -> None:
     assert script.table(photons, found) in TEXTS["models-details"]
 
 
+@pytest.mark.slow
 def test_the_default_is_within_five_percent_of_photons_but_where_the_page_says(
     models,
 ) -> None:
@@ -230,6 +231,7 @@ def test_the_default_is_within_five_percent_of_photons_but_where_the_page_says(
             assert error < (0.02 if attenuation <= 1 else 0.045)
 
 
+@pytest.mark.slow
 def test_the_closure_is_nearer_to_photons_than_the_papers_form(models) -> None:
     script, photons, found = models
     for key, true in photons.items():
@@ -243,6 +245,7 @@ def test_the_closure_is_nearer_to_photons_than_the_papers_form(models) -> None:
             )
 
 
+@pytest.mark.slow
 def test_the_figure_of_the_models_shows_the_numbers_of_the_table(models) -> None:
     matplotlib.use("agg")
     script, photons, found = models

@@ -51,7 +51,7 @@ def content(path: Path) -> bytes:
     ("ending", "selection"),
     [
         ("ply", Selection(True, 4e-3, False)),
-        ("laz", Selection(True)),
+        pytest.param("laz", Selection(True), marks=pytest.mark.slow),
         ("e57", Selection(mixed=True)),
         pytest.param("las", Selection(), marks=pytest.mark.slow),
         pytest.param("csv", Selection(), marks=pytest.mark.slow),

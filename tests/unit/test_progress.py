@@ -68,7 +68,7 @@ def test_a_problem_ends_the_listening() -> None:
     "method",
     [
         "open_water",
-        "combined",
+        pytest.param("combined", marks=pytest.mark.slow),
         pytest.param("joint", marks=pytest.mark.slow),
         pytest.param("auto", marks=[pytest.mark.slow, pytest.mark.study]),
     ],

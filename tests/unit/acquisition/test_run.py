@@ -68,7 +68,13 @@ def test_light_is_off_for_dark_readings_and_the_target_out_for_water(
     assert safe(devices)
 
 
-@pytest.mark.parametrize("at", range(0, 62, 5))
+@pytest.mark.parametrize(
+    "at",
+    [
+        *(0, 30, 60),
+        *(pytest.param(n, marks=pytest.mark.slow) for n in range(5, 60, 5) if n != 30),
+    ],
+)
 def test_a_scan_stopped_at_any_sample_resumes_to_the_whole(
     small, settings, folder, at, safe, Stop
 ) -> None:

@@ -145,7 +145,13 @@ def test_a_report_states_no_interval(folder: Path, tmp_path, capsys) -> None:
 ENDINGS = ("ply", "laz", "e57", "csv", "xyz", "nc")
 
 
-@pytest.mark.parametrize("rows", [[], ["--tile-rows", "2"]], ids=["whole", "by rows"])
+@pytest.mark.parametrize(
+    "rows",
+    [
+        pytest.param([], id="whole"),
+        pytest.param(["--tile-rows", "2"], id="by rows", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_clouds_state_no_interval(
     folder: Path, tmp_path, capsys, ending: str, rows

@@ -20,7 +20,9 @@ def path(tmp_path):
     return tmp_path / "cube.nc"
 
 
-@pytest.mark.parametrize("rows", [1, 2, 100])
+@pytest.mark.parametrize(
+    "rows", [2, *(pytest.param(later, marks=pytest.mark.slow) for later in (1, 100))]
+)
 @pytest.mark.parametrize("level", ["samples", "target_signal", "range_image"])
 def test_rows_of_a_file_are_those_of_the_whole(make, rng, path, tmp_path, level, rows):
     cube = getattr(make, level)(rng)
@@ -121,7 +123,12 @@ def test_the_digest_is_that_of_the_whole_writer(samples, path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("columns", "rows", "frequencies"), [(500, 300, 4), (7000, 20, 4), (100, 300, 16)]
+    ("columns", "rows", "frequencies"),
+    [
+        (100, 300, 16),
+        pytest.param(500, 300, 4, marks=pytest.mark.slow),
+        pytest.param(7000, 20, 4, marks=pytest.mark.slow),
+    ],
 )
 def test_tiles_are_whole_blocks_of_the_file(
     make, rng, path, columns, rows, frequencies

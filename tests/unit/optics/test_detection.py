@@ -123,7 +123,10 @@ def drawn_signals(rng, *, rate, depth, phase, time, trials, dark=0.0, gain=None)
     return 2 / time * (in_phase + 1j * quadrature)
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.9, 2.5])
+@pytest.mark.parametrize(
+    "phase",
+    [0.9, *(pytest.param(later, marks=pytest.mark.slow) for later in (0.0, 2.5))],
+)
 def test_quadrature_variance_is_that_of_drawn_photoelectrons(phase):
     trials = 4000
     signal = drawn_signals(

@@ -154,7 +154,9 @@ def test_the_end_of_the_sweep_is_told_unless_the_interval_made_it(
     assert not any(end in w for w in blocked.warnings)
 
 
-@pytest.mark.parametrize("scene", ["empty", "small-angle empty"])
+@pytest.mark.parametrize(
+    "scene", ["empty", pytest.param("small-angle empty", marks=pytest.mark.slow)]
+)
 def test_one_frequency_finds_no_target_in_open_water(scene: str) -> None:
     # At 35 MHz, water that something a decimetre away cuts off passes for a target.
     case = BY_NAME[scene].make(4, 1)

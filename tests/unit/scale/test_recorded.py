@@ -125,7 +125,7 @@ def _small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("known_by", PLACES)
-@pytest.mark.parametrize("form", ["csv", "hdf5"])
+@pytest.mark.parametrize("form", ["csv", pytest.param("hdf5", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "rows", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 4, ROWS, 50))]
 )

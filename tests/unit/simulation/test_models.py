@@ -199,9 +199,14 @@ def test_water_that_spreads_no_light_needs_no_phase_function(
     ("option", "words"),
     [
         ([], "whole phase function"),
-        (["--model", "small-angle"], "whole phase function"),
         (["--model", "closure"], "closure"),
-        (["--model", "diffusion"], "the paper's form"),
+        *(
+            pytest.param(["--model", option], words, marks=pytest.mark.slow)
+            for option, words in (
+                ("small-angle", "whole phase function"),
+                ("diffusion", "the paper's form"),
+            )
+        ),
     ],
 )
 def test_the_command_takes_the_model_and_says_so(

@@ -258,7 +258,7 @@ def test_a_bent_surface_enlarges_the_error_of_a_plane(scan: shapes.Beams) -> Non
     assert other.uncertainties["normal_x"] > 1.5 * one.uncertainties["normal_x"]
 
 
-@pytest.mark.parametrize("noise", [1e-3, 6e-3])
+@pytest.mark.parametrize("noise", [6e-3, pytest.param(1e-3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("fit", [measure.sphere, measure.cylinder])
 def test_a_flat_patch_gives_no_radius(
     fit: Callable[[xr.Dataset, np.ndarray], measure.Fit], noise: float

@@ -50,7 +50,7 @@ def moved(cube: xr.Dataset, jitter: float, *, commanded: bool) -> xr.Dataset:
 
 
 @pytest.mark.parametrize("commanded", [True, False])
-@pytest.mark.parametrize("jitter", [2e-6, 5e-5])
+@pytest.mark.parametrize("jitter", [5e-5, pytest.param(2e-6, marks=pytest.mark.slow)])
 def test_shots_that_stand_a_little_off_count_as_repeats(
     exact: xr.Dataset, jitter: float, commanded: bool
 ) -> None:
