@@ -22,7 +22,7 @@ from hypothesis import settings
 from amulor.survey import Survey
 
 # Compiled code is slow once; a deadline would blame the first drawn input for it.
-settings.register_profile("quick", deadline=None, print_blob=True, max_examples=25)
+settings.register_profile("quick", deadline=None, print_blob=True, max_examples=12)
 settings.register_profile("thorough", deadline=None, print_blob=True, max_examples=40)
 settings.load_profile("quick")
 
