@@ -47,16 +47,13 @@ def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.f
     """Return the phase uncertainty by the instrument, for each frequency [rad].
 
     The stated or typical size, and the phase between channels where chance does not
-    explain it. The combination of channels multiplies both. `channel` is a target
+    explain it. The combination of channels multiplies the former. `channel` is a target
     signal with one channel.
     """
     count = channel.sizes["modulation_frequency"]
     stated = 0.0 if survey is None else phase_uncertainty(survey)
     gain = by_frequency(channel, f"phase_error_gain_{_name(channel)}", 1.0)
-    between = by_frequency(channel, "channel_phase_rad", 0.0)
-    phase = np.hypot(
-        stated * gain, between * by_frequency(channel, "channel_phase_gain", 1.0)
-    )
+    phase = np.hypot(stated * gain, by_frequency(channel, "channel_phase_rad", 0.0))
     return np.broadcast_to(phase, (count,))
 
 

@@ -363,7 +363,7 @@ def instrument_term(
 
     Leakage, walk and harmonics turn each frequency by an angle of its own, of the
     stated or typical size, and by as much as the channels differ
-    where chance does not explain that. Unmixing of channels multiplies both. A drift
+    where chance does not explain that. Unmixing multiplies the former. A drift
     during the scan turns all frequencies the same way.
     """
     channel = observation.channel

@@ -14,7 +14,7 @@ from amulor import cube as cubes
 from amulor.cube import tiles
 from amulor.errors import CubeError
 from amulor.optics.polarization import mueller, stokes
-from amulor.rejection import channels, quality, ratios
+from amulor.rejection import channels, ratios
 from amulor.rejection.build import present_terms, saturated_in_any, target_cube
 from amulor.rejection.channels import (
     CO_POLARIZED,
@@ -25,7 +25,7 @@ from amulor.rejection.covariance import Covariance, along
 from amulor.rejection.merit import merit
 from amulor.rejection.methods import Needs, method
 from amulor.rejection.observation import Observation
-from amulor.rejection.open_water import channel_phase_attributes, cube_of
+from amulor.rejection.open_water import cube_of
 from amulor.rejection.reference.before_target import (
     WaterFit,
     not_smaller_than_shots_say,
@@ -285,8 +285,6 @@ class PolarizationFit:
     """Scan-wide statistics of the water fluctuation."""
     terms: tuple[str, ...]
     """Names of the error terms that are not zero everywhere."""
-    channel_phase: quality.ChannelPhase | None = None
-    """Phase difference of the target between channels; None if it was not tested."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,14 +319,10 @@ def _unmix(
     co, cross = pair_of(cube)
     of_target = None if fit is None else fit.target_ratio
     of_water = None if fit is None else fit.water_ratio
-    channel_phase = None if fit is None else fit.channel_phase
     if target_ratio is None:
         if of_target is None:
             subtracted = subtract_open_water(scan)
             of_target = ratios.ratio_of(cube_of(scan, subtracted)[0])
-            # Without an interval, one frequency leaves the end of the column open.
-            if cube.sizes["modulation_frequency"] > 1:
-                channel_phase = subtracted.fit.channel_phase
         target_ratio = ratios.possible(of_target, name="target_ratio")
         target_ratio_uncertainty = of_target.uncertainty
     if water_ratio is None:
@@ -375,6 +369,10 @@ def _unmix(
         },
         None if fit is None else fit.terms,
     )
+    # Leakage of the same size in both channels, independent of each other.
+    gain: dict[str, Any] = {
+        f"phase_error_gain_{co}": float(np.hypot(1, water_ratio)) / abs(contrast)
+    }
     result = target_cube(
         saturated_in_any(first.cube, cube.sel(polarization=[co, cross])),
         target,
@@ -389,43 +387,15 @@ def _unmix(
         target_ratio_uncertainty=target_ratio_uncertainty,
         water_ratio=water_ratio,
         water_ratio_uncertainty=water_ratio_uncertainty,
-        **_phase_errors(co, target_ratio, water_ratio, channel_phase),
+        **gain,
     )
-    if channel_phase is not None:
-        cause = np.full(target.shape, channel_phase.cause, dtype=np.int8)
-        result = quality.add_water_residual(result, cause)
     return result, PolarizationFit(
         noise_scale=noise_scale,
         target_ratio=of_target,
         water_ratio=of_water,
         fluctuation=fluctuation,
         terms=tuple(terms),
-        channel_phase=channel_phase,
     )
-
-
-def _phase_errors(
-    co: str,
-    target_ratio: float,
-    water_ratio: float,
-    channel_phase: quality.ChannelPhase | None,
-) -> dict[str, Any]:
-    """Return how unmixing multiplies phase errors of the channels, as attributes.
-
-    Leakage L adds L (1 - r_w) / (r_t - r_w) to the target signal if both channels have
-    it. Independent leakage adds the root of the sum of squares. Across the echo, equal
-    leakage turns the channels by L (1 / r_t - 1) against each other.
-    """
-    contrast = abs(target_ratio - water_ratio)
-    attributes: dict[str, Any] = {
-        f"phase_error_gain_{co}": float(np.hypot(1, water_ratio)) / contrast,
-        **channel_phase_attributes(channel_phase),
-    }
-    if "channel_phase_rad" in attributes:
-        # Leakage in the crossed channel alone, or in both channels.
-        equal = (1 - water_ratio) / max(1 - target_ratio, _SMALLEST_CONTRAST)
-        attributes["channel_phase_gain"] = target_ratio * max(1.0, equal) / contrast
-    return attributes
 
 
 @method(
