@@ -31,7 +31,7 @@ class Sample:
     >>> from amulor import samples
     >>> ladder = samples.sample("ladder")
     >>> print(ladder.title)
-    A painted ladder in milky water, 39 MHz, VV and VH
+    A painted ladder in water with milk, at 39 MHz in the channels VV and VH
     >>> ladder.files
     ('ladder.nc',)
     """
