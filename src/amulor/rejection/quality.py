@@ -190,6 +190,8 @@ def channels_disagree(
 
 #: A phase between channels that chance makes rarer than this is real [1].
 _REAL_PHASE = 1e-4
+#: Share of the pixels with a target whose phase must be known for this test [1].
+_MOST_PIXELS = 0.5
 #: A larger one flags the scan [rad].
 LARGEST_CHANNEL_PHASE = 0.05
 #: Standard error of a median over that of the mean, of normal deviates [1].
@@ -249,7 +251,8 @@ def channel_phase(
             for second in range(first):
                 pair = [first, second]
                 both = detected[index, pair].all(axis=0)
-                if both.sum() < 2:
+                # Noise chooses the few pixels whose phase is known; their mean is off.
+                if both.sum() < max(2.0, _MOST_PIXELS * shown.sum()):
                     continue
                 turn = np.angle(signal[index, first] * signal[index, second].conj())
                 phase = abs(float(np.median(turn[both])))

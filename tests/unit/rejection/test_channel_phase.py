@@ -11,6 +11,8 @@ from numpy.testing import assert_allclose
 
 from amulor import rejection
 from amulor.cube import WaterResidualCause
+from amulor.rejection import quality
+from amulor.rejection.covariance import Covariance
 
 Make = Callable[..., xr.Dataset]
 TWO = {"VV": (1.0, 1.0), "VH": (0.25, 0.1)}
@@ -54,3 +56,21 @@ def test_channels_without_leakage_have_one_phase(by_hand: Make) -> None:
 def test_one_channel_has_nothing_to_compare(by_hand: Make) -> None:
     target = rejection.open_water(by_hand(frequency=[20e6], channels={"VV": (1, 1)}))
     assert "channel_phase_probability" not in target.attrs
+
+
+def test_few_pixels_that_noise_has_chosen_are_no_witness() -> None:
+    """Echoes below their noise: those that stand out have the phase of the rest."""
+    rng = np.random.default_rng(3)
+    shape = (1, 2, 40, 40)
+    noise = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+    # A residual of the water across the echo, which all pixels share.
+    signal = 1.0 + np.array([0.0, 0.3j])[:, None, None] + 0.5 * noise
+    variance = np.full(shape, 0.25)
+    nothing = np.zeros(shape)
+    phase = quality.channel_phase(
+        signal,
+        Covariance(variance, variance, nothing),
+        Covariance(nothing + 1e-4, nothing + 1e-4, nothing),
+        shown=np.ones(shape[2:], dtype=bool),
+    )
+    assert phase is None
