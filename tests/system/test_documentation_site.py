@@ -148,8 +148,8 @@ def test_the_summary_of_the_paper_counts_as_its_tables_do() -> None:
     summary = (DOCS / "gallery" / "paper.md").read_text()
     tables = (DOCS / "gallery" / "ricci2010.md").read_text()
     stated = re.search(
-        r"(\d+) of (\d+) statements of the paper hold\. For (\d+) more, .*? and (\d+) "
-        r"of these hold\. The study adds (\d+) checks .*?, and (\d+) of",
+        r"(\d+) of (\d+) statements of the paper hold\. For (\d+) more statements, "
+        r".*? and (\d+) of these hold\. The study adds (\d+) checks .*?, and (\d+) of",
         tables,
     )
     assert stated is not None
