@@ -1,11 +1,8 @@
-"""Speed of open-water subtraction against the memory of the machine, in one run.
+"""Time of open-water subtraction for one million pixels.
 
-Run with ``python benchmarks/time_rejection.py``. The triad a = b + s * c of numpy over
-arrays of the same size tells the bandwidth of the memory; subtraction moves three
-complex arrays, two in and one out. The cases take turns and the shortest time of each
-counts. The other figures are the time of the whole method on one million pixels, and of
-the correction for the column that the target cuts off: from the table, and by
-integration of every pixel.
+Run with ``python benchmarks/time_rejection.py``. It prints the time of the whole
+method, and the time of the correction for the water that the target hides: from the
+table, and by integration for each pixel.
 """
 
 from __future__ import annotations
@@ -16,7 +13,6 @@ import numpy as np
 
 from amulor import rejection
 from amulor.rejection.reference import column as columns
-from amulor.rejection.reference.before_target import subtract
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -79,27 +75,6 @@ def enlarged(cube, times):
     return cube.isel(row=rows)
 
 
-def triad(count, repeats=9):
-    """Return bytes per second of a = b + s * c and of the subtraction of phasors."""
-    rng = np.random.default_rng(1)
-    first, second = (
-        rng.standard_normal(count) + 1j * rng.standard_normal(count) for _ in range(2)
-    )
-    third = np.empty_like(first)
-    b, c, a = first.view(float), second.view(float), third.view(float)
-    best = [np.inf, np.inf]
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        np.multiply(c, 3.0, out=a)
-        np.add(a, b, out=a)
-        best[0] = min(best[0], time.perf_counter() - begin)
-        begin = time.perf_counter()
-        subtract(first, second)
-        best[1] = min(best[1], time.perf_counter() - begin)
-    # The triad in numpy passes over memory twice: c to a, then a and b to a.
-    return 5 * a.nbytes / best[0], 3 * third.nbytes / best[1]
-
-
 def column(pixels):
     """Return seconds of the shares by table and by integration, and their error."""
     survey = Survey.from_text(SURVEY.format(columns=2, rows=2))
@@ -134,33 +109,28 @@ def whole(cube):
     return time.perf_counter() - begin
 
 
-def main(columns=1000, rows=50, times=20, count=4_000_000):
+def main(columns=1000, rows=50, times=20):
     """Print all figures and return them."""
     small = scene(columns, rows)
     whole(small.isel(row=slice(0, 2)))
-    memory, subtraction = triad(count)
     table, integrated, error = column(columns * rows * times)
     large = enlarged(small, times)
     total = whole(large)
     pixels = large.sizes["row"] * large.sizes["column"]
-    print(f"numpy triad {memory / 1e9:.2f} GB/s")
-    print(f"subtraction {subtraction / 1e9:.2f} GB/s, {subtraction / memory:.0%} of it")
     print(
         f"column behind the target, {pixels:,} pixels: {table:.2f} s by table, "
         f"{integrated:.1f} s by integration, difference at most {error:.1e}"
     )
     print(f"open_water, {pixels:,} pixels, two channels: {total:.1f} s")
-    return memory, subtraction, table, integrated, error, total
+    return table, integrated, error, total
 
 
 def remember():
     """Measure, print, and add the figures to the history."""
     import history
 
-    memory, subtraction, table, integrated, _, total = main()
+    table, integrated, _, total = main()
     figures = {
-        "triad_bytes_per_s": memory,
-        "subtraction_over_triad": subtraction / memory,
         "column_by_table_s": table,
         "column_by_integration_s": integrated,
         "open_water_of_a_million_pixels_s": total,

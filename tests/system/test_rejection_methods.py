@@ -346,7 +346,7 @@ def test_the_water_of_a_cube_is_fitted_and_what_is_not_settled_is_said(
 @pytest.mark.slow
 def test_the_benchmark_runs_and_its_table_is_right() -> None:
     module = script("benchmarks/time_rejection.py")
-    *_, error, _ = module.main(columns=30, rows=10, times=4, count=100_000)
+    *_, error, _ = module.main(columns=30, rows=10, times=4)
     assert error < 1e-4
 
 
