@@ -209,7 +209,8 @@ class ChannelPhase:
     phase: NDArray[np.float64]
     """Largest phase difference of all pairs of channels, at each frequency [rad]."""
     significance: NDArray[np.float64]
-    """Largest phase difference over its standard uncertainty, at each frequency [1]."""
+    """Largest phase difference beyond that of the water column behind the target, over
+    its standard uncertainty, at each frequency [1]."""
     probability: float
     """Probability of so large a phase difference by chance, over all pairs and
     frequencies [1]."""
@@ -232,14 +233,18 @@ def channel_phase(
     independent: Covariance,
     shared: Covariance,
     *,
+    column: NDArray[np.complex128],
     shown: NDArray[np.bool_],
 ) -> ChannelPhase | None:
     """Estimate the targets' phase difference between channels; None for one channel.
 
-    Errors of the pixels average out, those that they share do not.
+    Errors of the pixels average out, those that they share do not. `column` is the
+    part of `signal` from the water behind the target, NaN if unknown. A wrong distance
+    or interval makes it wrong. Only the phase beyond that of the column is tested.
     """
     frequencies, channels = signal.shape[:2]
-    detected = np.isfinite(signal) & (signal != 0)
+    detected = np.isfinite(signal) & (signal != 0) & np.isfinite(column)
+    before = signal - column
     individual = phase_error(signal, independent, detected)
     common = phase_error(signal, shared, detected)
     detected &= (np.hypot(individual, common) < LARGEST_PHASE_ERROR) & shown
@@ -254,8 +259,12 @@ def channel_phase(
                 # Noise chooses the few pixels whose phase is known; their mean is off.
                 if both.sum() < max(2.0, _MOST_PIXELS * shown.sum()):
                     continue
-                turn = np.angle(signal[index, first] * signal[index, second].conj())
-                phase = abs(float(np.median(turn[both])))
+                product, without = (
+                    part[index, first][both] * part[index, second][both].conj()
+                    for part in (signal, before)
+                )
+                phase = abs(float(np.median(np.angle(product))))
+                bound = abs(float(np.median(np.angle(product * without.conj()))))
                 random = np.linalg.norm(individual[index, pair][:, both], axis=0)
                 systematic = np.linalg.norm(common[index, pair][:, both], axis=0)
                 error = np.hypot(
@@ -264,7 +273,8 @@ def channel_phase(
                 )
                 tests += 1
                 phases[index] = max(phases[index], phase)
-                significance[index] = max(significance[index], phase / error)
+                excess = max(0.0, phase - bound) / error
+                significance[index] = max(significance[index], excess)
     if not tests:
         return None
     return ChannelPhase(

@@ -141,11 +141,13 @@ def subtract_open_water(
     nothing = np.zeros(target.shape)
     column = Covariance(nothing, nothing, nothing)
     residual = None
+    behind = np.zeros(target.shape, dtype=complex)
     usual_column = None if fit is None else fit.usual_column
     cause = np.zeros(target.shape[2:], dtype=np.int8)
     tests: dict[str, NDArray[Any]] = {"no_target_probability": chance}
     if water.hidden_fraction is not None:
         residual = -water.hidden_fraction * water_signal
+        behind = -residual if put_back else np.full_like(behind, np.nan)
         if put_back:
             hidden_signal = np.nan_to_num(residual)
             if len(target) == 1:
@@ -156,6 +158,7 @@ def subtract_open_water(
                 )
                 tests["column_over_target"] = ratio
                 cause[ratio > TOO_STRONG] |= WaterResidualCause.STRONG_COLUMN
+                behind[..., ratio > TOO_STRONG] = np.nan
             target, water_signal = target - hidden_signal, water_signal + hidden_signal
             column = (
                 along(hidden_signal, column_uncertainty or 0.0)
@@ -193,6 +196,7 @@ def subtract_open_water(
             target,
             counting + water.fluctuation,
             water.common + column + change,
+            column=behind,
             shown=has_target,
         )
     if channel_phase is not None:

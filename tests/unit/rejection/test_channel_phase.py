@@ -71,6 +71,41 @@ def test_few_pixels_that_noise_has_chosen_are_no_witness() -> None:
         signal,
         Covariance(variance, variance, nothing),
         Covariance(nothing + 1e-4, nothing + 1e-4, nothing),
+        column=np.zeros(shape, dtype=complex),
         shown=np.ones(shape[2:], dtype=bool),
     )
     assert phase is None
+
+
+def _phase_with_column(column: complex) -> quality.ChannelPhase | None:
+    """Test of echoes with 30 mrad between the channels, and a column in the first."""
+    rng = np.random.default_rng(4)
+    shape = (1, 2, 20, 20)
+    noise = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+    signal = np.exp(1j * np.array([0.0, 0.03]))[:, None, None] + 1e-3 * noise
+    variance = np.full(shape, 1e-6)
+    behind = np.zeros(shape, dtype=complex)
+    behind[:, 0] = column
+    nothing = np.zeros(shape)
+    return quality.channel_phase(
+        signal,
+        Covariance(variance, variance, nothing),
+        Covariance(nothing, nothing, nothing),
+        column=behind,
+        shown=np.ones(shape[2:], dtype=bool),
+    )
+
+
+def test_a_phase_that_the_column_can_cause_is_no_witness() -> None:
+    """A column of 40 mrad explains 30 mrad; one of 10 mrad does not."""
+    strong, weak = _phase_with_column(0.04j), _phase_with_column(0.01j)
+    assert strong is not None
+    assert weak is not None
+    assert strong.probability == 1
+    # Median of 400 differences of 1.4 mrad: 0.09 mrad; 20 mrad are left.
+    assert weak.probability < 1e-100
+    assert_allclose(weak.phase, 0.03, atol=5e-4)
+
+
+def test_without_a_distance_the_column_and_the_phase_are_unknown() -> None:
+    assert _phase_with_column(complex("nan")) is None
