@@ -165,6 +165,10 @@ def cube_page() -> str:
         **schema.WINDOW_ATTRIBUTES,
     }.items():
         parts.append(f"| `{name}` | {meaning} |")
+    parts += ["", "## Attributes on errors of the instrument", ""]
+    parts += ["| attribute | meaning |", "| --- | --- |"]
+    for name, meaning in schema.INSTRUMENT_ATTRIBUTES.items():
+        parts.append(f"| `{name}` | {meaning} |")
     return "\n".join([*parts, ""])
 
 

@@ -577,3 +577,19 @@ WINDOW_ATTRIBUTES = {
     "window_refractive_index": "phase index of the window [1]",
     "window_group_index": "group index of the window [1]",
 }
+#: Attributes of target signals and range images on errors of the instrument, and the
+#: attribute of samples that simulated light in corners needs.
+INSTRUMENT_ATTRIBUTES = {
+    "channel_phase_probability": "probability of the phase between channels by chance "
+    "[1]",
+    "channel_phase_rad": "largest phase between channels of the target, for each "
+    "frequency; present if the probability is below 1e-4 [rad]",
+    "frequency_phase_probability": "probability by chance of the deviations of all "
+    "frequencies from one optical path, from three frequencies on [1]",
+    "frequency_phase_rad": "deviation of each frequency from the optical path of all; "
+    "present if the probability is below 1e-4 [rad]",
+    "phase_error_gain_<channel>": "phase error of the target signal per phase error of "
+    "the instrument, for each frequency [1]",
+    "corner_light": "`present` or `absent`: whether the samples contain light that "
+    "corners reflect twice. Default: absent in simulated samples, else present",
+}
