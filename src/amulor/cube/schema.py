@@ -151,6 +151,8 @@ class QualityFlag(enum.IntFlag):
     """A sample disagrees with the rest of its pixel or of the scan."""
     RELATIVE = 256
     """The range may be off by whole intervals of the phase."""
+    CORNER = 512
+    """Light reflected twice in a corner moves the range by more than other errors."""
 
 
 class WaterResidualCause(enum.IntFlag):
@@ -202,7 +204,11 @@ ERROR_UNKNOWN = QualityFlag.NO_OPEN_WATER | QualityFlag.RELATIVE
 
 #: A pixel with one of these has a range, but a doubtful one.
 DOUBTFUL = (
-    QualityFlag.WATER_RESIDUAL | QualityFlag.MIXED | QualityFlag.OUTLIER | ERROR_UNKNOWN
+    QualityFlag.WATER_RESIDUAL
+    | QualityFlag.MIXED
+    | QualityFlag.OUTLIER
+    | QualityFlag.CORNER
+    | ERROR_UNKNOWN
 )
 
 

@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from amulor.cube import error_unknown
+from amulor.cube import QualityFlag, error_unknown
 from amulor.cube.error import by_frequency, instrument_phase
 from amulor.cube.schema import RANGE_PREFIX, TERMS, Term
 from amulor.imaging.corners import Patches, corner_error
@@ -56,7 +56,11 @@ def completed(
         noise=ranges.total,
         fit=patches,
     )
+    flag = ranges.flag
     if corners is not None:
+        others = [term**2 for term in shared.values()]
+        rest = np.sqrt(np.sum([ranges.total**2, *others], axis=0))
+        flag = flag | np.where(corners > rest, np.int16(QualityFlag.CORNER), 0)
         shared["corners"] = corners
     unknown = _unknown_of_water(observation.channel)
     unknown += [name for name in CALIBRATION_TERMS if name not in shared]
@@ -85,6 +89,7 @@ def completed(
         replace(
             ranges,
             slant_range=ranges.slant_range - light.late,
+            flag=flag,
             total=total,
             terms={**ranges.terms, **shared},
             common=common,

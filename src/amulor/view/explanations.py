@@ -363,6 +363,10 @@ def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[
     margin = math.exp(-ambiguity.MARGIN / 2)
     wrong = joint.WRONG if "joint_detection" in numbers else margin / (1 + margin)
     phase = numbers.get("phase_error", math.nan)
+    corner = "slant_range_uncertainty_corners"
+    total, light = (
+        numbers.get(key, 0.0) for key in ("slant_range_uncertainty", corner)
+    )
     return [
         _Test(flag.NO_TARGET, "no_target_probability",
               "chance of so large a chi-square without a target", ">", presence.SIZE),
@@ -409,6 +413,8 @@ def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[
               float(channels.min())),
         _Test(flag.OUTLIER, "stand_off", "off its neighbors, in standard errors", ">",
               outliers.LEAST),
+        _Test(flag.CORNER, corner, "range error by light of the corner", ">",
+              math.sqrt(max(total**2 - light**2, 0.0)), "m"),
     ]  # fmt: skip
 
 

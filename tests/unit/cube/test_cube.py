@@ -33,6 +33,7 @@ def test_flags_have_the_numbers_that_stand_in_files() -> None:
         "MIXED": 64,
         "OUTLIER": 128,
         "RELATIVE": 256,
+        "CORNER": 512,
     }
 
 

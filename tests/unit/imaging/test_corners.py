@@ -9,6 +9,7 @@ from corner_rays import double_over_single
 from numpy.testing import assert_allclose
 
 from amulor import imaging, rejection
+from amulor.cube import QualityFlag
 from amulor.imaging.corners import Patches, corner_ratio
 from amulor.simulation import simulate
 from amulor.studies.trust.surveys import survey
@@ -114,7 +115,9 @@ def _image(
 
 def test_an_inside_corner_states_its_error() -> None:
     image, distance, across = _image(0.4, corner=True)
-    valid = (image["quality_flag"].values == 0) & np.isfinite(distance)
+    flag = image["quality_flag"].values
+    # The flag of the corner itself excludes no pixel here.
+    valid = ((flag & ~QualityFlag.CORNER) == 0) & np.isfinite(distance)
     near = valid & (np.abs(across) < 0.1) & (np.abs(across) > 0.02)
     assert near.sum() > 50
     error = image["slant_range"].values - distance
@@ -124,9 +127,13 @@ def test_an_inside_corner_states_its_error() -> None:
     z = error[near] / image["slant_range_uncertainty"].values[near]
     assert np.mean(np.abs(z) < 2) > 0.95
     without = np.sqrt(image["slant_range_uncertainty"].values ** 2 - term**2)
+    flagged = (flag & QualityFlag.CORNER) != 0
+    assert np.array_equal(flagged[valid], (term > without)[valid])
+    assert flagged[near].mean() > 0.5
     assert np.mean(np.abs(error / without)[near] < 2) < 0.85
 
 
 def test_a_simulation_without_such_light_has_no_term() -> None:
     image, _, _ = _image(0.4, corner=False)
     assert "slant_range_uncertainty_corners" not in image
+    assert not (image["quality_flag"].values & QualityFlag.CORNER).any()

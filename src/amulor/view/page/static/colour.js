@@ -62,6 +62,7 @@ const FLAG_COLOURS = {
   mixed: INK.orange,
   outlier: INK.yellow,
   relative: INK.green,
+  corner: INK.grey,
 };
 
 /**
