@@ -292,3 +292,17 @@ def test_scores_of_patterns_are_standard_normal_and_sizes_are_detectable(
             assert test.detectable == pytest.approx(4.732 * test.uncertainty, rel=1e-3)
     # 56 or 112 numbers, of which those of one site hang together: 1 +- 0.3 or 0.2.
     assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.4)
+
+
+def test_the_rows_of_a_plane_do_not_seem_to_drift() -> None:
+    # Patterns at the places of noisy points hang together with the noise: then the mean
+    # of these scores is -1, of four scans in 11 sites.
+    scores = [
+        test.score
+        for seed in range(21, 26)
+        for test in registered(one_visit("plane", seed, rows=42)).patterns
+        if test.pattern == "rows"
+    ]
+    assert len(scores) == 20
+    # Of 20 standard normal numbers, four standard errors of the mean are 0.9.
+    assert abs(np.mean(scores)) < 0.7

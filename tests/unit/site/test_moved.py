@@ -34,7 +34,8 @@ def pair_of(first: float, last: float, **changes: Any) -> Pair:
         "source": "b", "target": "a", "keys": (), "pivot": pivot, "place": place,
         "distance": np.zeros(size), "weight": np.full(size, 1e6), "by_target": rows,
         "by_source": rows, "along": np.ones(size), "source_pixel": np.arange(size),
-        "target_pixel": np.zeros(size, dtype=int),
+        "target_pixel": np.zeros(size, dtype=int), "along_apart": np.ones(size),
+        "target_pixel_apart": np.zeros(size, dtype=int),
         "window": sparse.csr_matrix((size, 1)), "misfit": 1.0, "held": np.eye(6),
         "loose": (), "unsure": 1e-3, "moved": np.zeros(0, dtype=int),
     }  # fmt: skip

@@ -63,6 +63,12 @@ class Pair:
     """Numbers of the source's pixels, shape (n,)."""
     target_pixel: Numbers
     """Numbers of the target's pixels, shape (n,)."""
+    along_apart: Floats
+    """Derivative of the distance by the slant range of the source's pixel, computed
+    with the source's normals, shape (n,)."""
+    target_pixel_apart: Numbers
+    """Numbers of the target's pixels where neighbors of the source's pixel place the
+    point, independent of its noise, shape (n,)."""
     window: sparse.csr_matrix
     """Derivatives of the distance by the ranges of the target's pixels, negative, shape
     (n, pixels)."""
@@ -216,6 +222,8 @@ def compared(
         along=alongs[0],
         source_pixel=pixel,
         target_pixel=at.pixel,
+        along_apart=alongs[1],
+        target_pixel_apart=at_guess.pixel,
         window=-window,
         misfit=outcome.misfit,
         held=held,
