@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from amulor.cube import accessor, schema
-from amulor.cube.values import check_values, restore_dimensions
+from amulor.cube.values import check_limits, check_values, restore_dimensions
 from amulor.errors import CubeError
 from amulor.optics.polarization import stokes
 
@@ -119,6 +119,7 @@ def check(
         if variable in expected.variables
     }
     check_values(variables, name=name)
+    check_limits(cube, name=name)
     _check_open_water(cube, name=name)
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 from amulor.cube import schema
 from amulor.errors import CubeError
 
-__all__ = ["check_values"]
+__all__ = ["check_limits", "check_values"]
 
 
 def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
@@ -94,6 +94,13 @@ _COMMON = (
 )
 
 
+#: Lowest and highest possible value of variables, and these limits in words.
+_LIMITS = {
+    "saturated": (0.0, 1.0, "0 or 1"),
+    "time": (0.0, np.inf, "seconds since the start of the scan, 0 or more"),
+}
+
+
 def check_values(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
     """Raise if signals or their uncertainties have impossible values.
 
@@ -115,6 +122,23 @@ def check_values(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
             _check_uncertainty(values, variable, name=name)
         elif values.attrs.get("units") == "V":
             _check_signal(values, variable, name=name)
+
+
+def check_limits(cube: xr.Dataset, *, name: str) -> None:
+    """Raise if overload marks or times of pixels are outside of their limits."""
+    for variable, (lowest, highest, words) in _LIMITS.items():
+        if variable not in cube.variables or cube[variable].size == 0:
+            continue
+        values = cube[variable]
+        for extreme in (
+            np.fmin.reduce(values.values, axis=None),
+            np.fmax.reduce(values.values, axis=None),
+        ):
+            if extreme < lowest or extreme > highest:
+                raise CubeError(
+                    f"{name}: {variable} is {extreme:g} {_place(values, extreme)}, but "
+                    f"must be {words}; correct it, or drop the variable"
+                )
 
 
 def _check_uncertainty(array: xr.DataArray, variable: str, *, name: str) -> None:

@@ -49,6 +49,25 @@ def test_a_missing_sample_is_no_wrong_number(samples: xr.Dataset) -> None:
     cubes.check(changed)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "at", "words"),
+    [
+        ("saturated", 127, (0, 1, 2, 3), "is 127 at .* column 3, but must be 0 or 1;"),
+        ("saturated", -3, (0, 1, 2, 3), "is -3 at .* column 3, but must be 0 or 1;"),
+        ("time", -1.0, (2, 3), "is -1 at row 2, column 3, but must be seconds since"),
+    ],
+)
+def test_marks_and_times_outside_of_their_limits_are_found(
+    name: str, value: float, at: tuple[int, ...], words: str, samples: xr.Dataset
+) -> None:
+    with pytest.raises(CubeError, match=f"^the cube: {name} {words}"):
+        cubes.check(_with(samples, name, value, at))
+
+
+def test_the_time_of_a_missing_sample_may_be_unknown(samples: xr.Dataset) -> None:
+    cubes.check(_with(samples, "time", np.nan, (2, 3)))
+
+
 def test_shots_are_looked_at_too(samples: xr.Dataset) -> None:
     wrong = _with(samples, "open_water_in_phase_uncertainty", -1.0, (0, 0, 5))
     with pytest.raises(CubeError, match="open_water: in_phase_uncertainty is -1 V"):
