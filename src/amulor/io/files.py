@@ -148,6 +148,11 @@ def _target(path: Path, *, overwrite: bool) -> Path:
         target = Path(os.path.realpath(path))
         if target.is_dir():
             raise FormatError(f"{path} is a folder; name a file in it")
+        if path.is_symlink() and not os.path.lexists(target):
+            raise FormatError(
+                f"{path} is a link to {target}, which does not exist; remove the link, "
+                "or choose another name"
+            )
         if not target.parent.is_dir():
             raise FormatError(
                 f"{path} cannot be written: there is no folder {path.parent}; make it "

@@ -154,6 +154,7 @@ def test_a_link_stays_a_link_to_the_new_file(tmp_path):
 def unusable_names(tmp_path):
     (tmp_path / "file").write_bytes(b"x")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere.nc")
     os.mkfifo(tmp_path / "pipe")
     return {
         "missing folder": tmp_path / "missing" / "cube.nc",
@@ -161,6 +162,7 @@ def unusable_names(tmp_path):
         "is a folder": tmp_path,
         "is a pipe": tmp_path / "pipe",
         "loop": tmp_path / "loop",
+        "dangling link": tmp_path / "dangling",
         "zero byte": tmp_path / "a\0b",
         "too long": tmp_path / ("x" * 300 + ".nc"),
     }
@@ -174,6 +176,7 @@ def unusable_names(tmp_path):
         ("is a folder", "is a folder"),
         ("is a pipe", "pipe"),
         ("loop", "link to itself"),
+        ("dangling link", "nowhere.nc, which does not exist"),
         ("zero byte", "no name for a file"),
         ("too long", "too long"),
     ],
