@@ -62,6 +62,10 @@ _EXTRA = (
 
 #: Points that are read at once.
 _PART = 500_000
+#: Header of LAS 1.4, the longest header that is read here [byte].
+_HEADER = 255
+#: Header of a variable-length record, and of an extended one [byte].
+_VLR, _EVLR = 54, 60
 #: Dimensions of the format that say nothing of a scan of this kind.
 _DULL = {
     "X", "Y", "Z", "red", "green", "blue", "return_number", "number_of_returns",
@@ -274,6 +278,7 @@ def read_laz(path: Path, *, most: int) -> Shape:
     laspy = _laspy("reading")
     # What it has to say of damage is in the error; its log would be more lines.
     logging.getLogger("laspy").addHandler(logging.NullHandler())
+    _check_counts(path)
     _check_chunks(path)
     try:
         with laspy.open(path) as file:
@@ -286,6 +291,31 @@ def read_laz(path: Path, *, most: int) -> Shape:
             f"{path.name} cannot be read as LAS or LAZ: {reason}; it is damaged or was "
             "not copied whole"
         ) from error
+
+
+def _check_counts(path: Path) -> None:
+    """Raise if a header declares more records than fit: laspy would read them all."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(_HEADER).ljust(_HEADER, b"\0")
+    if not head.startswith(b"LASF"):
+        return
+    header, points, records, form, length, count = struct.unpack_from(
+        "<HIIBHI", head, 94
+    )
+    checks = [("records", records, min(points, size) - header, _VLR)]
+    if head[25] >= 4:  # minor version; 1.4 added extended records and 64-bit counts
+        start, extended, count = struct.unpack_from("<QIQ", head, 235)
+        checks.append(("extended records", extended, size - start, _EVLR))
+    if not form & 0x80:  # not compressed
+        checks.append(("points", count, size - points, length))
+    for name, declared, room, least in checks:
+        if declared * least > max(room, 0):
+            raise FormatError(
+                f"{path.name} declares {declared} {name} of at least {least} bytes "
+                f"each, but has {max(room, 0)} bytes for them; it is damaged or was "
+                "not copied whole"
+            )
 
 
 def _check_chunks(path: Path) -> None:

@@ -1,6 +1,8 @@
 """A LAS or LAZ file holds the cloud to a micrometre, as laspy reads it."""
 
+import struct
 import sys
+import time
 
 import laspy
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 
 from amulor.errors import CubeError, FormatError, MissingExtraError
 from amulor.io import write_laz
-from amulor.io.laz import SCALE, write_laz_parts
+from amulor.io.laz import SCALE, read_laz, write_laz_parts
 
 
 @pytest.fixture
@@ -170,3 +172,41 @@ def test_a_full_disk_leaves_nothing(make, rng, path, small_disk):
     with small_disk(), pytest.raises(FormatError, match=r"cloud\.laz cannot be"):
         write_laz(cloud, path)
     assert list(path.parent.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("suffix", "place", "form", "declared"),
+    [
+        ("laz", 100, "<I", r"2147483648 records"),
+        ("las", 100, "<I", r"2147483648 records"),
+        ("laz", 243, "<I", r"2147483648 extended records"),
+        ("las", 247, "<Q", r"2147483648 points"),
+    ],
+)
+def test_a_header_that_declares_more_than_fits_is_refused_at_once(
+    point_cloud, tmp_path, suffix, place, form, declared
+):
+    path = tmp_path / f"cloud.{suffix}"
+    write_laz(point_cloud, path)
+    assert read_laz(path, most=10).total == point_cloud.sizes["point"]
+    with path.open("r+b") as file:
+        file.seek(place)
+        file.write(struct.pack(form, 2**31))
+    begin = time.monotonic()
+    with pytest.raises(FormatError, match=rf"{path.name} declares {declared} .* bytes"):
+        read_laz(path, most=10)
+    assert time.monotonic() - begin < 1  # without the check: up to 25 s
+
+
+def test_the_header_of_an_old_version_ends_before_the_extended_records(tmp_path):
+    path = tmp_path / "old.las"
+    old = laspy.LasData(laspy.LasHeader(version="1.2", point_format=0))
+    old.x, old.y, old.z = np.array([[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]])
+    old.write(path)
+    assert read_laz(path, most=10).total == 2
+    # Without points, all of the file is a header of 227 bytes.
+    header = bytearray(path.read_bytes()[:227])
+    header[100:104] = struct.pack("<I", 2**31)
+    path.write_bytes(header)
+    with pytest.raises(FormatError, match="2147483648 records"):
+        read_laz(path, most=10)
