@@ -165,7 +165,7 @@ def overlaps(
 
 
 def _arguments(survey: Survey, water: WaterProperties, looks: Looks) -> dict[str, Any]:
-    """Arguments of the small-angle functions, arrays of shape (look, 1)."""
+    """Keyword arguments of the small-angle functions, for all views of the receiver."""
     absorption, scattering = looks.absorption, looks.scattering
     forward = water.forward_scattering * water.second_moment
     arguments: dict[str, Any] = beam_arguments(survey, water)

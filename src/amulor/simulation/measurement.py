@@ -144,7 +144,7 @@ class Setting:
 
 
 def fit(setting: Setting) -> SignalModel:
-    """Return the forward model, fitted to all pixels if the model supports a fit.
+    """Return the forward model, fitted once for the whole scan if it supports a fit.
 
     The fit uses all pixels of a scan of up to `tiles.SAMPLE` pixels, else as many that
     are spread over the scan from edge to edge.

@@ -25,7 +25,7 @@ def above(value: float, limit: float, *, name: str, unit: str) -> float:
 
 
 def at_most(value: float, limit: float, *, name: str, unit: str) -> float:
-    """Return a number above zero; ValueError if above a limit."""
+    """Return a number; ValueError unless above zero and at most the limit."""
     number = above(value, 0.0, name=name, unit=unit)
     if number > limit:
         raise ValueError(f"{name} must not exceed {limit:g} {unit}, got {value!r}")

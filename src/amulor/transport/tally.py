@@ -498,7 +498,7 @@ class Tally:
 
     @property
     def largest_fraction(self) -> float:
-        """Largest fraction of the light contributed by one group [1]."""
+        """Largest fraction of the light from one group of photon histories [1]."""
         total, _, largest = self.contribution
         return largest / total if total > 0 else 0.0
 

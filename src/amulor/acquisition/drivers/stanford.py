@@ -255,7 +255,7 @@ class Sr844(Stanford):
         )
 
     def relieve(self, overload: Overload) -> bool:
-        """Increase the overloaded reserve or SENS by one step; False at the maximum."""
+        """Increase the reserve or full scale by one step; False if at the maximum."""
         if overload & Overload.INPUT and self._wide > _HIGH:
             self._wide -= 1
             self._link.send(f"WRSV {self._wide}")

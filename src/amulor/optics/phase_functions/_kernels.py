@@ -67,7 +67,7 @@ def _spherical_bessel(x: float, out: Array) -> None:
 def _fast_panel(
     k: float, angle: Array, fraction: Array, terms: Array, legendre: Array
 ) -> float:
-    """Return the sum over a panel that spans half a cycle of J0 or more.
+    """Return a panel's sum of phase function times J0, over half a cycle or more.
 
     J0 is the real part of Hankel's function, by his expansion, as k angle is above 28;
     its slow factor becomes a Legendre series, and i^l P_l transforms into j_l.

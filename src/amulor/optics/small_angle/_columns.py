@@ -175,7 +175,7 @@ def _angle_panels(phase_function: PhaseFunction, split: float) -> Array:
 
 
 def _angle_rule(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return quadrature angles and weights, in the logarithm of the angle."""
+    """Return Gauss angles, placed in log(angle), and weights for sums over angle."""
     node, weight = _gauss()
     half = np.log(high / low)[:, None] / 2
     angle = low[:, None] * np.exp(half * (node + 1))

@@ -52,7 +52,7 @@ def water_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.complex128]:
-    r"""Return the water signal of a receiver with sharp edges.
+    r"""Return the water signal for a sharp-edged aperture and field of view.
 
     All arguments but the phase function and its split angle are broadcast against
     each other; axes along which only the frequency changes cost little.

@@ -73,7 +73,7 @@ def typical_of(
     shared: Shared,
     instrument: Instrument,
 ) -> tuple[float, float]:
-    """Return angular spread that delays echoes [rad^2/m], and instrument error [m]."""
+    """Return late-echo angular spread [rad^2/m], and median instrument error [m]."""
     detected = result.detected
     typical = float(np.median(result.depth[detected])) if detected.any() else 0.0
     late_spread = shared.shape.spread

@@ -217,7 +217,7 @@ class Problem:
         return state.fluctuation * state.water_signal(water, front)
 
     def groups(self, state: Shared, estimates: Estimates) -> list[Fitted]:
-        """Return pixels and shots with their paths and amplitudes."""
+        """Return pixels with echo paths and amplitudes, and shots without an echo."""
         detected = is_detected(estimates)
         amplitude = np.where(detected[:, None], estimates.amplitude, 0.0)
         path = np.where(detected, estimates.path, np.inf)

@@ -158,7 +158,7 @@ class _Judge:
         self._models: dict[int, Complex] = {}
 
     def error(self, plan: OpenWater) -> float:
-        """Return the largest interpolation error of a plan, over the largest signal."""
+        """Return a plan's peak interpolation error, relative to the largest signal."""
         survey, frequency, checks = self._survey, self._frequency, self._checks
         scan = survey.scan.model_copy(update={"open_water": plan})
         planned = survey.model_copy(update={"scan": scan})

@@ -77,7 +77,7 @@ class _Turns:
     def run(
         self, function: Callable[..., _Result], most: int, *arguments: Any
     ) -> _Result:
-        """Run one part when fewer than `most` are running."""
+        """Wait until fewer than `most` parts are running, then run one."""
         with self._changed:
             self._changed.wait_for(lambda: self._running < most)
             self._running += 1

@@ -170,7 +170,7 @@ def draw_surface(
     spacing: float = 20.0,
     zoom: float = 1.0,
 ) -> Any:
-    """Draw a surface in perspective, with equal scales of all axes."""
+    """Draw a surface in 3-D (parallel projection), with equal scales of all axes."""
     axis: Any = figure.add_subplot(where, projection="3d", computed_zorder=False)
     corners = np.stack([surface.right, surface.up, surface.near], axis=-1)
     quads, strips = _in_strips(_quads(corners))

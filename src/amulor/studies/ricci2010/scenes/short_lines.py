@@ -181,7 +181,7 @@ def drift_check(study: Study, rows: Statements, name: str) -> Check:
 
 
 def straight_check(study: Study, rows: Statements, step: str, pair: str) -> Check:
-    """Check that the phase along a line is nearly straight."""
+    """Check that the phase is nearly linear along a line of pixels."""
     result = line(study, step, pair)
     check = rows.within(
         f"{step}_straight", result.bend, high=STRAIGHT, uncertainty=result.bend_error

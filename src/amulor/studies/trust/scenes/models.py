@@ -18,7 +18,7 @@ from amulor.studies.trust.surveys import plate, stairs, survey
 
 
 def around(distance: float) -> tuple[float, float]:
-    """Return the interval from 0.9 m before to 0.9 m behind a distance [m]."""
+    """Return the interval within 0.9 m of a distance, but not below 0.3 m [m]."""
     return max(0.3, distance - 0.9), distance + 0.9
 
 

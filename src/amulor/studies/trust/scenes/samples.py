@@ -132,7 +132,7 @@ def changed_water(count: int, seed: int, *, change: float = 0.05) -> Case:
 
 
 def drift(count: int, seed: int, *, change: float) -> Case:
-    """Simulate a plate in drifting water, with shots before and after the scan."""
+    """Simulate a plate in water whose signal drifts, with shots before and after."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     shots = samples.sizes["shot"]
     # Half of the repeats in each direction before the scan, half after it.
