@@ -7,7 +7,7 @@ import os
 import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 import xarray as xr
@@ -49,6 +49,17 @@ _PROPERTIES = (
 _LINE_LENGTH = 200
 #: Lines of a header that are read for comments.
 _MOST_LINES = 2000
+#: Sizes of the types of properties [byte].
+_BYTES = {
+    kind: size
+    for size, kinds in (
+        (1, "char uchar int8 uint8"),
+        (2, "short ushort int16 uint16 float16"),
+        (4, "int uint int32 uint32 float float32"),
+        (8, "double float64 int64 uint64"),
+    )
+    for kind in kinds.split()
+}
 _COLOURS = ("red", "green", "blue")
 
 
@@ -245,7 +256,7 @@ def read_ply(path: Path, *, unit: float) -> Shape:
             )
         comments = _comments(file)
         file.seek(0)
-        _check_lines(file, path.name)
+        _check_length(file, path.name)
         file.seek(0)
         try:
             # Without `fix_texture` the vertices are those of the file, in its order.
@@ -300,23 +311,57 @@ def _comments(file: BinaryIO) -> list[str]:
     return comments
 
 
-def _check_lines(file: BinaryIO, name: str) -> None:
-    """Raise if a text file has fewer lines than its header declares."""
-    lengths: list[int] = []
+def _check_length(file: BinaryIO, name: str) -> None:
+    """Raise if a file has fewer or more lines or bytes than its header declares."""
+    elements: list[tuple[int, list[list[str]]]] = []
+    form = ""
     for _ in range(_MOST_LINES):
-        words = file.readline(4096).split()
-        if words[:1] == [b"format"] and words[1:2] != [b"ascii"]:
-            return
-        if words[:1] == [b"element"] and len(words) == 3 and words[2].isdigit():
-            lengths.append(int(words[2]))
-        if words == [b"end_header"]:
+        words = file.readline(4096).decode("ascii", "replace").split()
+        if words[:1] == ["format"] and len(words) > 1:
+            form = words[1]
+        if words[:1] == ["element"] and len(words) == 3 and words[2].isdigit():
+            elements.append((int(words[2]), []))
+        if words[:1] == ["property"] and elements:
+            elements[-1][1].append(words[1:-1])
+        if words == ["end_header"]:
             break
-    lines = sum(1 for line in file if not line.isspace())
-    if lines < sum(lengths):
+    if form == "ascii":
+        unit, declared = "lines", sum(count for count, _ in elements)
+        length = sum(1 for line in file if not line.isspace())
+    else:
+        unit, begin = "bytes", file.tell()
+        try:
+            declared = _bytes_of(file, elements, "big" if "big" in form else "little")
+        except (LookupError, ValueError, OSError):  # trimesh names the damage
+            return
+        length = file.seek(0, os.SEEK_END) - begin
+    if length != declared:
+        counts = " + ".join(str(count) for count, _ in elements)
         raise FormatError(
-            f"{name} says that it has {sum(lengths)} lines, and has {lines}; it "
-            "is damaged or was not copied whole"
+            f"{name} declares {counts} elements in {declared} {unit}, and has {length} "
+            f"{unit}; it is damaged, was not copied whole, or mixes polygons of "
+            "several numbers of corners: write triangles"
         )
+
+
+def _bytes_of(
+    file: BinaryIO,
+    elements: list[tuple[int, list[list[str]]]],
+    order: Literal["big", "little"],
+) -> int:
+    """Bytes of binary elements whose lists are as long as those of the first record."""
+    begin, size = file.tell(), 0
+    for count, properties in elements:
+        record = 0
+        for kinds in properties if count else []:
+            if kinds[0] == "list":
+                file.seek(begin + size + record)
+                number = int.from_bytes(file.read(_BYTES[kinds[1]]), order)
+                record += _BYTES[kinds[1]] + number * _BYTES[kinds[2]]
+            else:
+                record += _BYTES[kinds[0]]
+        size += count * record
+    return size
 
 
 def _columns_of(element: Mapping[str, Any]) -> dict[str, NDArray[Any]]:

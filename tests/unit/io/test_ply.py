@@ -102,5 +102,67 @@ def test_a_text_file_has_the_points_that_it_promises(path, written):
         assert shape.faces.tolist() == [[0, 1, 2]]
         return
     # Without a check the line of the triangle would be read as the last point.
-    with pytest.raises(FormatError, match=r"cloud\.ply .* 73 lines.* has 72;"):
+    with pytest.raises(FormatError, match=r"cloud\.ply .* 73 lines.* has 72 lines;"):
         read_ply(path, unit=1.0)
+
+
+def text_file(lines):
+    return (
+        "ply\nformat ascii 1.0\nelement vertex 71\n"
+        "property float x\nproperty float y\nproperty float z\nend_header\n"
+        + "".join(f"{k} {2 * k} 1.5\n" for k in range(lines))
+    )
+
+
+def test_white_space_may_follow_the_last_element_of_a_text_file(path):
+    path.write_text(text_file(71) + "\n  \n\t\n")
+    assert read_ply(path, unit=1.0).position[70].tolist() == [70, 140, 1.5]
+
+
+@pytest.mark.parametrize("text", [text_file(72), text_file(71) + "x"])
+def test_text_after_the_last_element_is_refused(path, text):
+    path.write_text(text)
+    with pytest.raises(
+        FormatError, match=r"declares 71 .* 71 lines, and has 72 lines;"
+    ):
+        read_ply(path, unit=1.0)
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+@pytest.mark.parametrize("surplus", [0, 1, -13])
+def test_a_binary_file_has_the_bytes_that_it_declares(path, order, surplus):
+    sign = {"little": "<", "big": ">"}[order]
+    points = np.arange(12, dtype=f"{sign}f4").tobytes()
+    # Three corners as one byte, then three indices of four bytes: 13 bytes.
+    triangle = b"\3" + np.array([0, 1, 2], dtype=f"{sign}i4").tobytes()
+    head = (
+        f"ply\nformat binary_{order}_endian 1.0\nelement vertex 4\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    ).encode()
+    content = points + triangle
+    content = content[:surplus] if surplus < 0 else content + bytes(surplus)
+    path.write_bytes(head + content)
+    if surplus == 0:
+        shape = read_ply(path, unit=1.0)
+        assert shape.position[3].tolist() == [9, 10, 11]
+        assert shape.faces.tolist() == [[0, 1, 2]]
+        return
+    # With no byte of its triangle, a mesh would be read as a cloud without faces.
+    declared = 49 if surplus < 0 else 61
+    with pytest.raises(
+        FormatError, match=rf"4 \+ 1 .* {declared} bytes, and has {61 + surplus} bytes;"
+    ):
+        read_ply(path, unit=1.0)
+
+
+@pytest.mark.parametrize("count", [10**15, 10**30])
+def test_a_count_beyond_any_file_gives_one_line(path, count):
+    path.write_text(
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    with pytest.raises(FormatError, match=r"cloud\.ply") as caught:
+        read_ply(path, unit=1.0)
+    assert "\n" not in str(caught.value)
