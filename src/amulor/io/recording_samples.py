@@ -61,13 +61,18 @@ def samples_of(table: Table, described: RecordingMap, survey: Survey) -> Samples
             return np.full(count, otherwise)
         return table.numbers(name, decimal=described.table.decimal)
 
+    def outputs(name: str | None) -> Floats:
+        # Infinite outputs are no measurement either, and their products would warn.
+        values = numbers(name)
+        return np.where(np.isfinite(values), values, np.nan)
+
     if columns.in_phase is not None:
-        signal = numbers(columns.in_phase) + 1j * numbers(columns.quadrature)
+        signal = outputs(columns.in_phase) + 1j * outputs(columns.quadrature)
     else:
         turn = np.exp(
-            1j * constants.radians(constants.phase_unit) * numbers(columns.phase)
+            1j * constants.radians(constants.phase_unit) * outputs(columns.phase)
         )
-        signal = numbers(columns.amplitude) * turn
+        signal = outputs(columns.amplitude) * turn
     signal = signal * constants.scale * (_PEAK if constants.root_mean_square else 1.0)
     instrument = survey.instrument
     only = instrument.modulation_frequencies

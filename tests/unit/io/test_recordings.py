@@ -182,16 +182,18 @@ def test_what_is_no_measurement_is_marked(tmp_path, survey, cube) -> None:
     lines[1][:2] = ["0", "0.0"]  # row 0, column 0
     lines[2][:2] = ["9.9e37", "9.9e37"]
     lines[3][:2] = ["nan", "1e-3"]
+    lines[4][:2] = ["inf", "-inf"]
+    lines[5][:2] = ["inf", "1e-3"]
     # A breakdown of the detector: thirty times the signal, at row 2, column 3.
     middle = 1 + 2 * 6 + 3
     lines[middle][:2] = [f"{30 * float(cell):.6e}" for cell in lines[middle][:2]]
     path = saved(tmp_path / "scan.csv", lines)
     found = read_recordings(path, mapped(tmp_path, XY), survey)
     flag = found["user_sample_flag"].values
-    assert flag[0, 0, 0].tolist() == [ZERO, NO_NUMBER, NO_NUMBER, 0, 0, 0]
+    assert flag[0, 0, 0].tolist() == [ZERO] + [NO_NUMBER] * 4 + [0]
     assert flag[0, 0, 2, 3] == BREAKDOWN
-    assert (flag != 0).sum() == 4
-    assert np.isnan(found["in_phase"].values[0, 0, 0, :3]).all()
+    assert (flag != 0).sum() == 6
+    assert np.isnan(found["in_phase"].values[0, 0, 0, :5]).all()
     assert found["saturated"].values[0, 0, 2, 3] == 1
     assert int(found["saturated"].sum()) == 1
 
