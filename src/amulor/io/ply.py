@@ -325,6 +325,8 @@ def _check_length(file: BinaryIO, name: str) -> None:
             elements[-1][1].append(words[1:-1])
         if words == ["end_header"]:
             break
+    else:
+        return
     if form == "ascii":
         unit, declared = "lines", sum(count for count, _ in elements)
         length = sum(1 for line in file if not line.isspace())

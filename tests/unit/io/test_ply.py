@@ -119,6 +119,12 @@ def test_white_space_may_follow_the_last_element_of_a_text_file(path):
     assert read_ply(path, unit=1.0).position[70].tolist() == [70, 140, 1.5]
 
 
+def test_a_header_of_any_length_is_read(path):
+    comments = "comment a\n" * 2100
+    path.write_text(text_file(71).replace("element", f"{comments}element", 1))
+    assert len(read_ply(path, unit=1.0).position) == 71
+
+
 @pytest.mark.parametrize("text", [text_file(72), text_file(71) + "x"])
 def test_text_after_the_last_element_is_refused(path, text):
     path.write_text(text)
