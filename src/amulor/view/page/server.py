@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import h11
 import numpy as np
 import uvicorn
 from starlette.applications import Starlette
@@ -22,6 +23,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from amulor.errors import AmulorError, CubeError, FormatError, SurveyError
 from amulor.view.design.explorer import Explorer
@@ -377,7 +379,33 @@ class _Pages:
 
 #: Largest message of a page on a websocket, which has one or two words [byte].
 _LARGEST_MESSAGE = 4096
+#: Longest time from a connection to the end of the headers of a request [s].
+_HEADER_TIME = 10.0
 _EVERYWHERE = ("0.0.0.0", "::")
+
+
+class _Connection(H11Protocol):
+    """HTTP connection that is closed if the headers of a request take too long."""
+
+    _timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._limit_headers()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        self._limit_headers()
+
+    def _limit_headers(self) -> None:
+        """Start the timer while a request is expected; stop it after its headers."""
+        if self.conn.their_state is h11.IDLE:
+            self._timer = self._timer or self.loop.call_later(
+                _HEADER_TIME, self.transport.close
+            )
+        elif self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
 
 
 def serve(
@@ -460,6 +488,7 @@ def _server(
         access_log=False,
         log_level="error",
         server_header=False,
+        http=_Connection,
         ws="websockets-sansio",
         ws_max_size=_LARGEST_MESSAGE,
         lifespan="off",

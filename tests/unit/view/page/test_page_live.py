@@ -6,6 +6,7 @@ import json
 import shutil
 import struct
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -15,6 +16,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from starlette.testclient import TestClient
+from websockets import Origin
+from websockets.sync.client import connect
 
 from amulor import acquisition, simulation
 from amulor.acquisition.journal.file import FILE_NAME
@@ -26,6 +29,7 @@ from amulor.acquisition.settings import Settings
 from amulor.errors import FormatError
 from amulor.survey import Survey
 from amulor.view import page
+from amulor.view.page import server
 from amulor.view.page.live import Live
 from amulor.view.page.progress import Change, Drift, Going, Progress, advice
 
@@ -426,3 +430,21 @@ def test_flags_silence_and_missing_references_are_told() -> None:
     assert "no open-water shots" in found[2]
     assert "no dark readings" in found[3]
     assert len(found) == 4
+
+
+def test_the_websocket_stays_open_beyond_the_limit_for_headers(
+    survey: Survey, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_HEADER_TIME", 0.2)
+    monkeypatch.setenv("no_proxy", "*")
+    scan(survey, folder)
+    live = Live(folder)
+    with page.background(live) as address:
+        url = f"{address.replace('http', 'ws', 1)}live"
+        origin = Origin(address.rsplit("/", 2)[0])
+        with connect(url, origin=origin) as socket:
+            assert json.loads(socket.recv(20))["type"] in ("status", "picture")
+            time.sleep(0.5)
+            assert socket.ping().wait(20)
+            assert socket.close_code is None
+    live.stop()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import socket
+import time
+from collections.abc import Callable, Iterator
 
 import httpx
 import pytest
@@ -11,6 +13,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from amulor.errors import FormatError
 from amulor.view import page
+from amulor.view.page import server
 from amulor.view.page.security import LARGEST_BODY, host_of, new_token
 
 TOKEN = "a-token-for-tests"
@@ -152,8 +155,6 @@ def test_tokens_differ_and_names_lose_their_port() -> None:
 
 
 def test_a_port_that_is_taken_is_explained(recording: page.Recording) -> None:
-    import socket
-
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -172,3 +173,53 @@ def test_a_server_of_its_own_answers_at_the_address_that_it_says(
         assert "server" not in answer.headers
     with pytest.raises(httpx.ConnectError):
         httpx.get(address, timeout=20)
+
+
+def test_a_connection_whose_headers_never_end_is_closed(
+    recording: page.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_HEADER_TIME", 0.5)
+    with page.background(recording) as address:
+        url = httpx.URL(address)
+        whole = f"GET {url.path}scene HTTP/1.1\r\nHost: {url.netloc.decode()}\r\n\r\n"
+        for beginning in ("", "GET / HTTP/1.1\r\nHost: a\r\n", whole):
+            with socket.create_connection((url.host, url.port), 20) as connection:
+                connection.sendall(beginning.encode())
+                answered = b""
+                if beginning == whole:
+                    while b"Plate in a small tank" not in answered:
+                        answered += connection.recv(65536)
+                assert closed_within(5, connection)
+
+
+def closed_within(limit: float, connection: socket.socket) -> bool:
+    """Whether a server closes a connection that sends a byte of a header at a time."""
+    begin = time.monotonic()
+    connection.settimeout(0.1)
+    while time.monotonic() - begin < limit:
+        try:
+            connection.sendall(b"a")
+            if not connection.recv(65536):
+                return True
+        except TimeoutError:
+            continue
+        except ConnectionError:
+            return True
+    return False
+
+
+def test_a_request_may_take_longer_than_its_headers(
+    recording: page.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_HEADER_TIME", 0.3)
+
+    def slow_body() -> Iterator[bytes]:
+        for byte in b"{}":
+            time.sleep(0.3)
+            yield bytes([byte])
+
+    with page.background(recording) as address, httpx.Client(timeout=20) as client:
+        answer = client.post(f"{address}measure", content=slow_body())
+        assert answer.status_code == 422  # the empty query is explained
+        time.sleep(0.4)  # beyond the limit, on the same connection
+        assert client.get(f"{address}scene").status_code == 200
