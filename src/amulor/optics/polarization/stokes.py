@@ -14,10 +14,11 @@ direction of travel; complex amplitudes go with :math:`e^{-i \omega t}`. Then
 eq. (59) of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
 doi:10.1155/2010/958360, as rederived, where the sign of V is left open. Here
 
-* Q is parallel (H, horizontal) less perpendicular (V, vertical); * U is light passing
-at +45 degrees (P) less light passing at -45 degrees (M), positive angles turning from
-the parallel to the perpendicular axis, anticlockwise for an observer who faces the
-light; * V is right (R) less left (L) circular; in right circular light the field turns
+* Q is parallel (H, horizontal) less perpendicular (V, vertical);
+* U is light passing at +45 degrees (P) less light passing at -45 degrees (M), positive
+  angles turning from the parallel to the perpendicular axis, anticlockwise for an
+  observer who faces the light;
+* V is right (R) less left (L) circular; in right circular light the field turns
   clockwise for that observer. R is (1, 0, 0, 1).
 
 A reflection reverses the direction of travel and with it the perpendicular axis, so a
