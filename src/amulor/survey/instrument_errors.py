@@ -38,10 +38,10 @@ class Clock(Description):
 
 
 class Harmonic(Description):
-    """Harmonic of the modulation that adds to the output at the fundamental.
+    """Harmonic of the modulated light, to which the lock-in amplifier also responds.
 
-    Its phasor is the complex conjugate for the orders 3 and 7, as with four samples a
-    period.
+    The response adds to the output at the modulation frequency. Its phasor is the
+    complex conjugate for the orders 3 and 7, as with four samples a period.
     """
 
     order: Literal[3, 5, 7] = 3
