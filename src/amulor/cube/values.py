@@ -130,10 +130,7 @@ def check_limits(cube: xr.Dataset, *, name: str) -> None:
         if variable not in cube.variables or cube[variable].size == 0:
             continue
         values = cube[variable]
-        for extreme in (
-            np.fmin.reduce(values.values, axis=None),
-            np.fmax.reduce(values.values, axis=None),
-        ):
+        for extreme in _extremes(values):
             if extreme < lowest or extreme > highest:
                 raise CubeError(
                     f"{name}: {variable} is {extreme:g} {_place(values, extreme)}, but "
@@ -142,12 +139,10 @@ def check_limits(cube: xr.Dataset, *, name: str) -> None:
 
 
 def _check_uncertainty(array: xr.DataArray, variable: str, *, name: str) -> None:
-    values = array.values
-    if values.size == 0:
+    if array.size == 0:
         return
     shared = variable.startswith("common_")
-    lowest = np.fmin.reduce(values, axis=None)
-    highest = np.fmax.reduce(values, axis=None)
+    lowest, highest = _extremes(array)
     if lowest < 0 or (lowest == 0 and not shared):
         raise CubeError(
             f"{name}: {variable} is {lowest:g} V {_place(array, lowest)}, but must be "
@@ -161,19 +156,21 @@ def _check_uncertainty(array: xr.DataArray, variable: str, *, name: str) -> None
 
 
 def _check_signal(array: xr.DataArray, variable: str, *, name: str) -> None:
-    values = array.values
-    if values.size == 0:
+    if array.size == 0:
         return
-    for extreme in (
-        np.fmin.reduce(values, axis=None),
-        np.fmax.reduce(values, axis=None),
-    ):
+    for extreme in _extremes(array):
         if abs(extreme) > _LARGEST_SIGNAL:
             raise CubeError(
                 f"{name}: {variable} is {extreme:g} V {_place(array, extreme)}, more "
                 f"than any instrument gives ({_LARGEST_SIGNAL:g} V); the file is "
                 "damaged, or its unit is not the volt"
             )
+
+
+def _extremes(array: xr.DataArray) -> tuple[Any, Any]:
+    """Return the lowest and the highest value, NaN only if all values are NaN."""
+    values = array.values
+    return np.fmin.reduce(values, axis=None), np.fmax.reduce(values, axis=None)
 
 
 def _place(values: xr.DataArray, value: float) -> str:

@@ -13,7 +13,7 @@ from amulor.cube.tiles import Span
 from amulor.errors import SurveyError
 from amulor.imaging.observation import Observation
 from amulor.optics import target_echo
-from amulor.survey import Survey, counting, water_properties
+from amulor.survey import Survey, WaterProperties, counting, water_properties
 from amulor.survey.view import view
 from amulor.survey.waters.whole_function import whole_function_arguments
 
@@ -120,7 +120,7 @@ def corner_error(
     absent = "absent" if channel.attrs.get("simulated", 0) else "present"
     if survey is None or channel.attrs.get("corner_light", absent) == "absent":
         return None, None
-    position = _positions(observation, slant_range)
+    position = observation.geometry.position(slant_range)
     name = str(channel["polarization"].item())
     passed = 1.0 if name == "none" else _PASSED[name in ("VV", "HH", "RL", "LR")]
     # Light that is reflected twice is unpolarized, and passes crossed analyzers better.
@@ -130,8 +130,9 @@ def corner_error(
         water = water_properties(survey)
         if fit is None:
             fit = _patches(
-                observation, slant_range, position, noise,
-                brightness=_brightness(observation, survey, slant_range) / passed,
+                observation, slant_range, position, noise, receiver=receiver,
+                brightness=_brightness(observation, survey, water, slant_range)
+                / passed,
             )  # fmt: skip
     except SurveyError:
         return None, None
@@ -172,15 +173,11 @@ def corner_error(
     return (error if fit.concerned.any() else None), fit
 
 
-def _positions(observation: Observation, slant_range: Floats) -> Floats:
-    """Points of the pixels in the instrument's axes, last axis (3,) [m]."""
-    beam = observation.geometry.beam
-    water = slant_range - beam.length_before
-    return np.asarray(beam.entry + water[..., None] * beam.direction)
-
-
 def _brightness(
-    observation: Observation, survey: Survey, slant_range: Floats
+    observation: Observation,
+    survey: Survey,
+    water: WaterProperties,
+    slant_range: Floats,
 ) -> Floats:
     """Return the echo over that of a white surface that faces the receiver [1]."""
     geometry = observation.geometry
@@ -188,7 +185,6 @@ def _brightness(
     usable = np.isfinite(depth) & (depth > 0)
     if not usable.any():
         return np.full(depth.shape, np.nan)
-    water = water_properties(survey)
     center = (np.array([np.mean(a)]) for a in (geometry.azimuth, geometry.elevation))
     seen = view(survey, *center)
     ends = float(depth[usable].min()), float(depth[usable].max())
@@ -227,6 +223,7 @@ def _patches(
     position: Floats,
     noise: Floats,
     *,
+    receiver: Floats,
     brightness: Floats,
 ) -> Patches:
     """Flat blocks of pixels, with planes fitted to them."""
@@ -242,7 +239,6 @@ def _patches(
                 found.append(patch)
     normals = np.array([patch[1] for patch in found]).reshape(-1, 3)
     centers = np.array([patch[0] for patch in found]).reshape(-1, 3)
-    receiver = np.asarray(observation.geometry.receiver, dtype=float).reshape(-1, 3)[0]
     away = np.einsum("pi,pi->p", normals, receiver - centers) < 0
     normals[away] *= -1
     back = receiver - centers

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from amulor.cube import QualityFlag
 from amulor.imaging.observation import Observation
-from amulor.optics import ambiguity
+from amulor.optics import ambiguity, detection
 
 Floats = NDArray[np.float64]
 
@@ -20,8 +20,6 @@ LARGEST_CHANCE = 1e-4
 _FEWEST_FREQUENCIES = 3
 #: Pixels from which on a median is a good one.
 _FEWEST_PIXELS = 10
-#: Standard error of a median over that of the mean, of normal deviates [1].
-_OF_MEDIAN = 1.2533
 #: Attributes with the result of the test of the frequencies.
 PROBABILITY, PHASES = "frequency_phase_probability", "frequency_phase_rad"
 
@@ -66,7 +64,7 @@ def frequency_phase(
     middle = np.median((path.residual / observation.path_per_phase)[:, valid], axis=1)
     random = np.median(observation.own_sigma[:, valid], axis=1)
     shared = observation.shared_sigma(observation.usable)
-    parts = [_OF_MEDIAN * random / np.sqrt(valid.sum())]
+    parts = [detection.ERROR_OF_MEDIAN * random / np.sqrt(valid.sum())]
     if shared is not None:
         parts.append(np.median(shared[:, valid], axis=1))
     shift = np.abs(observation.shift[:, valid])

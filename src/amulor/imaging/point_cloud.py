@@ -56,11 +56,12 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
     frame = frame or frame_of(image)
     flag = image["quality_flag"].values
     row, column = np.nonzero((flag & UNUSABLE) == 0)
-    beam = geometry_of(image).beam
-    water = image["slant_range"].values - beam.length_before
-    position = beam.entry + water[..., None] * beam.direction
+    geometry = geometry_of(image)
+    position = geometry.position(image["slant_range"].values)
     points = frame.place(position[row, column])
-    along = frame.turn(np.broadcast_to(beam.direction, position.shape)[row, column])
+    along = frame.turn(
+        np.broadcast_to(geometry.beam.direction, position.shape)[row, column]
+    )
     sigma = image["slant_range_uncertainty"].values[row, column]
     variance = (along * sigma[:, None]) ** 2
     variance += (frame.shared_errors(points) ** 2).sum(axis=0)

@@ -44,6 +44,11 @@ class Geometry:
         """Part of each slant range that lies in water [m]."""
         return slant_range - self.beam.length_before
 
+    def position(self, slant_range: Floats) -> Floats:
+        """Points at slant ranges, in the instrument's axes, last axis (3,) [m]."""
+        water = self.depth(slant_range)[..., None]
+        return np.asarray(self.beam.entry + water * self.beam.direction)
+
     def path_limits(
         self, interval: tuple[float, float] | None, frequency: Floats
     ) -> tuple[Floats, Floats]:

@@ -32,6 +32,9 @@ __all__ = [
     "speckle_contrast",
 ]
 
+#: Standard error of a median over that of the mean, of normal deviates [1].
+ERROR_OF_MEDIAN = 1.2533
+
 
 def photoelectron_rate(
     power: ArrayLike, *, wavelength: ArrayLike, quantum_efficiency: ArrayLike

@@ -194,8 +194,6 @@ _REAL_PHASE = 1e-4
 _MOST_PIXELS = 0.5
 #: A larger one flags the scan [rad].
 LARGEST_CHANNEL_PHASE = 0.05
-#: Standard error of a median over that of the mean, of normal deviates [1].
-_OF_MEDIAN = 1.2533
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,7 +267,7 @@ def channel_phase(
                 systematic = np.linalg.norm(common[index, pair][:, both], axis=0)
                 error = np.hypot(
                     np.median(systematic),
-                    _OF_MEDIAN * np.median(random) / np.sqrt(both.sum()),
+                    detection.ERROR_OF_MEDIAN * np.median(random) / np.sqrt(both.sum()),
                 )
                 tests += 1
                 phases[index] = max(phases[index], phase)

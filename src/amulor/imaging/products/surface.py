@@ -179,13 +179,13 @@ def surface(
             f"steepest must lie between 0 and 90 degrees, got {np.degrees(steepest):g}"
         )
     frame = frame or frame_of(image)
-    beam = geometry_of(image).beam
+    geometry = geometry_of(image)
     distance = image["slant_range"].values
     flag = image["quality_flag"].values.astype(np.int64)
     hanging = int(UNUSABLE | QualityFlag.MIXED | QualityFlag.OUTLIER)
     usable = ((flag & hanging) == 0) & np.isfinite(distance)
-    direction = np.broadcast_to(beam.direction, (*distance.shape, 3))
-    inside = beam.entry + (distance - beam.length_before)[..., None] * direction
+    direction = np.broadcast_to(geometry.beam.direction, (*distance.shape, 3))
+    inside = geometry.position(distance)
     place = frame.place(inside)
     variance = own_variance(image)
     corners = _triangles(usable, distance, direction, variance, np.tan(steepest))
