@@ -97,7 +97,7 @@ class Explorer:
         light = f"{self.survey.instrument.wavelength * 1e9:.0f} nm"
         return {
             "title": self.survey.name,
-            "subtitle": f"{light} · {channels} · water taken out by {self.method}",
+            "subtitle": f"{light} · {channels} · water removed by {self.method}",
             "distance": self.distance.tolist(),
             "attenuation": self.attenuation.tolist(),
             "contours": list(CONTOURS),

@@ -223,7 +223,7 @@ def _components(recommendation: Recommendation) -> Table:
         "power": "mean power",
         "frequencies": "modulation",
         "polarization": "channels",
-        "method": "water taken out by",
+        "method": "water removed by",
         "baseline": "baseline",
         "radius": "receiver radius (1/e)",
         "field_of_view": "field of view, half (1/e)",

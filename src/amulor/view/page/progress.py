@@ -204,7 +204,7 @@ def advice(going: Going) -> list[str]:
         if share >= WORTH_A_WORD:
             lines.append(f"{share:.0%} of the samples {words}")
     if going.scanned and not going.open_water:
-        lines.append("no open-water shots so far: the water cannot be taken out yet")
+        lines.append("no open-water shots so far: the water cannot be removed yet")
     if going.scanned and not going.dark:
         lines.append("no dark readings: offsets of the instrument stay in the samples")
     return lines

@@ -102,7 +102,7 @@ Interval = tuple[float, float] | None
 MOST_PIXELS = 10_000_000
 #: Number of rows in which steps are searched at once [1].
 _BAND = 512
-#: Textures of most graphics units reach this far along a side [1].
+#: Textures of most GPUs reach this far along a side [1].
 LONGEST_SIDE = 8192
 
 
@@ -404,7 +404,7 @@ def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset 
     try:
         return cube, _rejected(cube)
     except AmulorError as error:
-        notes.append(f"The water could not be taken out: {error}.")
+        notes.append(f"The water could not be removed: {error}.")
         return cube, None
 
 

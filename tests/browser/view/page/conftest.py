@@ -14,7 +14,7 @@ from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.view import page
 
-#: Since Chromium 138 a page without a graphics unit draws only with the first two.
+#: Since Chromium 138 a page without a GPU draws only with the first two.
 FLAGS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",

@@ -239,7 +239,7 @@ def test_a_server_that_is_gone_and_a_map_that_is_broken_give_messages(
     assert "does not answer" in shown.inner_text("#hint")
 
 
-#: Counts what the graphics unit is asked for, and keeps what it shows.
+#: Counts the draw calls of each canvas.
 _WATCH = """() => {
   window.drawn = { map: 0, cloud: 0 };
   for (const [name, key] of [["drawMap", "map"], ["drawCloud", "cloud"]]) {

@@ -96,7 +96,7 @@ def test_a_measurement_keeps_what_it_was_made_in(
         until(shown, "amulor.scene.channel === 'VH' && amulor.scene.maps.has('flags')")
         settled(shown)
         text = as_text(shown)
-        assert text.count("channel VV, water taken out, map range, means of 3 × 3") == 1
+        assert text.count("channel VV, water removed, map range, means of 3 × 3") == 1
         assert "VH" not in text
         shown.keyboard.press("2")
         until(shown, "amulor.layerName === 'amplitude'")
@@ -105,8 +105,8 @@ def test_a_measurement_keeps_what_it_was_made_in(
         rows = list(csv.DictReader(kept(shown, "#measured-csv").splitlines()))
         said = [(r["channel"], r["map"], r["averaged"], r["water"]) for r in rows]
         assert said == [
-            ("VV", "Range", "3 × 3", "taken out"),
-            ("VH", "Amplitude", "1 × 1", "taken out"),
+            ("VV", "Range", "3 × 3", "removed"),
+            ("VH", "Amplitude", "1 × 1", "removed"),
         ]
         assert {row["file"] for row in rows} == {"ladder.nc"}
         assert float(rows[0]["value"]) == first

@@ -181,7 +181,7 @@ function switches(scene) {
   within.disabled = !scene.byName.has("range_before");
   without.disabled = !scene.byName.has("range");
   if (!both) state.raw = !scene.byName.has("range");
-  without.textContent = scene.water_in ? "Water in" : "Water taken out";
+  without.textContent = scene.water_in ? "Water in" : "Water removed";
   within.hidden = scene.water_in;
   $("water").title = both ? "" : (scene.notes[0] ?? "");
 }
@@ -382,7 +382,7 @@ function readout() {
   const moved = () => `${short(raw * 1e3, 5)} mm (${signed(raw - range)})`;
   if (waterIn) {
     add("range", Number.isFinite(raw) ? `${short(raw * 1e3, 5)} mm, water in` : "none", "big");
-    add("water taken out", Number.isFinite(range) ? withError(range, error, "m") : "none");
+    add("water removed", Number.isFinite(range) ? withError(range, error, "m") : "none");
     if (Number.isFinite(raw - range)) add("moved by water", signed(raw - range));
   } else if (Number.isFinite(range)) {
     add(
@@ -431,7 +431,7 @@ async function picked(pixel) {
   const tool = page.tool();
   if (!tool || tool.region) return;
   if (state.raw) {
-    page.hint("Measuring is on the corrected picture: the water signal is taken out of it.", true);
+    page.hint("Measuring is on the corrected picture: the water signal is removed from it.", true);
     return;
   }
   const { picks } = state;
@@ -523,7 +523,7 @@ async function picture(view) {
   const bar = flags ? null : page.bar(layer, unitOf(layer));
   const words = [
     $("subtitle").textContent,
-    `Channel ${scene.channel}, ${state.raw || scene.water_in ? "water in" : "water taken out"}.`,
+    `Channel ${scene.channel}, ${state.raw || scene.water_in ? "water in" : "water removed"}.`,
   ];
   if (view.id === "cloud" && !views.cloud.camera.orthographic)
     words.push("In perspective: no scale.");
@@ -753,7 +753,7 @@ const forLive = {
 
 async function main() {
   state.renderer = new Renderer();
-  state.renderer.lost = () => say("The graphics unit was lost; reload the page.");
+  state.renderer.lost = () => say("The GPU was lost; reload the page.");
   page.theme();
   const hover = (pixel) => {
     // A moved cursor stays where it is; a double click makes it follow the scan again.

@@ -12,7 +12,7 @@
 /** @typedef {{name: string, mask: number, words: string, unusable: boolean}} Flag */
 
 const STOPS = {
-  // viridis and cividis (matplotlib, CC0), grey, and ColorBrewer's RdBu.
+  // viridis and cividis (matplotlib, CC0), gray, and ColorBrewer's RdBu.
   viridis:
     "440154470d6048186a482374472d7b4537814240863e49893b528b375b8d33638d2f6b8e2c728e297a8e26828e23898e21918c1f988b1fa08822a78528ae8032b67a3fbc734ec36b5ec96270cf5784d44b98d83eaddc30c2df23d8e219ece51bfde725",
   cividis:

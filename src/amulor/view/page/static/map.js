@@ -281,6 +281,6 @@ export function colourBar(canvas, gradientStops, [low, high], unit, colours, own
   }
   canvas.setAttribute(
     "aria-label",
-    `Colours from ${withUnit(low, "1")} to ${withUnit(high, "1")} ${unit}`,
+    `Colors from ${withUnit(low, "1")} to ${withUnit(high, "1")} ${unit}`,
   );
 }

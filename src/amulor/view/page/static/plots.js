@@ -168,7 +168,7 @@ export function drawProfile(canvas, state, colours) {
   const here = cursor && line.find(({ pixel }) => pixel[0] === cursor[0] && pixel[1] === cursor[1]);
   if (here) upright(ctx, spot(here.x, 0)[0], frame.box, colours.soft);
   ctx.restore();
-  const names = layer.before ? ["water in", "water taken out"] : ["water taken out", "water in"];
+  const names = layer.before ? ["water in", "water removed"] : ["water removed", "water in"];
   const entries = [[other || layer.before ? names[0] : layer.label, colours.accent, []]];
   if (other) entries.push([names[1], INK.vermilion, [4, 3]]);
   if (layer.kind === "range" && known.some((one) => Number.isFinite(one.error))) {

@@ -5,7 +5,7 @@ import { program } from "./program.js";
 const COLOUR = `
 uniform sampler2D uTable;
 uniform vec2 uLimits;
-uniform int uKind;            // 0 numbers, 1 flags, 2 the file's own colours
+uniform int uKind;            // 0 numbers, 1 flags, 2 the file's own colors
 uniform vec3 uMissing;
 vec3 coloured(float value, vec3 own) {
   if (uKind == 2) return own;
@@ -68,7 +68,7 @@ uniform sampler2D uDepth;
 uniform vec2 uPlanes;         // near, far [m]
 uniform bool uShrinks;
 uniform float uStep;          // a step in depth that is drawn as dark as can be [m]
-uniform float uReach;         // how far neighbours are away [pixel]
+uniform float uReach;         // distance of the neighbors [pixel]
 uniform ivec2 uSize;
 out vec4 colour;
 float away(ivec2 at) {
@@ -194,7 +194,7 @@ export class PointRenderer {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, picture, 0);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, depth, 0);
     if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE)
-      throw new Error("The graphics unit has no room for a picture of this size.");
+      throw new Error("The GPU has no room for a picture of this size.");
   }
 
   /** Draw on a canvas; while the view moves, at most `most` points. */

@@ -22,7 +22,7 @@ export function program(gl, { vertex, fragment }) {
   if (!gl.getProgramParameter(made, gl.LINK_STATUS)) {
     const logs = shaders.map((shader) => gl.getShaderInfoLog(shader));
     throw new Error(
-      `The graphics unit refuses a program: ${[gl.getProgramInfoLog(made), ...logs].join(" ")}`,
+      `The GPU refuses a program: ${[gl.getProgramInfoLog(made), ...logs].join(" ")}`,
     );
   }
   /** @type {Record<string, WebGLUniformLocation | null>} */

@@ -36,7 +36,7 @@ export class Renderer {
     const formats = { 1: [gl.R32F, gl.RED], 2: [gl.RG32F, gl.RG], 4: [gl.RGBA32F, gl.RGBA] };
     if (Math.max(width, height) > this.longest)
       throw new Error(
-        `The graphics unit takes ${this.longest} pixels a side, not ${Math.max(width, height)}.`,
+        `The GPU takes ${this.longest} pixels a side, not ${Math.max(width, height)}.`,
       );
     let texture = this.textures.get(name);
     if (!texture) {

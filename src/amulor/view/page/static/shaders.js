@@ -9,7 +9,7 @@ precision highp sampler2D;
 // Beams interpolated between the nodes of a coarse grid, and shaded points.
 const POINTS = `
 uniform sampler2D uRange;    // slant range of every pixel
-uniform sampler2D uSmooth;   // the same, averaged over neighbours, for light only
+uniform sampler2D uSmooth;   // ranges averaged over neighbors, for the light only
 uniform sampler2D uSteps;    // 1: step to the next column, 2: to the next row, 4: off the surface, 8: in a triangle
 uniform sampler2D uBase;     // place at range zero, azimuth
 uniform sampler2D uAim;      // direction, elevation

@@ -540,7 +540,7 @@ function buttons(scene) {
   const labels = [...scene.maps.values()]
     .filter(({ layer }) => layer.kind !== "hidden")
     .map(({ layer }) => [layer.name, layer.label]);
-  if (scene.colour) labels.push(["colour", "Colour"]);
+  if (scene.colour) labels.push(["colour", "Color"]);
   return labels.map(([name, label], at) => {
     const button = made("button", { type: "button", textContent: label, title: `Key ${at + 1}` });
     button.dataset.layer = name;
@@ -567,7 +567,7 @@ async function opened() {
 
 async function main() {
   renderer = new PointRenderer();
-  renderer.lost = () => say("The graphics unit was lost; reload the page.");
+  renderer.lost = () => say("The GPU was lost; reload the page.");
   context = inkOf($("space"));
   pointer = inkOf(over($("space")));
   state.tables.hidden = state.tables.range;

@@ -125,7 +125,7 @@ export function circumstances(state) {
     file: scene.name,
     channel: scene.channel,
     map: scene.byName.get(state.layerName).label,
-    water: scene.water_in ? "in" : "taken out",
+    water: scene.water_in ? "in" : "removed",
     averaged: state.region ? "1 × 1" : `${wide} × ${wide}`,
   };
 }
@@ -193,7 +193,7 @@ export function asText(state) {
   const { scene } = state;
   const lines = [
     `${scene.title} (${scene.name})`,
-    `Metres in water of group index ${Number(scene.group_index.toPrecision(5))}; ${scene.error_unknown || "± is one standard uncertainty, errors that pixels share included"}.`,
+    `Meters in water of group index ${Number(scene.group_index.toPrecision(5))}; ${scene.error_unknown || "± is one standard uncertainty, errors that pixels share included"}.`,
   ];
   if (scene.notes.some((note) => note.startsWith("Not in")))
     lines.push(scene.notes.find((note) => note.startsWith("Not in")));
