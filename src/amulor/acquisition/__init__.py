@@ -1,7 +1,8 @@
 """Acquisition of a measurement cube with an instrument, real or simulated."""
 
 from amulor.acquisition.cube.build import build, recover
-from amulor.acquisition.cube.calibration import Calibration, from_plates
+from amulor.acquisition.cube.calibrate import from_plates, from_shutter
+from amulor.acquisition.cube.calibration import Calibration, calibrated
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.run import Control, Outcome, Progress, acquire
 from amulor.acquisition.settings import Settings
@@ -15,6 +16,8 @@ __all__ = [
     "Settings",
     "acquire",
     "build",
+    "calibrated",
     "from_plates",
+    "from_shutter",
     "recover",
 ]

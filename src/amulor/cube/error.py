@@ -46,15 +46,33 @@ def flags_of_pixels(
 def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.float64]:
     """Return the phase uncertainty by the instrument, for each frequency [rad].
 
-    The stated or typical size, and the phase between channels where chance does not
-    explain it. The combination of channels multiplies the former. `channel` is a target
-    signal with one channel.
+    The stated or typical size, the error of calibrated phases, and the phase between
+    channels where chance does not explain it. The combination of channels multiplies
+    the first two. `channel` is a target signal with one channel.
     """
     count = channel.sizes["modulation_frequency"]
     stated = 0.0 if survey is None else phase_uncertainty(survey)
+    table = by_frequency(channel, "calibration_phase_uncertainty_rad", 0.0)
     gain = by_frequency(channel, f"phase_error_gain_{_name(channel)}", 1.0)
-    phase = np.hypot(stated * gain, by_frequency(channel, "channel_phase_rad", 0.0))
+    phase = np.hypot(
+        np.hypot(stated, table) * gain, by_frequency(channel, "channel_phase_rad", 0.0)
+    )
     return np.broadcast_to(phase, (count,))
+
+
+def leakage_volt(channel: xr.Dataset) -> NDArray[np.float64]:
+    """Return the error of the target signal by measured leakage, by frequency [V].
+
+    The combination of channels multiplies it, by the smallest factor on phases: that of
+    the strongest channel of the result.
+    """
+    gains = [
+        by_frequency(channel, str(name), 1.0)
+        for name in channel.attrs
+        if str(name).startswith("phase_error_gain_")
+    ]
+    gain = np.min(gains, axis=0) if gains else 1.0
+    return np.asarray(by_frequency(channel, "leakage_uncertainty_volt", 0.0) * gain)
 
 
 def by_frequency(channel: xr.Dataset, name: str, default: float) -> NDArray[np.float64]:

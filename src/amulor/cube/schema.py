@@ -596,6 +596,14 @@ INSTRUMENT_ATTRIBUTES = {
     "present if the probability is below 1e-4 [rad]",
     "phase_error_gain_<channel>": "phase error of the target signal per phase error of "
     "the instrument, for each frequency [1]",
+    "calibration": "text of the calibration that was applied to the samples (TOML)",
+    "calibration_delay_uncertainty_s": "standard uncertainty of the calibrated delay, "
+    "equal for all frequencies [s]",
+    "calibration_phase_uncertainty_rad": "standard uncertainty of the calibrated "
+    "phases, for each frequency [rad]",
+    "leakage_uncertainty_volt": "standard uncertainty of the subtracted leakage, for "
+    "each frequency [V]",
+    "shutter": "`closed` in samples that were recorded with a closed shutter",
     "corner_light": "`present` or `absent`: whether the samples contain light that "
     "corners reflect twice. Default: absent in simulated samples, else present",
 }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor.cube import QualityFlag, error_unknown
-from amulor.cube.error import by_frequency, instrument_phase
+from amulor.cube.error import by_frequency, instrument_phase, leakage_volt
 from amulor.cube.schema import RANGE_PREFIX, TERMS, Term
 from amulor.imaging.corners import Patches, corner_error
 from amulor.imaging.instrument_tests import InstrumentTest, instrument_tests
@@ -349,11 +349,16 @@ def calibration_terms(
     if index is not None:
         terms["group_index"] = observation.geometry.error_by_index(path, index)
     calibration = survey.calibration
+    attributes = observation.channel.attrs
+    delay = (
+        attributes.get("calibration_delay_uncertainty_s")
+        if calibration is None or calibration.delay_uncertainty is None
+        else _delay_uncertainty(attributes, calibration)
+    )
+    if delay is not None:
+        terms["delay"] = slope * speed_of_light * float(delay)
     if calibration is None:
         return terms
-    delay = _delay_uncertainty(observation.channel.attrs, calibration)
-    if delay is not None:
-        terms["delay"] = slope * speed_of_light * delay
     place = calibration.receiver_position_uncertainty
     turn = calibration.direction_uncertainty
     if place is not None and turn is not None:
@@ -367,18 +372,25 @@ def instrument_term(
     """Return the range error by phase errors of the instrument; None if zero.
 
     Leakage, walk and harmonics turn each frequency by an angle of its own, of the
-    stated or typical size, and by as much as the channels differ
-    where chance does not explain that. Unmixing multiplies the former. A drift
-    during the scan turns all frequencies the same way.
+    stated or typical size, and by as much as the channels differ where chance does not
+    explain that. Unmixing multiplies the former. The error of a measured leakage turns
+    weak echoes most. A drift during the scan turns all frequencies the same way.
     """
     channel = observation.channel
     remaining = by_frequency(channel, "instrument_drift_uncertainty_s", 0.0)
     drift = speed_of_light * float(np.sum(weight * remaining))
     phases = instrument_phase(channel, observation.survey)
-    path = float(np.linalg.norm(weight * observation.path_per_phase.ravel() * phases))
+    per_phase = weight * observation.path_per_phase.ravel()
+    path = np.linalg.norm(per_phase * phases)
+    leakage = leakage_volt(channel)
+    if np.any(leakage > 0):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turned = (per_phase * leakage)[:, None, None] / np.abs(observation.signal)
+        turned = np.where(np.isfinite(turned), turned, 0.0)
+        path = np.hypot(path, np.linalg.norm(turned, axis=0))
     # Of `auto`: by how much the ranges of another method differ.
     methods = float(channel.attrs.get("method_disagreement_m", 0.0))
-    total = np.hypot(slope * math.hypot(path, drift), methods)
+    total = np.hypot(slope * np.hypot(path, drift), methods)
     return total if np.any(total > 0) else None
 
 

@@ -568,3 +568,46 @@ def test_an_instrument_without_errors_of_phase_has_no_term(
 ) -> None:
     image = imaging.range_image(target, polarization="VV", interval=(1.0, 2.0))
     assert "slant_range_uncertainty_instrument" not in image
+
+
+def test_measured_leakage_moves_weak_echoes_most(target, text):
+    cube = target.assign_attrs(leakage_uncertainty_volt=np.array([2e-6, 3e-6]))
+    cube = cube.isel(modulation_frequency=[1])
+    image = imaging.range_image(cube, polarization="VH")
+    term = image["slant_range_uncertainty_instrument"].values
+    survey = Survey.from_text(text)
+    index = water_properties(survey).group_index
+    # The volts of the second frequency across the echo turn its phase.
+    echo = np.abs(cube.amulor.signal.sel(polarization="VH").values[0])
+    expected = 3e-6 / echo * speed_of_light / (4 * np.pi * 97e6 * index)
+    usable = np.isfinite(term)
+    assert usable.any()
+    # Medians of ratios of channels, and a path longer than twice the slant range.
+    assert_allclose(term[usable], expected[usable], rtol=2e-2)
+    assert term[usable].max() > 1.02 * term[usable].min()
+
+
+def test_calibrated_phases_add_their_error(target):
+    error = np.array([0.002, 0.004])
+    cube = target.assign_attrs(calibration_phase_uncertainty_rad=error)
+    cube = cube.isel(modulation_frequency=[0]).assign_attrs(phase_error_gain_VH=1.0)
+    before = imaging.range_image(
+        target.isel(modulation_frequency=[0]), polarization="VH"
+    )
+    image = imaging.range_image(
+        cube.assign_attrs(calibration_phase_uncertainty_rad=error[:1]),
+        polarization="VH",
+    )
+    assert "slant_range_uncertainty_instrument" not in before
+    index = float(cube["geometry"].attrs["group_index"])
+    expected = 0.002 * speed_of_light / (4 * np.pi * 39e6 * index)
+    term = image["slant_range_uncertainty_instrument"].values
+    assert_allclose(term[np.isfinite(term)], expected, rtol=2e-3)
+
+
+def test_a_calibrated_delay_is_the_term_of_the_delay(target):
+    cube = target.assign_attrs(calibration_delay_uncertainty_s=20e-12)
+    image = imaging.range_image(cube, polarization="VH")
+    found = delay_of(image)
+    assert_allclose(found[np.isfinite(found)], 20e-12, rtol=1e-3)
+    assert "delay" not in image.attrs["uncertainty_unknown"].split()

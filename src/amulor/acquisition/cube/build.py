@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.acquisition import plan
-from amulor.acquisition.cube.calibration import Calibration
+from amulor.acquisition.cube.calibration import (
+    UNCALIBRATED,
+    Calibration,
+    calibrated,
+)
 from amulor.acquisition.cube.samples import (
     MISSING,
     Floats,
     Samples,
-    correct,
     counting_variance,
     dark_output,
     entry,
@@ -40,8 +43,6 @@ from amulor.survey.view import geometry_attributes
 
 #: The cube in the folder of its scan.
 CUBE_NAME = "cube.nc"
-#: Left free by the bits of `SampleFlag`: the amplitude is outside of the calibration.
-UNCALIBRATED = 32
 #: Lines about damaged rows, beyond which their number is stated.
 _MOST_LINES = 20
 #: Difference of scan and open water that shows a target, in standard errors [1].
@@ -205,9 +206,7 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     scan["signal"][scan["flags"] & SampleFlag.NO_LIGHT != 0] = MISSING
     dark = dark_output(survey, journal)
     frequency = read_back_frequencies(scan, survey)
-    uncalibrated = correct(
-        scan, dark, modulation_frequency=frequency, calibration=calibration
-    )
+    scan["signal"][...] -= dark[0][:, :, None, None]
     measured = cubes.build(
         "samples",
         {
@@ -221,12 +220,14 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
             "time": _first(scan["elapsed"]),
         },
         geometry=geometry_attributes(survey),
-        attributes=_attributes(journal, meta, survey, dark, calibration),
+        attributes=_attributes(journal, meta, survey, dark),
     )
-    shots = _open_water(survey, journal, dark, frequency, calibration)
+    shots = _open_water(survey, journal, dark)
     if shots is not None:
         measured = cubes.attach(measured, shots, "open_water")
-    measured = measured.assign(_user_variables(scan, uncalibrated))
+    measured = measured.assign(_user_variables(scan))
+    if calibration is not None:
+        measured = calibrated(measured, calibration)
     return cubes.note(measured, "acquire")
 
 
@@ -287,8 +288,6 @@ def _open_water(
     survey: Survey,
     journal: Journal,
     dark: tuple[NDArray[np.complex128], Floats],
-    frequency: Floats,
-    calibration: Calibration | None,
 ) -> xr.Dataset | None:
     recorded = [*journal.samples(plan.OPEN_WATER)]
     if not recorded:
@@ -302,7 +301,7 @@ def _open_water(
     samples = Samples(survey, 1, len(shots))
     for key, record in recorded:
         samples.put(key, record, 0, shots[key.repeat, key.row, key.column])
-    correct(samples, dark, modulation_frequency=frequency, calibration=calibration)
+    samples["signal"][...] -= dark[0][:, :, None, None]
     # A shot with an overload, or without light, is no measurement of the water.
     spoiled = SampleFlag.OVERLOAD | SampleFlag.NO_LIGHT
     samples["signal"][samples["flags"] & spoiled != 0] = MISSING
@@ -339,13 +338,11 @@ def _commanded(samples: Samples) -> dict[str, xr.DataArray]:
     }
 
 
-def _user_variables(
-    samples: Samples, uncalibrated: NDArray[np.bool_]
-) -> dict[str, xr.Variable]:
+def _user_variables(samples: Samples) -> dict[str, xr.Variable]:
     flags = [flag for flag in SampleFlag if flag]
     masks = np.array([*map(int, flags), UNCALIBRATED], dtype=np.int16)
     words = " ".join([*(str(flag.name).lower() for flag in flags), "uncalibrated"])
-    flag = (samples["flags"] + UNCALIBRATED * uncalibrated).astype(np.int16)
+    flag = samples["flags"].astype(np.int16)
 
     def variable(
         text: str, values: NDArray[Any], unit: str, **more: Any
@@ -381,7 +378,6 @@ def _attributes(
     meta: Mapping[str, str],
     survey: Survey,
     dark: tuple[NDArray[np.complex128], Floats],
-    calibration: Calibration | None,
 ) -> dict[str, Any]:
     identities = _identities(journal)
     parts = journal.segments()
@@ -400,7 +396,6 @@ def _attributes(
             f"survey {entry(journal, 'survey_digest')} "
             f"instrument {entry(journal, 'instrument_digest')}"
         ),
-        calibration=None if calibration is None else calibration.to_toml(),
         dark_in_phase=dark[0].real.ravel(),
         dark_quadrature=dark[0].imag.ravel(),
         modulation_depth=survey.instrument.modulation_depth,

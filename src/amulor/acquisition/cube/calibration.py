@@ -1,9 +1,10 @@
-"""Calibration of the instrument's phase delay, from a plate at a known distance."""
+"""Calibration of an instrument: phase delays and leakage, and their correction."""
 
 from __future__ import annotations
 
+import datetime
 import math
-from collections.abc import Sequence
+import warnings
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Self
@@ -12,19 +13,23 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
-from scipy.constants import speed_of_light
 
 from amulor import cube as cubes
 from amulor.errors import CubeError, FormatError
-from amulor.optics import rays
+from amulor.optics import detection
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.observation import Observation
 from amulor.survey import toml_file
-from amulor.survey.quantity import Angle, Description, Frequency, Voltage
+from amulor.survey.quantity import Angle, Description, Frequency, Time, Voltage
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 #: Relative difference up to which two frequencies are equal: a read-back one varies in
 #: its last digits, and a delay of 5 ns changes by 1.2 mrad at 39 MHz for this much [1].
 _SAME_FREQUENCY = 1e-3
-#: Fraction of the rows and columns, in the middle, that show the plate.
-_MIDDLE = 0.5
+#: Bit of `user_sample_flag`: the amplitude is outside of the calibration.
+UNCALIBRATED = 32
 
 
 class FrequencyCalibration(Description):
@@ -38,6 +43,9 @@ class FrequencyCalibration(Description):
     """Peak amplitudes of the calibration, increasing [V]."""
     phases: tuple[Angle, ...]
     """Phase delay at each amplitude [rad]."""
+    phase_uncertainties: tuple[Annotated[Angle, Field(ge=0)], ...] = ()
+    """Standard uncertainty of each phase, without that of the distance; unknown if
+    empty [rad]."""
 
     @model_validator(mode="after")
     def _lists_fit(self) -> Self:
@@ -46,13 +54,45 @@ class FrequencyCalibration(Description):
                 f"{len(self.amplitudes)} amplitudes and {len(self.phases)} phases; "
                 "each amplitude needs its phase"
             )
+        if len(self.phase_uncertainties) not in (0, len(self.phases)):
+            raise ValueError(
+                f"{len(self.phases)} phases and {len(self.phase_uncertainties)} "
+                "phase_uncertainties; state one for each phase, or none"
+            )
         if any(b <= a for a, b in pairwise(self.amplitudes)):
             raise ValueError("amplitudes must increase")
         return self
 
 
+_Output = Annotated[Voltage, Field(ge=-1e4, le=1e4)]
+
+
+class Leakage(Description):
+    """Output of one channel with the laser on and without light from the water.
+
+    The leakage of the scan can differ from that of the open-water references, which
+    are recorded with another gain, or with the target away.
+    """
+
+    modulation_frequency: Annotated[Frequency, Field(gt=0)]
+    """Modulation frequency [Hz]."""
+    polarization: str
+    """Channel, such as "VH"."""
+    scan: tuple[_Output, _Output]
+    """In-phase and quadrature output in the scan [V]."""
+    scan_uncertainty: Annotated[Voltage, Field(ge=0)]
+    """Standard uncertainty of each of the two [V]."""
+    open_water: tuple[_Output, _Output]
+    """In-phase and quadrature output in the open-water references [V]."""
+    open_water_uncertainty: Annotated[Voltage, Field(ge=0)]
+    """Standard uncertainty of each of the two [V]."""
+    change: Annotated[Voltage, Field(ge=0)] | None = None
+    """Change of the output in the scan from the first to the last measurement; unknown
+    if there was only one [V]."""
+
+
 class Calibration(Description):
-    """Phase delays of an instrument by modulation frequency and amplitude.
+    """Phase delays by modulation frequency and amplitude, and leakage by channel.
 
     Examples
     --------
@@ -69,8 +109,31 @@ class Calibration(Description):
     (0.2, 0.21)
     """
 
-    frequencies: Annotated[tuple[FrequencyCalibration, ...], Field(min_length=1)]
-    """Phase delays at each modulation frequency of a scan, in any order."""
+    date: datetime.date | None = None
+    """Day of the measurement, such as 2026-05-01."""
+    inputs: tuple[str, ...] = ()
+    """SHA-256 digests of the files with the measurements."""
+    frequencies: tuple[FrequencyCalibration, ...] = ()
+    """Phase delays at each modulation frequency of a scan, in any order; empty if only
+    the leakage was measured."""
+    leakage: tuple[Leakage, ...] = ()
+    """Leakage of each channel, which is subtracted before the phase is corrected."""
+    delay_uncertainty: Annotated[Time, Field(ge=0, le=1e-6)] | None = None
+    """Standard uncertainty of the delay that all frequencies share, from the distance
+    of the plate and the group index; unknown if left out [s]."""
+    group_index: Annotated[float, Field(ge=1, le=2)] | None = None
+    """Group index that plates at several distances show; not applied to ranges [1]."""
+    group_index_uncertainty: Annotated[float, Field(ge=0)] | None = None
+    """Standard uncertainty of this group index; unknown if left out [1]."""
+
+    @model_validator(mode="after")
+    def _has_a_measurement(self) -> Self:
+        if not self.frequencies and not self.leakage:
+            raise ValueError(
+                "at least one is needed of frequencies (amulor calibrate plate) and "
+                "leakage (amulor calibrate leakage)"
+            )
+        return self
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
@@ -130,16 +193,13 @@ class Calibration(Description):
         """
         import tomli_w
 
-        return tomli_w.dumps(self.model_dump(mode="json"))
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_defaults=True))
 
 
-def phase_correction(
-    calibration: Calibration,
-    amplitude: NDArray[np.float64],
-    *,
-    modulation_frequency: float,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the phase correction of samples [rad], and a mask of corrected samples."""
+def _entry(
+    calibration: Calibration, modulation_frequency: float
+) -> FrequencyCalibration:
+    """Return the phase delays at a modulation frequency."""
     nearest = min(
         calibration.frequencies,
         key=lambda entry: abs(entry.modulation_frequency - modulation_frequency),
@@ -151,6 +211,17 @@ def phase_correction(
             f"the calibration has no {modulation_frequency / 1e6:g} MHz; record the "
             "plate at the frequencies of the scan"
         )
+    return nearest
+
+
+def phase_correction(
+    calibration: Calibration,
+    amplitude: NDArray[np.float64],
+    *,
+    modulation_frequency: float,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the phase correction of samples [rad], and a mask of corrected samples."""
+    nearest = _entry(calibration, modulation_frequency)
     at = np.asarray(nearest.amplitudes)
     with np.errstate(divide="ignore", invalid="ignore"):
         correction = np.interp(
@@ -161,158 +232,190 @@ def phase_correction(
     return correction, (amplitude >= at[0]) & (amplitude <= at[-1])
 
 
-def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration:
-    """Calibrate the phase delay of an instrument with a plate at a known distance.
+def phase_uncertainty(
+    calibration: Calibration, amplitude: Floats, *, modulation_frequency: float
+) -> tuple[Floats, Floats]:
+    """Return the phase uncertainty of the table, and that beyond its amplitudes [rad].
+
+    Beyond its ends the table could go on with the slope at this end. The correction
+    does not, so the whole of this extrapolation is the standard uncertainty.
+    """
+    entry = _entry(calibration, modulation_frequency)
+    at = np.log(np.asarray(entry.amplitudes))
+    errors = np.asarray(entry.phase_uncertainties or [0.0] * at.size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.log(amplitude)
+    table = np.interp(size, at, errors)
+    if at.size == 1:
+        return table, np.zeros(size.shape)
+    slopes = np.diff(np.asarray(entry.phases)) / np.diff(at)
+    of_slopes = np.hypot(errors[1:], errors[:-1]) / np.diff(at)
+    below = np.clip(at[0] - size, 0, None) * math.hypot(slopes[0], of_slopes[0])
+    above = np.clip(size - at[-1], 0, None) * math.hypot(slopes[-1], of_slopes[-1])
+    beyond = np.where(np.isfinite(size), below + above, 0.0)
+    return table, beyond
+
+
+def leakage_of(
+    calibration: Calibration, cube: xr.Dataset, part: str
+) -> tuple[Complex, Floats]:
+    """Return leakage and its uncertainty in the scan or the references [V].
+
+    Shape (frequency, polarization). A channel without a measurement is refused.
+    """
+    frequencies = cube["modulation_frequency"].values
+    channels = cube.amulor.polarizations
+    leak = np.zeros((len(frequencies), len(channels)), dtype=complex)
+    uncertainty = np.zeros(leak.shape)
+    if not calibration.leakage:
+        return leak, uncertainty
+    for i, frequency in enumerate(frequencies):
+        for j, channel in enumerate(channels):
+            entry = min(
+                (one for one in calibration.leakage if one.polarization == channel),
+                key=lambda one: abs(one.modulation_frequency - frequency),
+                default=None,
+            )
+            if entry is None or not math.isclose(
+                entry.modulation_frequency, frequency, rel_tol=_SAME_FREQUENCY
+            ):
+                raise FormatError(
+                    f"the calibration has no leakage at {frequency / 1e6:g} MHz in "
+                    f"{channel}; measure it with the shutter closed at the frequencies "
+                    "and channels of the scan"
+                )
+            leak[i, j] = complex(*getattr(entry, part))
+            uncertainty[i, j] = getattr(entry, f"{part}_uncertainty")
+    return leak, uncertainty
+
+
+def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
+    r"""Subtract leakage and correct the phases of samples and references.
 
     Parameters
     ----------
-    plates : sequence of xarray.Dataset
-        Cubes of level `target_signal`, recorded without a calibration. The plate is the
-        only target; several cubes differ by density filters.
-    distance : float
-        Forward coordinate of the plate, above zero [m]. The plate is perpendicular to
-        the forward axis.
+    cube : xarray.Dataset
+        Cube of level `samples` without a calibration.
+    calibration : Calibration
+        Leakage, phase delays, or both.
 
     Returns
     -------
-    Calibration
-        For each frequency, the delay at the mean amplitude of each cube, from the
-        strongest channel in the middle half of rows and columns.
+    xarray.Dataset
+        The corrected cube. The attributes `leakage_uncertainty_volt` and
+        `calibration_phase_uncertainty_rad` have one value for each frequency,
+        `calibration_delay_uncertainty_s` has one for all. Ranging adds them to the
+        error that all pixels share.
 
     Raises
     ------
     CubeError
-        If a cube is of another level, has a calibration already, or shows no plate.
-    ValueError
-        If the distance is not above zero.
+        If the cube is of another level, or has a calibration already.
+    FormatError
+        If a frequency or channel was not calibrated.
 
     Notes
     -----
-    The delay is the phase of the sum of all samples, after subtraction of the phase of
-    each path. That is 2 pi f / c times the group index times the length to the plate
-    and back to the receiver.
+    A sample beyond the amplitudes of the calibration has the phase of the nearest one.
+    The error of its outputs includes the phase that the slope of the table adds up to
+    this sample.
 
     Examples
     --------
-    >>> from amulor import Survey, acquisition, rejection, simulation
-    >>> survey = Survey.preset("amulor-2010").with_(
-    ...     {
-    ...         "instrument.polarizations": ["VV"],
-    ...         "scan.columns": 3,
-    ...         "scan.rows": 2,
-    ...         "water.absorption": "0.05 1/m",
-    ...         "water.scattering": "0.001 1/m",
-    ...         "instrument.modulation_frequencies": ["40 MHz"],
-    ...         "scan.open_water": None,
-    ...     }
+    >>> from amulor import acquisition, samples
+    >>> cube = samples.cube("ladder")
+    >>> turned = acquisition.calibrated(
+    ...     cube,
+    ...     acquisition.Calibration.from_text(
+    ...         "[[frequencies]]\nmodulation_frequency = '36.7 MHz'\n"
+    ...         "amplitudes = ['1 mV']\nphases = ['0.1 rad']\n"
+    ...         "phase_uncertainties = ['1 mrad']"
+    ...     ),
     ... )
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> def scene(survey):
-    ...     return simulation.scene_light(survey, model=simulation.ClosureModel())
-    >>> settings = acquisition.Settings(
-    ...     simulation={"cable_delay": "1 ns"}, procedure={"dark_readings": 0}
-    ... )
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     outcome = acquisition.acquire(
-    ...         survey, Path(folder) / "scan", settings=settings, scene=scene
-    ...     )
-    ...     with acquisition.Journal.read(Path(folder) / "scan") as journal:
-    ...         plate = rejection.keep_water(acquisition.build(journal))
-    >>> calibration = acquisition.from_plates([plate], distance=1.5)
-    >>> delay = calibration.frequencies[0].phases[0]
-    >>> print(f"{delay:.2f} rad")  # 2 pi f times 1 ns: 0.25
-    0.25 rad
+    >>> print(turned.attrs["calibration_phase_uncertainty_rad"])
+    [0.001]
     """
-    if not distance > 0:
-        raise ValueError(f"distance must be above 0 m, got {distance:g} m")
-    if not plates:
-        raise CubeError("no cube was given; record the plate first")
-    tables: dict[float, dict[float, float]] = {}
-    for cube in plates:
-        _refuse(cube)
-        middle = _middle(cube)
-        signal = _plate_signal(middle)
-        strongest = int(np.nanargmax(np.nanmean(np.abs(signal), axis=(0, 2, 3))))
-        path = _optical_path(middle, distance)
-        for number, frequency in enumerate(cube["modulation_frequency"].values):
-            phase = 2 * np.pi * frequency * path / speed_of_light
-            flag = middle["quality_flag"].values[number, strongest]
-            usable = (flag & cubes.UNUSABLE) == 0
-            turned = (signal[number, strongest] * np.exp(-1j * phase))[usable]
-            if turned.size == 0:
-                raise CubeError(
-                    f"no pixel in the middle of the scan shows a target at "
-                    f"{frequency / 1e6:g} MHz; let the plate fill the middle half of "
-                    "the scan"
-                )
-            mean = complex(turned.mean())
-            tables.setdefault(float(frequency), {})[abs(mean)] = float(np.angle(mean))
-    return Calibration(
-        frequencies=tuple(
-            FrequencyCalibration(
-                modulation_frequency=frequency,
-                amplitudes=tuple(sorted(table)),
-                phases=_unwrapped([table[amplitude] for amplitude in sorted(table)]),
-            )
-            for frequency, table in sorted(tables.items())
-        )
-    )
-
-
-def _plate_signal(cube: xr.Dataset) -> NDArray[np.complex128]:
-    """Return the plate's signal minus the estimated residual water signal [V]."""
-    signal = np.asarray(cube.amulor.signal.values)
-    if "residual_in_phase" not in cube:
-        return signal
-    residual = cube["residual_in_phase"] + 1j * cube["residual_quadrature"]
-    return np.asarray(signal - np.nan_to_num(residual.values))
-
-
-def _refuse(cube: xr.Dataset) -> None:
-    cubes.check(cube, "target_signal", name="the cube of the plate")
+    cubes.check(cube, "samples", name="the cube to calibrate")
     if "calibration" in cube.attrs:
         raise CubeError(
-            "the cube of the plate has a calibration already; make it again from its "
-            "journal without one (amulor recover, without --calibration)"
+            "the cube has a calibration already; make it again from its journal with "
+            "another one (amulor recover --calibration --overwrite)"
         )
-
-
-def _middle(cube: xr.Dataset) -> xr.Dataset:
-    def part(size: int) -> slice:
-        edge = int(size * (1 - _MIDDLE) / 2)
-        return slice(edge, size - edge)
-
-    return cube.isel(row=part(cube.sizes["row"]), column=part(cube.sizes["column"]))
-
-
-def _optical_path(cube: xr.Dataset, distance: float) -> NDArray[np.float64]:
-    geometry = cube.amulor.geometry
-    window = {
-        key: float(geometry[key])
-        for key in (
-            "window_distance",
-            "window_thickness",
-            "window_refractive_index",
-            "window_group_index",
+    frequency = cube["modulation_frequency"].values
+    attributes: dict[str, object] = {"calibration": calibration.to_toml()}
+    changed: dict[str, xr.DataArray] = {}
+    squares = np.zeros(frequency.size)
+    for prefix, part in (("", "scan"), ("open_water_", "open_water")):
+        if f"{prefix}in_phase" not in cube:
+            continue
+        leak, of_leak = leakage_of(calibration, cube, part)
+        squares = squares + np.max(of_leak, axis=1) ** 2
+        outputs = {
+            name: cube[f"{prefix}{name}"]
+            for name in _OUTPUTS
+            if f"{prefix}{name}" in cube
+        }
+        signal = outputs["in_phase"].values + 1j * outputs["quadrature"].values
+        axes = (slice(None), slice(None), *[None] * (signal.ndim - 2))
+        signal = signal - leak[axes]
+        amplitude = np.abs(signal)
+        delay, table, beyond = (np.zeros(signal.shape) for _ in range(3))
+        outside = np.zeros(signal.shape, dtype=bool)
+        if calibration.frequencies:
+            for number, value in enumerate(frequency):
+                where = {"modulation_frequency": float(value)}
+                delay[number], inside = phase_correction(
+                    calibration, amplitude[number], **where
+                )
+                outside[number] = np.isfinite(amplitude[number]) & ~inside
+                table[number], beyond[number] = phase_uncertainty(
+                    calibration, amplitude[number], **where
+                )
+        turn = np.exp(-1j * np.nan_to_num(delay))
+        signal = signal * turn
+        errors = Observation(cube=xr.Dataset(outputs)).covariance.turned(
+            turn
+        ) + Covariance(
+            *detection.phase_floor_covariance(np.nan_to_num(signal), phase_floor=beyond)
         )
-        if key in geometry
-    }
-    medium = rays.Medium(
-        refractive_index=float(geometry["refractive_index"]),
-        group_index=float(geometry["group_index"]),
-        **window,
-    )
-    directions = rays.direction(cube["azimuth"].values, cube["elevation"].values)
-    beam = rays.enter_water(geometry["emitter_position"], directions, medium=medium)
-    length = (distance - beam.entry[..., 2]) / beam.direction[..., 2]
-    point = beam.entry + beam.direction * length[..., None]
-    return np.asarray(
-        beam.optical_length_before
-        + medium.group_index * length
-        + rays.return_length(point, geometry["receiver_position"], medium=medium)
-    )
+        values = {
+            "in_phase": signal.real,
+            "quadrature": signal.imag,
+            "in_phase_uncertainty": np.sqrt(errors.in_phase),
+            "quadrature_uncertainty": np.sqrt(errors.quadrature),
+            "in_phase_quadrature_covariance": errors.cross,
+        }
+        for name, array in values.items():
+            like = outputs.get(name)
+            if like is None:
+                like = outputs["in_phase"].assign_attrs(
+                    units="V2", long_name="covariance of the two outputs"
+                )
+            changed[f"{prefix}{name}"] = like.copy(data=array)
+        if part == "scan" and calibration.frequencies:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)  # nothing measured
+                middle = np.nanmedian(
+                    np.where(np.isfinite(amplitude), table, np.nan), axis=(1, 2, 3)
+                )
+            if all(entry.phase_uncertainties for entry in calibration.frequencies):
+                attributes["calibration_phase_uncertainty_rad"] = np.nan_to_num(middle)
+            if "user_sample_flag" in cube:
+                flag = cube["user_sample_flag"]
+                changed["user_sample_flag"] = flag.copy(
+                    data=(flag.values | UNCALIBRATED * outside).astype(flag.dtype)
+                )
+    if calibration.leakage:
+        attributes["leakage_uncertainty_volt"] = np.sqrt(squares)
+    if calibration.frequencies and calibration.delay_uncertainty is not None:
+        attributes["calibration_delay_uncertainty_s"] = calibration.delay_uncertainty
+    return cube.assign(changed).assign_attrs(attributes)
 
 
-def _unwrapped(phases: list[float]) -> tuple[float, ...]:
-    return tuple(float(phase) for phase in np.unwrap(phases))
+_OUTPUTS = (
+    "in_phase",
+    "quadrature",
+    "in_phase_uncertainty",
+    "quadrature_uncertainty",
+    "in_phase_quadrature_covariance",
+)

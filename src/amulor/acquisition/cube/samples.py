@@ -1,4 +1,4 @@
-"""Samples of a journal as arrays, corrected for dark output and instrument delay."""
+"""Samples of a journal as arrays, and their dark output."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from amulor.acquisition import plan
-from amulor.acquisition.cube.calibration import Calibration, phase_correction
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import QUANTITIES, Record
 from amulor.acquisition.plan import Key
@@ -159,29 +158,6 @@ def dark_output(
     variance = counting_variance(samples, survey, procedure_of(journal))
     mean_variance = np.nanmean(variance) if count.any() else 0.0
     return mean, np.where(count > 0, mean_variance / divisor, 0.0)
-
-
-def correct(
-    samples: Samples,
-    dark: tuple[NDArray[np.complex128], Floats],
-    *,
-    modulation_frequency: Floats,
-    calibration: Calibration | None,
-) -> NDArray[np.bool_]:
-    """Correct dark output and phase delay; return a mask of uncalibrated samples."""
-    samples["signal"][...] -= dark[0][:, :, None, None]
-    outside = np.zeros(samples["signal"].shape, dtype=bool)
-    if calibration is None:
-        return outside
-    for number, frequency in enumerate(modulation_frequency):
-        amplitude = np.abs(samples["signal"][number])
-        delay, calibrated = phase_correction(
-            calibration, amplitude, modulation_frequency=float(frequency)
-        )
-        valid = np.isfinite(amplitude)
-        samples["signal"][number][valid] *= np.exp(-1j * delay[valid])
-        outside[number] = valid & ~calibrated
-    return outside
 
 
 def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) -> Floats:

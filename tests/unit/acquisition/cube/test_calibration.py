@@ -10,10 +10,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from amulor import acquisition, imaging, io, rejection
+from amulor.acquisition.cube.calibrate import from_plates
 from amulor.acquisition.cube.calibration import (
     Calibration,
     FrequencyCalibration,
-    from_plates,
     phase_correction,
 )
 from amulor.acquisition.journal.journal import Journal
