@@ -247,7 +247,7 @@ class ScanDevice:
             return not requested or self._end_requested or self._pause_requested
 
     def go_on(self) -> bool:
-        """Wait with devices safe for the next request; False if it ends the scan."""
+        """Wait for the next request, all devices safe; False if it ends the scan."""
         with self._changed:
             self._paused = True
             self._changed.notify_all()
@@ -261,7 +261,7 @@ class ScanDevice:
             return not self._end_requested
 
     def _note_samples(self, _: Progress) -> None:
-        """Record the samples of the latest dwell, for bluesky."""
+        """Read new samples from the journal, and record them for bluesky."""
         if self._journal is None:
             self._journal = Journal.read(self._folder)
         moment = time.time()

@@ -104,7 +104,7 @@ class OperatorTargetStage:
         self._ask = ask
 
     def identity(self) -> str:
-        """Return "operator"."""
+        """Return the identity of an operator, who has no serial number."""
         return "operator"
 
     def bring_in(self, *, timeout: float) -> None:
@@ -149,7 +149,7 @@ def connect(
 def _refuse_target(
     survey: Survey, settings: Settings, ask: Callable[[str], None] | None
 ) -> None:
-    """Raise if nobody and nothing can move the target for open-water shots."""
+    """Raise if open-water shots need a target stage or operator, but none exists."""
     driver = settings.target.driver
     if driver == "operator" and ask is None:
         raise InstrumentError(

@@ -23,11 +23,11 @@ _SINGULAR = 1e8
 
 @dataclass(frozen=True, kw_only=True)
 class Tones:
-    """Amplitude, phase and noise of each frequency of a record."""
+    """Amplitude, phase and noise at each frequency of a digitizer record."""
 
     signals: NDArray[np.complex128]
-    """Complex signal of each frequency: peak amplitude, delay as a positive phase, of
-    shape (frequency,) [V]."""
+    """Complex peak signal of each frequency, delay as positive phase, shape
+    (frequency,) [V]."""
     spreads: Floats
     """Noise standard deviation of each tone per quadrature, from nearby spectral bins
     [V]."""

@@ -47,7 +47,7 @@ class Devices:
     clock: Clock
     """Clock of the devices."""
     source: Source | None = None
-    """Generator that modulates the laser; None if the lock-in does."""
+    """Generator that modulates the laser; None if the lock-in modulates it."""
     release: Callable[[], None] = lambda: None
     """Function that unlocks the devices for other scans, once they are closed."""
 

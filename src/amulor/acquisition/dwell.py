@@ -45,7 +45,7 @@ _MOST, _WEIGHT = 4.0, 0.1
 
 
 class Settling:
-    r"""Wait for a settled lock-in: successive readings agree within their noise.
+    r"""Test for a settled lock-in: successive readings agree within their noise.
 
     A one-pole filter with the output :math:`y_0` on arrival and y after a time t still
     has a remainder :math:`(y - y_0) / (e^{t / T} - 1)` of the last direction. The wait
@@ -116,7 +116,7 @@ class Settling:
     def unsettled_parts(
         self, entered: NDArray[np.complex128], mean: float, spacing: float
     ) -> int | None:
-        """Return the number of inputs before settling; None if most are unsettled."""
+        """Count the filter inputs before settling; None if most are unsettled."""
         size = max(round(self._constant / spacing), 1)
         blocks = [entered[at : at + size] for at in range(0, entered.size, size)]
         if len(blocks) > 1 and blocks[-1].size < size:
@@ -210,7 +210,7 @@ class Dwell:
 
 
 def lacking(device: Device, *words: str) -> list[str]:
-    """Return which of the given methods a device lacks."""
+    """Return the names of those given methods that a device lacks."""
     return [word for word in words if not hasattr(device, word)]
 
 
@@ -225,7 +225,7 @@ def refuse_lacking(device: Device, setting: str, *words: str) -> None:
 
 
 class DwellReader:
-    """Reader of dwells, which waits for settling before each."""
+    """Reader of dwells that waits for settling before each dwell."""
 
     def __init__(
         self, survey: Survey, procedure: Procedure, lock_in: LockIn, clock: Clock
@@ -341,7 +341,7 @@ class DwellReader:
         times: ArrayLike,
         means: Sequence[float],
     ) -> tuple[list[complex], int, bool]:
-        """Return signals, number of skipped readings, and whether others settled."""
+        """Return mean signals, skipped readings [1], and whether the rest settled."""
         mean = sum(means) / len(means) if means else math.nan
         skipped, settled = 0, True
         if self._judge is not None and self._filter_is_known and len(columns[0]) > 2:

@@ -38,8 +38,8 @@ class Key(NamedTuple):
     polarization: str
     """Launched and analyzed polarization state, or "none"."""
     repeat: int
-    """Number of the sample among those of the same place and channel. In the scan it is
-    0, and higher for a retake [1]."""
+    """Number of the sample among all samples of its place and channel: 0 in the scan,
+    higher for a retake [1]."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,10 @@ class Step:
     elevation: float
     """Elevation, upwards [rad]."""
     others: tuple[Key, ...] = ()
-    """Keys of the other samples of the dwell, at further frequencies."""
+    """Keys of the other samples of the dwell, which have other frequencies."""
     together: tuple[float, ...] = ()
-    """All modulation frequencies of this dwell, if several, including those whose
-    samples exist already [Hz]."""
+    """All modulation frequencies of a dwell with several, also of samples that exist
+    already [Hz]."""
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -69,7 +69,7 @@ class Step:
         return self.together or (self.key.frequency,)
 
     def without(self, done: Container[Key]) -> Step | None:
-        """Return the dwell with only its missing samples; None if there are none.
+        """Return the dwell with only its missing samples; None if no sample is missing.
 
         All modulation frequencies are kept, because light at one frequency must not
         depend on whether the sample at another one is missing.
@@ -86,7 +86,7 @@ class Comb(NamedTuple):
     """Frequencies and polarization of one dwell."""
 
     frequencies: tuple[float, ...]
-    """Modulation frequencies at once [Hz]."""
+    """Simultaneous modulation frequencies [Hz]."""
     polarization: str
     """Launched and analyzed polarization state, or "none"."""
 
@@ -147,7 +147,7 @@ def _goes_on(strip: list[Step], step: Step) -> bool:
 
 
 def together(steps: Sequence[Step]) -> Step:
-    """Join several dwells into one that has all of their keys."""
+    """Join several dwells into one dwell with all of their samples."""
     first, *others = (key for step in steps for key in step.keys)
     return replace(steps[0], key=first, others=tuple(others))
 

@@ -172,7 +172,7 @@ def _text(value: Any) -> str | None:
 
 
 def _state(value: Reading | Recorded) -> str | None:
-    """Describe what is wrong with overload bits or mean output; None if valid."""
+    """Describe an error in overload bits or mean output; None if they are valid."""
     known = sum(map(int, Overload))
     if not isinstance(value.overload, int) or int(value.overload) & ~known:
         return (

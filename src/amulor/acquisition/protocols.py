@@ -102,10 +102,10 @@ class Recorded:
     """Readings recorded during a dwell, timed by the clock of the lock-in."""
 
     times: NDArray[np.float64]
-    """Times, rising, of shape (n,) [s]."""
+    """Times in ascending order, shape (n,) [s]."""
     signals: NDArray[np.complex128]
-    """Complex signal at each time: peak amplitude, delay as a positive phase, of shape
-    (n, frequency) [V]."""
+    """Complex peak signal at each time, delay as positive phase, shape (n, frequency)
+    [V]."""
     mean: float
     """Mean output of the detector, NaN without a wired input [V]."""
     modulation_frequencies: tuple[float, ...]
@@ -149,14 +149,14 @@ class Waveform:
     """Record of a digitizer, all inputs sampled at the same times."""
 
     signal: NDArray[np.float64]
-    """Output of the detector, of shape (n,) [V]."""
+    """Output of the detector, shape (n,) [V]."""
     reference: NDArray[np.float64] | None
-    """Modulation of the laser, of the same shape; None if every record starts in phase
-    with it."""
+    """Modulation signal of the laser, shape (n,); None if every record starts in phase
+    with the modulation."""
     sample_rate: float
     """Sample rate by the clock of the digitizer [1/s]."""
     clipped: bool = False
-    """Whether the converter clipped."""
+    """Whether the signal exceeded the input range of the converter."""
     shows_mean: bool = False
     """Whether the mean of the record is the mean output of the detector."""
 
@@ -167,7 +167,7 @@ class Digitiser(Device, Protocol):
     ranges: tuple[float, ...]
     """Input ranges as peak voltages, in ascending order [V]."""
     shows_mean: bool
-    """Whether its input is coupled to the mean output of the detector."""
+    """Whether the mean of a record is the mean output of the detector."""
 
     def prepare(self) -> None:
         """Configure the digitizer for a scan."""

@@ -58,7 +58,7 @@ class Keeper:
             self._thread.shutdown()
 
     def keep(self, step: Step, records: Sequence[Record]) -> None:
-        """Write the samples of a dwell after those of earlier dwells."""
+        """Write the samples of a dwell, after all earlier dwells are written."""
         samples = [*zip(step.keys, records, strict=True)]
         self.settle()
         if self._at_once or self._took < SLOW:
@@ -71,7 +71,7 @@ class Keeper:
         self._pending = (future, step, len(samples))
 
     def settle(self) -> None:
-        """Wait until all samples are in the journal, and report them."""
+        """Wait until all samples are in the journal, and report progress."""
         if self._pending is None:
             return
         future, step, count = self._pending
@@ -136,15 +136,15 @@ class Progress:
     """
 
     done: int
-    """Samples in the journal [1]."""
+    """Number of samples in the journal [1]."""
     total: int
-    """Samples of the finished scan, references included [1]."""
+    """Number of samples of the complete scan, with references [1]."""
     rate: float
     """Samples per second of real time since the start or the last pause [1/s]."""
     left: float
-    """Remaining time at this rate [s]."""
+    """Remaining time at the present rate [s]."""
     flagged: int
-    """Samples of this run with a flag [1]."""
+    """Number of flagged samples in this run [1]."""
     kind: str
     """Kind of the present samples."""
 
@@ -196,11 +196,11 @@ class Outcome:
     finished: bool
     """Whether every planned sample is in the journal."""
     done: int
-    """Samples in the journal [1]."""
+    """Number of samples in the journal [1]."""
     total: int
-    """Samples of the finished scan, references included [1]."""
+    """Number of samples of the complete scan, with references [1]."""
     flagged: int
-    """Samples of this run with a flag [1]."""
+    """Number of flagged samples in this run [1]."""
     unsafe: list[str]
     """Devices that could not be made safe, with the reason."""
 
@@ -444,7 +444,7 @@ class _Run:
         ]
 
     def _to_be_retaken(self) -> Iterator[Step]:
-        """Yield dwells that repeat the samples whose newest take was spoiled."""
+        """Yield dwells that repeat the samples whose newest acquisition was spoiled."""
         newest = {
             key._replace(repeat=0): (key, record.flags)
             for key, record in self._journal.samples(plan.SCAN)
@@ -461,7 +461,7 @@ class _Run:
         self._taken = 0
 
     def _again(self, segment: int) -> Iterator[Step]:
-        """Yield the dwells that repeat the references after an interruption."""
+        """Yield dwells that repeat the reference measurements after an interruption."""
         if any(key.kind == plan.SCAN for key in self._done):
             yield from plan.extra_reference(
                 self._survey, self._settings.procedure, number=segment - 2

@@ -68,7 +68,7 @@ class SampleFlag(enum.IntFlag):
     OVERLOAD = 1
     """Lock-in or detector overloaded at the coarsest setting."""
     REPEATED = 2
-    """The reference was lost, and the sample acquired again."""
+    """The lock-in lost its reference, and the sample was acquired again."""
     RESCALED = 4
     """The lock-in changed its range, and the sample was acquired again."""
     OFF_POSITION = 8
@@ -77,7 +77,7 @@ class SampleFlag(enum.IntFlag):
     """The read-back frequency differs from the commanded one."""
     # 32 is `UNCALIBRATED` of the cube.
     NO_LIGHT = 64
-    """The laser was on, but the mean detector output was that of dark readings."""
+    """The laser was on, but the mean detector output was as low as in dark readings."""
     UNSETTLED = 128
     """Readings differed by more than their noise."""
 
@@ -96,7 +96,7 @@ _FREQUENCY_TOLERANCE = 1e-3
 
 
 class Sampler:
-    """Acquirer of samples that remembers the present settings of all devices."""
+    """Acquisition of samples, with a memory of the present device settings."""
 
     def __init__(self, survey: Survey, settings: Settings, devices: Devices) -> None:
         self._settings = settings

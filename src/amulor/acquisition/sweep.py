@@ -103,7 +103,7 @@ def pitch_of(survey: Survey) -> float:
 
 
 class SweepReader:
-    r"""Reader of whole rows in continuous mode.
+    r"""Acquisition of whole rows while the beam moves (continuous mode).
 
     The beam moves by one column during one dwell, so that a sample is the mean over its
     pixel. The lock-in records without gaps. A straight line fitted to readings of the

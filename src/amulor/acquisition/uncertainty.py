@@ -19,7 +19,7 @@ def reading_variance(
 
 
 def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the variance of a mean of readings over that of one reading [1].
+    r"""Return the variance of a mean of readings, relative to one reading [1].
 
     Notes
     -----
@@ -129,7 +129,7 @@ def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) ->
 def input_variance_ratio(
     intervals: ArrayLike, *, spacing: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the variance of `filtered_input` over that of a settled output [1].
+    r"""Return the variance of `filtered_input`, relative to a settled output [1].
 
     Notes
     -----

@@ -264,7 +264,7 @@ def _outputs(
 
 
 def _directions(samples: Samples, survey: Survey) -> dict[str, Floats]:
-    """Return the measured directions; the planned ones if none were read back [rad]."""
+    """Return the measured beam directions, else the planned ones [rad]."""
     azimuth, elevation, _ = scan_directions(survey)
     return {
         "azimuth": _mean(samples["azimuth"], otherwise=azimuth),
@@ -326,7 +326,7 @@ def _open_water(
 
 
 def _commanded(samples: Samples) -> dict[str, xr.DataArray]:
-    """Return the recorded quantities averaged per pixel, by their names in the cube."""
+    """Return the quantities that the cube stores per pixel, averaged over channels."""
     return {
         quantity.cube: xr.DataArray(
             _mean(samples[name], otherwise=np.full((1, 1), np.nan)),
@@ -416,7 +416,7 @@ def _identities(journal: Journal) -> dict[str, str]:
 
 
 def _last_end(parts: list[dict[str, Any]]) -> str | None:
-    """Return the end of the last segment, or its start after a loss of power."""
+    """Return the end time of the last segment; its start time after a loss of power."""
     if not parts:
         return None
     return str(parts[-1]["ended"] or parts[-1]["started"])

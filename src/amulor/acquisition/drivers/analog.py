@@ -156,7 +156,7 @@ class Mirror:
         return float(self._fit(volts))
 
     def volts(self, angle: float) -> float:
-        """Return the mirror voltage [V] for a beam angle [rad]; raise beyond limits."""
+        """Return mirror voltage [V] for a beam angle [rad]; raise if out of range."""
         low, high = self._settings.volts[0], self._settings.volts[-1]
         solutions = [
             float(root.real)
@@ -196,7 +196,7 @@ class AnalogScanner:
             )
 
     def identity(self) -> str:
-        """Return the identity of the output device, and the angle uncertainty."""
+        """Return the identity of the output device, with the angle uncertainty."""
         return (
             f"mirrors on {self._outputs.identity()}, angles known to "
             f"{self.spread * 1e6:.3g} urad"
@@ -205,7 +205,7 @@ class AnalogScanner:
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
-        """Turn to a direction [rad]; return the direction given by the set voltages."""
+        """Turn to a direction; return the direction from the set voltages [rad]."""
         names = (self._settings.azimuth.output, self._settings.elevation.output)
         volts = [
             mirror.volts(angle)
@@ -236,7 +236,7 @@ class AnalogScanner:
 
 
 def outputs_of(settings: AnalogSettings, *, lock_in: Any, address: str | None) -> Any:
-    """Return the analog outputs that the devices file configures."""
+    """Return the analog outputs configured in the devices file."""
     if settings.outputs == "lock_in":
         return LockInOutputs(lock_in)
     if settings.outputs == "labjack":

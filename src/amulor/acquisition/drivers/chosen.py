@@ -1,4 +1,4 @@
-"""Choice and connection of the driver for each device in the devices file."""
+"""Selection and connection of the driver for each device in the devices file."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def source_of(settings: Settings, clock: Clock) -> Source | None:
 def scanner_of(
     settings: Settings, stages: Stages, lock_in: LockIn, clock: Clock
 ) -> Scanner:
-    """Connect the scanner of the devices file."""
+    """Connect the scanner configured in the devices file."""
     part = settings.scanner
     if part.driver == "analog":
         assert part.analog is not None
@@ -119,7 +119,7 @@ def scanner_of(
 
 
 def lock_in_of(settings: Settings, clock: Clock) -> LockIn:
-    """Connect the lock-in amplifier of the devices file."""
+    """Connect the lock-in amplifier configured in the devices file."""
     part = settings.lock_in
     if part.driver == "digitiser":
         return DigitiserLockIn(other("digitiser", settings, clock), clock=clock)

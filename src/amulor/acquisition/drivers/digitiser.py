@@ -44,7 +44,7 @@ class DigitiserLockIn:
         return self._digitiser.identity()
 
     def prepare(self, *, time_constant: float) -> None:
-        """Set the coarsest input range; a digitizer has no time constant to set."""
+        """Set the largest input range; a digitizer has no time constant."""
         self._digitiser.prepare()
         self._set_range(len(self._digitiser.ranges) - 1)
 

@@ -56,7 +56,7 @@ class OphydScanner:
 
     @classmethod
     def made(cls, wiring: Wiring, settings: ScannerSettings) -> OphydScanner:
-        """Connect the scanner that the devices file configures."""
+        """Connect the scanner configured in the devices file."""
         device = OphydDevice.made(
             "scanner", wiring, needed=("azimuth", "elevation"), more=()
         )
@@ -145,7 +145,7 @@ class OphydScanner:
 
 
 class OphydLockIn:
-    """Lock-in that is an ophyd-async device; triggered before readings if possible."""
+    """Lock-in as an ophyd-async device; triggered before readings if possible."""
 
     def __init__(
         self, device: OphydDevice, options: Mapping[str, Any], *, clock: Clock
@@ -164,7 +164,7 @@ class OphydLockIn:
 
     @classmethod
     def made(cls, wiring: Wiring) -> OphydLockIn:
-        """Connect the lock-in that the devices file configures."""
+        """Connect the lock-in amplifier configured in the devices file."""
         device = OphydDevice.made(
             "lock_in", wiring, needed=_LOCK_IN, more=_LOCK_IN_MORE
         )
@@ -280,7 +280,7 @@ class OphydLaser:
 
     @classmethod
     def made(cls, wiring: Wiring) -> OphydLaser:
-        """Connect the laser that the devices file configures."""
+        """Connect the laser configured in the devices file."""
         device = OphydDevice.made("laser", wiring, needed=("enable",), more=_LASER_MORE)
         with closed_if_it_fails(device):
             return cls(device, wiring.options)

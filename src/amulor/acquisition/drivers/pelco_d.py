@@ -30,7 +30,7 @@ _MOST_OTHERS = 64
 
 
 class Octets(Protocol):
-    """Link that sends and receives bytes, as the driver needs it."""
+    """Interface of a link that sends and receives bytes."""
 
     address: str
 
@@ -87,7 +87,7 @@ class PelcoHead:
         self._position("pan")  # raises if no head answers
 
     def identity(self) -> str:
-        """Return the protocol and the number of the head, which reports no identity."""
+        """Return protocol and number of the head, which reports no identity."""
         return f"pan-tilt head {self._head.number} by Pelco-D"
 
     def move(
@@ -164,7 +164,7 @@ class PelcoHead:
         return math.radians(((steps + _TURN / 2) % _TURN - _TURN / 2) / 100)
 
     def _arrived(self, axis: str, goal: int, end: Deadline) -> int:
-        """Wait for an axis to reach its goal or stop; return position [0.01 deg]."""
+        """Wait until an axis reaches its goal or stops; return position [0.01 deg]."""
         near, last, since = 0, None, self._clock.now()
         while True:
             position = self._position(axis)

@@ -301,7 +301,7 @@ class PiScanner(_OnController):
     def _positions(
         self, azimuth: Sequence[float], elevation: Sequence[float]
     ) -> dict[str, list[float]]:
-        """Return the axis positions of these directions, in axis units."""
+        """Return the axis positions for beam directions, in axis units."""
         settings = self._settings
         zeros = (settings.azimuth_zero, settings.elevation_zero)
         return {
@@ -363,7 +363,7 @@ class PiTargetStage(_OnController):
         return self._go(self._settings.position_in, timeout)
 
     def take_out(self, *, timeout: float) -> float:
-        """Take the target out of the beam within a time [s]; return its position."""
+        """Take the target out of the beam in a time [s]; return its position [m]."""
         return self._go(self._settings.position_out, timeout)
 
     def _go(self, position: float, timeout: float) -> float:

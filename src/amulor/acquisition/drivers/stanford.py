@@ -270,7 +270,7 @@ class Sr844(Stanford):
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next finer SENS if the amplitude [V] allows it; else False."""
+        """Select the next smaller full scale if the amplitude [V] allows it."""
         if self._sensitivity == 0 or amplitude > _FINER_BELOW * self.full_scale():
             return False
         self._sensitivity -= 1

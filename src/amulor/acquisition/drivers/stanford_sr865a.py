@@ -222,7 +222,7 @@ class Sr865a(Stanford):
         )
 
     def begin_stream(self, duration: float) -> None:
-        """Start the capture buffer, long enough for at least a duration [s].
+        """Start a capture buffer that lasts for at least a duration [s].
 
         Notes
         -----
@@ -318,7 +318,7 @@ class Sr865a(Stanford):
         return self._reading(snapshot, status)
 
     def _note(self, sent: float, length: str) -> int:
-        """Update the start time of the buffer; return the number of points in it."""
+        """Update the start time of the capture buffer; return its number of points."""
         count = int(self.parsed(length, "CAPTUREBYTES?", count=1)[0]) // _POINT
         apart = _DRIFT * (sent - self._noted)
         self._noted, past = sent, count / self._rate

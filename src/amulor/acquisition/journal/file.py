@@ -1,4 +1,4 @@
-"""File of a journal: metadata of the scan, checksums, locks and access."""
+"""Journal file: metadata of the scan, checksums, locks and access."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def in_use(folder: Path) -> bool:
 
 
 def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
-    """Create the file under a temporary name, and rename it when it is complete."""
+    """Create the journal file under a temporary name, then rename it."""
     draft = path.with_name(f".{path.name}.new")
     with explained(path):
         try:
@@ -156,7 +156,7 @@ def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
 
 
 def writer(path: Path) -> sqlite3.Connection:
-    """Open the file for writing; commits survive a loss of power."""
+    """Open the journal file for writing; commits survive a loss of power."""
     with explained(path):
         # One thread at a time writes: that of the scan, or one that commits for it.
         connection = sqlite3.connect(
@@ -182,7 +182,7 @@ def text_of(content: bytes) -> str:
 
 
 def reader(path: Path) -> sqlite3.Connection:
-    """Open the file for reading, also while a scan writes to it."""
+    """Open the journal file for reading, also while a scan writes to it."""
     with explained(path):
         # One thread at a time reads: a page goes on with what its command began.
         connection = sqlite3.connect(

@@ -429,7 +429,7 @@ class Journal:
         return self.folder / FILE_NAME
 
     def refuse_another(self, meta: Mapping[str, str]) -> None:
-        """Raise unless the journal is of this schema, survey and instrument.
+        """Raise unless the journal has the given schema, survey and instrument.
 
         Parameters
         ----------

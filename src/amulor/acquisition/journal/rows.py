@@ -37,7 +37,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 def _pattern(
     names: tuple[str, ...], kinds: tuple[type, ...]
 ) -> tuple[int, struct.Struct, list[int], list[int]]:
-    """Return the layout of a row: name checksum, number format, indices by type."""
+    """Return the layout of a row: checksum of names, number format, indices by type."""
     texts = [place for place, kind in enumerate(kinds) if kind is str]
     numbers = [
         place for place, kind in enumerate(kinds) if kind not in (str, type(None))
@@ -192,7 +192,7 @@ def row_of(key: Key, record: Record) -> tuple[Any, ...]:
 def refuse_another(
     folder: Path, path: Path, result: Mapping[str, str], meta: Mapping[str, str]
 ) -> None:
-    """Raise unless the journal is of this schema, survey and instrument."""
+    """Raise unless the journal has the given schema, survey and instrument."""
     version = result.get("journal_schema")
     if version != SCHEMA_VERSION:
         raise FormatError(

@@ -124,9 +124,10 @@ class SerialPort:
     end: str = "\n"
     """End of a line: a line feed, or a carriage return."""
     baud_rate: int | None = None
-    """Bits per second; default of the VISA library if None [1/s]."""
+    """Bits per second; if None, the default of the VISA library [1/s]."""
     flow_control: str | None = None
-    """none, xon_xoff, rts_cts or dtr_dsr; default of the VISA library if None."""
+    """Flow control: none, xon_xoff, rts_cts or dtr_dsr; if None, the default of the
+    VISA library."""
 
 
 class Link:
@@ -372,7 +373,7 @@ def open_link(
     serial: SerialPort = SerialPort(),
     lock: bool = False,
 ) -> Conversation:
-    """Open the link to an address, of the type that the address implies."""
+    """Open the link to an address; the address implies the type of link."""
     if address.startswith(SCHEME):
         return DirectLink(address, timeout=timeout)
     return Link.open(address, timeout=timeout, serial=serial, lock=lock)

@@ -64,7 +64,7 @@ class ScannerSettings(Linked):
     analog: AnalogSettings | None = None
     """Mirrors on analog outputs; needed by "analog"."""
     pan_tilt: PanTiltSettings | None = None
-    """Counting directions and limits of a pan-tilt head; by default the usual ones."""
+    """Counting directions and limits of a pan-tilt head; typical values by default."""
     options: Options = None
     """Options of a scanner of another package."""
     azimuth_axis: Axis = "1"
@@ -72,16 +72,16 @@ class ScannerSettings(Linked):
     elevation_axis: Axis = "2"
     """Axis of the controller that turns upwards."""
     angle_per_unit: Annotated[Angle, Field(ge=-10, le=10)] = math.radians(1.0)
-    """Turn of the beam per unit of the axis; twice the turn of a mirror. Negative if
-    the axis counts in the other direction [rad]."""
+    """Rotation of the beam per unit of the axis, twice the rotation of a mirror.
+    Negative if the axis counts in the other direction [rad]."""
     azimuth_zero: float = 0.0
     """Position of the axis where the azimuth is zero, in its unit."""
     elevation_zero: float = 0.0
     """Position of the axis where the elevation is zero, in its unit."""
     park_azimuth: Angle | None = None
-    """Azimuth of the parking direction; no parking if left out [rad]."""
+    """Azimuth of the parking direction; no parking by default [rad]."""
     park_elevation: Angle | None = None
-    """Elevation of the parking direction; no parking if left out [rad]."""
+    """Elevation of the parking direction; no parking by default [rad]."""
     move_timeout: Patience = 30.0
     """Longest time of one move [s]."""
 
@@ -150,29 +150,31 @@ class Procedure(Description):
     settling: Annotated[float, Field(ge=3, le=50)] = 5.0
     """Wait after each change, in time constants of the lock-in [1]."""
     settled_by: Literal["samples"] | None = None
-    """"samples": the wait after a move ends when successive readings agree within their
-    noise, after at least two time constants and at most four times `settling`; else the
-    sample is flagged. With output_filter = "known" the first parts of a dwell that do
-    not agree with the rest are left out. Left out: the wait is `settling`."""
+    """Criterion that ends the wait after a move; by default the wait is `settling`.
+    "samples": successive readings agree within their noise, after at least two time
+    constants. A sample is flagged if they do not agree within four times `settling`.
+    With output_filter = "known", the first parts of a dwell that disagree with the rest
+    are discarded."""
     output_filter: Literal["known"] | None = None
-    """"known": the filter of the lock-in is a single pole with the time constant of the
-    survey, and its remainder of the last direction is subtracted. There is no wait
-    after a move, and readings fill the dwell. Left out: readings start after
-    `settling`."""
+    """Treatment of the output filter of the lock-in; by default readings start after
+    `settling`. "known": the filter is a single pole with the time constant of the
+    survey. Its remainder of the last direction is subtracted, there is no wait after a
+    move, and readings fill the dwell."""
     readings: Literal["buffer"] | None = None
-    """"buffer": the lock-in records its outputs by its own clock and transfers them
-    after each dwell (sr865a, zurich, digitiser). Left out: one query a reading."""
+    """Transfer of readings; by default one query for each reading. "buffer": the
+    lock-in records its outputs by its own clock and transfers them after each dwell
+    (sr865a, zurich, digitiser)."""
     mode: Literal["continuous"] | None = None
-    """"continuous": the beam moves along each row without a stop, by one column in a
-    dwell, and its direction assigns the buffer of the lock-in to pixels. It needs
-    output_filter = "known" and readings = "buffer". Left out: the beam stops for each
-    sample."""
+    """Motion of the beam; by default it stops for each sample. "continuous": the beam
+    moves along each row without a stop, by one column in a dwell. The measured
+    direction assigns the buffer of the lock-in to pixels. This mode needs output_filter
+    = "known" and readings = "buffer"."""
     run_up: Annotated[Time, Field(gt=0, le=60)] | None = None
     """Time of the motion before the first pixel of a row and after the last one; 10 ms
-    if left out [s]."""
+    by default [s]."""
     frequencies_at_once: Annotated[int, Field(ge=2, le=64)] | None = None
-    """Number of modulation frequencies in one dwell, for a lock-in with as many
-    oscillators and demodulators; one after the other if left out [1]."""
+    """Number of simultaneous modulation frequencies, for a lock-in with as many
+    oscillators and demodulators; one at a time by default [1]."""
     references: Annotated[int, Field(ge=1, le=10_000)] = 2
     """Number of times at which dark readings and open-water shots are acquired, spread
     evenly from before the scan to after it; the repeats are divided among them [1]."""
@@ -181,13 +183,13 @@ class Procedure(Description):
     attempts: Annotated[int, Field(ge=1, le=100)] = 3
     """Number of attempts for a sample after loss of the reference [1]."""
     patience: Annotated[int, Field(ge=1, le=1_000_000)] = 50
-    """Overloaded samples in a row before the scan stops [1]."""
+    """Number of consecutive overloaded samples that stops the scan [1]."""
     darkness_patience: Annotated[int, Field(ge=0, le=1_000_000)] = 3
-    """Samples without light in a row before the scan stops [1]."""
+    """Number of consecutive samples without light that stops the scan [1]."""
     position_tolerance: Annotated[Angle, Field(gt=0)] = 1e-4
-    """Largest difference of commanded and read-back direction without a flag [rad]."""
+    """Largest unflagged difference between commanded and read-back direction [rad]."""
     clock_speed: Annotated[float, Field(ge=1e-3, le=1e6)] = 1.0
-    """Speed of the clock of simulators on the network; 1 for real devices [1]."""
+    """Clock speed of simulators on the network; 1 for real devices [1]."""
 
     @model_validator(mode="after")
     def _continuous_needs_filter_and_buffer(self) -> Self:
@@ -216,7 +218,7 @@ class SimulationSettings(Description):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Seed of the noise [1]."""
     speed: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
-    """Speed relative to real time; the fastest possible one if left out [1]."""
+    """Speed relative to real time; as fast as possible by default [1]."""
     cable_delay: Annotated[Time, Field(ge=-1e-3, le=1e-3)] = 0.0
     """Delay of the signal path, for the calibration of phase zero [s]."""
     pickup: Annotated[Voltage, Field(ge=-100, le=100)] = 0.0
@@ -239,8 +241,8 @@ class SimulationSettings(Description):
         ],
         ...,
     ] = ()
-    """Faults with the number of the first reading and the number of readings, such as
-    "unlock@500x3"."""
+    """Faults, each with its first reading and its number of readings. Example:
+    "unlock@500x3" affects three readings from number 500."""
 
 
 class Settings(Description):
@@ -254,23 +256,23 @@ class Settings(Description):
     """
 
     lock_in: LockInSettings = LockInSettings()
-    """The lock-in amplifier."""
+    """Lock-in amplifier."""
     scanner: ScannerSettings = ScannerSettings()
-    """The scanner, which turns the beam."""
+    """Scanner, which turns the beam."""
     launch: MountSettings = MountSettings()
-    """The mount of the launched polarization."""
+    """Rotation mount of the launched polarization."""
     analyser: MountSettings = MountSettings(axis="4")
-    """The mount of the analyzed polarization."""
+    """Rotation mount of the analyzed polarization."""
     laser: LaserSettings = LaserSettings()
-    """The laser."""
+    """Laser."""
     target: TargetSettings = TargetSettings()
-    """The target stage."""
+    """Target stage."""
     digitiser: DigitiserSettings = DigitiserSettings()
-    """The digitizer, in place of a lock-in."""
+    """Digitizer that replaces the lock-in."""
     source: SourceSettings = SourceSettings()
-    """The modulation source, in place of the lock-in."""
+    """Modulation source that replaces the oscillator of the lock-in."""
     procedure: Procedure = Procedure()
-    """The procedure of a sample."""
+    """Acquisition procedure."""
     simulation: SimulationSettings = SimulationSettings()
     """Errors and faults of embedded simulated devices."""
 

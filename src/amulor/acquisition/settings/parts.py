@@ -40,7 +40,7 @@ def driver_check(part: str, *builtin: str) -> AfterValidator:
 
 
 class Linked(Description):
-    """Base of all sections of the devices file that have an address."""
+    """Base class of all sections of the devices file that have an address."""
 
     address: Address | None = None
     """VISA resource name, such as "GPIB0::8::INSTR" or
@@ -49,14 +49,14 @@ class Linked(Description):
     timeout: Patience = 5.0
     """Longest wait for one answer of the device [s]."""
     baud_rate: Annotated[int, Field(ge=50, le=10_000_000)] | None = None
-    """Bits per second of a serial port; 9600, as in VISA, if left out [1/s]."""
+    """Bits per second of a serial port; 9600 by default, as in VISA [1/s]."""
     flow_control: Literal["none", "xon_xoff", "rts_cts", "dtr_dsr"] | None = None
-    """Flow control of a serial port; none, the default of VISA, if left out."""
+    """Flow control of a serial port; none by default, as in VISA."""
 
     lock: Literal[True] | None = None
-    """true: the scan locks the instrument over VXI-11 or HiSLIP (VISA names such as
-    "TCPIP::10.0.0.5::INSTR"), so that no other program on any computer can drive it or
-    switch it off. Left out: no lock in the instrument."""
+    """Whether the scan locks the instrument over VXI-11 or HiSLIP; no lock by default.
+    A locked instrument, with a VISA name such as "TCPIP::10.0.0.5::INSTR", accepts no
+    commands from other programs on any computer."""
 
     @model_validator(mode="after")
     def _only_these_links_have_locks(self) -> Self:
@@ -93,11 +93,11 @@ class MirrorSettings(Description):
     """Mirror: its analog output, and beam angles measured at several voltages."""
 
     output: Annotated[str, Field(min_length=1, max_length=100)]
-    """Number of an auxiliary output of the lock-in, counted from 1; "Dev1/ao0" of
-    nidaqmx; "DAC0" of labjack."""
+    """Name of the output: number of an auxiliary output of the lock-in, counted from 1;
+    "Dev1/ao0" for nidaqmx; "DAC0" for labjack."""
     volts: Annotated[tuple[Volts, ...], Field(min_length=3)]
-    """Voltages of the measured angles in ascending order; the scan stays between them
-    [V]."""
+    """Voltages of the measured angles in ascending order; the scan stays within their
+    range [V]."""
     angles: tuple[Angle, ...]
     """Angle of the beam at each voltage [rad]."""
 
@@ -139,26 +139,27 @@ class ScpiLaserSettings(Description):
     state: str = "OUTP?"
     """Query of the state of the laser."""
     is_off: str = "0"
-    """Answer of a laser that is off."""
+    """Answer to the query `state` when the laser is off."""
     interlock: str | None = None
-    """Query of the interlock, before light and at every sample; optional."""
+    """Query of the interlock, sent before light and at every sample; optional."""
     interlock_closed: str = "1"
-    """Answer of a closed interlock."""
+    """Answer to the query `interlock` when the interlock is closed."""
     current: str | None = None
-    """Query of the diode current at every sample; none if left out [A]."""
+    """Query of the diode current at every sample; no query by default [A]."""
     temperature: str | None = None
-    """Query of the diode temperature at every sample; none if left out [degC]."""
+    """Query of the diode temperature at every sample; no query by default [degC]."""
     prepare: tuple[str, ...] | None = None
     """Commands before the laser is switched on, such as "SOUR:CURR 0.08"."""
     error: str | None = None
-    """Query of errors after the laser was switched on; not sent if left out."""
+    """Query of errors after the laser was switched on; no query by default."""
     no_error: str | None = None
-    """Start of the answer without an error; "0" if left out."""
+    """Start of the answer to the query `error` when there is no error; "0" by
+    default."""
     lock: str | None = None
-    """Query that locks the instrument, sent first, such as "SYST:LOCK:REQ?"; none if
-    left out."""
+    """Query that locks the instrument, sent first, such as "SYST:LOCK:REQ?"; no lock by
+    default."""
     lock_granted: str | None = None
-    """Answer if the lock is granted; "1" if left out."""
+    """Answer if the lock is granted; "1" by default."""
     unlock: str | None = None
     """Command that releases the lock, such as "SYST:LOCK:REL"."""
 
@@ -179,14 +180,14 @@ class ScpiSourceSettings(Description):
     off: tuple[str, ...] = ("OUTP OFF",)
     """Commands that switch the output off."""
     error: str | None = "SYST:ERR?"
-    """Query of errors after settings; not sent if left out."""
+    """Query of errors after settings; no query by default."""
     no_error: str = "+0"
-    """Start of the answer without an error."""
+    """Start of the answer to the query `error` when there is no error."""
     lock: str | None = None
-    """Query that locks the instrument, sent first, such as "SYST:LOCK:REQ?"; none if
-    left out."""
+    """Query that locks the instrument, sent first, such as "SYST:LOCK:REQ?"; no lock by
+    default."""
     lock_granted: str | None = None
-    """Answer if the lock is granted; "1" if left out."""
+    """Answer if the lock is granted; "1" by default."""
     unlock: str | None = None
     """Command that releases the lock, such as "SYST:LOCK:REL"."""
 
@@ -230,10 +231,10 @@ class LaserSettings(Linked):
     on_voltage: Annotated[Voltage, Field(gt=0, le=10)] = 5.0
     """Voltage that switches the laser on; 0 V switches it off [V]."""
     interlock_input: Annotated[int, Field(ge=1, le=4)] | None = None
-    """Auxiliary input of an SR844 or SR865A that the monitor of the interlock is wired
-    to, read in every sample with light; none if left out [1]."""
+    """Auxiliary input of an SR844 or SR865A that the interlock monitor is wired to; no
+    monitor by default [1]. It is read in every sample with light."""
     interlock_voltage: Annotated[Voltage, Field(gt=0, le=10)] = 2.0
-    """Least voltage at that input while the interlock is closed [V]."""
+    """Least voltage at `interlock_input` while the interlock is closed [V]."""
     warm_up: Annotated[Time, Field(ge=0, le=3600)] = 0.0
     """Wait after the laser was switched on [s]."""
 
@@ -295,13 +296,13 @@ class ScpiLockInSettings(Description):
     status: str | None = None
     """Query of the status bits, which latch until they are read."""
     input_overload: Bits = 0
-    """Status bits of an input overload [1]."""
+    """Status bits that report an input overload [1]."""
     output_overload: Bits = 0
-    """Status bits of an output beyond the scale [1]."""
+    """Status bits that report an output beyond the full scale [1]."""
     unlocked: Bits = 0
-    """Status bits of a lost reference [1]."""
+    """Status bits that report a lost reference [1]."""
     scale: str | None = None
-    """Command of the scale, such as "SCAL {code}"; a fixed scale if left out."""
+    """Command of the scale, such as "SCAL {code}"; a fixed scale by default."""
     scales: Annotated[tuple[Annotated[Voltage, Field(gt=0)], ...], Field(min_length=1)]
     """Full scales in the order of their codes, rms or peak as set by `counts` [V]."""
     output: str | None = None
@@ -309,11 +310,11 @@ class ScpiLockInSettings(Description):
     output_read: str | None = None
     """Query of an auxiliary output, such as "AUXV? {code}"."""
     first_output: Annotated[int, Field(ge=0, le=1)] = 1
-    """Code of the output that the panel counts as 1 [1]."""
+    """Code of the output that is labeled 1 on the panel [1]."""
     error: str | None = None
     """Query of errors after settings."""
     no_error: str = "0"
-    """Start of the answer without an error."""
+    """Start of the answer to the query `error` when there is no error."""
 
     @model_validator(mode="after")
     def _belongs_together(self) -> Self:
@@ -344,13 +345,13 @@ class LockInSettings(Linked):
     """Root mean square of the modulation output, which drives the laser; needed by
     sr865a and zurich [V]."""
     input_range: Annotated[Voltage, Field(gt=0)] | None = None
-    """Input range of an sr865a at the start of a scan, peak: 1 V, 300, 100, 30 or 10
-    mV; increased after an overload; 1 V if left out [V]."""
+    """Initial peak input range of an sr865a: 1 V (default), 300, 100, 30 or 10 mV [V].
+    It increases after an overload."""
     lock_timeout: Patience = 10.0
     """Longest wait for lock of the reference [s]."""
     reference: Literal["external"] | None = None
-    """"external": the part `source` is the reference. Left out: the oscillator of the
-    lock-in."""
+    """Reference of the lock-in, by default its own oscillator; "external" selects the
+    section `source`."""
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
@@ -422,19 +423,19 @@ class PanTiltSettings(Description):
     """Pan-tilt head with the Pelco-D protocol: number, directions and limits."""
 
     number: Annotated[int, Field(ge=1, le=255)] = 1
-    """Number of the head, its address on the line [1]."""
+    """Number of the head, which is its address on the line [1]."""
     pan_counts: Literal["right", "left"] = "right"
     """Direction of increasing pan; right, clockwise from above, for an upright head."""
     tilt_counts: Literal["down", "up"] = "down"
     """Direction of increasing tilt."""
     lowest_pan: Angle | None = None
-    """Least azimuth of the head; not checked if left out [rad]."""
+    """Least azimuth of the head; not checked by default [rad]."""
     highest_pan: Angle | None = None
-    """Largest azimuth of the head; not checked if left out [rad]."""
+    """Largest azimuth of the head; not checked by default [rad]."""
     lowest_tilt: Angle | None = None
-    """Least elevation of the head; not checked if left out [rad]."""
+    """Least elevation of the head; not checked by default [rad]."""
     highest_tilt: Angle | None = None
-    """Largest elevation of the head; not checked if left out [rad]."""
+    """Largest elevation of the head; not checked by default [rad]."""
 
     @model_validator(mode="after")
     def _ends_belong_together(self) -> Self:

@@ -75,7 +75,7 @@ def in_steps(
     settings: SimulationSettings,
     rng: np.random.Generator,
 ) -> list[list[complex]]:
-    """Advance the output filters of all tones in even steps; return outputs [V]."""
+    """Advance the output filters of all tones in equal steps; return outputs [V]."""
     from scipy.signal import lfilter
 
     keep = math.exp(-interval / time_constant)
@@ -120,7 +120,7 @@ def _or_never(arrival: float) -> float:
 
 
 class Bench:
-    """Laser, water, target, detector and lock-in filter of a survey, over time.
+    """Simulated optical bench: laser, water, target, detector and lock-in filter.
 
     Simulated devices set its inputs and read its output. A direction between pixels has
     the light of the nearest pixel or shot. The filter integrates the light along the

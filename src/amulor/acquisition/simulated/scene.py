@@ -120,7 +120,7 @@ class Places:
 def mount_angles(
     survey: Survey, launch: Mapping[str, float], analyser: Mapping[str, float]
 ) -> list[complex]:
-    """Return launch + 1j * analyzer angle of each pair [rad]; 1000 rad if not set."""
+    """Return launch + 1j * analyzer mount angle of each pair [rad]; 1000 if not set."""
     pairs = []
     for pair in survey.instrument.polarizations:
         launched, analysed = stokes.pair_states(pair)
