@@ -6,5 +6,5 @@ __all__ = ["Site"]
 
 
 def __dir__() -> list[str]:
-    """List the public names, not the modules that they come from."""
+    """Return the public names of the package only."""
     return sorted(__all__)

@@ -32,8 +32,8 @@ class SiteFrame(Description):
     """Local frame of all scans: x east, y north, z up."""
 
     crs: ReferenceSystem = ""
-    """Reference system that the local frame belongs to: a projected one in meters, such
-    as "EPSG:32632", or a name; none if left out."""
+    """Reference system of the local frame: a projected system in meters, such as
+    "EPSG:32632", or a name; none by default."""
     crs_offset: Position = (0.0, 0.0, 0.0)
     """Offset from the local frame to the reference system (east, north, up), common to
     all scans, tiles and epochs [m]."""
@@ -45,7 +45,7 @@ class Epoch(Description):
     name: Name
     """Name of the visit, used by scans."""
     date: datetime.date | None = None
-    """Day of the visit; unknown if left out."""
+    """Day of the visit; unknown by default."""
 
 
 class StartPose(Description):
@@ -127,11 +127,11 @@ class SiteScan(Description):
     epoch: Name
     """Name of the visit in which the scan was made."""
     start: Annotated[StartPose | None, BeforeValidator(_unknown_as_none)] = None
-    """Approximate pose of the instrument, with uncertainties; "unknown" if it follows
-    from targets in other scans, or from control points."""
+    """Approximate pose of the instrument, with uncertainties; "unknown" if targets in
+    other scans or control points determine it."""
     water: Path | None = None
-    """Survey file that states the water; that of the scan itself if left out. Scans
-    with equal water share the error of its group index."""
+    """Survey file that states the water; by default the survey of the scan. Scans with
+    equal water share the error of its group index."""
     instrument: Name = "instrument"
     """Name of the instrument; scans of one instrument and one epoch share the errors of
     its delay and its geometry."""
@@ -244,18 +244,19 @@ class Control(Description):
     """Position of the target's center (east, north, up) in the frame of the site
     [m]."""
     uncertainty: tuple[_Sigma, _Sigma, _Sigma] | _Sigma
-    """Standard uncertainty of each coordinate: one number for all, or one each [m]."""
+    """Standard uncertainty of the coordinates: one number for all, or one number for
+    each [m]."""
 
 
 class Registration(Description):
     """Settings for the registration of all scans."""
 
     overlap: Annotated[Fraction, Field(gt=0, le=1)] = 0.1
-    """Two scans are compared if at least this fraction of the pixels of one falls on
-    the other [1]."""
+    """Least fraction of a scan's pixels that must lie on another scan, for a comparison
+    of the two [1]."""
     voxel: Annotated[Length, Field(gt=0, le=1)] | None = None
-    """Spacing of points in the first, rough alignment; twice the spacing of the
-    pixels if left out [m]."""
+    """Spacing of points in the first, rough alignment; by default twice the spacing of
+    the pixels [m]."""
     window: Annotated[Count, Field(ge=3, le=21)] = 7
     """Width in pixels of the window in which a surface must be smooth; odd [1]."""
 
@@ -270,11 +271,11 @@ class Comparison(Description):
     """Settings for the comparison of visits."""
 
     spacing: Annotated[Length, Field(gt=0, le=10)] | None = None
-    """Distance between neighboring points at which change is tested; twice the spacing
-    of the pixels if left out [m]."""
+    """Distance between neighboring points at which change is tested; by default twice
+    the spacing of the pixels [m]."""
     radius: Annotated[Length, Field(gt=0, le=10)] | None = None
-    """Radius of the cylinder whose points are averaged; one and a half times `spacing`
-    if left out [m]."""
+    """Radius of the cylinder whose points are averaged; by default one and a half times
+    `spacing` [m]."""
     reach: Annotated[Length, Field(gt=0, le=10)] = 0.2
     """Largest change that is detected, along the normal [m]."""
     false_alarms: Annotated[Fraction, Field(gt=0, lt=0.5)] = 0.05

@@ -57,8 +57,8 @@ class Change:
     normal: Floats
     """Normals of the first visit's surface at the points, shape (n, 3) [1]."""
     value: Floats
-    """Distance of the second visit's surface from the first one's along the normal; NaN
-    where either was not measured, shape (n,) [m]."""
+    """Distance from the first visit's surface to the second visit's surface along the
+    normal; NaN where either was not measured, shape (n,) [m]."""
     uncertainty: Floats
     """Combined standard uncertainty of the distance [m]."""
     own: Floats
@@ -303,7 +303,7 @@ def _in_cylinders(
     radius: float,
     reach: float,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
-    """Return cylinder and index of each point inside, its offset, and the offset along.
+    """Return cylinder, index, offset and axial offset of each point in a cylinder.
 
     Cylinders are processed in groups, because the spheres around them contain many more
     points.

@@ -32,9 +32,9 @@ class Motion:
     """Rigid motion of an object from the first visit to the second."""
 
     centre: Floats
-    """Reference point of the motion in the site: center of the visible points, or the
-    point next to it on an axis about which the shape cannot show a rotation, shape (3,)
-    [m]."""
+    """Reference point of the motion in the site, shape (3,) [m]: center of the visible
+    points. If the shape does not show a rotation about an axis, the point of that axis
+    next to the center."""
     shift: Floats
     """Translation of the reference point: east, north, up [m]."""
     turn: Floats
@@ -223,7 +223,7 @@ def _to_middle(pair: Pair, middle: Floats) -> Floats:
 
 
 def _held(pairs: list[Pair], middle: Floats) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return the projector onto motions that scan pairs determine, and other motions.
+    """Return the projector onto motions that scan pairs determine, and all others.
 
     All pairs are combined, because each alone would leave a different rotation of a
     round body undetermined.

@@ -102,8 +102,8 @@ class Merged:
     moving: Flags
     """Mask of points that other scans of the visit see through: moving objects."""
     share: Floats
-    """Weight of a point among all points at its place, where the weights of the scans
-    have the sum 1, shape (n,) [1]."""
+    """Weight of a point among all points at its place; the weights of all scans sum to
+    1, shape (n,) [1]."""
     site: Site
     """Description of the site."""
 

@@ -392,7 +392,7 @@ def _pairs(
     gate: float | None,
     before: Sequence[Pair],
 ) -> list[Pair]:
-    """Compare overlapping scans, if compared before only at the same points."""
+    """Compare overlapping scans; for pairs compared before, at the earlier points."""
     among = {(p.source, p.target): p.source_pixel[p.weight > 0] for p in before}
     comparisons = (
         compared(

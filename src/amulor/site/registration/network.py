@@ -78,8 +78,8 @@ class Ties:
     bars: Sequence[KnownDistance] = ()
     """Scale bars between targets."""
     fixed: str | None = None
-    """Scan whose axes define those of the site; None if start poses or control
-    points do."""
+    """Scan whose axes define the axes of the site; None if start poses or control
+    points define them."""
 
 
 @dataclass

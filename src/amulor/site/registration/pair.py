@@ -1,4 +1,4 @@
-"""Comparison of two scans: distances of one scan's points from the other's patches.
+"""Comparison of two scans: distances of points of one from patches of the other.
 
 Normals are noisy, and noise in both factors of a sum of squares adds up: a flat sea
 bed would look as if it held a scan sideways, and a site would shrink, since a smaller
@@ -38,7 +38,7 @@ class Pair:
     source: str
     """Scan whose points are compared."""
     target: str
-    """Scan whose patches they are compared with."""
+    """Scan whose surface patches the points are compared with."""
     keys: tuple[str, ...]
     """Keys of the shared errors of both scans."""
     pivot: Floats
@@ -67,8 +67,8 @@ class Pair:
     """Derivative of the distance by the slant range of the source's pixel, computed
     with the source's normals, shape (n,)."""
     target_pixel_apart: Numbers
-    """Numbers of the target's pixels where neighbors of the source's pixel place the
-    point, independent of its noise, shape (n,)."""
+    """Numbers of the target's pixels for points located from the neighbors of their
+    pixels, independent of the pixels' own noise, shape (n,)."""
     window: sparse.csr_matrix
     """Derivatives of the distance by the ranges of the target's pixels, negative, shape
     (n, pixels)."""

@@ -286,7 +286,7 @@ def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
 
 
 def unfit_scan(pairs: Sequence[Pair], scans: Sequence[str]) -> tuple[str, float] | None:
-    """Return the only scan that fits no other, with its misfit; else None.
+    """Return the scan, if exactly one, that fits no other, with its misfit; else None.
 
     A bent scan has a large misfit and excluded points in each of its pairs. A moved
     body leaves the misfit of all other points at 1, and an understated noise excludes

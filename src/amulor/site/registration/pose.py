@@ -118,7 +118,7 @@ def aligned(
     voxel: float,
     reach: float,
 ) -> ScanPose:
-    """Align points with other points, from a start pose; return the pose found.
+    """Align points with other points, from a start pose; return the new pose.
 
     Planes are matched with planes, from coarse to fine voxels. Only the pose is used:
     errors from this sum of squares would be 40 to 85 times too small.

@@ -381,7 +381,7 @@ def _seen_through(
 
 
 def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:
-    """Yield a message for each visit or group of scans not connected to others."""
+    """Yield a message for each visit or group of scans not connected to the others."""
     visit = {scan.name: scan.epoch for scan in site.scan}
     tied = [(pair.source, pair.target) for pair in alignment.pairs]
     tied += [
@@ -425,7 +425,7 @@ def _groups(names: list[str], tied: list[tuple[str, str]]) -> list[list[str]]:
 def _weak_directions(
     result: Registration, ties: Ties, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Weakness, ...]:
-    """Return pose directions that nothing but start poses determines.
+    """Return pose directions that only the start poses determine.
 
     A start pose that is accurate to a fraction of a pixel, as of a surveyed station,
     suffices.

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 def non_centrality(chance: float) -> float:
-    """Return the standardized error found with 80 % power, by false-alarm rate [1]."""
+    """Return the standardized error that a test detects with 80 % power [1]."""
     return float(norm.isf(chance / 2) + norm.isf(1 - 0.8))
 
 

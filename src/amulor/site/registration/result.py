@@ -25,7 +25,7 @@ KIND = "amulor site registration 1"
 
 @dataclass(frozen=True, kw_only=True)
 class Weakness:
-    """Pose direction that nothing but the start pose determines."""
+    """Pose direction that only the start pose determines."""
 
     scan: str
     """Name of the scan."""
@@ -38,7 +38,7 @@ class Weakness:
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """Value in the site file that the scans contradict, and by how much."""
+    """Value in the site file that the scans contradict, and its discrepancy."""
 
     scan: str
     """Name of the scan; empty for an error that several share."""
@@ -128,8 +128,8 @@ class Registration:
     errors: dict[str, float]
     """Estimated shared errors by key, in units of their standard deviation [1]."""
     places: dict[str, tuple[int, int]]
-    """First and last index, the last excluded, of each unknown in the covariance, by
-    "pose NAME", "point NAME" and "error KEY"."""
+    """Index range, end excluded, of each unknown in the covariance, by "pose NAME",
+    "point NAME" and "error KEY"."""
     covariance: Floats
     """Joint covariance of all unknowns."""
     pairs: tuple[dict[str, Any], ...]
@@ -146,8 +146,8 @@ class Registration:
     settled: bool
     """Whether the fit converged: its last step was small."""
     fixed: str = ""
-    """Scan whose axes define those of the site, if neither start poses nor
-    control points do."""
+    """Scan whose axes define the axes of the site, if neither start poses nor control
+    points define them."""
     patterns: tuple[PatternTest, ...] = ()
     """Tests for systematic errors of each scan over rows, columns, range and angle."""
     undetected: dict[str, Undetected] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Lines of sight: scans that look through each other's surface contradict each other.
+"""Test of lines of sight: pairs of scans that look through each other's surface.
 
 Water reaches up to the surface that a scan measures. A point of another scan in front
 of that surface passed by in between, like a fish, or one of both scans is at a wrong
@@ -40,7 +40,8 @@ class Sight:
     scans: tuple[str, str]
     """Names of the scans."""
     shares: tuple[float, float]
-    """Part of the compared points of each scan in front of the other's surface [1]."""
+    """Fraction of the compared points of each scan in front of the other's surface
+    [1]."""
     distance: float
     """Median distance of these points in front of the surface [m]."""
     uncertainty: float

@@ -37,7 +37,7 @@ class StartFindings:
     """Errors and notes that the test of start poses reports."""
 
     mistakes: tuple[str, ...]
-    """Start poses under which another convention gives a larger overlap."""
+    """Start poses that give a larger overlap under another convention."""
     remarks: tuple[str, ...]
     """Visits and scans that do not overlap with any other."""
 

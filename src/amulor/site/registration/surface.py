@@ -29,7 +29,7 @@ _POWER = {"delay": 0.0, "geometry": 0.0, "group_index": 1.0, "late_echo": 2.0}
 
 @dataclass(frozen=True, kw_only=True)
 class Shared:
-    """Range errors common to many pixels: shapes, each times a random factor."""
+    """Range errors common to many pixels: error shapes, each times a random factor."""
 
     keys: tuple[str, ...]
     """Name of each shape's factor; scans with an equal key share the factor."""
@@ -187,7 +187,7 @@ class ScanSurface:
     """Differences of origin and direction by a row and by a column, shape (2, 2, row,
     column, 3) [m, 1]."""
     distance: Floats
-    """Slant ranges, NaN where there is none [m]."""
+    """Slant ranges; NaN without a range [m]."""
     own: Floats
     """Standard uncertainty of the range that is independent of other pixels [m]."""
     shared: Shared
@@ -198,12 +198,12 @@ class ScanSurface:
     powers: Numbers
     """Powers of row and column in each term of a patch, shape (term, 2) [1]."""
     apart: Floats
-    """Position of a pixel from its neighbors in the window, shape (row, column, 3)
-    [m]."""
+    """Position of each pixel, estimated from its neighbors in the window, shape (row,
+    column, 3) [m]."""
     kernels: Floats
     """Weights of the least-squares fit of patches, shape (term, window, window) [1]."""
     slope: float
-    """Noise of a patch's slope over that of a pixel's range [1]."""
+    """Noise of a patch's slope, relative to the noise of a pixel's range [1]."""
     normal: Floats
     """Unit normals towards the instrument, NaN if not smooth, shape (row, column, 3)
     [1]."""
