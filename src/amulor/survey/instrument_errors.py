@@ -61,7 +61,7 @@ class OpticalLeakage(Description):
     depolarization: _Share = 0.0
     """0 for leaking light that keeps its polarization, 1 for unpolarized light [1]."""
     part: Part = "all"
-    """Samples that are affected: of the scan, of open-water shots, or both."""
+    """Affected samples: of the scan, of open-water shots, or both."""
 
 
 class Counting(Description):
@@ -118,7 +118,7 @@ class Crosstalk(Description):
     change: _Change = 0.0
     """Relative change of the amplitude from the first to the last sample [1]."""
     part: Part = "all"
-    """Samples that are affected: of the scan, of open-water shots, or both."""
+    """Affected samples: of the scan, of open-water shots, or both."""
 
 
 class Drift(Description):
@@ -145,7 +145,7 @@ class ScaleChange(Description):
     phase: _Phase = 0.0
     """Phase error of the other range [rad]."""
     gain: _Change = 0.0
-    """Gain of the other range over that of the normal range, minus 1 [1]."""
+    """Gain of the other range divided by the gain of the normal range, minus 1 [1]."""
 
 
 class Demodulator(Description):

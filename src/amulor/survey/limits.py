@@ -22,9 +22,9 @@ class Limit:
     quantity: str
     """Physical quantity, a key of `amulor.units.SI_UNITS`."""
     least: float | None = None
-    """Smallest allowed value, of coordinates the smallest magnitude [SI]."""
+    """Smallest allowed value; for coordinates, the smallest magnitude [SI]."""
     most: float
-    """Largest allowed value, of coordinates the largest magnitude [SI]."""
+    """Largest allowed value; for coordinates, the largest magnitude [SI]."""
     reason: str
     """Reason of the limits."""
 

@@ -28,7 +28,7 @@ SURFACES: dict[str, tuple[float, float, float]] = {
 
 
 def keeping(m22: float) -> tuple[float, float, float]:
-    """Return (m22, m33, m44) for backscatter by randomly oriented particles."""
+    """Return (m22, m33, m44) for backscattering by randomly oriented particles."""
     return m22, -m22, 1.0 - 2.0 * m22
 
 

@@ -55,7 +55,7 @@ class WaterProperties:
     split_angle: float = math.pi / 2
     """Scattering angle between the forward and the diffuse part [rad]."""
     phase_function: PhaseFunction | None = None
-    """Phase function over all angles; None where the survey states only moments."""
+    """Phase function over all angles; None if the survey states only moments."""
     layers: tuple[LayerOptics, ...] = ()
     """Layers across the forward axis; empty for uniform water. With layers, the
     coefficients above are those of the first layer."""

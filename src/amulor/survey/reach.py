@@ -50,7 +50,7 @@ def target_reach(survey: Survey) -> tuple[float, float] | None:
 def unsettled_interval(
     survey: Survey | None, *, modulation_frequency: ArrayLike
 ) -> str:
-    """Return why the ranges of the targets are ambiguous; empty if they are not.
+    """Return the reason for ambiguous ranges of the targets; empty if unambiguous.
 
     Phases repeat with the ambiguity interval of the smallest frequency, or of the
     smallest difference between two. The right repetition must be known, either from

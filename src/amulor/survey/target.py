@@ -68,7 +68,7 @@ class Plate(_Target):
 
 
 class Staircase(_Target):
-    """Staircase: flat treads side by side, each nearer than the one to its left.
+    """Staircase: flat treads side by side, each nearer than its left neighbor.
 
     The first tread lies in the plane of `position`.
 

@@ -31,7 +31,7 @@ class View:
     """Inclination of the beam relative to the receiver's axis, across the baseline
     [rad]."""
     standoff: Floats
-    """Optical equivalent of air and glass before the water, as a depth of water [m]."""
+    """Air and glass before the water, as an optically equivalent depth of water [m]."""
     optical_offset: Floats
     """Round-trip optical path at depth zero [m]."""
     acceptance: float

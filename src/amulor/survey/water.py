@@ -1,4 +1,4 @@
-"""Water described by coefficients, and the fields that all kinds of water have."""
+"""Water described by coefficients, and the fields common to all kinds of water."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
 class WaterState(Description):
-    """Temperature, salinity and other fields that all kinds of water have."""
+    """Temperature, salinity and other fields common to all kinds of water."""
 
     split_angle: Annotated[Angle, Field(gt=0, le=math.pi)] = math.pi / 2
-    """Scattering below this angle counts as forward, scattering beyond it as diffuse
-    [rad]. 90 degrees is right for the small-angle model, which simulates scans, and for
-    its closure. With 90 degrees, the diffusion model of Ricci et al. 2010 gives a
-    cut-off 57 to 83 % too high and too weak an echo of a far target. State 10 to 20
-    degrees for the diffusion model."""
+    """Angle that separates forward scattering from diffuse scattering [rad]. 90 degrees
+    is right for the small-angle model, which simulates scans, and for its closure. With
+    90 degrees, the diffusion model of Ricci et al. 2010 gives a cut-off 57 to 83 % too
+    high and too weak an echo of a far target. State 10 to 20 degrees for the diffusion
+    model."""
     temperature: Annotated[Temperature, Field(ge=0, le=30)] | None = None
     """Temperature of the water, which determines the refractive indices [degC]. Without
     a temperature, amulor assumes 15 degC and adds the error for 0 to 30 degC to the
@@ -48,16 +48,16 @@ class WaterState(Description):
     group_index: Annotated[float, Field(ge=1.2, le=1.6)] | None = None
     """Group index; computed from temperature and salinity by default [1]."""
     backscatter_mueller: ReducedMueller | None = None
-    """Reduced Mueller matrix of the water straight backwards [1]. For jerlov, petzold
-    and case-1, the default is a measurement in the sea. For pure, milk and spheres, the
+    """Reduced Mueller matrix of the water at 180 degrees [1]. For jerlov, petzold and
+    case-1, the default is a measurement in the sea. For pure, milk and spheres, the
     default is that of molecules and spheres. For coefficients and layers, the default
     conserves the polarization: 1, -1, -1."""
     column_end: Annotated[Length, Field(gt=0)] | None = None
     """Distance at which the open water ends (far wall of a tank); unlimited by default
     [m]."""
     signal_fluctuation: Annotated[Fraction, Field(ge=0, lt=1)] = 0.0
-    """Relative standard deviation of the water signal between samples, as by drifting
-    clouds of particles [1]."""
+    """Relative standard deviation of the water signal between samples, such as from
+    drifting clouds of particles [1]."""
 
 
 #: Salinity and temperature of waters that do not state them [1, degC].

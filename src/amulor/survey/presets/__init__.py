@@ -28,7 +28,7 @@ class Preset:
     use: str
     """Purpose of the instrument."""
     counts: dict[str, int]
-    """Number of values that are published, deduced and assumed."""
+    """Numbers of published, deduced and assumed values."""
     text: str
     """Text of the survey file, with a comment on each line."""
 

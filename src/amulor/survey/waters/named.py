@@ -168,7 +168,7 @@ class MilkWater(WaterState):
 
 
 class SphereWater(WaterState):
-    """Pure water with spheres of one size, which scatter after Mie.
+    """Pure water with spheres of one size, whose scattering follows Mie's theory.
 
     Examples
     --------

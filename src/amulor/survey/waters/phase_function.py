@@ -100,12 +100,12 @@ class FournierForand(Description):
     kind: Literal["fournier-forand"]
     """Kind of phase function."""
     relative_index: Annotated[float, Field(gt=1, le=1.5)] | None = None
-    """Refractive index of the particles over that of the water [1]."""
+    """Refractive index of the particles, relative to the water [1]."""
     slope: Annotated[float, Field(gt=3, lt=5)] | None = None
     """Exponent of the hyperbolic size distribution [1]."""
     backscatter_fraction: Annotated[Fraction, Field(ge=3e-4, le=0.2)] | None = None
-    """Backscattering over scattering, instead of index and slope [1]. Index and slope
-    then follow from the relation of Mobley et al. 2002."""
+    """Backscattering fraction, instead of index and slope [1]. Index and slope then
+    follow from the relation of Mobley et al. 2002."""
 
     @model_validator(mode="after")
     def _is_stated_once(self) -> Self:
@@ -189,7 +189,7 @@ class Rayleigh(Description):
 
 
 class Tabulated(Description):
-    """User's own phase function or volume scattering function, as a table.
+    """Phase function or volume scattering function, tabulated by the user.
 
     Examples
     --------

@@ -40,7 +40,7 @@ class LayerOptics:
     """Absorption, scattering and phase function of a layer of water."""
 
     thickness: float
-    """Thickness along the forward axis, infinite for the last one [m]."""
+    """Thickness along the forward axis; infinite for the last layer [m]."""
     absorption: float
     """Absorption coefficient a [1/m]."""
     scattering: float
