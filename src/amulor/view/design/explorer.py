@@ -53,7 +53,7 @@ _SLIDERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """Required accuracy at one distance and attenuation, a point on the error map."""
+    """Required accuracy at one distance and attenuation: a point on the error map."""
 
     distance: float
     """Slant range [m]."""

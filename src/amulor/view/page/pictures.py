@@ -147,7 +147,7 @@ class Picture(Protocol):
         """Whether the image has a variable."""
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Values of a variable at every n-th row and column, n the stride."""
+        """Values of a variable at every `stride`-th row and column."""
 
     def beams(self) -> BeamReader:
         """Return a function that reads the beams of the image."""
@@ -195,7 +195,7 @@ class MemoryPicture:
         return variable in self.image
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Values of a variable at every n-th row and column, n the stride."""
+        """Values of a variable at every `stride`-th row and column."""
         return np.asarray(self.image[variable].values[::stride, ::stride])
 
     def beams(self) -> BeamReader:
@@ -282,7 +282,7 @@ class LargePicture:
         return variable in self._file
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Values of a variable at every n-th row and column, floats with 32 bits."""
+        """Values of a variable at every `stride`-th row and column, as float32."""
         rows, columns = (-(-size // stride) for size in self.shape)
         kind = self._read(variable, slice(0, 1), slice(0, 1)).dtype.kind
         out = np.empty((rows, columns), np.uint16 if kind in "iu" else np.float32)

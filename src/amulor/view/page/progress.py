@@ -30,7 +30,7 @@ class Change:
     """Relative change of the open-water signal, with its significance."""
 
     size: float = 0.0
-    """Change over the water signal [1]."""
+    """Change of the signal divided by the water signal [1]."""
     error: float = math.inf
     """Standard uncertainty of the change [1]."""
     chance: float = 1.0
@@ -44,7 +44,8 @@ class Drift:
     elapsed: Sequence[float] = ()
     """Time of each round since the start of the scan [s]."""
     change: Sequence[float] = ()
-    """Change of each round from the mean of all rounds, over the water signal [1]."""
+    """Deviation of each round from the mean of all rounds, relative to the water signal
+    [1]."""
     error: Sequence[float] = ()
     """Standard uncertainty of each change [1]."""
     total: Change = field(default_factory=Change)
@@ -137,7 +138,7 @@ _SHORTEST = 15.0
 
 @dataclass(frozen=True, kw_only=True)
 class Going:
-    """State of a running scan: samples, rate, drift, and reason of its end."""
+    """State of a running scan: samples, rate, drift, and reason for its end."""
 
     running: bool
     """Whether a part of the scan is running."""

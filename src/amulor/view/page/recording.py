@@ -245,7 +245,7 @@ class Recording:
         return layers
 
     def layer(self, channel: str, name: str, stride: int) -> NDArray[Any]:
-        """Values of one map at every n-th row and column, n the stride."""
+        """Values of one map at every `stride`-th row and column."""
         layers = self.layers(channel)
         if name not in layers:
             raise CubeError(f"{self.name} has no map {name!r} in channel {channel}")

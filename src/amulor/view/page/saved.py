@@ -168,7 +168,7 @@ def _assembled(
 
 
 def _modules(files: Mapping[str, bytes], starts: str) -> set[str]:
-    """JavaScript modules that a module imports, directly or not, and that module."""
+    """Names of a JavaScript module and of the modules that it imports."""
     modules: set[str] = set()
     pending = [starts]
     while pending:
@@ -180,5 +180,5 @@ def _modules(files: Mapping[str, bytes], starts: str) -> set[str]:
 
 
 def _bare(module: str) -> str:
-    """Return a JavaScript module that imports others by name instead of by path."""
+    """JavaScript module with its imports by name instead of by path."""
     return re.sub(r'(from\s+|import\s+)"\./([\w-]+\.js)"', r'\1"page/\2"', module)
