@@ -50,7 +50,7 @@ def require(*extras: str, purpose: str) -> None:
 
 
 def left_out(modules: Mapping[str, str]) -> dict[str, str]:
-    """Return the features whose package is missing, and the extra that installs it."""
+    """Return the features with missing packages, and the extra that installs each."""
     return {
         feature: next(
             extra for extra, brought in MODULES.items() if name in brought.values()

@@ -1,4 +1,4 @@
-"""Names of the entry points of installed packages, without importing these."""
+"""Names of the entry points of installed packages, without import of the packages."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def tell(step: str, share: float) -> None:
 
 
 def aside(step: str) -> None:
-    """Report from any thread that the present step is delayed, or goes on."""
+    """Report from any thread that the present step is delayed, or continues."""
     ear = _ear.get() or (_ears[-1] if _ears else None)
     if ear is not None:
         ear.listener(step or "".join(ear.steps), 0.0)

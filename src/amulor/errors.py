@@ -2,7 +2,7 @@
 
 
 class AmulorError(Exception):
-    """Base of all errors that a user can correct; its text says what to do.
+    """Base class of errors that a user can correct; the message says what to do.
 
     Examples
     --------
@@ -13,7 +13,7 @@ class AmulorError(Exception):
 
 
 class AmulorWarning(UserWarning):
-    """A result is beyond the validity range of its formula; its text is one line.
+    """Result outside the validity range of its formula; the message is one line.
 
     Examples
     --------
@@ -32,7 +32,7 @@ class AmulorWarning(UserWarning):
 
 
 class SurveyError(AmulorError):
-    """A survey file or a description in it cannot be used.
+    """A survey file, or a description in it, cannot be used.
 
     Examples
     --------

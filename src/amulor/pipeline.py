@@ -299,7 +299,7 @@ class Summary:
 def opened(
     path: AnyPath, rows: int | None = None, *, level: str
 ) -> Iterator[tiles.Source]:
-    """Open a cube in memory; by rows if it is large or a tile size is given."""
+    """Open a cube: in memory, or by rows if it is large or a tile size is given."""
     if rows is None and not is_large(path):
         tell(f"reading {path}", 0.0)
         yield tiles.InMemory(cubes.checked(io.read_cube(path), level, name=str(path)))

@@ -1,4 +1,4 @@
-"""The command line: parse, call one public function, print a short result."""
+"""Command line: parsing of options, calls of public functions, printed results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options shared by several commands, and errors of their usage."""
+"""Options shared by several commands, and usage errors."""
 
 from __future__ import annotations
 

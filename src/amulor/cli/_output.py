@@ -149,7 +149,7 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None
 
 @contextmanager
 def _lines() -> Iterator[_progress.Listener]:
-    """Print progress as lines; print nothing for short work."""
+    """Print progress as lines; print nothing for short computations."""
     log = _Log(time.monotonic)
     ended = threading.Event()
 

@@ -71,7 +71,7 @@ def presets(
 
 
 def _print_reach(accuracy: float, reflectance: float | None, *, json: bool) -> None:
-    """Print the distances at which each preset is accurate enough, by water."""
+    """Print the distances at which each preset is accurate enough, for each water."""
     from dataclasses import asdict
 
     from amulor.design.evaluate import WATERS, reach
@@ -106,7 +106,7 @@ def _print_reach(accuracy: float, reflectance: float | None, *, json: bool) -> N
 
 
 def _span(reach: Reach) -> list[str]:
-    """Return table cells: nearest distance, farthest distance, and its cause."""
+    """Return table cells: nearest and farthest distance, and cause of the limit."""
     if reach.nearest is None or reach.farthest is None:
         return ["", "none", reach.binding]
     far = "> 60" if math.isinf(reach.farthest) else f"{reach.farthest:.3g}"

@@ -362,7 +362,7 @@ def compare(
 
 
 def _first_of(number: int, motions: dict[int, Motion]) -> int:
-    """Return the number of the first region that moves with a region as one body."""
+    """Return the number of the first region that belongs to a region's moving body."""
     return next(k for k in sorted(motions) if motions[k] is motions[number])
 
 

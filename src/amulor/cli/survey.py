@@ -1,4 +1,4 @@
-"""`amulor survey check` and `amulor survey schema`: survey files checked, described."""
+"""`amulor survey check` and `amulor survey schema`: check, and schema of surveys."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def view(
 def _shown(
     path: Path, samples: Path | None, interval: tuple[float, float] | None
 ) -> Recording | Live:
-    """Open what the page shows: a file, or a running scan."""
+    """Open a file or a running scan for the page."""
     from amulor.view import page
 
     if not path.is_dir():

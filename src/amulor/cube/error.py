@@ -1,4 +1,4 @@
-"""Flags of pixels from flags of samples, and pixels whose range error is unknown."""
+"""Flags of pixels from flags of samples, and images with unknown range error."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def flags_of_pixels(
 
 
 def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.float64]:
-    """Return the phase uncertainty by the instrument, for each frequency [rad].
+    """Return the phase uncertainty of the instrument at each frequency [rad].
 
     The stated or typical size, the error of calibrated phases, and the phase between
     channels where chance does not explain it. The combination of channels multiplies

@@ -17,8 +17,8 @@ class Term:
     meaning: str
     """Meaning of the term, in a few words."""
     kind: Literal["A", "B", "A, B"]
-    """Evaluation of its standard uncertainty: A from the scatter of measurements, B
-    from other knowledge."""
+    """Type of evaluation of the uncertainty: A from the scatter of measurements, B from
+    other knowledge."""
 
 
 #: All terms, in the order of reports.
@@ -146,11 +146,11 @@ class QualityFlag(enum.IntFlag):
     NO_OPEN_WATER = 32
     """The water signal was not removed: the range has an unknown error."""
     MIXED = 64
-    """The beam meets two surfaces at once, and the range lies between the two."""
+    """The beam meets two surfaces at once, and the range lies between them."""
     OUTLIER = 128
     """A sample disagrees with the rest of its pixel or of the scan."""
     RELATIVE = 256
-    """The range may be off by whole intervals of the phase."""
+    """The range may be wrong by whole ambiguity intervals."""
     CORNER = 512
     """Light reflected twice in a corner moves the range by more than other errors."""
 

@@ -1,4 +1,4 @@
-"""A cube in tiles of rows: where rows are read from, and how tiles are joined."""
+"""Tiles of rows of a cube: sources of rows, and assembly of tiles."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class Derived:
 
 
 class Changed(Derived):
-    """Row source that applies a function to the tiles of another source.
+    """Row source that applies a function to tiles of another source.
 
     Parameters
     ----------

@@ -142,7 +142,7 @@ def write_contours(
 
 
 def cell_of(order: Order, surface: products.Surface) -> float:
-    """Return the size of raster cells: as ordered, else from print or pixels [m]."""
+    """Return the raster cell size: as ordered, else from print or pixel spacing [m]."""
     if order.cell is not None:
         return order.cell
     if order.product == "orthoimage":

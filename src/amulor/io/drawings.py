@@ -296,7 +296,7 @@ class Band:
     unit: str
     """Unit, such as "m"."""
     values: Floats
-    """Values, upper row first; NaN where there is none, shape (rows, columns)."""
+    """Values, upper row first, NaN without data, shape (rows, columns)."""
 
 
 def write_geotiff(

@@ -294,7 +294,7 @@ def read_laz(path: Path, *, most: int) -> Shape:
 
 
 def _check_counts(path: Path) -> None:
-    """Raise if a header declares more records than fit: laspy would read them all."""
+    """Raise if a header declares more records than the file can hold."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(_HEADER).ljust(_HEADER, b"\0")

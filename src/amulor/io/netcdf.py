@@ -438,7 +438,7 @@ def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _opened(file: Any, group: str | None, *, by_rows: bool = False) -> xr.Dataset:
-    """Open a group of a file; by rows, variables with rows stay unread."""
+    """Open a group of a file; if by rows, leave variables with rows unread."""
     store = xr.backends.H5NetCDFStore(file, group=group)
     # Units such as "days since 2020-01-01" are left to the schema.
     part = xr.open_dataset(store, decode_times=False, cache=not by_rows)

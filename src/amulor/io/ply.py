@@ -351,7 +351,7 @@ def _bytes_of(
     elements: list[tuple[int, list[list[str]]]],
     order: Literal["big", "little"],
 ) -> int:
-    """Bytes of binary elements whose lists are as long as those of the first record."""
+    """Byte count of binary elements whose lists have the first record's length."""
     begin, size = file.tell(), 0
     for count, properties in elements:
         record = 0

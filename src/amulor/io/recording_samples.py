@@ -188,7 +188,7 @@ def groups(ordered: Floats) -> NDArray[np.intp]:
 
 
 def places_known_by(samples: Samples) -> Places:
-    """Columns that tell the pixel of each sample: rows, angles, or only the order."""
+    """Source of the pixel of each sample: row numbers, angles, or only the order."""
     if np.isfinite(samples.row).any():
         return "rows"
     return "angles" if np.isfinite(samples.azimuth).any() else "order"
@@ -290,7 +290,7 @@ def median_of(nearest: Floats) -> float:
 
 
 def off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
-    """Distance of signals from mixtures of two neighbors, and between neighbors.
+    """Distance of signals from mixtures of two neighbors, and of those neighbors.
 
     A beam on an edge measures a mixture of both sides. The first axis of `beside` has
     the neighbors of each sample, NaN where there are none.

@@ -30,8 +30,8 @@ class TableSettings(Description):
     """File format of the table of a recording."""
 
     format: Literal["csv", "hdf5"] = "csv"
-    """"csv": a line of names and a line per sample; "hdf5": an array per column, of one
-    or two dimensions."""
+    """Format of the file. "csv": a line of names and a line per sample; "hdf5": an
+    array per column, of one or two dimensions."""
     delimiter: Annotated[
         str, StringConstraints(strip_whitespace=False, min_length=1, max_length=1)
     ] = ","
@@ -40,7 +40,7 @@ class TableSettings(Description):
     """Start of a line without data; "%" for LabOne. The last comment before the data
     names the columns if no other line does."""
     skip: Annotated[int, Field(ge=0, le=10**9)] = 0
-    """Lines before the line of names [1]."""
+    """Number of lines before the line of column names [1]."""
     decimal: Literal[".", ","] = "."
     """Decimal separator."""
 
@@ -112,8 +112,8 @@ class ConstantSettings(Description):
     scale: Annotated[float, Field(gt=0)] = 1.0
     """Volts per unit of the output columns [V]."""
     root_mean_square: bool = True
-    """Whether voltages are rms values, as of most lock-in amplifiers; otherwise
-    peak."""
+    """Whether voltages are rms values, as of most lock-in amplifiers; otherwise they
+    are peak values."""
     phase_falls_with_delay: bool = True
     """Whether a larger delay gives a smaller phase, as with lock-in amplifiers."""
     phase_unit: Literal["rad", "mrad", "deg"] = "deg"
@@ -267,7 +267,7 @@ def _with_single_spaces(line: str) -> str:
 def _names(
     path: Path, lines: Iterator[Line], settings: TableSettings
 ) -> tuple[list[str], list[Line]]:
-    """Column names, and the first sample's line if it had to be read to find them.
+    """Column names, and the first sample's line if it was read to find the names.
 
     Names are in a line of texts, or in the last comment before the first sample.
     """

@@ -97,7 +97,7 @@ def up_of(statements: Sequence[str], default: Up = "z") -> Up:
 
 
 def checked(shape: Shape, name: str) -> Shape:
-    """Drop points without finite coordinates and empty columns; raise if all go."""
+    """Drop non-finite points and empty columns; raise if no point remains."""
     # Numbers of which none is known, such as errors with the water left in.
     scalars = {k: v for k, v in shape.scalars.items() if np.isfinite(v).any()}
     shape = Shape(**{**vars(shape), "scalars": scalars})

@@ -47,7 +47,7 @@ class Sample:
     licence: str
     """SPDX identifier of the license."""
     shows: str
-    """Purpose of the sample."""
+    """Purpose of the sample data."""
     commands: tuple[str, ...]
     """Example commands, in the folder of the copies."""
     folder: str = ""

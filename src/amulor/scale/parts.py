@@ -1,4 +1,4 @@
-"""Files of a scan that a cluster computes in ranges of rows and then joins."""
+"""Files of a scan that a cluster computes in row ranges and then joins."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ def _spilled(
 
 @dataclass(kw_only=True)
 class _Known:
-    """Axes of a recording, and facts about its samples as a whole."""
+    """Axes and channels of a recording, and properties common to all samples."""
 
     temperature: float | None
     pairs: list[str] = field(default_factory=list)

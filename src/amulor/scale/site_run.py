@@ -58,7 +58,7 @@ def work(task: Task, until: str | None = None) -> Done:
 
 
 def is_made(task: Task, name: str) -> bool:
-    """Return whether a file of a scan is complete and made from the same inputs."""
+    """Return whether a scan's file is complete and was made from the present inputs."""
     try:
         (step,) = (step for step in chain(task) if step.name == name)
         return Record(Path(task.folder)).is_made(name, of=step.of, how=step.how)

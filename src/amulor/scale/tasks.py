@@ -61,9 +61,9 @@ class Done:
     name: str
     """Name of the scan."""
     files: dict[str, str]
-    """Digests by the names of its files."""
+    """Digests of the files, by file name."""
     made: tuple[str, ...]
-    """Files made in this run; others existed."""
+    """Files made in this run; all others existed before."""
     error: str = ""
     """Error message if the scan failed; empty for a finished scan."""
 

@@ -1,4 +1,4 @@
-"""Check of an archive folder, from its files alone."""
+"""Check of an archive folder by its files alone."""
 
 from __future__ import annotations
 

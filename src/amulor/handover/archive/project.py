@@ -123,7 +123,7 @@ class About(Description):
     operator: _Text
     """Operator: person and organization."""
     control_data: _Text
-    """Measured control: points, scale bars, or "none"."""
+    """Control measurements: points, scale bars, or "none"."""
     purpose: _Text
     """Purpose of the survey."""
     copyright: _Text
@@ -150,7 +150,7 @@ class ScanFiles(Description):
     raw: Annotated[tuple[Path, ...], Field(min_length=1)]
     """Raw data: samples (netCDF), or the folder of a scan with its journal."""
     pose: Pose | None = None
-    """Pose of the instrument; by default that in the survey of the scan."""
+    """Pose of the instrument; by default the pose in the survey of the scan."""
     material: str = ""
     """Material of the scanned surface."""
     notes: str = ""
