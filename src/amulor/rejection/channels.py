@@ -1,4 +1,4 @@
-"""Pairs of polarization channels, and separation of target and water by them."""
+"""Polarization-channel pairs, and separation of target and water by channels."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ class Unmixed:
     target: Complex
     """Target signal, shape (...) [V]."""
     independent: Covariance
-    """Covariance of the target signal by independent errors of the channels [V^2]."""
+    """Covariance of the target signal due to independent channel errors [V^2]."""
     gain: Floats
-    """Derivatives of the target's outputs (in phase, quadrature) by those of the
-    channels, shape (2, channels, 2, ...) [1]."""
+    """Jacobian of the target's outputs (in phase, quadrature) by channel outputs,
+    shape (2, channels, 2, ...) [1]."""
 
     def error_of(self, channels: list[Covariance]) -> Covariance:
-        """Return the covariance of the target signal by errors of each channel."""
+        """Return the target-signal covariance due to errors of each channel."""
         parts = [
             _propagated(self.gain[:, c], errors) for c, errors in enumerate(channels)
         ]
@@ -64,7 +64,7 @@ class Unmixed:
     def error_of_water(
         self, weights: list[Floats | float], errors: Covariance
     ) -> Covariance:
-        """Return the covariance of the target signal by a shared error of the water."""
+        """Return the target-signal covariance due to a shared error of the water."""
         gain = sum(self.gain[:, c] * weight for c, weight in enumerate(weights))
         return _propagated(np.asarray(gain), errors)
 

@@ -36,12 +36,11 @@ class CombinedFit:
     subtraction: SubtractionFit
     """Scan-wide parameters of the open-water subtraction."""
     target_ratio: ratios.Ratio | None
-    """Depolarization ratio of the targets; None if the user states it."""
+    """Estimated depolarization ratio of the targets; None if given by the user."""
     terms: tuple[str, ...]
     """Names of the error terms that are not zero everywhere."""
     phase_error_gain: Floats
-    """Phase error of the target per phase error of the co-polarized channel, for each
-    frequency [1]."""
+    """Ratio of target phase error to co-polarized phase error, by frequency [1]."""
 
 
 def _combine(

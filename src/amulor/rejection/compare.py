@@ -51,7 +51,7 @@ _INSTRUMENT = (
 
 
 class Caution(enum.StrEnum):
-    """Reason against using a row of a comparison, or for using it with care.
+    """Reason to avoid a row of a comparison, or to use it with care.
 
     Examples
     --------
@@ -61,19 +61,19 @@ class Caution(enum.StrEnum):
     """
 
     NONE = "none"
-    """Nothing speaks against it."""
+    """No caution."""
     NOT_RUN = "not run"
     """The method refused the data; the note says why."""
     AMBIGUOUS = "ambiguous"
-    """The one frequency that is kept repeats within the stated interval."""
+    """The interval exceeds the ambiguity interval of the single frequency."""
     NO_PIXEL = "no pixel"
-    """No pixel shows a target."""
+    """No pixel has a detected target."""
     LONE_PIXELS = "lone pixels"
-    """The few pixels that it trusts have no trusted neighbor: noise."""
+    """Trusted pixels are few and isolated, as expected from noise."""
     BIAS_UNKNOWN = "bias unknown"
-    """Water is left in and nothing tells how much."""
+    """Water signal remains, and its amount is unknown."""
     INSTRUMENT = "instrument"
-    """Shots and scan contradict each other by an error of the instrument."""
+    """An instrument error makes shots and scan inconsistent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,29 +94,29 @@ class Row:
     """
 
     method: str
-    """Name of the method, as on the command line."""
+    """Method name, as used on the command line."""
     polarization: str
     """Channel, empty if the method could not run."""
     bias: float
-    """Estimated root-mean-square shift of the slant range by residual water [m];
-    infinite if water remains and its amount is unknown."""
+    """Estimated root-mean-square range error from residual water [m]; infinite if
+    water remains and its amount is unknown."""
     noise: float
     """Median standard uncertainty of the slant range [m]."""
     usable: float
-    """Fraction of the pixels that have a range [1]."""
+    """Fraction of pixels with a range [1]."""
     flagged: float
-    """Fraction of the pixels that have any flag [1]."""
+    """Fraction of pixels with at least one flag [1]."""
     trusted: float
-    """Fraction of the pixels with a range that has no flag, on which the frequencies
-    agree, and that have a neighbor of this kind [1]."""
+    """Fraction of pixels with an unflagged range, consistent frequencies, and at least
+    one such neighbor [1]."""
     caution: Caution = Caution.NONE
     """Reason against this row, considered by the recommendation."""
     recommended: bool = False
     """Whether this is the recommended row."""
     note: str = ""
-    """Reason for the recommendation, or the caution in words; for the reader only."""
+    """Reason for the recommendation, or explanation of the caution."""
     instrument: float = 0.0
-    """Range error by phase errors of the instrument, stated or typical [m]."""
+    """Range error from instrument phase errors, stated or typical [m]."""
 
     @property
     def error(self) -> float:
@@ -153,8 +153,8 @@ class Comparison:
     reason: str
     """Reason for the recommendation."""
     disagreement: float = 0.0
-    """Largest median difference from the ranges of another method that both errors do
-    not explain; 0 without one [m]."""
+    """Largest median range difference from another method beyond both methods' errors;
+    0 if none [m]."""
 
 
 def _repeat_distance(cube: xr.Dataset) -> float:
@@ -168,7 +168,7 @@ def _repeat_distance(cube: xr.Dataset) -> float:
 
 
 def _shots_are_doubted(cube: xr.Dataset, rows: list[Row]) -> bool:
-    """Return whether a method ran with open-water shots and trusts too few pixels."""
+    """Return whether too few pixels are trusted with the open-water shots."""
     ran = any(row.polarization for row in rows)
     trusted = max((row.trusted for row in rows), default=0.0)
     return ran and cube.amulor.open_water is not None and trusted < _FEW
@@ -181,7 +181,7 @@ class _Trial:
     row: Row
     """Row of the comparison."""
     path: Floats | None = None
-    """Optical paths, NaN in pixels that are not trusted [m]."""
+    """Optical paths, NaN in untrusted pixels [m]."""
 
 
 def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
@@ -353,7 +353,7 @@ def _fit_auto(
 
 
 def _of_comparison(target: xr.Dataset, comparison: Comparison) -> xr.Dataset:
-    """Return the recommended channel of a target signal, with method and reason."""
+    """Select the recommended channel of a target signal; record method and reason."""
     attributes: dict[str, Any] = {
         "rejection_method": comparison.method,
         "rejection_reason": comparison.reason,
@@ -364,7 +364,7 @@ def _of_comparison(target: xr.Dataset, comparison: Comparison) -> xr.Dataset:
 
 
 def _rows(method: Method, cube: xr.Dataset, interval: Interval) -> list[_Trial]:
-    """Return the trials of a method, one per channel, or the reason of its refusal."""
+    """Run a method; return one trial per channel, or the reason why it cannot run."""
     tell(f"trying {method.name}", 0.0)
     if method.needs.open_water is False and cube.amulor.open_water is not None:
         note = "not needed: there are open-water shots, so no water stays in"
@@ -424,7 +424,7 @@ def _not_run(name: str, reason: str) -> Row:
 
 
 def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
-    """Return errors, trusted pixels and cautions of a method in one channel."""
+    """Evaluate a method in one channel: errors, trusted pixels and cautions."""
     is_joint = "joint_slant_range_uncertainty" in target
     flag, excluded = flags_of_pixels(
         target["quality_flag"].values[:, 0],
@@ -479,7 +479,7 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
 
 
 def _instrument_error(target: xr.Dataset) -> float:
-    """Return the range error by phase errors of the instrument [m].
+    """Return the range error from instrument phase errors [m].
 
     The frequencies are weighted by their squares, as those of equal phase noise.
     """
@@ -512,7 +512,7 @@ def _has_neighbor(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _errors(
     target: xr.Dataset, usable: NDArray[np.bool_], excluded: NDArray[np.bool_]
 ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-    """Return range errors of usable pixels, excluding some samples.
+    """Estimate the range errors of usable pixels, excluding selected samples.
 
     Uncertainty and estimated bias of the slant range [m], whether the frequencies
     agree, and the optical path [m].
@@ -565,7 +565,7 @@ def _errors(
 
 
 def _joint_path(target: xr.Dataset) -> Floats:
-    """Return the optical paths of the joint estimation; NaN without a survey [m]."""
+    """Return the optical paths from the joint estimation; NaN without a survey [m]."""
     distance: Floats = target["joint_slant_range"].values
     survey = target.amulor.survey
     if survey is None:
@@ -587,7 +587,7 @@ def _joint_path(target: xr.Dataset) -> Floats:
 def _disagreement(
     trials: list[_Trial], best: int, cube: xr.Dataset
 ) -> tuple[Row | None, float]:
-    """Return the method that differs most from the best, beyond the errors of both.
+    """Find the method whose ranges differ most from the best, beyond both errors.
 
     And the median difference, less whole intervals after which phases repeat [m].
     """
@@ -619,7 +619,7 @@ def _disagreement(
 
 
 def _repeated_path(frequency: Floats) -> float:
-    """Return the unambiguous round-trip optical path of the frequencies [m]."""
+    """Return the unambiguous round-trip optical path for a set of frequencies [m]."""
     return float(speed_of_light / np.min(np.append(np.diff(frequency), frequency[0])))
 
 

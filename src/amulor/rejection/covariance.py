@@ -50,7 +50,7 @@ class Covariance:
         )
 
     def turned(self, factor: Complex) -> Covariance:
-        """Return the covariance of errors that are multiplied by complex factors."""
+        """Return the covariance of signals after multiplication by complex factors."""
         a, b = factor.real, factor.imag
         product = 2 * a * b * self.cross
         return Covariance(
@@ -83,7 +83,7 @@ class Covariance:
 
 
 def along(signal: Complex, size: float) -> Covariance:
-    """Return the covariance of a random relative change of a signal."""
+    """Return the covariance due to a random relative change of a signal."""
     return Covariance(
         (size * signal.real) ** 2,
         (size * signal.imag) ** 2,
@@ -100,7 +100,7 @@ _LARGEST = 2**17
 
 
 def times(rows: Floats, matrix: Floats) -> Floats:
-    """Return a matrix product whose rounding does not depend on the number of rows.
+    """Return a matrix product with rounding independent of the number of rows.
 
     Libraries of linear algebra choose the order of their sums by the shape of what they
     are given; here that is always the same.
@@ -123,7 +123,7 @@ def isotropic(size: Floats) -> Covariance:
 
 
 def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
-    """Stack the covariances of frequencies and channels into one of a given shape."""
+    """Stack covariances by frequency and channel into arrays of a given shape."""
     return Covariance(
         *(
             np.array([getattr(part, name) for part in parts]).reshape(shape)
@@ -135,7 +135,7 @@ def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
 def phase_uncertainties(
     signal: Complex, terms: Mapping[str, Covariance]
 ) -> dict[str, NDArray[np.float32]]:
-    """Return the phase uncertainty of a signal by each error term [rad]."""
+    """Return the phase uncertainty of a signal due to each error term [rad]."""
     flat = signal.reshape(-1)
     parts = {
         name: [

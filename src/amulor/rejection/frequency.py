@@ -40,8 +40,8 @@ class FrequencyChoice:
     polarization: str
     """Channel for which the figures were computed."""
     cut_off: float | None
-    """First-order cut-off, fitted to the open-water signal (`optics.low_pass.fit`; that
-    of `WaterFit` is the half-power point) [Hz]; None if the sweep shows none."""
+    """First-order cut-off of the open-water signal, fitted by `optics.low_pass.fit`
+    [Hz]; None if the sweep shows none. `WaterFit` states the half-power frequency."""
     reason: str
     """Reason for the choice."""
     warnings: tuple[str, ...]
@@ -57,7 +57,7 @@ class FrequencyChoice:
     noise: Floats
     """Random error of the slant range [m]."""
     shift: Floats
-    """Root-mean-square shift of the slant range by the water [m]."""
+    """Root-mean-square slant-range error caused by the water [m]."""
     ambiguity_interval: Floats
     """Ambiguity interval of each frequency alone [m]."""
     maxima: dict[str, Floats]
@@ -77,7 +77,7 @@ def choose_frequency(
     polarization: str | None = None,
     interval: tuple[float, float] | None = None,
 ) -> FrequencyChoice:
-    r"""Choose the frequency with the smallest range error by noise and water.
+    r"""Choose the frequency with the smallest range error from noise and water.
 
     Parameters
     ----------
@@ -168,11 +168,11 @@ class FrequencyFit:
     """Scan-wide parameters of the single-frequency method."""
 
     choice: FrequencyChoice | None
-    """Choice of the frequency; None if the user chose it."""
+    """Result of the frequency choice; None for a frequency given by the user."""
     water: WaterFit
     """Scan-wide fit of the water in front of the targets."""
     cut: CutColumns | None
-    """Open water cut off at a depth, as in a shadow; None without a survey."""
+    """Open-water signal truncated at depths, as in a shadow; None without a survey."""
     terms: tuple[str, ...]
     """Names of the error terms that are not zero everywhere."""
 
@@ -318,7 +318,7 @@ def _channel(names: list[str], figures: Merit, polarization: str | None) -> int:
 
 
 def _fitted_cut_off(scan: Observation, channel: int) -> float | None:
-    """Return the first-order cut-off of the shots [Hz]; None if there is none."""
+    """Fit the first-order cut-off of the open-water shots [Hz]; None if not visible."""
     signal, frequency = shots_of(scan).signal[:, channel], scan.frequency
     amplitude = np.abs(np.nanmean(signal, axis=-1))
     try:

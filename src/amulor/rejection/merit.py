@@ -29,15 +29,15 @@ class Merit:
     water_amplitude: Floats
     """Amplitude of the water in front of the target [V]."""
     ratio: Floats
-    """Signal-to-optical-noise ratio, of (54) [1]."""
+    """Signal-to-optical-noise ratio, eq. (54) [1]."""
     contrast: Floats
-    """Contrast against the water, of (54) [1]."""
+    """Contrast against the water, eq. (54) [1]."""
     noise: Floats
-    """Random error of the slant range, fluctuation of the water included [m]."""
+    """Random slant-range error, water fluctuation included [m]."""
     shift: Floats
-    """Root-mean-square shift of the slant range by the water [m]."""
+    """Root-mean-square slant-range error caused by the water [m]."""
     usable: Floats
-    """Fraction of the pixels that show a target [1]."""
+    """Fraction of pixels with a detected target [1]."""
 
     @property
     def error(self) -> Floats:

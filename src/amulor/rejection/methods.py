@@ -29,7 +29,7 @@ _Function = TypeVar("_Function", bound=Callable[..., xr.Dataset])
 
 @dataclass(frozen=True, kw_only=True)
 class Needs:
-    """Measurements that a method needs in addition to samples of the target.
+    """Additional measurements that a rejection method requires.
 
     Examples
     --------
@@ -39,10 +39,10 @@ class Needs:
     """
 
     open_water: bool | None = None
-    """Open-water reference measurements: True if the method needs them, False if it
-    serves scans without them only, None if it works either way."""
+    """Open-water reference measurements: True if required, False if the method is for
+    scans without them only, None if optional."""
     channel_pair: bool = False
-    """A co-polarized channel and its cross-polarized partner."""
+    """Whether a co-polarized channel and its cross-polarized partner are required."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,15 +63,15 @@ class Method:
     """Function from a cube of level `samples` to one of level `target_signal`; its
     keyword-only arguments are the options."""
     needs: Needs = Needs()
-    """Measurements that it needs."""
+    """Measurements required by the method."""
     simplicity: int | None = None
     """Rank in a comparison, the simplest method first; None excludes it from `auto`."""
     keeps_one_frequency: bool = False
-    """Whether the result has one modulation frequency, with its short ambiguity
+    """Whether the result has a single modulation frequency, with a short ambiguity
     interval."""
     distrusts_open_water: bool = False
-    """Whether `auto` tries it a second time without the reference measurements where it
-    trusts few pixels with them."""
+    """Whether `auto` repeats the method without the reference measurements if few
+    pixels are trusted."""
     fitter: Callable[..., tiles.OfRows] | None = None
     """Fit of the method to a source of rows, called with the options; None for a method
     whose result at a pixel depends on the samples of its row and on the reference
@@ -162,7 +162,7 @@ class Method:
         )
 
     def unknown(self, options: Mapping[str, Any]) -> tuple[str, ...]:
-        """List stated options that the method does not have.
+        """List the given options that the method does not support.
 
         Parameters
         ----------
@@ -183,7 +183,7 @@ class Method:
         )
 
     def _accepted(self, options: dict[str, Any]) -> dict[str, Any]:
-        """Return the stated options; ValueError for one that the method lacks."""
+        """Return the given options; ValueError for an unsupported option."""
         if unknown := self.unknown(options):
             raise ValueError(
                 f"the method {self.name} has no option {', '.join(unknown)}; it has "
@@ -200,7 +200,7 @@ _WITHOUT = " without shots"
 
 
 def _bare(cube: xr.Dataset) -> xr.Dataset:
-    """Correct the drift shown by open-water references, then remove them."""
+    """Correct the instrument drift by open-water references, then remove these."""
     return cubes.without_groups(without_drift(cube), "open_water")
 
 
@@ -275,7 +275,7 @@ def method(name: str, **declared: Any) -> Callable[[_Function], _Function]:
 
 
 def names() -> tuple[str, ...]:
-    """List the rejection methods that are installed, without loading them.
+    """List the names of the installed rejection methods, without loading them.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Access to the samples of a scan; each quantity is read from the cube once."""
+"""Access to the samples of a scan, with quantities cached after the first reading."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Observation:
 
     @cached_property
     def common_covariance(self) -> Covariance | None:
-        """Covariance of the errors that pixels or shots share; None if not stated."""
+        """Covariance of errors common to all pixels or shots; None if not stated."""
         if "common_covariance" not in self.cube:
             return None
         return Covariance(
@@ -132,10 +132,10 @@ class Observation:
 
     @property
     def has_late_light(self) -> bool:
-        """Whether scattered light may arrive late: measured, or simulated with it."""
+        """Whether samples may contain late echoes; False if simulated without."""
         late = self.cube.attrs.get("late_echo")
         if late is None:
-            # Models that do not mention late light send none.
+            # Models that do not mention late light simulate none.
             return not self.cube.attrs.get("simulated", 0)
         return str(late) != "absent"
 
@@ -183,7 +183,7 @@ class ScanObservation:
 
     @cached_property
     def head(self) -> Observation:
-        """Frequencies, survey and shots of the scan."""
+        """Metadata of the scan: frequencies, survey and open-water shots."""
         return Observation(cube=self.source.head)
 
     @cached_property
@@ -207,5 +207,5 @@ class ScanObservation:
 
 
 def observe_scan(cube: xr.Dataset) -> ScanObservation:
-    """Return access to a scan that is in memory."""
+    """Return the observation of a scan in memory."""
     return ScanObservation(source=tiles.InMemory(cube))

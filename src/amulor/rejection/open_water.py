@@ -240,7 +240,7 @@ def reference_attributes(subtracted: Subtraction) -> dict[str, Any]:
 
 
 def channel_phase_attributes(channel_phase: ChannelPhase | None) -> dict[str, Any]:
-    """Return the phase between channels of the target, as attributes."""
+    """Return the targets' phase difference between channels, as attributes."""
     if channel_phase is None:
         return {}
     attributes: dict[str, Any] = {

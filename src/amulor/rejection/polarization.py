@@ -194,9 +194,9 @@ class ChannelChoice:
     ratio: Floats
     """Signal-to-optical-noise ratio (54), (modulation_frequency, channel) [1]."""
     noise: Floats
-    """Random error of the slant range, (modulation_frequency, channel) [m]."""
+    """Random slant-range error, (modulation_frequency, channel) [m]."""
     shift: Floats
-    """Root-mean-square shift of the slant range by the water, (modulation_frequency,
+    """Root-mean-square slant-range error caused by the water, (modulation_frequency,
     channel) [m]."""
 
 
@@ -273,7 +273,7 @@ def choose_channel(
 
 @dataclass(frozen=True, kw_only=True)
 class PolarizationFit:
-    """Scan-wide parameters of unmixing; None if stated by the user or not needed."""
+    """Scan-wide parameters of unmixing; None if given by the user or not needed."""
 
     noise_scale: float
     """Factor on the stated errors, from the scatter of the open-water shots [1]."""
@@ -292,11 +292,11 @@ class FluctuationFit:
     """Scan-wide statistics of water fluctuations, from scan and open-water shots."""
 
     usual: Floats | None = None
-    """Median amplitude of the water over the scan [V]; None with open-water shots."""
+    """Median water amplitude of the scan [V]; None with open-water shots."""
     water: WaterFit | None = None
     """Scan-wide fit of the water in front of the targets."""
     channels: tuple[ShotsFit, ...] = ()
-    """Fits of the shots of the co-polarized and of the cross-polarized channel."""
+    """Open-water fits of the co-polarized and the cross-polarized channel."""
 
 
 def _unmix(
@@ -482,7 +482,7 @@ def _fluctuations(
     fit: FluctuationFit | None,
     span: tiles.Span | None,
 ) -> tuple[list[Covariance], FluctuationFit]:
-    """Return the water fluctuation of each channel, scaled to co-polarized water."""
+    """Return the water fluctuation by channel, scaled to the co-polarized water."""
     if relative is not None:
         size, usual = not_smaller_than_usual(water, None if fit is None else fit.usual)
         return 2 * [along(size, relative)], FluctuationFit(usual=usual)

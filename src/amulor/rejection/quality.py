@@ -29,9 +29,9 @@ class Flags:
     flag: NDArray[np.int16]
     """Quality flags."""
     cause: NDArray[np.int8]
-    """Failed tests of the water signal, of `WaterResidualCause`."""
+    """Failed water-signal tests, as bits of `WaterResidualCause`."""
     tests: dict[str, NDArray[np.float64]]
-    """Statistics behind the flags, of `amulor.cube.schema.SAMPLE_TESTS`."""
+    """Test statistics, named in `amulor.cube.schema.SAMPLE_TESTS`."""
 
 
 def flags(
@@ -86,7 +86,7 @@ def phase_shift_ratio(
     residual: NDArray[np.complex128],
     uncertainty: Covariance,
 ) -> NDArray[np.float64]:
-    """Return the phase shift by residual water over the phase error; NaN if unknown."""
+    """Return the ratio of residual-water phase shift to phase error; NaN if unknown."""
     error = phase_error(target_signal, uncertainty, np.isfinite(target_signal))
     shift = np.abs(ranging.phase_shift(target_signal, residual=residual))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -205,10 +205,10 @@ class ChannelPhase:
     """
 
     phase: NDArray[np.float64]
-    """Largest phase difference of all pairs of channels, at each frequency [rad]."""
+    """Largest phase difference over all channel pairs, at each frequency [rad]."""
     significance: NDArray[np.float64]
-    """Largest phase difference beyond that of the water column behind the target, over
-    its standard uncertainty, at each frequency [1]."""
+    """Largest phase difference, less the effect of the hidden water column, over its
+    standard uncertainty, at each frequency [1]."""
     probability: float
     """Probability of so large a phase difference by chance, over all pairs and
     frequencies [1]."""
@@ -220,7 +220,7 @@ class ChannelPhase:
 
     @property
     def cause(self) -> WaterResidualCause:
-        """INSTRUMENT for a large and significant phase difference, else 0."""
+        """Cause INSTRUMENT for a large and significant phase difference, else 0."""
         if self.is_real and self.phase.max() > LARGEST_CHANNEL_PHASE:
             return WaterResidualCause.INSTRUMENT
         return WaterResidualCause(0)
@@ -289,7 +289,7 @@ def phase_error_gain(
     strongest: NDArray[Any],
     shown: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """Return the phase error of a target signal per phase error of the instrument.
+    """Return the ratio of target phase error to instrument phase error.
 
     Leakage has the same voltage in all channels, whatever they see of the target. It is
     a fraction of the echo in the strongest channel, and independent between channels.
@@ -318,16 +318,16 @@ class Disagreement:
     """Median phase difference in standard errors, shape (modulation_frequency, 1,
     1)."""
     scatter: NDArray[np.float64]
-    """Scatter about the median, 1 or more, of the same shape."""
+    """Scatter about the median, at least 1, with the shape of `usual`."""
     limit: float
     """Least deviation of an outlier, in units of the scatter [1]."""
     rare: NDArray[np.bool_]
-    """Whether outliers at a frequency are rare enough to be flagged, of the same
-    shape."""
+    """Whether outliers at a frequency are rare enough to be flagged, with the shape of
+    `usual`."""
 
     @classmethod
     def of(cls, away: NDArray[np.float64]) -> Disagreement:
-        """Estimate the limits from phase differences over their standard errors."""
+        """Estimate the limits from phase differences in standard errors."""
         usual, scatter = np.zeros((len(away), 1, 1)), np.ones((len(away), 1, 1))
         for index, deviations in enumerate(away):
             finite = deviations[np.isfinite(deviations)]
@@ -358,7 +358,7 @@ def _standardized(
     usual: NDArray[np.float64],
     scatter: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return deviations of phase differences from the median, over their scatter."""
+    """Standardize phase differences: deviation from the median over scatter."""
     return np.asarray(np.abs(away - usual) / scatter)
 
 
@@ -372,7 +372,7 @@ def _product(
     uncertainty: Covariance,
     scale: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return each pixel's inner product of two signals, by the inverse covariance."""
+    """Return the inner product of two signals by pixel, with inverse covariance."""
     product = scale * (
         uncertainty.quadrature * first.real * second.real
         + uncertainty.in_phase * first.imag * second.imag
@@ -383,7 +383,7 @@ def _product(
 
 
 def add(cube: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_]) -> xr.Dataset:
-    """Add a quality flag to the selected samples of a cube that show a target."""
+    """Add a quality flag to selected samples with a detected target."""
     return _with_bits(cube, "quality_flag", np.where(where, flag, 0))
 
 
@@ -394,7 +394,7 @@ def add_water_residual(cube: xr.Dataset, cause: NDArray[np.int8]) -> xr.Dataset:
 
 
 def _with_bits(cube: xr.Dataset, name: str, bits: NDArray[Any]) -> xr.Dataset:
-    """Add bits to an integer variable of a cube where samples show a target."""
+    """Set bits in an integer variable of a cube, for samples with a detected target."""
     flag, old = cube["quality_flag"].values, cube[name]
     detected = (flag & (QualityFlag.MISSING | QualityFlag.NO_TARGET)) == 0
     new = np.where(detected, old.values | bits, old.values).astype(old.dtype)

@@ -33,15 +33,15 @@ class Ratio:
     """
 
     value: float
-    """The ratio [1]."""
+    """Value of the ratio [1]."""
     uncertainty: float
-    """Its standard uncertainty; for a target, the spread over the scan included [1]."""
+    """Standard uncertainty; for targets, the spread over the scan included [1]."""
     source: str
-    """Measurements from which it was estimated."""
+    """Measurements from which the ratio was estimated."""
 
 
 def possible(ratio: Ratio, *, name: str) -> float:
-    """Return a ratio clipped to 0 to 1; CubeError if it is significantly outside."""
+    """Clip a ratio to the interval from 0 to 1; CubeError if significantly outside."""
     nearest = min(max(ratio.value, 0.0), 1.0)
     # An estimate that is not a number is not possible either.
     if not abs(ratio.value - nearest) <= _BY_CHANCE * ratio.uncertainty:
@@ -228,7 +228,7 @@ def ratio_of(target: xr.Dataset) -> Ratio:
 
 
 def _line(first: Complex, second: Complex) -> tuple[float, float]:
-    """Return the slope of one channel against the other, and its standard error."""
+    """Fit the slope of one channel against another; return it with standard error."""
     mean = first.mean()
     turn = mean / abs(mean)
     a, b = (first / turn).real, (second / turn).real
@@ -254,7 +254,7 @@ def _weighted_mean(values: Floats, errors: Floats) -> tuple[float, float]:
 
 
 def _mean_variance(part: Observation, usable: NDArray[np.bool_]) -> Floats:
-    """Return the mean variance of both outputs, without errors that pixels share."""
+    """Return the mean variance of both outputs, without errors common to all pixels."""
     covariance = part.covariance
     mean = (covariance.in_phase + covariance.quadrature)[usable] / 2
     noise: Floats = np.maximum(mean - _common_variance(part, usable), 0.0)

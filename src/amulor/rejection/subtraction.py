@@ -38,7 +38,7 @@ class SubtractionFit:
     water: WaterFit
     """Scan-wide fit of the water in front of the targets."""
     cut: CutColumns | None
-    """Open water cut off at a depth, as in a shadow; None without a survey."""
+    """Open-water signal truncated at depths, as in a shadow; None without a survey."""
     usual_column: Floats | None
     """Median amplitude of the water column behind the targets, over
     (modulation_frequency, polarization) [V]; None where it is not needed."""
@@ -49,7 +49,7 @@ class SubtractionFit:
     channel_phase: quality.ChannelPhase | None
     """Phase difference of the target between channels; None with one channel."""
     phase_error_gain: Floats
-    """Phase error of the target per phase error of the strongest channel, over
+    """Ratio of target phase error to phase error of the strongest channel, over
     (modulation_frequency, polarization) [1]."""
 
 
@@ -65,27 +65,26 @@ class Subtraction:
     """Estimated residual water signal, NaN where it is unknown; None if no survey
     describes the water [V]."""
     put_back: bool
-    """Whether the water column behind the target was added again."""
+    """Whether the water column behind the target was added back."""
     counting: Covariance
     """Covariance of the stated errors of the samples [V^2]."""
     fluctuation: Covariance
     """Covariance of the water fluctuation from sample to sample [V^2]."""
     reference: Covariance
-    """Covariance by the fit of the shots; the pixels share it, the channels do not
-    [V^2]."""
+    """Covariance from the fit of the shots, common to all pixels of a channel [V^2]."""
     column: Covariance
-    """Covariance by the column behind the target; pixels and channels share it
+    """Covariance from the column behind the target, common to pixels and channels
     [V^2]."""
     change: Covariance
-    """Covariance by drift and strength of the water; pixels and channels share it
+    """Covariance from drift and strength of the water, common to pixels and channels
     [V^2]."""
     has_target: NDArray[np.bool_]
-    """Pixels that show a target, shape (row, column)."""
+    """Pixels with a detected target, shape (row, column)."""
     cause: NDArray[np.int8]
-    """Failed tests, of `WaterResidualCause`, where target and water are
+    """Failed tests of `WaterResidualCause` where target and water are
     indistinguishable, shape (row, column)."""
     tests: dict[str, NDArray[Any]]
-    """Statistics of the tests, of `PIXEL_TESTS` and `SAMPLE_TESTS`."""
+    """Test statistics, named in `PIXEL_TESTS` and `SAMPLE_TESTS`."""
     outlying: NDArray[np.bool_]
     """Samples whose phase differs from that of another channel."""
     water: WaterBeforeTarget
@@ -251,7 +250,7 @@ def subtract_open_water(
 
 
 def _column_over_target(target: Complex, column: Complex, usual: Floats) -> Floats:
-    """Return the ratio of the column behind the target to the target, for each pixel.
+    """Return the ratio of hidden-column signal to target signal for each pixel.
 
     The distance that cuts the column off comes from the signal after subtraction. With
     one frequency, either of target and column may explain it. Where the column is

@@ -1,1 +1,1 @@
-"""Joint method: maximum-likelihood estimation of target and water together."""
+"""Joint method: maximum-likelihood estimation of target and water signal."""

@@ -53,17 +53,17 @@ class Scan:
     frame: Frame
     """View of the receiver over the scan."""
     shared: Shared
-    """Strength and shape of the water signal, departures, fluctuation."""
+    """Shared parameters: water strength and shape, departures, fluctuation."""
     instrument: Instrument
     """Standard uncertainties of the instrument."""
     span: float
-    """Difference of the longest and the shortest optical path [m]."""
+    """Difference between longest and shortest optical path [m]."""
     late_spread: float
-    """Growth of the mean square angle by which echoes are late [rad^2/m]."""
+    """Growth of the mean square angle that explains late echoes [rad^2/m]."""
     instrument_uncertainty: float
-    """Median uncertainty of slant ranges by the instrument [m]."""
+    """Median slant-range uncertainty from instrument errors [m]."""
     echo_is_doubted: bool
-    """Whether the echo departs in a fit without shots, which may be of other water."""
+    """Whether the echo departs from the model in a fit without open-water shots."""
 
 
 def typical_of(
@@ -89,7 +89,7 @@ def typical_of(
 def echo_departs(
     geometry: Geometry, result: Result, shared: Shared, instrument: Instrument
 ) -> bool:
-    """Return whether the echo departs from the model enough to flag most pixels."""
+    """Return whether the echo's departure from the model would flag most pixels."""
     if (
         shared.evidence <= DECISIVE
         or shared.water_departs
@@ -107,7 +107,7 @@ def echo_departs(
 def _departure(
     result: Result, slope: Floats, variance: Floats, limit: float
 ) -> tuple[Floats, Floats]:
-    """Return range shifts by departures from the model, and their flag limits [m]."""
+    """Return range shifts due to model departures, and their flag limits [m]."""
     deviation = 1 / np.sqrt(result.estimates.information)
     sigma = np.hypot(deviation, np.sqrt(result.shared_variance))
     departure = slope * result.departure
@@ -117,7 +117,7 @@ def _departure(
 def _variance_of(
     geometry: Geometry, result: Result, instrument: Instrument, late_spread: float
 ) -> Floats:
-    """Return the variance of slant ranges by instrument and late echo [m^2]."""
+    """Return the slant-range variance from instrument errors and late echo [m^2]."""
     variance = range_variance(instrument, result.estimates.path, geometry)
     late = late_echo(np.where(result.detected, result.depth, np.nan), late_spread)
     total: Floats = variance + (instrument.late_echo * late) ** 2

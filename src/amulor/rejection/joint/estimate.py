@@ -1,4 +1,4 @@
-"""Joint estimation of a scan: a fit to a sample of its pixels, then row by row."""
+"""Joint estimation of a scan: shared parameters from sampled pixels, then rows."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ class Common:
     scan: Scan
     """View of the receiver and shared parameters."""
     transfer: Complex
-    """Transfer function of the echo beyond its delay, as stated [1]."""
+    """User's transfer function of the echo beyond its delay [1]."""
     interval: tuple[float, float] | None
     """Nearest and farthest slant range [m]."""
     clock: Clock
-    """Times of the scan."""
+    """Time span of the scan."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,11 +78,11 @@ class _Extent:
     """Directions and usable pixels of a scan."""
 
     azimuth: Floats
-    """Lowest, highest and mean [rad]."""
+    """Lowest, highest and mean azimuth [rad]."""
     elevation: Floats
-    """Likewise [rad]."""
+    """Lowest, highest and mean elevation [rad]."""
     enough: NDArray[np.bool_]
-    """Pixels with usable samples at two frequencies, (row, column)."""
+    """Pixels with usable samples at two or more frequencies, (row, column)."""
 
 
 def common_of(
@@ -234,7 +234,7 @@ def _sampled(
 
 
 def _extent_of(scan: ScanObservation) -> _Extent:
-    """Return directions and usable pixels of a scan, refusing stated errors of zero."""
+    """Return directions and usable pixels of a scan; CubeError for zero errors."""
     enough, lowest, highest, means = [], [], [], []
     for begin, end in scan.bands:
         rows = scan.tile(begin, end)

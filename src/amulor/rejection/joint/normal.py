@@ -85,9 +85,9 @@ class Normal:
     """Normal equations of the shared parameters, with pixel parameters eliminated."""
 
     matrix: Floats
-    """Information, (parameter, parameter)."""
+    """Information matrix, (parameter, parameter)."""
     vector: Floats
-    """Half the downhill slope of the sum of squares."""
+    """Negative half gradient of the sum of squares."""
     square: float
     """Sum of squared errors in units of their standard deviation [1]."""
     freedom: int
@@ -112,7 +112,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Samples with the paths and amplitudes that were fitted to them."""
+    """Samples with fitted optical paths and amplitudes."""
 
     pixels: Pixels
     """Samples."""
@@ -121,27 +121,27 @@ class Fitted:
     amplitude: Floats
     """Amplitude of the target in each channel, 0 for open water [V]."""
     is_shot: bool = False
-    """Whether they are open-water shots, which may be of other water."""
+    """Whether the samples are open-water shots, whose water may differ."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Modelled:
-    """Parts of the signal model of some pixels, at their optical paths."""
+    """Parts of the signal model at each pixel's optical path."""
 
     water: Complex
     """Water signal of unit strength, (pixel, frequency) [1]."""
     slope: Complex
-    """Its derivative with respect to the path [1/m]."""
+    """Derivative of the water signal with respect to the path [1/m]."""
     foreground: Complex
-    """Light of unit strength from in front of all targets [1]."""
+    """Water signal of unit strength from depths in front of all targets [1]."""
     echo: Complex
-    """Echo of unit amplitude, without its departure; 0 for open water [1]."""
+    """Modeled echo of unit amplitude, without departure; 0 for open water [1]."""
     depth: Floats
     """Depth where the water ends [m]."""
     water_signal: Complex
     """Water signal, (pixel, channel, frequency) [V]."""
     residual: Complex
-    """Samples less the model; 0 where none is usable [V]."""
+    """Samples less the model; 0 for unusable samples [V]."""
 
 
 def modelled(

@@ -52,7 +52,7 @@ class Directions:
     elevation: Floats
     """Nodes of elevation [rad]."""
     middle: tuple[float, float]
-    """Middle of the scan [rad]."""
+    """Direction of the scan's middle [rad]."""
 
     @property
     def mesh(self) -> tuple[Floats, Floats]:
@@ -80,7 +80,7 @@ class Directions:
 def directions_of(
     azimuth: Floats, elevation: Floats, overlap: Callable[[Floats, Floats], Floats]
 ) -> Directions:
-    """Return the smallest set of nodes that interpolates the overlap over a scan."""
+    """Return the fewest nodes that interpolate the overlap accurately over a scan."""
     box = [
         (float(np.min(values)), float(np.max(values)))
         for values in (azimuth, elevation)
@@ -152,17 +152,17 @@ class Shape:
     reduced_attenuation: float
     """Reduced attenuation coefficient k' = a + b_d [1/m]."""
     spread: float
-    """Growth b_f <theta^2> of the mean square angle of the light, which stretches the
-    phase function of the survey's water [rad^2/m]."""
+    """Growth b_f <theta^2> of the light's mean square angle, which scales the survey's
+    phase function [rad^2/m]."""
     forward_scattering: float
     """Forward scattering coefficient b_f [1/m]."""
     correction: Floats
-    """Departure of the overlap from the model, in units of its prior's width [1]."""
+    """Departure of the overlap from the model, in prior standard deviations [1]."""
     knots: Floats
-    """Depths between which the logarithm of the departure is linear [m]."""
+    """Knots in depth of the piecewise linear log departure [m]."""
     turn: Floats = field(default_factory=lambda: np.zeros(0))
-    """Axis of the receiver less its stated axis, in azimuth and elevation; empty where
-    the stated axis counts as exact [rad]."""
+    """Deviation of the receiver axis from the survey, in azimuth and elevation; empty
+    if the survey's axis counts as exact [rad]."""
 
     @property
     def size(self) -> int:
@@ -188,7 +188,7 @@ COEFFICIENTS = 3
 
 
 def hats(depth: Floats, knots: Floats) -> Floats:
-    """Return basis functions of a smooth departure from the model, (knot, depth) [1].
+    """Return basis functions of a smooth model departure, (knot, depth) [1].
 
     Between the knots they are linear. With normal coefficients their sum is a normal
     process of variance 1, correlated over `_CORRELATION` knots.
@@ -262,7 +262,7 @@ class Scattered:
         return np.maximum(out, 0.0)
 
     def _terms(self, forward_scattering: float, spread: float) -> Floats:
-        """Return Chebyshev series of scattered light over the offset, by depth node."""
+        """Return Chebyshev series of scattered light over beam offset, by depth."""
         cached = self._known
         if cached is not None and cached[:2] == (forward_scattering, spread):
             return cached[2]
@@ -289,7 +289,7 @@ class Scattered:
         self._make_rule()
 
     def _make_rule(self) -> None:
-        """Set the nodes of the spatial frequency, and their weights in each term."""
+        """Set the quadrature nodes of spatial frequency, with weights for each term."""
         width = self._high - self._low
         count = _FEWEST + int(np.ceil(_PER_UNIT * width.max()))
         place = np.cos(np.pi * (np.arange(count) + 0.5) / count)
@@ -311,7 +311,7 @@ class Scattered:
 
 
 def _frequencies(aside: float) -> tuple[Floats, Floats]:
-    """Return nodes and weights of the spatial frequency, times the width of the view.
+    """Return quadrature nodes and weights of spatial frequency times view width.
 
     `aside` is the largest offset of a beam, in widths of the view.
     """
@@ -386,7 +386,7 @@ class Frame:
         self._nodes = self._arguments(*self.directions.mesh)
 
     def _nodes_of(self, shape: Shape) -> dict[str, Any]:
-        """Return overlap arguments at the nodes, for a shape's receiver direction."""
+        """Return overlap arguments at the nodes, for a fitted receiver direction."""
         if not np.any(shape.turn):
             return self._nodes
         turn = tuple(float(value) for value in shape.turn)
@@ -411,7 +411,7 @@ class Frame:
     def _arguments(
         self, azimuth: Floats, elevation: Floats, survey: Survey | None = None
     ) -> dict[str, Any]:
-        """Return the arguments of the overlap, without those of the water."""
+        """Return the overlap's geometry arguments, without water properties."""
         survey = self.survey if survey is None else survey
         receiver_view = view(survey, azimuth, elevation)
         arguments = kernel_arguments(survey, self._properties, receiver_view)
@@ -428,12 +428,12 @@ class Frame:
         return arguments | {"receiver_radius": radius, "acceptance_angle": angle}
 
     def optical_offset(self, azimuth: Floats, elevation: Floats) -> Floats:
-        """Return the optical path before the water, out and back [m]."""
+        """Return the round-trip optical path before the water [m]."""
         receiver_view = view(self.survey, azimuth, elevation)
         return np.broadcast_to(receiver_view.optical_offset, azimuth.shape)
 
     def geometry(self, azimuth: Floats, elevation: Floats) -> Geometry:
-        """Return the geometry of beams of given directions."""
+        """Return the geometry of beams in given directions."""
         instrument = self.survey.instrument
         return Geometry(
             azimuth=azimuth,
@@ -489,7 +489,7 @@ class Frame:
         return light
 
     def _offset(self, arguments: dict[str, Any]) -> Floats:
-        """Return the offsets of the beams at the depths of scattered light [m]."""
+        """Return beam offsets from the receiver axis at scattered-light depths [m]."""
         assert self._scattered is not None
         path = self._scattered.depth + np.asarray(arguments["standoff"])[:, None]
         along = arguments["baseline"][:, None] - arguments["tilt"][:, None] * path
@@ -534,7 +534,7 @@ class Frame:
         return float(depth[np.argmax(remaining <= _NOTHING_LEFT * remaining[0])])
 
     def quantiles(self, shape: Shape, fraction: Floats) -> Floats:
-        """Return the depths in front of which fractions of the light arise [m]."""
+        """Return the depths at which the water signal reaches given fractions [m]."""
         depth = np.linspace(0, min(self.nothing_left(shape), self.end), 4000)
         light = self.overlap(depth, shape).mean(axis=0)
         total = np.cumsum(light)
@@ -578,7 +578,7 @@ SMALLEST_STRENGTH = 1e-100
 
 
 def unseen_beam() -> CubeError:
-    """Return the exception for a receiver that sees no light from any depth."""
+    """Return the exception for a receiver whose view misses the beam at all depths."""
     return CubeError(
         "the receiver does not see the beam at any depth, so there is no water "
         "signal to estimate; check position and axis of the receiver in the survey of "

@@ -1,4 +1,4 @@
-"""Shared parameters, their priors, and the uncertainty of the instrument."""
+"""Shared parameters of the joint fit, their priors, and instrument uncertainty."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ _STEP, _INDEX_STEP = 1e-5, 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Instrument:
-    """Standard uncertainties of instrument parameters that the samples cannot show."""
+    """Standard uncertainties of instrument parameters that samples cannot constrain."""
 
     delay: float
-    """Uncertainty of the delay that all channels share [s]."""
+    """Uncertainty of the delay common to all channels [s]."""
     group_index: float
     """Uncertainty of the group index of the water [1]."""
     position: float
-    """Uncertainty of the receiver's position to the right and down; forward it is part
-    of the delay [m]."""
+    """Uncertainty of the receiver position, right and down; the forward part belongs to
+    the delay [m]."""
     direction: float
     """Uncertainty of the receiver's axis, in azimuth and in elevation [rad]."""
     late_echo: float
-    """Uncertainty of the delay of scattered light, over `late_echo` [1]."""
+    """Uncertainty of the late-echo delay, relative to `late_echo` [1]."""
 
     @classmethod
     def checked(
@@ -91,7 +91,7 @@ def late_echo(depth: Floats, spread: float) -> Floats:
 
 
 def range_variance(instrument: Instrument, path: Floats, geometry: Geometry) -> Floats:
-    r"""Return the variance of slant ranges by errors of the instrument [m^2].
+    r"""Return the slant-range variance due to instrument errors [m^2].
 
     To first order :math:`(c_0 u_\tau \partial r / \partial p)^2 + (u_n \partial r /
     \partial n_g)^2 + u_x^2 |\partial r / \partial x|^2` with the two coordinates x of
@@ -132,15 +132,15 @@ class Clock:
     """Begin and duration of a scan."""
 
     rows: int
-    """Rows of the scan."""
+    """Number of rows of the scan."""
     columns: int
-    """Columns of the scan."""
+    """Number of columns of the scan."""
     has_times: bool
-    """Whether every pixel states its time; else their order is row by row."""
+    """Whether all pixels have times; otherwise pixels are counted row by row."""
     begin: float
-    """Time of the first pixel [s], 0 where none is stated."""
+    """Time of the first pixel [s]; 0 without times."""
     length: float
-    """Time from the first to the last [s], or pixels."""
+    """Time from first to last pixel [s], or number of pixels without times."""
 
 
 def clock_of(scan: ScanObservation) -> Clock:
@@ -165,7 +165,7 @@ def clock_of(scan: ScanObservation) -> Clock:
 def trends_of(
     rows: Observation, clock: Clock, *, row: int = 0, column: int = 0
 ) -> Floats:
-    """Legendre polynomials of the time of each pixel, (pixel, trend) [1]."""
+    """Legendre polynomials of each pixel's time, (pixel, trend) [1]."""
     shape = rows.azimuth.shape
     if clock.has_times:
         assert rows.time is not None
@@ -180,7 +180,7 @@ def trends_of(
 
 
 def drifted(pixels: Pixels, trend: Floats) -> Pixels:
-    """Return pixels whose interpolation includes the drift of the water."""
+    """Return pixels with the water drift included in their interpolation."""
     if not len(trend):
         return replace(pixels, trends=pixels.trends[:, :0])
     if not np.any(trend):
@@ -244,45 +244,45 @@ NONE: Widths = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Shared:
-    """Estimate of the parameters that all pixels share."""
+    """Estimated parameters that are common to all pixels."""
 
     shape: Shape
     """Shape of the water signal."""
     table: Table
-    """Water signal of this shape against its end."""
+    """Water signal of this shape, against the depth where the water ends."""
     strength: Floats
     """Strength of the water signal in each channel, see `Table` [V]."""
     departure: Complex
-    """Departure of the water signal from the model, over the strength: light from in
-    front of all targets, (channel, frequency) [1]."""
+    """Departure of the water signal from the model, in front of all targets, relative
+    to the strength, (channel, frequency) [1]."""
     echo: Complex
-    """Relative departure of the target's echo from a delay, (frequency,) [1]."""
+    """Relative departure of the echo from a pure delay, (frequency,) [1]."""
     shot_change: float
-    """Logarithm of the strength of the open-water shots over that of the scan [1]."""
+    """Logarithm of the water-strength ratio of open-water shots to scan [1]."""
     shot_departure: Complex
-    """Departure of the shots from the water of the scan, over the strength, (channel,
-    frequency); empty where the shots count as exact [1]."""
+    """Departure of the shots from the scan's water, relative to the strength, (channel,
+    frequency); empty if the shots count as exact [1]."""
     trend: Floats
-    """Coefficients of the change of the strength during the scan, of `trends_of`; empty
-    for constant water [1]."""
+    """Coefficients of the water drift during the scan, for `trends_of`; empty for
+    constant water [1]."""
     fluctuation: float
     """Relative random change of the water signal from sample to sample [1]."""
     noise_scale: float
     """Factor on the stated errors, 1 or more [1]."""
     judged: NDArray[np.bool_]
-    """Samples that may be outliers of single pixels, (channel, frequency): not those at
-    which the model itself is wrong."""
+    """Samples tested for outliers, (channel, frequency); False where the model itself
+    is wrong."""
     turn_width: float
     """Prior standard deviation of the direction of the receiver [rad]."""
     covariance: Floats
     """Covariance of all parameters, in the order of `Layout`."""
     parametric: Floats
-    """Covariance of the strengths and the logarithms of k' and spread, for a correct
-    model without priors."""
+    """Covariance of strengths and logarithms of k' and spread, for an exact model
+    without priors."""
     widths: Widths
-    """Standard deviations that the data prefer for correction, departure, echo [1]."""
+    """Prior widths of highest evidence: correction, departure, echo [1]."""
     evidence: float
-    """Twice the logarithm of the odds for departures from the model [1]."""
+    """Twice the log odds in favor of departures from the model [1]."""
     misfit: float
     """Sum of squared errors over its degrees of freedom [1]."""
 
@@ -320,7 +320,7 @@ class Shared:
         return float(np.exp(self.shot_change))
 
     def shot_signal(self, water_signal: Complex, foreground: Complex) -> Complex:
-        """Return the signal of open-water shots, whose water may differ [V]."""
+        """Return the modeled signal of open-water shots, whose water may differ [V]."""
         signal: Complex = self.shot_factor * water_signal
         if self.shot_departure.size:
             departure = self.strength[:, None] * self.shot_departure
@@ -329,12 +329,12 @@ class Shared:
 
     @property
     def foreground(self) -> Complex:
-        """Light from in front of all targets, (channel, frequency) [V]."""
+        """Water-signal departure in front of all targets, (channel, frequency) [V]."""
         return self.strength[:, None] * self.departure
 
 
 def layout_of(state: Shared) -> Layout:
-    """Return the positions of shared parameters in the vector of all parameters."""
+    """Return the positions of parameter groups for the current shared parameters."""
     channels, frequencies = state.departure.shape
     shape = state.shape
     return Layout(
@@ -381,7 +381,7 @@ class Layout:
 
     @property
     def rigid(self) -> int:
-        """Number of parameters before those for departures from the model."""
+        """Number of parameters before the model departures."""
         return self.channels + COEFFICIENTS + self.turns
 
     @property
@@ -391,7 +391,7 @@ class Layout:
 
     @property
     def blocks(self) -> tuple[slice, slice, slice]:
-        """Positions of overlap correction, water departure and echo departure."""
+        """Positions of the model departures: overlap correction, water, echo."""
         a = self.rigid
         b = self.trend.stop
         c = b + 2 * self.channels * self.frequencies
@@ -404,7 +404,7 @@ class Layout:
 
     @property
     def doubt(self) -> slice:
-        """Positions of the shots' departure from the scan, and of their strength."""
+        """Positions of the parameters for shots that differ from the scan's water."""
         begin = self.blocks[2].stop
         count = 2 * self.channels * self.frequencies + 1 if self.doubts else 0
         return slice(begin, begin + count)
@@ -440,7 +440,7 @@ def inverse_of(matrix: Floats) -> Floats:
 
 
 def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Floats]:
-    """Return the precision of the priors, and the state relative to their centers."""
+    """Return prior precisions, and the parameters relative to the prior means."""
     precision, origin = np.zeros(layout.size), np.zeros(layout.size)
     at = layout.shape.start
     shape = state.shape
@@ -477,7 +477,7 @@ def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Flo
 def widths_of(
     matrix: Floats, vector: Floats, state: Shared, layout: Layout
 ) -> tuple[Widths, float]:
-    """Return the prior widths of highest evidence, and the evidence for departures."""
+    """Find the prior widths of highest evidence; return also the departure evidence."""
     costs: dict[Widths, float] = {}
 
     def value(widths: Widths) -> float:

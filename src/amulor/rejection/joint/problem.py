@@ -49,7 +49,7 @@ _FURTHEST = 3.0
 
 
 class Problem:
-    """Samples of a fit of the shared parameters, and its steps."""
+    """Fit problem of the shared parameters: samples, cost and Gauss-Newton steps."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Problem:
         self.deepest = deepest
 
     def part(self, index: NDArray[np.intp], *, shots: bool = True) -> Problem:
-        """Return a copy with some of the pixels, with or without the shots."""
+        """Return a copy with selected pixels, with or without the shots."""
         targets = self.targets.part(index)
         chosen = self.shots if shots else None
         return Problem(self.frame, targets, chosen, self.transfer, self.deepest)
@@ -100,7 +100,7 @@ class Problem:
     def descend(
         self, state: Shared, steps: int, *, free: bool, paths: Floats | None = None
     ) -> tuple[Shared, Floats]:
-        """Take Gauss-Newton steps until they are small against the errors."""
+        """Iterate Gauss-Newton steps until they are small compared with the errors."""
         layout = layout_of(state)
         used = layout.size if free else layout.rigid
         estimates = self.local(state, paths)
@@ -148,7 +148,7 @@ class Problem:
         )
 
     def moved(self, state: Shared, step: Floats, layout: Layout) -> Shared:
-        """Return the shared parameters after a step, with a new water-signal table."""
+        """Return the parameters after a step, with a new water-signal table."""
         full = np.zeros(layout.size)
         full[: len(step)] = step
         bounded = full[layout.shape].copy()
@@ -184,7 +184,7 @@ class Problem:
     def local(
         self, state: Shared, paths: Floats | None, pixels: Pixels | None = None
     ) -> Estimates:
-        """Return the best paths and amplitudes of all pixels, or of given pixels."""
+        """Estimate the most likely paths and amplitudes of all or given pixels."""
         start = None if paths is None else np.nan_to_num(paths, nan=0.0)
         pixels = drifted(self.targets if pixels is None else pixels, state.trend)
         return estimate(
@@ -207,7 +207,7 @@ class Problem:
     def deviation(
         self, state: Shared, pixels: Pixels, paths: Floats | None
     ) -> Complex | None:
-        """Return one standard deviation of the water signal's random change [V]."""
+        """Return the standard deviation of the water signal's fluctuation [V]."""
         if state.fluctuation == 0:
             return None
         at = np.full(len(pixels), np.inf) if paths is None else paths
@@ -259,7 +259,7 @@ class Problem:
     def scattered(
         self, state: Shared, paths: Floats | None = None, *, neighbors: bool = True
     ) -> tuple[Shared, Estimates]:
-        """Update noise and fluctuation, and return shared parameters and estimates.
+        """Re-estimate noise scale and fluctuation; return parameters and estimates.
 
         `paths` are the start of the search; by default all paths are searched.
         """

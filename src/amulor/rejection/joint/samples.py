@@ -1,4 +1,4 @@
-"""Samples of the likelihood, with the paths and depths of their pixels."""
+"""Input of the likelihood: samples with possible paths and depths by pixel."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SAME_PLACE = 1e-4
 def shot_directions(
     middle: tuple[float, float], shots: Observation | None
 ) -> tuple[Floats, Floats]:
-    """Return the directions of the shots, or the scan's middle if unknown [rad]."""
+    """Return the directions of open-water shots; the scan's middle if unknown [rad]."""
     if shots is None:
         return np.zeros(0), np.zeros(0)
     azimuth, elevation = (
@@ -53,7 +53,7 @@ def shot_pixels(
 
 
 def open_water_samples(scan: Observation, *, no_target: bool) -> tuple[Frame, Pixels]:
-    """Return frame and samples of open water: the shots, or a scan without a target."""
+    """Return frame and samples of open water, from shots or a target-free scan."""
     if not no_target:
         middle = float(scan.azimuth.mean()), float(scan.elevation.mean())
         directions = shot_directions(middle, scan.shots)
@@ -83,7 +83,7 @@ def refuse_single_frequency(frequency: Floats) -> None:
 
 
 def refuse_other_windows(origin_z: Floats, frame: Frame) -> None:
-    """Raise a CubeError if the emitter moves towards its window or away from it.
+    """Raise a CubeError if the distance from emitter to window varies.
 
     Sideways, emitter and receiver move together and see the same water everywhere.
     """
@@ -125,24 +125,24 @@ class Pixels:
     """
 
     signal: Complex
-    """Samples; 0 where none is usable [V]."""
+    """Samples, 0 if unusable [V]."""
     covariance: Covariance
-    """Stated errors [V^2]."""
+    """Covariance of the stated errors [V^2]."""
     usable: NDArray[np.bool_]
-    """Usable samples."""
+    """Mask of usable samples."""
     interpolation: Floats
-    """Weights of the nodes, from `Directions.interpolation`, (pixel, node) [1]."""
+    """Interpolation weights of the direction nodes, (pixel, node) [1]."""
     offset: Floats
-    """Optical path before the water, out and back [m]."""
+    """Round-trip optical path before the water [m]."""
     shortest: Floats
     """Shortest optical path [m]."""
     longest: Floats
     """Longest optical path [m]."""
     depths: Floats
-    """Depth of water at a series of paths, finer in front [m]."""
+    """Water depths at a series of optical paths, finer in front [m]."""
     trends: Floats
-    """Polynomials of the time of each pixel, (pixel, trend); zero where the water has
-    a strength of its own [1]."""
+    """Polynomials of each pixel's time, (pixel, trend); zero for shots with their own
+    water strength [1]."""
 
     def __len__(self) -> int:
         """Return the number of pixels."""
@@ -182,7 +182,7 @@ def pixels_of(
     interval: tuple[float, float] | None = None,
     trends: Floats | None = None,
 ) -> Pixels:
-    """Return samples with paths, depths and interpolation of their pixels.
+    """Return samples with optical paths, depths and interpolation weights by pixel.
 
     `trends` are polynomials of the time, of water that changes during the scan.
     """
@@ -271,7 +271,7 @@ def echo_of(transfer: Complex, phase_per_path: Floats) -> bundles.Echo:
 
 
 def phasors(path: Floats, echo: bundles.Echo) -> bundles.Grid:
-    """Return paths with the echoes of unit amplitude at these paths."""
+    """Return optical paths with their echoes of unit amplitude."""
     phasor = np.empty((path.size, 2, echo.phase_per_path.size))
     kernels.fill_phasors(path, echo, phasor)
     return bundles.Grid(path, phasor)

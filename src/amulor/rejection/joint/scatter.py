@@ -1,4 +1,4 @@
-"""Detection of targets and outliers, and scatter of the samples between pixels."""
+"""Target and outlier detection, and sample scatter between pixels."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def is_detected(estimates: Estimates) -> NDArray[np.bool_]:
 
 
 def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
-    """Return the mask of pixels without outliers such as edges, fish and bubbles.
+    """Return the mask of pixels without outliers, such as edges, fish or bubbles.
 
     The reference is the median misfit: a model that is wrong for all pixels makes none
     of them an outlier.
@@ -58,7 +58,7 @@ def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
 
 
 def typical_misfit(estimates: Estimates) -> float:
-    """Return the median of chi-square over its expected median, at least 1."""
+    """Return the ratio of median chi-square to its expected median, at least 1."""
     from scipy.stats import chi2
 
     if not len(estimates.path):
@@ -77,7 +77,7 @@ def _misfit(estimates: Estimates) -> tuple[Floats, NDArray[np.intp]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """Scatter between pixels: noise scale and fluctuation of the water."""
+    """Sample scatter between pixels: noise scale and water fluctuation."""
 
     noise_scale: float
     """Factor on the stated errors, 1 or more [1]."""
@@ -142,7 +142,7 @@ def _significant_scale(square: float, parts: list[_Residuals]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class _Residuals:
-    """Residuals of one group of pixels in the order of their distance."""
+    """Residuals of a group of pixels, sorted by distance."""
 
     pixels: Pixels
     """Samples."""
@@ -153,9 +153,9 @@ class _Residuals:
     derivatives: Complex
     """Derivatives by amplitudes and path, (pixel, channel, frequency, parameter)."""
     freedom: int
-    """Usable outputs less the parameters of single pixels."""
+    """Usable outputs less the pixel parameters."""
     neighbors: bool
-    """Whether only differences between neighbors count as random."""
+    """Whether only differences between neighboring pixels count as random."""
 
     def sums(self, ratio: float) -> tuple[float, float, float]:
         """Return sum of squared differences, degrees of freedom, and log determinants.
@@ -194,7 +194,7 @@ class _Residuals:
 
 
 def _mixed(order: NDArray[np.intp], is_target: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return pixels in the order of their distance, shuffled among similar distances.
+    """Return pixel indices sorted by distance, shuffled among similar distances.
 
     Open water is at one distance. A drift through the scan counts as random.
     """
@@ -266,16 +266,16 @@ class Cleaned:
     """Pixels without outlying samples."""
 
     pixels: Pixels
-    """Samples; outliers do not count."""
+    """Samples, with outliers marked unusable."""
     estimates: Estimates
     """Estimates without the outliers."""
     unsettled: Bools
-    """Pixels whose outliers are not certain."""
+    """Pixels with uncertain outliers."""
 
     def restored(
         self, pixels: Pixels, estimates: Estimates, index: NDArray[np.intp]
     ) -> Cleaned:
-        """Return a copy in which all samples of selected pixels are used again."""
+        """Return a copy with all samples of selected pixels restored."""
         if not len(index):
             return self
         usable, unsettled = self.pixels.usable.copy(), self.unsettled.copy()
@@ -300,7 +300,7 @@ def part_of(estimates: Estimates, index: NDArray[np.intp]) -> Estimates:
 
 
 def disagrees(estimates: Estimates, typical: float = 1.0) -> Bools:
-    """Return the mask of pixels in which one sample disagrees with all others."""
+    """Return the mask of pixels with a single outlying sample."""
     samples = np.maximum(estimates.used / 2, 1)
     return np.asarray(estimates.outlying > 2 * typical * np.log(samples / CHANCE))
 
@@ -308,7 +308,7 @@ def disagrees(estimates: Estimates, typical: float = 1.0) -> Bools:
 def may_be_left_out(
     estimates: Estimates, shape: tuple[int, int], typical: float
 ) -> Bools:
-    """Return the samples that may be omitted, as they disagree in few pixels."""
+    """Return the samples eligible as outliers: those that disagree in few pixels."""
     wrong = estimates.which[disagrees(estimates, typical)]
     count = np.bincount(wrong, minlength=shape[0] * shape[1])
     usual = float(np.median(count))
@@ -325,7 +325,7 @@ def without_outliers(
     allowed: Bools,
     typical: float,
 ) -> Cleaned:
-    """Return pixels and estimates without outlying samples.
+    """Remove outlying samples from pixels, and estimate again.
 
     A spike, a particle or a fish is in one sample, since the frequencies are measured
     one after the other. The sample that lowers chi-square most by its absence goes

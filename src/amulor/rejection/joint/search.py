@@ -1,4 +1,4 @@
-"""Search for the most likely path of each pixel, or its two surfaces."""
+"""Maximum-likelihood path of each pixel, for one or two surfaces."""
 
 from __future__ import annotations
 
@@ -32,34 +32,34 @@ class Estimates:
     """Most likely path of each pixel, with amplitudes, misfit and uncertainty."""
 
     path: Floats
-    """Optical path, out and back; not a number where none is possible [m]."""
+    """Round-trip optical path; NaN if the path limits are empty [m]."""
     amplitude: Floats
     """Target amplitude in each channel, (pixel, channel) [V]."""
     cost: Floats
-    """Sum of squared errors in units of their standard deviation [1]."""
+    """Chi-square at the most likely path [1]."""
     empty_cost: Floats
-    """Cost of open water without a target [1]."""
+    """Chi-square of open water without a target [1]."""
     explained: Floats
-    """Decrease of `cost` by a target, for one covariance of the samples [1]."""
+    """Decrease of chi-square by a target, with equal sample covariance [1]."""
     information: Floats
-    """Inverse variance of the path with the water signal known [1/m^2]."""
+    """Inverse variance of the path, for a known water signal [1/m^2]."""
     lower: Floats
-    """Decrease of the path at which `cost` has risen by 1 [m]."""
+    """Decrease of the path at which chi-square rises by 1 [m]."""
     upper: Floats
-    """Increase of the path at which `cost` has risen by 1 [m]."""
+    """Increase of the path at which chi-square rises by 1 [m]."""
     wrong: Floats
     """Probability that the path lies in another ambiguity interval [1]."""
     outlying: Floats
-    """Decrease of `cost` without the sample that disagrees most [1]."""
+    """Decrease of chi-square without the most outlying sample [1]."""
     next_outlying: Floats
-    """Decrease of `cost` without the sample that disagrees second most [1]."""
+    """Decrease of chi-square without the second most outlying sample [1]."""
     used: NDArray[np.intp]
-    """Number of outputs that count, two for each sample."""
+    """Number of usable lock-in outputs, two per sample."""
     which: NDArray[np.intp]
-    """Sample that disagrees most, channel times frequencies plus frequency."""
+    """Index of the most outlying sample, counted over channels and frequencies."""
     influence: Complex
-    """Shift of the path per unit of in-phase + 1j * quadrature, as the real part of
-    the product with its conjugate, (pixel, channel, frequency) [m/V]."""
+    """Path shift per signal change, (pixel, channel, frequency) [m/V]: the shift is the
+    real part of change times conjugate influence."""
 
 
 def estimate(
@@ -115,7 +115,7 @@ _SCALARS = (
 def without_foreground(
     pixels: Pixels, table: Table, *, strength: Complex, phase_per_path: Floats
 ) -> Pixels:
-    """Return samples less the water signal from in front of all targets."""
+    """Subtract the water-signal departure in front of all targets from samples."""
     if not np.any(strength):
         return pixels
     light = foreground(pixels, table, phase_per_path)[:, None] * strength
@@ -124,14 +124,14 @@ def without_foreground(
 
 Bools = NDArray[np.bool_]
 
-#: Fewest frequencies that can tell two surfaces from one [1].
+#: Fewest frequencies for a distinction of two surfaces from one [1].
 FEWEST = 3
 #: P-value of one surface below which two are tested, as in pixels with outliers [1].
 ASKED = 1e-3
 #: A second surface is real beyond this p-value of the likelihood ratio [1].
 REAL = 1e-4
-#: What explanations cost, in chi-square: a parameter and the choice of the pixel, for
-#: a surface; the choice of a sample and two parameters, for a spoiled one [1].
+#: Penalties of model selection, in chi-square: for a parameter and the choice of the
+#: pixel (a surface); for the choice of a sample and two parameters (an outlier) [1].
 _PARAMETER, _SURFACE, _SAMPLE = 5.0, 6.0, 14.0
 #: Differences of the two paths from which the search starts, over the length in which
 #: the phase of the highest frequency turns by 1 rad [1].
@@ -139,14 +139,14 @@ _APART = (0.2, 0.8, 2.5, 6.0)
 _STEPS = 12
 #: Dampings of a step at first, least and most [1].
 _DAMPING, _LEAST, _MOST = 1e-2, 1e-6, 1e6
-#: Pixels of a block: this bounds the memory.
+#: Pixels of a block, which limits the memory.
 _AT_ONCE = 512
 _TINY = 1e-12
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Fit of two surfaces to each of some pixels."""
+    """Two-surface fits of pixels."""
 
     cost: Floats
     """Sum of squared errors in units of their standard deviation [1]."""
@@ -164,7 +164,7 @@ def two_surfaces(
     transfer: Complex,
     phase_per_path: Floats,
 ) -> Pair:
-    """Return the best fit of two surfaces to each pixel.
+    """Fit two surfaces to each pixel.
 
     Levenberg's and Marquardt's steps on both paths, with the amplitudes of both in
     each channel fitted anew at every step, none below zero. The water ends at the
@@ -189,7 +189,7 @@ def two_surfaces(
 
 
 def may_be_two(estimates: Estimates, detected: Bools, left_out: Bools) -> Bools:
-    """Return the mask of pixels that may see two surfaces."""
+    """Return the mask of pixels to be tested for two surfaces."""
     from scipy.stats import chi2
 
     if estimates.influence.shape[2] < FEWEST:
@@ -202,7 +202,7 @@ def may_be_two(estimates: Estimates, detected: Bools, left_out: Bools) -> Bools:
 def are_two(
     pair: Pair, single: Estimates, cleaned: Estimates, number_left_out: NDArray[np.intp]
 ) -> Bools:
-    """Return the mask of pixels that favor two surfaces over one or over outliers."""
+    """Test pixels for two surfaces, against a single surface and against outliers."""
     from scipy.stats import chi2
 
     channels = single.amplitude.shape[1]
@@ -218,7 +218,7 @@ def are_two(
 def _pair(
     pixels: Pixels, path: Floats, shared: Shared, transfer: Complex, rate: Floats
 ) -> Pair:
-    """Return the best of all fits of two surfaces, for one block of pixels."""
+    """Return the best two-surface fit of each pixel in a block."""
     best = Pair(np.full(len(path), np.inf), path.copy(), path.copy())
     if not len(pixels):
         return best
@@ -250,7 +250,7 @@ def _descend(
     transfer: Complex,
     rate: Floats,
 ) -> tuple[Floats, Floats]:
-    """Minimize chi-square over both paths of each pixel; return it with the paths."""
+    """Minimize each pixel's chi-square over two paths; return minimum and paths."""
     damping = np.full(len(ends), _DAMPING)
     cost, step_of = _linearised(pixels, ends, inverse, front, shared, transfer, rate)
     farthest = 0.5 / rate.max()
@@ -273,9 +273,9 @@ class _Step:
     """Normal equations of two paths, with the amplitudes eliminated."""
 
     matrix: Floats
-    """Information, (pixel, 2, 2)."""
+    """Information matrix, (pixel, 2, 2)."""
     vector: Floats
-    """Half the downhill slope, (pixel, 2)."""
+    """Negative half gradient of chi-square, (pixel, 2)."""
 
     def __call__(self, damping: Floats) -> Floats:
         """Return the damped step of both paths [m]."""
@@ -287,7 +287,7 @@ class _Step:
         return step
 
     def select(self, selected: Bools, others: _Step) -> _Step:
-        """Return these equations for selected pixels, and `others` for the rest."""
+        """Replace the equations of unselected pixels by those in `others`."""
         return _Step(
             np.where(selected[:, None, None], self.matrix, others.matrix),
             np.where(selected[:, None], self.vector, others.vector),

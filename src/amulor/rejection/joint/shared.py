@@ -1,4 +1,4 @@
-"""Fit of the parameters that all pixels share, started from a grid of shapes."""
+"""Fit of the shared parameters, started from a grid of water-signal shapes."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class InitialFit:
     """Fit of the shared parameters, without departures from the model."""
 
     problem: Problem
-    """Pixels that are no outliers, and the shots."""
+    """Fit problem with inlying pixels and open-water shots."""
     state: Shared
     """Estimate without departures."""
     paths: Floats
@@ -137,7 +137,7 @@ def begin(problem: Problem, turn_width: float, *, by_shots: bool) -> InitialFit:
 
 
 def is_mostly_water(water: Problem, turn_width: float) -> bool:
-    """Return whether a fit of water explains most of the power of some samples."""
+    """Return whether a water-only fit explains most of the samples' power."""
     assert water.shots is not None
     count = len(water.shots)
     index = np.unique(np.linspace(0, count - 1, min(_LOOK, count)).astype(np.intp))

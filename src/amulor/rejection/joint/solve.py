@@ -31,40 +31,40 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Estimates of some pixels with their errors, as flat arrays."""
+    """Pixel estimates with their errors, as flat arrays."""
 
     estimates: Estimates
-    """Paths and amplitudes, without the influences."""
+    """Estimated paths and amplitudes, without influences."""
     left_out: NDArray[np.bool_]
     """Outlying samples, (pixel, channel, frequency)."""
     unsettled: NDArray[np.bool_]
-    """Pixels whose outliers are not certain."""
+    """Pixels with uncertain outliers."""
     near: Floats
     """Optical path to the nearer of two surfaces; NaN for a single surface [m]."""
     far: Floats
     """Optical path to the farther surface [m]."""
     enough: NDArray[np.bool_]
-    """Pixels with usable samples at two frequencies."""
+    """Pixels with usable samples at two or more frequencies."""
     detected: NDArray[np.bool_]
-    """Pixels with a target."""
+    """Pixels with a detected target."""
     depth: Floats
     """Depth where the water ends, infinite for open water [m]."""
     water_signal: Complex
     """Water signal, (pixel, channel, frequency) [V]."""
     common: Covariance
-    """Covariance of the water signal by the shared parameters [V^2]."""
+    """Water-signal covariance from shared-parameter errors [V^2]."""
     deviation: Complex | None
-    """Standard deviation of its random change; None for steady water [V]."""
+    """Standard deviation of the water fluctuation; None for steady water [V]."""
     shared_variance: Floats
-    """Variance of the path by the shared parameters [m^2]."""
+    """Path variance from shared-parameter errors [m^2]."""
     bound: Floats
-    """Cramer-Rao bound of the variance of the path [m^2]."""
+    """Cramer-Rao bound of the path variance [m^2]."""
     departure: Floats
-    """Shift of the path by departures from the model, with its uncertainty [m]."""
+    """Path shift due to model departures, with its uncertainty [m]."""
 
 
 def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Result:
-    """Return the estimates of some pixels for known shared parameters."""
+    """Estimate pixels for known shared parameters."""
     rate = frame.phase_per_path
     usable = pixels.usable
     pixels = drifted(pixels, shared.trend)
@@ -123,7 +123,7 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
 def _estimates(
     frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex
 ) -> Estimates:
-    """Return paths and amplitudes of pixels."""
+    """Estimate optical paths and amplitudes of pixels."""
     rate = frame.phase_per_path
     return joint_search.estimate(
         joint_search.without_foreground(
@@ -147,7 +147,7 @@ def _mixed(
     transfer: Complex,
     rate: Floats,
 ) -> tuple[Cleaned, Floats, Floats]:
-    """Restore all samples of pixels with two surfaces; return them and both paths."""
+    """Restore the samples of two-surface pixels; return results and both paths."""
     count = len(pixels)
     near, far = np.full(count, np.nan), np.full(count, np.nan)
     number = (pixels.usable & ~cleaned.pixels.usable).sum(axis=(1, 2))
@@ -172,7 +172,7 @@ def _mixed(
 
 
 def _variance(slopes: Floats, covariance: Floats) -> Floats:
-    """Return the path variances caused by errors of the shared parameters [m^2]."""
+    """Return the path variances due to shared-parameter errors [m^2]."""
     variance: Floats = np.einsum("ni,ni->n", times(slopes, covariance), slopes)
     return variance
 
@@ -220,7 +220,7 @@ def _path_slopes(
 def _common(
     shared: Shared, water: Complex, foreground: Complex, changes: Complex
 ) -> Covariance:
-    """Return the water-signal covariance by errors of the shared parameters [V^2]."""
+    """Return the water-signal covariance due to shared-parameter errors [V^2]."""
     layout = layout_of(shared)
     channels, frequencies = shared.departure.shape
     shape = (len(water), channels, frequencies)

@@ -33,19 +33,19 @@ class Table:
     """
 
     step: float
-    """Distance of the nodes of depth [m]."""
+    """Spacing of the depth nodes [m]."""
     value: Complex
     """Water signal, axes (component, node, frequency) [1]."""
     slope: Complex
-    """Its derivative with respect to the depth [1/m]."""
+    """Derivative of the water signal with respect to depth [1/m]."""
     change: Complex
-    """Derivative with respect to the parameters of the shape, one axis more [1]."""
+    """Derivatives by the shape parameters, along an additional axis [1]."""
     basis: Floats
     """Coefficients of the components in each direction, (direction, component) [1]."""
     level: Floats
-    """Open water at frequency 0, by component; 1 in the middle of the scan [1]."""
+    """Unmodulated open-water signal by component; 1 in the middle of the scan [1]."""
     strength: float
-    """Received over launched power for strength 1, per backscatter [sr m]."""
+    """Ratio of received to launched power for strength 1, per backscatter [sr m]."""
 
     @cached_property
     def arrays(self) -> WaterTable:
@@ -59,7 +59,7 @@ def to_pairs(values: Complex) -> Floats:
 
 
 def from_pairs(values: Floats) -> Complex:
-    """Join real and imaginary parts on the second-last axis to complex numbers."""
+    """Combine real and imaginary parts on the second-last axis into complex numbers."""
     pairs: Complex = values[..., 0, :] + 1j * values[..., 1, :]
     return pairs
 

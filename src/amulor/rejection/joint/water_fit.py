@@ -39,44 +39,44 @@ class WaterFit:
     reduced_attenuation: float
     """Reduced attenuation coefficient k' = a + b_d [1/m]."""
     reduced_attenuation_uncertainty: float
-    """Its standard uncertainty [1/m]."""
+    """Standard uncertainty of the reduced attenuation [1/m]."""
     spread: float
     """Growth b_f <theta^2> of the mean square angle of the light [rad^2/m]."""
     spread_uncertainty: float
-    """Its standard uncertainty [rad^2/m]."""
+    """Standard uncertainty of the spread [rad^2/m]."""
     forward_scattering: float
-    """Forward scattering b_f, from the light that was not scattered [1/m]."""
+    """Forward scattering coefficient b_f, from the unscattered light [1/m]."""
     forward_scattering_uncertainty: float
-    """Its standard uncertainty [1/m]."""
+    """Standard uncertainty of the forward scattering coefficient [1/m]."""
     strength: tuple[float, ...]
     """Open-water signal at frequency 0 in the middle of the scan, by channel [V]."""
     strength_uncertainty: tuple[float, ...]
-    """Its standard uncertainty [V]."""
+    """Standard uncertainty of the strength [V]."""
     depth_of_maximum: float
     """Depth z_max with the largest overlap [m]."""
     depth_of_maximum_uncertainty: float
-    """Its standard uncertainty [m]."""
+    """Standard uncertainty of z_max [m]."""
     cut_off: float
-    """Frequency at which the water signal is down to half its power [Hz]."""
+    """Half-power frequency of the water signal [Hz]."""
     cut_off_uncertainty: float
-    """Its standard uncertainty [Hz]."""
+    """Standard uncertainty of the half-power frequency [Hz]."""
     fluctuation: float
     """Relative random change of the water signal from sample to sample [1]."""
     misfit: float
-    """Chi-square over its degrees of freedom, after the fluctuation [1]."""
+    """Chi-square per degree of freedom, fluctuation included [1]."""
     departure_evidence: float
-    """Twice the logarithm of odds that the water departs from the model [1]."""
+    """Twice the log odds of a water departure from the model [1]."""
     names: tuple[str, ...]
     """Names of the parameters of `covariance` and `direction`."""
     covariance: Floats
-    """Covariance of the relative errors of these parameters [1]."""
+    """Covariance of the relative errors of the parameters in `names` [1]."""
     identified: tuple[bool, ...]
     """Whether the data determine each parameter to better than a factor of 1.6."""
     direction: Floats
-    """Eigenvectors of the Fisher information of their logarithms, best known first,
-    one to a column [1]."""
+    """Eigenvectors of the log parameters' Fisher information, as columns, the best
+    determined first [1]."""
     direction_uncertainty: Floats
-    """Standard uncertainty of these combinations without priors [1]."""
+    """Standard uncertainty along each eigenvector, without priors [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,13 +95,13 @@ class ScatteringSplit:
     """
 
     absorption: float
-    """Absorption coefficient a; below zero the phase function does not fit [1/m]."""
+    """Absorption coefficient a; negative for an unsuitable phase function [1/m]."""
     absorption_uncertainty: float
-    """Its standard uncertainty [1/m]."""
+    """Standard uncertainty of the absorption coefficient [1/m]."""
     scattering: float
     """Scattering coefficient b [1/m]."""
     scattering_uncertainty: float
-    """Its standard uncertainty [1/m]."""
+    """Standard uncertainty of the scattering coefficient [1/m]."""
 
 
 def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
@@ -225,7 +225,7 @@ def split_scattering(
 
 
 def _result(frame: Frame, shared: Shared, channels: list[str]) -> WaterFit:
-    """Return a fit of the water with quantities derived from it."""
+    """Return the fitted water properties, with derived quantities."""
     count = len(channels)
     size = count + COEFFICIENTS
     relative = np.ones(len(shared.covariance))
@@ -287,7 +287,7 @@ def _result(frame: Frame, shared: Shared, channels: list[str]) -> WaterFit:
 def _propagated(
     shared: Shared, function: Callable[[Shape], float]
 ) -> tuple[float, float]:
-    """Return the value of a function of the shape, and its first-order uncertainty."""
+    """Evaluate a function of the shape; return value and first-order uncertainty."""
     begin = len(shared.strength)
     count = COEFFICIENTS + len(shared.shape.knots)
     slope = np.empty(count)
@@ -312,7 +312,7 @@ def _depth_of_maximum(frame: Frame, shape: Shape) -> float:
 
 
 def _responses(frame: Frame, shape: Shape, frequency: Floats) -> Floats:
-    """Return the amplitude of the water signal in the middle of the scan."""
+    """Return the water-signal amplitude in the middle of the scan."""
     depth = np.linspace(0, min(frame.nothing_left(shape), frame.end), _DEPTHS)
     light = frame.middle(depth, shape)
     light[[0, -1]] /= 2

@@ -72,7 +72,7 @@ def with_open_water(cube: xr.Dataset, reference: xr.Dataset) -> xr.Dataset:
 
 
 def _pixels_as_shots(reference: xr.Dataset) -> xr.Dataset:
-    """Return the pixels of a scan without a target as shots, in order of time."""
+    """Convert the pixels of a target-free scan to open-water shots, sorted by time."""
     order = np.arange(reference["azimuth"].size)
     if "time" in reference.coords:
         order = np.argsort(reference["time"].values.ravel(), kind="stable")

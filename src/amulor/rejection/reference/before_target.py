@@ -1,4 +1,4 @@
-"""Water signal in front of the target: open water less the water behind the target."""
+"""Water signal in front of the target: open-water signal less the hidden part."""
 
 from __future__ import annotations
 
@@ -53,23 +53,22 @@ class Turbidity:
     """Turbidity of the survey's water, estimated from the open-water shots."""
 
     survey: Survey
-    """The survey with absorption and scattering times the factor."""
+    """Survey with absorption and scattering multiplied by the factor."""
     factor: float
     """Factor on absorption and scattering [1]."""
     uncertainty: float
     """Standard uncertainty of the logarithm of the factor [1]."""
     steeper: Survey
-    """The survey with the factor increased by one standard uncertainty."""
+    """Survey with the factor increased by one standard uncertainty."""
     misfit: float
-    """Root-mean-square departure of the model from the open water beyond chance, with a
-    bound where few frequencies could show it, relative to the open water [1]."""
+    """Root-mean-square model error beyond chance, relative to the open-water signal; an
+    upper bound for few frequencies [1]."""
     shown: float
-    """Part of the misfit that the shots do show [1]."""
+    """Part of the misfit that is detected in the shots [1]."""
     is_extreme: bool = False
-    """Whether the best factor is at or beyond an end of the tried range."""
+    """Whether the best factor lies at an end of the tested range, or beyond."""
     paper: bool = False
-    """Whether the model is the paper's diffusion form instead of the small-angle
-    form."""
+    """Whether the paper's diffusion model is used instead of the small-angle model."""
 
 
 def turbidity_of(
@@ -157,7 +156,7 @@ def _spread(count: int) -> NDArray[np.intp]:
 
 
 def _chi_square(model: Complex, measured: Complex, weight: Floats) -> float:
-    """Return chi-square of a model, with the best strength in each channel."""
+    """Return chi-square of a model, with the signal strength fitted in each channel."""
     total = 0.0
     for channel in range(measured.shape[1]):
         signal, w = measured[:, channel], weight[:, channel]
@@ -169,7 +168,7 @@ def _chi_square(model: Complex, measured: Complex, weight: Floats) -> float:
 
 
 def _near_minimum(chi_square: Callable[[float], float]) -> Floats:
-    """Return chi-squares of `_FACTORS` near their minimum, infinite elsewhere.
+    """Evaluate chi-square at the `_FACTORS` near its minimum; infinite elsewhere.
 
     Each sixth factor first, then halfway, then neighbors until none is lower.
     """
@@ -208,14 +207,15 @@ class WaterFit:
     estimated_turbidity: Turbidity | None
     """Turbidity estimated from the shots; None without a survey."""
     choices: Choices | None
-    """Frequency choices for the optical path, for all pixels; None without a survey."""
+    """Frequency choices of the path estimate, common to all pixels; None without a
+    survey."""
     first: tuple[Choices | None, Column] | None
     """Frequency choices and column of the first pass; None without a survey."""
     column: Column | None
-    """Fractions of the open water from behind the targets; None without a survey."""
+    """Fractions of the open-water signal from behind targets; None without a survey."""
     steeper: Column | None
-    """Fractions in water that is more turbid by one standard uncertainty; None where
-    the survey is not corrected."""
+    """Fractions for water more turbid by one standard uncertainty; None if the survey
+    is not corrected."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,28 +227,28 @@ class WaterBeforeTarget:
     to_the_end: Complex
     """Water signal without a target, from the shots [V]."""
     difference: Complex
-    """Samples less `to_the_end`: target signal less the missing water behind it [V]."""
+    """Samples less `to_the_end`: target signal less the hidden water signal [V]."""
     hidden_fraction: Complex | None
     """Fraction of `to_the_end` from behind the target; NaN where the distance is
     unknown, None if no survey describes the water [1]."""
     hidden_error: Covariance | None
-    """Covariance of the water behind the target by turbidity and model, which all
-    pixels share; None where the survey is not corrected [V^2]."""
+    """Covariance of the hidden water from errors of turbidity and model, common to all
+    pixels; None if the survey is not corrected [V^2]."""
     survey: Survey | None
-    """Survey from which the fraction was computed."""
+    """Survey used for the hidden fraction."""
     turbidity: Turbidity | None
-    """Turbidity by which the survey was corrected; None where it is not corrected."""
+    """Turbidity used to correct the survey; None without correction."""
     estimated_turbidity: Turbidity | None
-    """Turbidity estimated from the shots, whether the survey is corrected or not."""
+    """Turbidity estimated from the shots, even if the survey is not corrected."""
     signal: Complex
-    """Water signal up to the target; without a target where its distance is unknown
+    """Water signal up to the target; open-water signal if the distance is unknown
     [V]."""
     fluctuation: Covariance
     """Covariance of the fluctuation of `signal` from sample to sample [V^2]."""
     common: Covariance
-    """Covariance of the error of the reference, which the pixels share [V^2]."""
+    """Covariance of the reference error, common to all pixels [V^2]."""
     path: NDArray[np.float64]
-    """Round-trip optical path of every pixel, NaN where it is unknown [m]."""
+    """Round-trip optical path of every pixel, NaN if unknown [m]."""
     fit: WaterFit
     """Scan-wide fit, for other rows of the scan."""
 
@@ -266,7 +266,7 @@ def water_before_target(
     fit: WaterFit | None = None,
     span: Span | None = None,
 ) -> WaterBeforeTarget:
-    """Return the water signal in front of the target of every sample.
+    """Compute the water signal in front of the target for every sample.
 
     `survey_is_right` says that the survey's absorption and scattering are taken as they
     stand, not corrected by what the shots show. CubeError as `open_water`.
@@ -374,7 +374,7 @@ class Strength:
     """Relative change of the water signal from its reference to the scan."""
 
     change: float
-    """Relative change: the water is 1 + change times its reference [1]."""
+    """Relative change; the scan's water is (1 + change) times the reference [1]."""
     uncertainty: float
     """Standard uncertainty of the change [1]."""
 
@@ -382,7 +382,7 @@ class Strength:
 def contradiction(
     strength: Strength, turbidity: Turbidity | None
 ) -> WaterResidualCause:
-    """Return the reason that the shots do not fit the scan; 0 if they fit."""
+    """Return the cause of inconsistent shots and scan; 0 if they are consistent."""
     sure = abs(strength.change) - _SURE * strength.uncertainty > LARGEST_CHANGE
     # No water has a negative strength, and none is like these shots.
     negative = sure and strength.change <= -1
@@ -469,7 +469,7 @@ def strength_of(
 
 
 def _at(values: NDArray[Any], pixels: NDArray[np.intp]) -> NDArray[Any]:
-    """Return the samples of some pixels, shape (frequency, channel, pixel)."""
+    """Return the samples of selected pixels, shape (frequency, channel, pixel)."""
     return values.reshape(*values.shape[:2], -1)[:, :, pixels]
 
 
@@ -485,7 +485,7 @@ class _Fit:
 def _fit(
     phase: Floats, turn: Floats, wavenumber: Floats, weight: Floats
 ) -> _Fit | None:
-    """Fit a common change of the water and one path per pixel; None if undetermined."""
+    """Fit a common water change and a path for each pixel; None if undetermined."""
 
     def summed(values: Floats) -> Floats:
         total: Floats = np.sum(weight * values, axis=(0, 1))

@@ -91,7 +91,7 @@ def column_of(
 
 
 class _Listed:
-    """Fractions at all pixels of a scan, from one integration over depth.
+    """Hidden fractions at all pixels of a scan, from one integration over depth.
 
     Separate integration would change their last digits.
     """
@@ -136,7 +136,7 @@ class _Listed:
 
 
 class _Table:
-    """Chebyshev series of a fraction over azimuth, elevation and depth."""
+    """Chebyshev series of hidden fractions over azimuth, elevation and depth."""
 
     def __init__(
         self,
@@ -157,7 +157,7 @@ class _Table:
         self.size = self._series.size
 
     def fill(self) -> None:
-        """Integrate at the nodes and compute the coefficients."""
+        """Integrate the water signal at the nodes, and compute the coefficients."""
         places = self._series.places()
         value = integrated(self._survey, places, self._frequency, paper=self._paper)
         value *= np.exp(-1j * np.outer(self._phase_per_range, places[2]))
@@ -188,7 +188,7 @@ class _Table:
 
 
 def _spread(places: Floats) -> NDArray[np.intp]:
-    """Return indices of pixels over the whole scan, with the extremes of each axis."""
+    """Select pixels spread over the scan, including the extremes of each axis."""
     count = places.shape[1]
     even = np.linspace(0, count - 1, min(_CHECKS, count)).astype(int)
     extremes = np.concatenate([places.argmin(axis=1), places.argmax(axis=1)])
@@ -196,7 +196,7 @@ def _spread(places: Floats) -> NDArray[np.intp]:
 
 
 def _in_parts(function: _Function, places: Floats, frequency: Floats) -> Complex:
-    """Evaluate a function of places part by part, to bound memory."""
+    """Evaluate a function in blocks of pixels, to limit memory."""
     count = places.shape[1]
     out = np.empty((len(frequency), count), dtype=complex)
     step = max(1, _AT_ONCE // len(frequency))
@@ -296,7 +296,7 @@ def depth(
     interval: tuple[float, float] | None,
     fit: ambiguity.Choices | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], ambiguity.Choices | None]:
-    """Return water depth and optical path to the target, and choices on frequencies.
+    """Return water depth and optical path to the target, and frequency choices.
 
     Both lengths over (row, column), NaN where the distance is not settled [m]; and the
     choices between frequencies that all pixels share, `fit` if it is given. The signal

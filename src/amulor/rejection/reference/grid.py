@@ -1,4 +1,4 @@
-"""Check of planned open-water shots: error of the interpolation between them."""
+"""Check of planned open-water shots by the interpolation error between them."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Plan:
     error: float
     """Largest error of the interpolation, relative to the largest water signal [1]."""
     refused: str
-    """Reason of methods to refuse the shots; empty if they accept them."""
+    """Reason why the methods would refuse the shots; empty if accepted."""
     enough: tuple[int, int] | None
     """Sufficient columns and rows of shots; None if the scan is too wide for any."""
 
@@ -197,7 +197,7 @@ def _best(
     *,
     scatter: float,
 ) -> tuple[int | None, list[int]]:
-    """Return the index of the best model in cross-validation; None if none is needed.
+    """Select the water model by cross-validation; None if no model is needed.
 
     And the degree of its polynomial at each frequency.
     """

@@ -29,10 +29,10 @@ DRIFT, DRIFT_UNCERTAINTY = (
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseDrift:
-    """Change of the phase between the halves of a reference measurement."""
+    """Phase change between the first and second half of a reference measurement."""
 
     phase: Floats
-    """Change from the first half to the second, frequency by frequency [rad]."""
+    """Change from the first to the second half, by frequency [rad]."""
     uncertainty: Floats
     """Standard uncertainty of the change [rad]."""
 
@@ -69,7 +69,7 @@ def without_drift(cube: xr.Dataset) -> xr.Dataset:
 
 
 def drift_of_references(cube: xr.Dataset) -> PhaseDrift | None:
-    """Estimate the phase drift that all channels share; None if not significant.
+    """Estimate the phase drift common to all channels; None if not significant.
 
     The second half of the shots against the first, in the directions that both have.
     One delay stands for all frequencies where it explains them. A change that is

@@ -103,13 +103,13 @@ class Shape:
     """Water signal at the pixels."""
 
     def part(self, use: NDArray[np.bool_]) -> Shape:
-        """Return a copy with some of the shots."""
+        """Return a copy with selected shots."""
         return Shape(self.at_shots[use], self.at_pixels)
 
 
 @dataclass(frozen=True)
 class ModelBehindShots:
-    """Water model relative to which the shots are interpolated."""
+    """Water model used to normalize the shots before interpolation."""
 
     model: Model
     """Function from directions within the scan to the water signal."""
@@ -117,7 +117,7 @@ class ModelBehindShots:
     """Modeled water signal at the shots, shape (frequency, shot)."""
 
     def over(self, pixels: Floats, frequency: Floats) -> list[Shape]:
-        """Return the modeled signal at shots and pixels, frequency by frequency."""
+        """Return the modeled signals at shots and pixels, one `Shape` per frequency."""
         return [
             Shape(at_shots, at_pixels)
             for at_shots, at_pixels in zip(
@@ -167,7 +167,7 @@ def model_behind_shots(
 def models_for(
     survey: Survey, directions: Floats, frequency: Floats, *, repeats: int
 ) -> list[Model] | None:
-    """Return the candidate models for the interpolation; None if none is needed."""
+    """Return the candidate models for the interpolation; None if unnecessary."""
     if len(directions) < 2 or survey.scan.moves == "both":
         return None
     try:
@@ -209,7 +209,7 @@ def _is_smooth(
 
 
 def is_measure(model: Complex) -> bool:
-    """Return whether a model varies little enough to divide a signal by it."""
+    """Return whether a model varies little enough for use as a divisor."""
     strength = np.abs(model)
     return bool(strength.min() * _LARGEST_RATIO > strength.max())
 
@@ -217,7 +217,7 @@ def is_measure(model: Complex) -> bool:
 def _cross_validation_error(
     model: Complex | None, directions: Floats, shots: Observation
 ) -> float:
-    """Return the error of a model at directions that are left out of its fit."""
+    """Return a model's cross-validation error: at directions omitted from the fit."""
     if model is not None and not is_measure(model):
         return np.inf
     total = 0.0
@@ -249,7 +249,7 @@ def open_water(
 
 
 class _Tabled:
-    """A water model, tabulated over the directions of a scan."""
+    """Water model tabulated over the directions of a scan."""
 
     def __init__(
         self, model: Model, low: Floats, high: Floats, frequency: Floats

@@ -1,4 +1,4 @@
-"""Target detection: a test against open water, whole or cut off at a depth."""
+"""Target detection: test against open water, full or truncated at a depth."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ SIZE = 1e-5
 DEPARTURE = 0.05
 #: Steps of the depth at which the water may end, in a period of the highest frequency.
 _PER_PERIOD = 12
-#: What the model of a cut column may be off by, in parts of the open water [1].
+#: Error of the model of a truncated column, relative to the open-water signal [1].
 MODEL_ERROR = 0.02
-#: Beyond this depth nothing is taken to end the water, in lengths of 1 / k' [1].
+#: Largest depth at which the water may end, in lengths of 1 / k' [1].
 _DEEPEST = 8.0
-#: Directions along each side of the scan at which cut columns are computed.
+#: Directions along each side of the scan at which truncated columns are computed.
 _DIRECTIONS = 5
-#: Angles that differ by less are one [rad].
+#: Angles that differ by less count as equal [rad].
 _ONE = 1e-9
 #: Pixels worked on at once: this bounds the memory.
 _AT_ONCE = 8192
@@ -45,22 +45,21 @@ def shows_target(
     interval: tuple[float, float] | None,
     fit: CutColumns | None = None,
 ) -> tuple[NDArray[np.bool_], CutColumns | None, Floats]:
-    """Return pixels with a target, the cut water columns, and probabilities of none.
+    """Detect targets; return mask, truncated columns and no-target probabilities.
 
-    False where the samples are open water as the shots have it, of up to a few times
-    `DEPARTURE` more or less, or the same water cut off by something that sends nothing
-    back (a shadow, a black surface). The cut columns are `fit` if it is stated, and
-    None without a survey. The probabilities are those of so large a chi-square of open
-    water, NaN where there is a target.
+    False where the samples agree with the open-water signal of the shots, within a few
+    times `DEPARTURE`, or with a column truncated by a dark object (a shadow, a black
+    surface). The truncated columns are `fit` if given, and None without a survey. The
+    probabilities are p-values of chi-square for open water, NaN for a target.
 
-    The hypothesis "no target" is tested before any column is put back: the smallest
+    The hypothesis "no target" is tested before any column is added back: the smallest
     chi-square over the depths at which the water may end, with a common factor of the
     water that has the standard deviation `DEPARTURE`, against twice as many degrees of
-    freedom as there are samples. It is refused in `SIZE` of the pixels at most where
-    it is true. Errors are those of the samples and of the reference, the fluctuation
-    and the drift of the whole column. Cut columns come from the survey
-    in the turbidity that the shots tell; without a survey, only the whole column
-    counts.
+    freedom as there are samples. If it is true, it is rejected in a fraction of at
+    most `SIZE` of the pixels. Errors are those of the samples and of the reference, the fluctuation
+    and the drift of the whole column. Truncated columns are
+    computed from the survey, with the turbidity estimated from the shots; without a
+    survey, only the full column is tested.
     """
     from scipy.special import chdtrc, chdtri
 
@@ -130,7 +129,7 @@ def _problem(
     frequency: NDArray[np.intp],
     saturated: NDArray[np.bool_] | None,
 ) -> _Problem:
-    """Return the samples with their inverse covariances, 0 for unusable samples."""
+    """Combine samples and inverse covariances, both 0 for unusable samples."""
     determinant = errors.in_phase * errors.quadrature - errors.cross**2
     use = np.isfinite(difference) & np.isfinite(water) & (determinant > 0)
     if saturated is not None:
@@ -167,7 +166,7 @@ class _Problem:
         return np.asarray((self.in_phase > 0).sum(axis=0))
 
     def misfit(self, fractions: Complex | Floats) -> Floats:
-        """Return chi-square of open water without a fraction of its column.
+        """Return chi-square of open water with a fraction of the column removed.
 
         `fractions` are over (frequency, pixel), or one for all.
         """
@@ -180,8 +179,8 @@ class _Problem:
         return misfit
 
     def surely_more_than(self, fractions: Floats) -> Floats:
-        """Return a lower bound of chi-square over all cuts of up to given fractions."""
-        # The water in front of a cut may depart by five times what is expected.
+        """Return a lower bound of chi-square over removed fractions up to limits."""
+        # The water in front of a cut may depart by five times the expected departure.
         allowed = fractions[self.frequency][:, None] + 5 * DEPARTURE
         free = np.maximum(np.abs(self.difference) - allowed * np.abs(self.water), 0.0)
         # The smallest eigenvalue of the inverse covariance.
@@ -202,20 +201,20 @@ class _Problem:
 
 @dataclass(frozen=True, kw_only=True)
 class CutColumns:
-    """Fraction of the open-water signal from beyond a cut, by depth and direction."""
+    """Fractions of the open-water signal from beyond a depth, by direction."""
 
     smooth: Complex
-    """Fractions without the phase of their depth, shape (frequency, depth, elevation
-    node, azimuth node) [1]."""
+    """Fractions divided by the phasor of their depth, shape (frequency, depth,
+    elevation node, azimuth node) [1]."""
     depth: Floats
     """Depths of the nodes, evenly spaced [m]."""
     wavenumber: Floats
-    """Phase per depth of each frequency, one way [rad/m]."""
+    """One-way phase per depth at each frequency [rad/m]."""
 
     def lowest(self, pixels: _Problem, up: Floats, across: Floats) -> Floats:
-        """Return the smallest chi-square of pixels over the depths of the cut.
+        """Return each pixel's smallest chi-square over the truncation depth.
 
-        `up` and `across` are their places among the nodes of elevation and azimuth.
+        `up` and `across` are fractional node indices in elevation and azimuth.
         """
         i, u = _between(up, self.smooth.shape[2])
         j, v = _between(across, self.smooth.shape[3])
@@ -230,7 +229,7 @@ class CutColumns:
         place = np.zeros(len(up))
 
         def try_at(places: Floats) -> None:
-            """Update the smallest chi-square, for cuts between the depth nodes."""
+            """Update the smallest chi-square for truncation between the depth nodes."""
             k, share = _between(places, smooth.shape[1])
             after = np.minimum(k + 1, smooth.shape[1] - 1)
             value = (1 - share) * smooth[:, k, pixel] + share * smooth[:, after, pixel]
@@ -262,7 +261,7 @@ def _cut_columns(
     *,
     paper: bool,
 ) -> CutColumns:
-    """Compute a table of open-water fractions from beyond a cut, for a survey."""
+    """Compute the survey's table of open-water fractions from beyond each depth."""
     properties = water_properties(survey)
     nearest, farthest = (0.0, np.inf) if interval is None else interval
     loss = max(properties.reduced_attenuation, 1e-3)
@@ -291,7 +290,7 @@ def _cut_columns(
 
 
 def _places(angle: Floats, low: float, high: float) -> Floats:
-    """Return the angles of pixels as fractional indices of the nodes [1]."""
+    """Convert the angles of pixels to fractional node indices [1]."""
     values = angle.ravel()
     if high - low < _ONE:
         return np.zeros(values.size)

@@ -38,7 +38,7 @@ class Drift:
     """Relative change of the water signal from the first to the last shot."""
 
     change: complex
-    """Change, radial + 1j * tangential, per unit of the water signal [1]."""
+    """Relative change of the water signal, radial + 1j * tangential [1]."""
     uncertainty: complex
     """Standard uncertainty of the radial and tangential change [1]."""
     chance: float
@@ -100,17 +100,17 @@ class Reference:
     signal: Complex
     """Expected water signal [V]."""
     common: Covariance
-    """Covariance of the water signal by the fit, which the pixels share [V^2]."""
+    """Water-signal covariance from the fit, common to all pixels [V^2]."""
     relative: NDArray[np.float64]
-    """Covariance of the fluctuation (radial, tangential), per squared signal [1]."""
+    """Covariance of the relative fluctuation (radial, tangential) [1]."""
     degree: int
     """Degree of the polynomial over the scan directions."""
     drift: Drift
     """Drift from the first shot to the last."""
     surface: Surface
-    """Polynomial through the shots."""
+    """Polynomial fit of the shots."""
     modelled: bool = False
-    """Whether the polynomial is relative to a water model."""
+    """Whether the polynomial fits the ratio to a water model."""
 
 
 def fit_channel(
@@ -242,11 +242,11 @@ class ShotsFit:
     span: Span
     """Directions of the scan."""
     directions: Floats
-    """Azimuth and elevation of the shots, equal for repeats of a direction [rad]."""
+    """Azimuth and elevation of the shots, identical for repeats [rad]."""
     model: ModelBehindShots | None
-    """Water model relative to which they are interpolated; None without a model."""
+    """Water model used to normalize the shots; None without a model."""
     surfaces: tuple[Surface, ...]
-    """Polynomials, frequency by frequency, channel by channel."""
+    """Polynomials by frequency, then channel."""
 
 
 def fit_shots(
@@ -255,7 +255,7 @@ def fit_shots(
     fit: ShotsFit | None = None,
     span: Span | None = None,
 ) -> tuple[list[Reference], ShotsFit]:
-    """Interpolate the open-water shots to the pixels of a scan; return the fit, too.
+    """Interpolate open-water shots to the pixels of a scan; return also the fit.
 
     Modulation frequency by frequency, channel by channel. CubeError if too few shots of
     a channel are numbers, the scan goes beyond them, or the water changed too much from
@@ -313,10 +313,10 @@ def fit_shots(
 
 
 def directions_of(scan: Observation, shots: Observation) -> Floats:
-    """Return the directions of shots, with equal values for repeats of a direction.
+    """Return the directions of shots, with repeats set to their mean direction.
 
-    Shape (shot, 2), azimuth and elevation [rad], all zero where they are not known. The
-    pixels of the scan tell how far stages miss.
+    Shape (shot, 2), azimuth and elevation [rad], all zero if unknown. The
+    positioning error of the stages is estimated from the pixels of the scan.
     """
     azimuth, elevation = shots.directions
     if azimuth is None or elevation is None:
@@ -360,24 +360,24 @@ def real_drift_of(fits: list[Reference], shape: tuple[int, ...]) -> Complex:
 def _averaged_repeats(
     scan: Observation, shots: Observation, name: str, stands: Floats
 ) -> Floats:
-    """Return one angle of the shots, averaged over repeats of a direction.
+    """Average an angle of the shots over the repeats of each direction.
 
-    A scanner comes to stand a little off, another little each time: without this no
-    direction would be repeated. The angle is the mean of what was read back.
+    Scanners stop slightly beside the commanded angle, with a different error each
+    time, so measured angles of repeats differ. The angle is the mean measured one.
     """
     meant = f"user_commanded_{name}"
     if meant in shots.cube:
         group = _groups(np.round(shots.cube[meant].values, 9))
     else:
         group = _clusters(stands, at_least=_MISSES * _jitter(scan, name))
-    # Relative to one of them, so that equal angles stay as they are to the last bit.
+    # Relative to the first repeat, so that equal angles stay equal to the last bit.
     first = stands[np.unique(group, return_index=True)[1]]
     off = np.bincount(group, stands - first[group]) / np.bincount(group)
     return np.asarray(first + off)[group]
 
 
 def _clusters(angle: Floats, *, at_least: float) -> NDArray[np.intp]:
-    """Return the cluster index of each angle; without clusters, of distinct angles."""
+    """Return the cluster index of each angle, or indices of distinct angles."""
     order = np.argsort(angle, kind="stable")
     gaps = np.diff(angle[order])
     near = max(_NEAR * float(np.ptp(angle)), at_least)
@@ -392,7 +392,7 @@ def _groups(values: Floats) -> NDArray[np.intp]:
 
 
 def _jitter(scan: Observation, name: str) -> float:
-    """Return the standard deviation of measured from commanded angles [rad]."""
+    """Return the standard deviation of measured minus commanded angles [rad]."""
     cube, meant = scan.cube, f"user_commanded_{name}"
     if meant not in cube:
         return 0.0
@@ -436,7 +436,7 @@ def _refuse_strong_drift(
 def _refuse_a_scan_beyond_the_shots(
     scan: Observation, shots: NDArray[np.float64], span: Span
 ) -> None:
-    """Refuse a scan that goes beyond the directions of its open-water shots."""
+    """Raise an error for a scan that extends beyond its open-water shots."""
     if scan.survey is not None and scan.survey.scan.moves == "both":
         return  # The receiver turns with the beam: the water is the same everywhere.
     low, high = shots.min(axis=0), shots.max(axis=0)
@@ -454,13 +454,13 @@ def _refuse_a_scan_beyond_the_shots(
 
 #: Attribute with the factor.
 NOISE_SCALE = "open_water_noise_scale"
-#: The excess must stand out of chance by this many standard errors [1].
+#: Least significance of the excess, in standard errors [1].
 _SURE_OF_NOISE = 4.0
-#: A direction whose scatter is this many standard errors off holds a spike [1].
+#: Scatter of a direction, in standard errors, above which it contains a spike [1].
 _SPIKE = 6.0
-#: Noise of directions that are alike to this cannot be told from a fluctuation [1].
+#: Relative spread of noise below which noise and fluctuation are inseparable [1].
 _ALIKE = 1e-6
-#: Steps of the fit, each with the weights of the one before.
+#: Steps of the fit, each with the weights from the previous step.
 _STEPS = 12
 
 
@@ -515,7 +515,7 @@ Scatter = tuple[Floats, Floats, Floats, Floats]
 def scatter_of(
     shots: Complex, instrument: Covariance, places: Places
 ) -> tuple[Scatter, Scatter]:
-    """Return the scatter of repeated shots along their mean and across it."""
+    """Return the scatter of repeated shots, radial and tangential to their mean."""
     mean = places.mean_of(shots)
     size = np.abs(mean)
     turn = np.exp(1j * np.angle(mean))
@@ -535,7 +535,7 @@ def scatter_of(
 
 
 def noise_scale(scatters: list[Scatter]) -> float:
-    r"""Estimate the factor by which the noise of shots exceeds their stated errors.
+    r"""Estimate the ratio of shot noise to stated errors.
 
     Shots of a direction scatter by :math:`s^2 u^2 + r\,|W|^2`: noise, which is stated
     as u, and a fluctuation of the water in proportion to its signal W, one r for each

@@ -1,4 +1,4 @@
-"""Smooth surfaces through open-water shots, and the scatter about them."""
+"""Polynomial fits of open-water shots over direction, with their scatter."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Places:
     centre: Floats
     """Middle of azimuth and elevation [rad]."""
     scale: Floats
-    """Half of the spans of azimuth and elevation, 1 for a span of zero [rad]."""
+    """Half spans of azimuth and elevation, 1 for a span of zero [rad]."""
     where: Floats
     """Scaled direction of every shot, shape (n, 2) [1]."""
     distinct: Floats
@@ -39,11 +39,11 @@ class Places:
     size: NDArray[np.intp]
     """Number of shots in every distinct direction."""
     powers: NDArray[np.intp]
-    """Exponents of the polynomial terms that the directions determine, shape (terms,
+    """Exponents of the polynomial terms determined by the directions, shape (terms,
     2)."""
 
     def scaled(self, direction: Floats) -> Floats:
-        """Return directions scaled as those of the shots."""
+        """Scale directions with the center and span of the shots."""
         return np.asarray((direction - self.centre) / self.scale)
 
     def sum_of(self, values: NDArray[Any]) -> NDArray[Any]:
@@ -62,7 +62,7 @@ class Places:
         return np.asarray(self.powers[self.powers.sum(axis=1) <= degree])
 
     def highest(self, shots: int) -> int:
-        """Return the highest degree that leaves enough shots to judge their scatter."""
+        """Return the highest degree with enough degrees of freedom for the scatter."""
         order = self.powers.sum(axis=1)
         return max(
             d
@@ -171,7 +171,7 @@ _SURE = 5.0
 def logarithms(
     shots: Complex, variance: Floats, group: NDArray[np.intp]
 ) -> tuple[Complex, complex] | None:
-    r"""Return the logarithms of the mean signals of directions, and their reference."""
+    r"""Return the log mean signal of each direction, and the reference value."""
     count = np.bincount(group)
     mean = (
         np.bincount(group, shots.real) + 1j * np.bincount(group, shots.imag)
@@ -219,7 +219,7 @@ _ALONE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """A polynomial through shots, or through their ratio to a model."""
+    """Polynomial fit of shots, or of their ratio to a model."""
 
     powers: NDArray[np.intp]
     """Exponents of the terms, shape (terms, 2)."""
@@ -228,17 +228,17 @@ class Surface:
     spreads: list[Floats]
     """Covariances of the coefficients: in phase, quadrature, cross."""
     logarithm: tuple[Complex, complex] | None
-    """Polynomial of the logarithms of the signals, and their reference."""
+    """Polynomial of the log signals, and the reference value."""
     relative: Floats
-    """Covariance of the fluctuation (radial, tangential), per squared signal [1]."""
+    """Covariance of the relative fluctuation (radial, tangential) [1]."""
     level: Complex
     """Water signal at the shots [V]."""
     cross_validation: float
-    """Mean square error at directions that are left out of the fit, in units of the
-    errors of their means [1]."""
+    """Mean square cross-validation error, in units of the errors of the direction
+    means [1]."""
     excess: float
-    """Mean square residual of the directions over its expected value, less 1; 0 where a
-    degree fits [1]."""
+    """Excess of the mean square residual over expectation, relative; 0 for a sufficient
+    degree [1]."""
 
 
 def surface_of(
@@ -301,7 +301,7 @@ def surface_of(
 
 
 def noise_of(shots: Complex, instrument: Covariance, places: Places) -> Covariance:
-    """Return the covariance of shots about the means of their directions."""
+    """Return the covariance of shots about the mean of each direction."""
     mean = places.mean_of(shots)[places.group]
     relative = relative_fluctuation(
         shots, mean, instrument, freedom=len(shots) - len(places.size)
@@ -318,7 +318,7 @@ def _is_saturated(design: Floats, gain: Floats, places: Places) -> bool:
 def _cross_validation(
     rest: Complex, variance: Floats, design: Floats, gain: Floats, places: Places
 ) -> tuple[float, float]:
-    """Return the error at directions left out of the fit, and the excess of residuals.
+    """Return cross-validation error and residual excess of a polynomial fit.
 
     Shots of one direction have one weight, so that leaving them out divides the rest of
     their mean by one less their leverage.
@@ -349,7 +349,7 @@ def _logarithmic(
 
 
 def _choose_degree(shots: Complex, places: Places, weight: Floats) -> tuple[int, bool]:
-    """Choose the degree by an F test; return also whether its misfit may be chance."""
+    """Choose the degree by an F test; return also whether the fit is acceptable."""
     from scipy.special import fdtrc
 
     group, groups = places.group, len(places.size)
@@ -407,7 +407,7 @@ def cross_validation_errors(
     model: Complex | None = None,
     degrees: list[int] | None = None,
 ) -> Floats:
-    """Return the error of the polynomial at each direction that is left out in turn."""
+    """Return the polynomial's leave-one-out error at each direction."""
     if len(direction) == 1:
         return np.zeros(signal.shape)
     off = np.empty(signal.shape)
@@ -434,7 +434,7 @@ def expected_degrees(
     *,
     model: Complex | None = None,
 ) -> list[int]:
-    """Return the degree that a fit of such shots would choose, at each frequency."""
+    """Predict the polynomial degree chosen for planned shots, by frequency."""
     from scipy.special import fdtri
 
     count = len(direction)

@@ -24,24 +24,24 @@ class WaterTable(NamedTuple):
     """
 
     step: float
-    """Distance of the nodes [m]."""
+    """Spacing of the depth nodes [m]."""
     value: Array
-    """W at the nodes, (component, node, 2, frequency) [1]."""
+    """Water signal W at the nodes, (component, node, 2, frequency) [1]."""
     slope: Array
-    """dW/dz there [1/m]."""
+    """Slope dW/dz at the nodes [1/m]."""
 
 
 class Echo(NamedTuple):
     """Echo H(f) exp(i k p) of a unit target: phase per path, and transfer function."""
 
     phase_per_path: Array
-    """k = 2 pi f / c_0, (frequency,) [rad/m]."""
+    """Wavenumber k = 2 pi f / c_0, (frequency,) [rad/m]."""
     transfer: Array
     """Transfer function H(f) of the echo beyond its delay, (2, frequency) [1]."""
 
 
 class Model(NamedTuple):
-    """Shared parameters, fixed during the search for the path of a pixel."""
+    """Shared parameters, fixed during the path search of a pixel."""
 
     table: WaterTable
     """Water signal of strength 1."""
@@ -52,10 +52,10 @@ class Model(NamedTuple):
     fluctuation: float
     """Relative random change of the water signal from sample to sample [1]."""
     front: Array
-    """Light from in front of all targets in the middle of the scan, (channel, 2,
-    frequency) [V]."""
+    """Water signal from depths in front of all targets, in the middle of the scan,
+    (channel, 2, frequency) [V]."""
     level: Array
-    """Open water at frequency 0, by component; 1 in the middle of the scan [1]."""
+    """Unmodulated open-water signal by component; 1 in the middle of the scan [1]."""
 
 
 class Samples(NamedTuple):
@@ -64,7 +64,7 @@ class Samples(NamedTuple):
     signal: Array
     """Samples, (pixel, channel, 2, frequency) [V]."""
     weight: Array
-    """Inverse covariance (in phase, both, quadrature); 0 for unusable samples, (pixel,
+    """Inverse covariance (in phase, cross, quadrature), 0 for unusable samples, (pixel,
     channel, 3, frequency) [1/V^2]."""
 
 
@@ -72,27 +72,27 @@ class Places(NamedTuple):
     """Directions and possible paths of many pixels."""
 
     coefficient: Array
-    """Coefficients of the components of the table, (pixel, component) [1]."""
+    """Coefficients of the table components, (pixel, component) [1]."""
     offset: Array
-    """Optical path before the water, out and back, (pixel,) [m]."""
+    """Round-trip optical path before the water, (pixel,) [m]."""
     shortest: Array
     """Shortest optical path, (pixel,) [m]."""
     longest: Array
     """Longest optical path, (pixel,) [m]."""
     depths: Array
-    """Depth at the paths shortest + (longest - shortest) (j / (J - 1))^2,
+    """Depths at the optical paths shortest + (longest - shortest) (j / (J - 1))^2,
     (pixel, J) [m]."""
 
 
 class Limits(NamedTuple):
-    """Paths between which the target of one pixel may lie, and depths along them."""
+    """Limits of the optical path to a pixel's target, with depths between them."""
 
     shortest: float
     """Shortest optical path [m]."""
     longest: float
     """Longest optical path [m]."""
     depths: Array
-    """Depth at a series of paths, see `Places` [m]."""
+    """Depths at a series of optical paths; see `Places` [m]."""
 
 
 class Pixel(NamedTuple):
@@ -101,22 +101,22 @@ class Pixel(NamedTuple):
     signal: Array
     """Samples, (channel, 2, frequency) [V]."""
     weight: Array
-    """Their inverse covariance, (channel, 3, frequency) [1/V^2]."""
+    """Inverse covariance of the samples, (channel, 3, frequency) [1/V^2]."""
     coefficient: Array
-    """Coefficients of the components of the table, (component,) [1]."""
+    """Coefficients of the table components, (component,) [1]."""
     turn: Array
-    """exp(i k p_0) of the optical path p_0 before the water, (2, frequency) [1]."""
+    """Phasor exp(i k p_0) of the path p_0 before the water, (2, frequency) [1]."""
     limits: Limits
-    """Possible paths of its target."""
+    """Limits of the optical path to the target."""
 
 
 class Workspace(NamedTuple):
-    """Memory for the model of one pixel, reused for the next."""
+    """Work arrays for the model of one pixel, reused for all pixels."""
 
     water: Array
     """Water signal of strength 1, (2, frequency) [1]."""
     change: Array
-    """Its derivative with respect to the depth [1/m]."""
+    """Derivative of the water signal with respect to depth [1/m]."""
     phasor: Array
     """Echo of amplitude 1, (2, frequency) [1]."""
     amplitude: Array
@@ -124,29 +124,29 @@ class Workspace(NamedTuple):
     influence: Array
     """Shift of the path per unit of each output, (channel, 2, frequency)."""
     weight: Array
-    """Inverse covariance with the water's fluctuation, (channel, 3, frequency)."""
+    """Inverse covariance with water fluctuation included, (channel, 3, frequency)."""
 
 
 class Grid(NamedTuple):
-    """Coarse grid of paths for the search."""
+    """Coarse grid of optical paths for the search."""
 
     path: Array
-    """Optical paths, two or more [m]."""
+    """Optical paths, at least two [m]."""
     phasor: Array
-    """Echo of amplitude 1 there, (path, 2, frequency) [1]."""
+    """Echo of amplitude 1 at each path, (path, 2, frequency) [1]."""
 
 
 class Candidates(NamedTuple):
-    """Lowest local minima of the misfit of one pixel."""
+    """Lowest local minima of a pixel's misfit over the optical path."""
 
     path: Array
     """Optical path [m]."""
     level: Array
-    """Misfit on the grid; infinite where there is no candidate [1]."""
+    """Misfit on the grid; infinite for unused entries [1]."""
     cost: Array
     """Misfit at the minimum; infinite if the refined path is not a minimum [1]."""
     width: Array
-    """Standard deviation of the path there [m]."""
+    """Standard deviation of the path at the minimum [m]."""
 
 
 class Solutions(NamedTuple):
@@ -166,7 +166,7 @@ class Solutions(NamedTuple):
     used: Array
     which: Array
     influence: Array
-    """Pairs (real, imaginary) on the axis before the last."""
+    """Influence of each output on the path; second-last axis (real, imaginary)."""
 
 
 class Signals(NamedTuple):
@@ -175,9 +175,9 @@ class Signals(NamedTuple):
     depth: Array
     """Depth where the water ends, (pixel,) [m]."""
     water: Array
-    """W, (pixel, 2, frequency) [1]."""
+    """Water signal W, (pixel, 2, frequency) [1]."""
     change: Array
-    """dW/dp, its derivative with respect to the path [1/m]."""
+    """Derivative dW/dp with respect to the optical path [1/m]."""
 
 
 class Derivatives(NamedTuple):
@@ -186,21 +186,21 @@ class Derivatives(NamedTuple):
     residual: Array
     """Samples less the model, (pixel, channel, frequency) [V]."""
     weight: Array
-    """Inverse covariance as in `Samples` [1/V^2]."""
+    """Inverse covariance, with the axes of `Samples.weight` [1/V^2]."""
     base: Array
-    """By the strength of the channel, (pixel, channel, frequency) [1]."""
+    """Derivatives by the channel's water strength, (pixel, channel, frequency) [1]."""
     changes: Array
-    """W by the parameters of its shape, (pixel, parameter, frequency) [1]."""
+    """Derivatives of W by the shape parameters, (pixel, parameter, frequency) [1]."""
     foreground: Array
-    """Light of strength 1 from in front of all targets, (pixel, frequency) [1]."""
+    """Water signal of strength 1 in front of all targets, (pixel, frequency) [1]."""
     echo: Array
-    """Echo of amplitude 1 without its departure, (pixel, frequency) [1]."""
+    """Modeled echo of amplitude 1, without departure, (pixel, frequency) [1]."""
     slope: Array
-    """W by the path, (pixel, frequency) [1/m]."""
+    """Derivative of W by the optical path, (pixel, frequency) [1/m]."""
     amplitude: Array
     """Amplitude of the target, (pixel, channel), real [V]."""
     is_target: Array
-    """Pixels with a path and amplitudes, (pixel,)."""
+    """Mask of pixels with a path and amplitudes, (pixel,)."""
 
 
 class Parameters(NamedTuple):
@@ -209,9 +209,9 @@ class Parameters(NamedTuple):
     strength: Array
     """Strength s_c of the water signal, (channel,) [V]."""
     factor: Array
-    """1 + departure of the echo, complex, (frequency,) [1]."""
+    """Factor 1 + departure of the echo, complex, (frequency,) [1]."""
     phase_per_path: Array
-    """k = 2 pi f / c_0, (frequency,) [rad/m]."""
+    """Wavenumber k = 2 pi f / c_0, (frequency,) [rad/m]."""
     first_departure: int
     """Index of the first departure of the water signal."""
     first_echo: int
@@ -219,42 +219,42 @@ class Parameters(NamedTuple):
     first_doubt: int
     """Index of the first departure of open-water shots; -1 for other samples."""
     is_free: bool
-    """Whether the departures are parameters too."""
+    """Whether the departures are fitted as parameters."""
 
 
 class Sums(NamedTuple):
-    """Normal equations, one sum for each portion of the pixels."""
+    """Normal equations, summed over each portion of the pixels."""
 
     matrix: Array
-    """Information, (portion, parameter, parameter)."""
+    """Information matrix, (portion, parameter, parameter)."""
     vector: Array
-    """Half the downhill slope of the sum of squares, (portion, parameter)."""
+    """Negative half gradient of the sum of squares, (portion, parameter)."""
     square: Array
     """Sum of squared errors, (portion,) [1]."""
 
 
 class WaterModel(NamedTuple):
-    """Water signal s W + s d V of some pixels, and its derivatives (complex arrays)."""
+    """Water signal s W + s d V and its derivatives by pixel, as complex arrays."""
 
     strength: Array
     """Strength s of each channel, real [V]."""
     gain: Array
     """Strength at each frequency, (channel, frequency) [V]."""
     departure: Array
-    """Departure d over the strength, (channel, frequency) [1]."""
+    """Departure d relative to the strength, (channel, frequency) [1]."""
     foreground: Array
-    """Light V of strength 1 from in front of all targets, (pixel, frequency) [1]."""
+    """Water signal V of strength 1 in front of all targets, (pixel, frequency) [1]."""
     water: Array
-    """W, (pixel, frequency) [1]."""
+    """Water signal W of strength 1, (pixel, frequency) [1]."""
     changes: Array
-    """W by the parameters of its shape, (pixel, parameter, frequency) [1]."""
+    """Derivatives of W by the shape parameters, (pixel, parameter, frequency) [1]."""
     covariance: Array
-    """Covariance of strength, shape and departure (real, imaginary) at each channel
-    and frequency, (channel, frequency, parameter, parameter)."""
+    """Covariance of strength, shape and departure (real, imaginary), shape (channel,
+    frequency, parameter, parameter)."""
 
 
 class Covariances(NamedTuple):
-    """Output arrays for the covariance of samples, (pixel, channel, frequency)."""
+    """Output arrays for sample covariances, (pixel, channel, frequency)."""
 
     in_phase: Array
     quadrature: Array

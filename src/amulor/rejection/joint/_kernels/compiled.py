@@ -24,7 +24,7 @@ LANES = {"reassoc", "contract"}
 
 
 def inner(**options: Any) -> Callable[[_Function], _Function]:
-    """Compile a function that only compiled functions call.
+    """Compile a function for use inside compiled functions only.
 
     Without the entries for Python and C, which take a fifth of the time of compilation,
     and without a test for zero before every division, which ends a thread that has
@@ -55,7 +55,7 @@ _Result = TypeVar("_Result")
 
 
 class _Here(threading.local):
-    """Thread-local flag: whether the thread runs a part of a loop."""
+    """Thread-local flag that marks a thread running a part of a loop."""
 
     is_part = False
 
@@ -64,7 +64,7 @@ _here = _Here()
 
 
 class _Turns:
-    """Limit on the number of parts that run at the same time, over all callers.
+    """Limit on the number of concurrent parts, shared by all callers.
 
     Callers on several threads, as the tasks of a cluster are, share the processors
     instead of multiplying them.
@@ -77,7 +77,7 @@ class _Turns:
     def run(
         self, function: Callable[..., _Result], most: int, *arguments: Any
     ) -> _Result:
-        """Wait until fewer than `most` parts are running, then run one."""
+        """Wait until fewer than `most` parts are running, then run a part."""
         with self._changed:
             self._changed.wait_for(lambda: self._running < most)
             self._running += 1
@@ -107,7 +107,7 @@ if hasattr(os, "register_at_fork"):
 def spread(
     kernel: Callable[..., None], count: int, *arguments: Any, fewest: int = FEWEST
 ) -> None:
-    """Run a compiled loop over range(count), in several threads for large counts.
+    """Run a compiled loop over range(count), in parallel threads for large counts.
 
     Python's threads, since the loops give up its lock. Those of numba spin while they
     wait, and two calls at once end the process under its layer "workqueue": no loop of

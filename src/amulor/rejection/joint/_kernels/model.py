@@ -32,7 +32,7 @@ _FIRST, _SECOND, _THIRD = (
 
 @inner(forceinline=True, fastmath={"contract"})
 def fill_turn(path: float, phase_per_path: Array, turn: Array) -> None:
-    """Compute the phasor exp(i k p) of a path, accurate to the last digit.
+    """Compute the phasor exp(i k p) of an optical path p in full precision.
 
     By polynomials on a quarter turn, without a branch, so that all frequencies are done
     in parallel lanes. Compiled because the cosine and sine of the mathematical library,
@@ -68,7 +68,7 @@ def fill_turn(path: float, phase_per_path: Array, turn: Array) -> None:
 
 @inner(forceinline=True)
 def depth_of(path: float, limits: Limits) -> tuple[float, float]:
-    """Return the depth z of a path p, and dz/dp, from the table of a pixel.
+    """Return depth z and slope dz/dp at a path p, from the pixel's depth table.
 
     Linear between the nodes at p_j = shortest + (longest - shortest) (j / (J - 1))^2.
     Compiled because every step of the search starts with it.
@@ -135,7 +135,7 @@ def turn_by(signal: Array, turn: Array) -> None:
 
 @inner(fastmath=LANES, forceinline=True)
 def water_at_node(node: int, table: WaterTable, pixel: Pixel, water: Array) -> None:
-    """Compute the water signal of a pixel at a node of the table."""
+    """Compute a pixel's water signal at a table node."""
     coefficient, value = pixel.coefficient, table.value
     water[:] = 0
     for r in range(coefficient.size):
@@ -147,14 +147,14 @@ def water_at_node(node: int, table: WaterTable, pixel: Pixel, water: Array) -> N
 
 @inner(forceinline=True)
 def nearest_node(depth: float, table: WaterTable) -> int:
-    """Return the node of the table that is nearest to a depth."""
+    """Return the table node nearest to a depth."""
     node: int = min(max(int(depth / table.step + 0.5), 0), table.value.shape[1] - 2)
     return node
 
 
 @inner(forceinline=True)
 def fill_phasor(path: float, echo: Echo, out: Array) -> None:
-    """Compute the echo H(f) exp(i k p) at one path."""
+    """Compute the echo H(f) exp(i k p) for a single path."""
     transfer = echo.transfer
     fill_turn(path, echo.phase_per_path, out)
     for f in range(transfer.shape[1]):
@@ -165,7 +165,7 @@ def fill_phasor(path: float, echo: Echo, out: Array) -> None:
 
 @numba.njit(cache=True, error_model="numpy")
 def fill_phasors(path: Array, echo: Echo, out: Array) -> None:
-    """Compute the echo H(f) exp(i k p) at many paths, (path, 2, frequency)."""
+    """Compute the echo H(f) exp(i k p) for many paths, (path, 2, frequency)."""
     for j in range(path.size):
         fill_phasor(path[j], echo, out[j])
 
@@ -174,7 +174,7 @@ def fill_phasors(path: Array, echo: Echo, out: Array) -> None:
 def pixel_of(
     samples: Samples, places: Places, n: int, phase_per_path: Array, turn: Array
 ) -> Pixel:
-    """Return the data of pixel n; `turn` is overwritten and becomes part of it."""
+    """Return the data of pixel n; `turn` is overwritten with its phasor."""
     fill_turn(places.offset[n], phase_per_path, turn)
     limits = Limits(places.shortest[n], places.longest[n], places.depths[n])
     return Pixel(
@@ -184,7 +184,7 @@ def pixel_of(
 
 @inner()
 def workspace_of(channels: int, frequencies: int) -> Workspace:
-    """Allocate the memory for the model of one pixel."""
+    """Allocate the work arrays for the model of one pixel."""
     return Workspace(
         np.empty((2, frequencies)),
         np.empty((2, frequencies)),
@@ -204,7 +204,7 @@ def misfit(
     phasor: Array,
     amplitude: Array,
 ) -> float:
-    """Return chi-square at the best amplitudes A_c, and write these to `amplitude`.
+    """Fit the amplitudes A_c, write them to `amplitude`, and return chi-square.
 
     A_c >= 0 by linear least squares in each channel, so that chi-square depends on the
     path alone (profile likelihood). Compiled because it is half of all work.
@@ -251,7 +251,7 @@ def misfit_at(
 def descent(
     rate: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float]:
-    """Return half the negative derivative of chi-square by the path, and its curvature.
+    """Return the negative half slope of chi-square over the path, and its curvature.
 
     Gauss and Newton's curvature, the Hessian without second derivatives of the model,
     of which the amplitudes above zero are eliminated (Schur complement). `rate` is
@@ -306,7 +306,7 @@ def water_at(
     phase_per_path: Array,
     signals: Signals,
 ) -> None:
-    """Compute depth, water signal W and dW/dp at one path for each of some pixels.
+    """Compute depth, water signal W and dW/dp at each pixel's path.
 
     An infinite path means open water. Compiled as the search is, so that both use the
     same table in the same way.
@@ -338,7 +338,7 @@ def interpolate(
     table: Array,
     out: Array,
 ) -> None:
-    """Interpolate columns of water linearly at given depths.
+    """Interpolate tabulated water columns linearly at given depths.
 
     `table` runs over (parameter, component, node, frequency), `out` over (pixel,
     parameter, frequency): the derivatives of W with respect to its shape, (real,
@@ -371,11 +371,11 @@ def integrate(
     count: int,
     out: Array,
 ) -> None:
-    """Compute running sums of profile times phasor, one node every `order` points.
+    """Compute running integrals of profile times phasor, at every `order`-th point.
 
     The integral (29) of docs/theory/water-signal.md up to every node of depth, by
-    Gauss's rule; the node after number `count` holds the sum of everything. Compiled
-    because numpy would keep every term.
+    Gauss's rule; the node after number `count` contains the total. Compiled
+    because numpy would store every term.
     """
     total = np.empty(phasor.shape[1], dtype=np.complex128)
     for m in range(profile.shape[0]):
@@ -417,7 +417,7 @@ def _lost(place: float, table: Array) -> float:
 def series(
     thickness: Array, place: Array, shift: float, lost: Array, rule: Array, out: Array
 ) -> None:
-    """Compute the Chebyshev series of scattered light over the offset, (depth, term).
+    """Compute Chebyshev series of scattered light over beam offset, (depth, term).
 
     The integral (29) of docs/theory/water-signal.md over the spatial frequency, whose
     J0 and weights are in `rule`, (depth, term, frequency). Compiled since every table

@@ -23,7 +23,7 @@ from amulor.rejection.joint._kernels.compiled import LANES, inner
 def _fill_columns(
     n: int, c: int, f: int, model: WaterModel, real: Array, imaginary: Array
 ) -> None:
-    """Compute the derivatives of the water signal of one sample.
+    """Compute the water-signal derivatives of one sample.
 
     By the strength, the shape and the departure, real and imaginary.
     """
@@ -41,7 +41,7 @@ def _fill_columns(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, fastmath=LANES)
 def common(begin: int, end: int, model: WaterModel, out: Covariances) -> None:
-    """Compute the covariance of the estimated water signal, which pixels share.
+    """Compute the water-signal covariance from errors common to all pixels.
 
     J C J' of each sample, with the derivatives J of s W + s d V and the covariance C of
     their parameters. Compiled because numpy would keep J of all samples.
@@ -72,27 +72,27 @@ _DEPENDENT = 1e-12
 
 
 class _Row(NamedTuple):
-    """Derivatives of one sample by the shared parameters that it depends on."""
+    """Derivatives of one sample by its nonzero shared parameters."""
 
     parameter: Array
     """Indices of the parameters."""
     values: Array
     """Derivatives, complex [V]."""
     real: Array
-    """Derivatives in units of the errors, in phase [1]."""
+    """Whitened derivatives, in phase [1]."""
     imaginary: Array
-    """Derivatives in units of the errors, quadrature [1]."""
+    """Whitened derivatives, quadrature [1]."""
 
 
 class _Own(NamedTuple):
-    """Normal equations of the amplitudes and, last, the path of one pixel."""
+    """Normal equations of one pixel's parameters: amplitudes, then path."""
 
     gram: Array
-    """Information of amplitudes and path, (own, own), the lower triangle."""
+    """Information matrix of amplitudes and path, lower triangle, (own, own)."""
     mixed: Array
-    """Information between these and the shared parameters, (own, parameter)."""
+    """Cross information of pixel and shared parameters, (own, parameter)."""
     vector: Array
-    """Half the downhill slope, (own,)."""
+    """Negative half gradient of chi-square, (own,)."""
 
 
 @inner(forceinline=True)
@@ -112,7 +112,7 @@ def _fill_row(
     parameters: Parameters,
     row: _Row,
 ) -> None:
-    """Compute the derivatives of a sample: one row of the Jacobian.
+    """Compute a sample's row of the Jacobian.
 
     By the strength of its channel, the shape of the water signal and, where they are
     free, the departures of water and echo, real and imaginary; for open-water shots
@@ -146,7 +146,7 @@ def _fill_row(
 
 @inner(fastmath=LANES, forceinline=True)
 def _add_row(u: float, v: float, row: _Row, matrix: Array, vector: Array) -> None:
-    """Add one sample with its whitened residual u, v to the normal equations."""
+    """Add a sample with whitened residual (u, v) to the normal equations."""
     parameter, real, imaginary = row.parameter, row.real, row.imaginary
     for k in range(parameter.size):
         at = parameter[k]
@@ -165,7 +165,7 @@ def _add_own(
     row: _Row,
     own: _Own,
 ) -> None:
-    """Add one sample to the normal equations of amplitudes and path of its pixel.
+    """Add a sample to the normal equations of its pixel's amplitudes and path.
 
     All in units of the errors, (in phase, quadrature).
     """

@@ -1,4 +1,4 @@
-"""Compiled loops of joint estimation: search for the most likely path of a pixel."""
+"""Compiled loops of joint estimation: maximum-likelihood path of each pixel."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ CANDIDATES = 6
 
 @inner()
 def _keep(path: float, level: float, candidates: Candidates) -> bool:
-    """Replace the highest candidate minimum if a new one is lower."""
+    """Replace the highest candidate minimum by a new minimum that is lower."""
     worst = 0
     for k in range(CANDIDATES):
         if candidates.level[k] > candidates.level[worst]:
@@ -53,7 +53,7 @@ def _keep(path: float, level: float, candidates: Candidates) -> bool:
 
 @inner()
 def _sort(candidates: Candidates) -> None:
-    """Sort candidate minima by their chi-square, from the lowest."""
+    """Sort candidate minima by rising chi-square."""
     paths, levels = candidates.path, candidates.level
     for k in range(1, CANDIDATES):
         path, level = paths[k], levels[k]
@@ -108,7 +108,7 @@ def start(
 
 @inner(fastmath=LANES)
 def fill_weights(path: float, stated: Pixel, model: Model, work: Workspace) -> None:
-    """Compute the inverse covariance of samples with fluctuating water.
+    """Compute the inverse covariance of samples, water fluctuation included.
 
     (C + d d')^-1 by Sherman and Morrison, with the stated covariance C and the
     deviation d = phi (s W + s d V) of water that ends at a path. The water up to a
@@ -154,12 +154,12 @@ _LEAST_REST = 1e-3
 def most_outlying(
     rate: float, information: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float, int]:
-    """Return the two largest drops of chi-square by omitting a sample, and its index.
+    """Return the two largest chi-square decreases by omitting a sample, and its index.
 
     r' S^-1 r with the residual r of a sample and the covariance S = V - J C J' that
-    is left of its own, V, when the path and the amplitude are fitted to it too; exact
+    remains of its covariance V when path and amplitude are fitted to it, too; exact
     where the model is linear in them. The workspace holds model and amplitudes at the
-    path, `rate` is dz/dp. Compiled because every pixel is asked.
+    path, `rate` is dz/dp. Compiled for speed.
     """
     signal, weight, gain = pixel.signal, pixel.weight, model.gain
     water, change, phasor = work.water, work.change, work.phasor
@@ -216,7 +216,7 @@ _DEPENDENT = 1e-12
 def two_amplitudes(
     signal: Array, weight: Array, echo: Array, water: Array
 ) -> tuple[float, float]:
-    """Return chi-square and water strength of target plus water in one channel.
+    """Fit target and water strength in one channel; return chi-square and strength.
 
     Linear least squares on echo and water, neither below zero. Arrays are (2,
     frequency), the weight (3, frequency).
@@ -255,7 +255,7 @@ def starting_costs(
     best: Array,
     strength: Array,
 ) -> None:
-    """Compute each pixel's chi-square, with the water strength fitted to that pixel.
+    """Compute each pixel's chi-square, with the water strength fitted pixel by pixel.
 
     For every path on the grid the amplitudes A_c of the target and s_c of the water are
     fitted channel by channel; `strength` holds s_c at the best path. Compiled because
@@ -297,7 +297,7 @@ _BISECTIONS = 24
 def refine(
     path: float, spacing: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float, float]:
-    """Return path, chi-square and information at the minimum near a path.
+    """Return path, chi-square and information at the nearest minimum of chi-square.
 
     Gauss-Newton steps of half the spacing of the grid at most, halved while they lead
     uphill, until they are small against the standard deviation. The information is 0
@@ -366,7 +366,7 @@ def _lowest(
 
 @inner()
 def _wrong(count: int, path: float, cost: float, candidates: Candidates) -> float:
-    """Return the probability that another minimum is right (Laplace approximation)."""
+    """Return the probability of a wrong minimum, by Laplace's approximation."""
     total, own = 0.0, 0.0
     for k in range(count):
         if candidates.cost[k] < np.inf:
@@ -388,7 +388,7 @@ def profile(
     model: Model,
     work: Workspace,
 ) -> float:
-    """Return the distance on one side of a path at which chi-square has risen by 1.
+    """Return the one-sided path distance at which chi-square rises by 1.
 
     The amplitudes are fitted anew at every path (profile likelihood). Compiled because
     each pixel takes some dozens of paths.
@@ -429,7 +429,7 @@ def _empty_misfit(pixel: Pixel, model: Model, work: Workspace) -> float:
 
 @inner()
 def _outputs(weight: Array) -> int:
-    """Return the number of usable outputs, two for each sample."""
+    """Return the number of usable lock-in outputs, two per usable sample."""
     used = 0
     for c in range(weight.shape[0]):
         for f in range(weight.shape[2]):
@@ -440,7 +440,7 @@ def _outputs(weight: Array) -> int:
 
 @inner()
 def _fill_nothing(n: int, solutions: Solutions) -> None:
-    """Fill in the results of a pixel without a possible path."""
+    """Set the results of a pixel whose path limits are empty."""
     solutions.path[n], solutions.cost[n] = np.nan, np.inf
     solutions.information[n] = 0.0
     solutions.lower[n], solutions.upper[n] = np.nan, np.nan
@@ -461,7 +461,7 @@ def _fill_model(
     work: Workspace,
     solutions: Solutions,
 ) -> bool:
-    """Fill in information, amplitudes, influence and outlying sample of a pixel.
+    """Set information, amplitudes, influence and outlying sample of a pixel.
 
     Return false, and fill in nothing, where the last step has led to a path at which no
     sample depends on the path any more.
