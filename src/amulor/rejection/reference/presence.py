@@ -52,14 +52,14 @@ def shows_target(
     surface). The truncated columns are `fit` if given, and None without a survey. The
     probabilities are p-values of chi-square for open water, NaN for a target.
 
-    The hypothesis "no target" is tested before any column is added back: the smallest
-    chi-square over the depths at which the water may end, with a common factor of the
-    water that has the standard deviation `DEPARTURE`, against twice as many degrees of
-    freedom as there are samples. If it is true, it is rejected in a fraction of at
-    most `SIZE` of the pixels. Errors are those of the samples and of the reference, the fluctuation
-    and the drift of the whole column. Truncated columns are
-    computed from the survey, with the turbidity estimated from the shots; without a
-    survey, only the full column is tested.
+    The hypothesis "no target" is tested before any column is added back: the
+    smallest chi-square over the depths at which the water may end, with a common
+    factor of the water that has the standard deviation `DEPARTURE`, against twice
+    as many degrees of freedom as there are samples. If it is true, it is rejected
+    in a fraction of at most `SIZE` of the pixels. Errors are those of the samples
+    and of the reference, the fluctuation and the drift of the whole column.
+    Truncated columns are computed from the survey, with the turbidity estimated
+    from the shots; without a survey, only the full column is tested.
     """
     from scipy.special import chdtrc, chdtri
 
