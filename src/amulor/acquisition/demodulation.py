@@ -115,7 +115,7 @@ def clock_offset(
             for part in (values[:half], values[half : 2 * half])
         )
         time = half / sample_rate
-        # The second half begins later: by so much its phase is expected to be turned.
+        # Expected phase rotation by the later start of the second half.
         turned = second * np.exp(2j * np.pi * used * time) * np.conj(first)
         weight = np.abs(first) ** 2 * used**2
         slope = -np.angle(turned) / (2 * np.pi * used * time)
@@ -127,7 +127,7 @@ def clock_offset(
 
 def _columns(cycles: Floats, start: int, count: int) -> Floats:
     """Return the least-squares design matrix of a block, shape (unknown, sample)."""
-    # Whole turns are subtracted early: they cost digits of the phase.
+    # Whole cycles are subtracted first, because they cost digits of the phase.
     turns = np.outer(cycles, np.arange(count)) + (cycles * start % 1.0)[:, None]
     phase = 2 * np.pi * (turns % 1.0)
     return np.concatenate([np.ones((1, count)), np.cos(phase), np.sin(phase)])

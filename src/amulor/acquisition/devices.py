@@ -92,7 +92,7 @@ class Devices:
 
 def digest(settings: Settings, identities: dict[str, str]) -> str:
     """Return a digest of procedure, devices and identities, to compare two runs."""
-    # Settings that are left out do not count: a later amulor has more of them.
+    # Omitted settings are not compared, because later versions of amulor add settings.
     content = settings.model_dump(
         mode="json", exclude={"simulation": True}, exclude_none=True
     )

@@ -31,7 +31,7 @@ from amulor.errors import InstrumentError
 from amulor.survey import Survey
 
 #: Shortest wait after a move, in time constants: earlier readings depend more on the
-#: last direction than on this one.
+#: last direction than on the present one.
 FLOOR = 2.0
 #: Largest remainder of the last direction, in standard errors of one reading: less than
 #: a tenth of that of a mean over ten.
@@ -74,7 +74,7 @@ class Settling:
             survey, rate=np.array([0.0, 1.0]), time_constant=self._constant
         )
         self._variances = float(dark), float(light - dark)
-        #: Variance of earlier dwells over that of counting, at least 1.
+        #: Variance of earlier dwells relative to the counting variance, at least 1.
         self._excess = 1.0
 
     def wait(self, *, changed: bool) -> bool:
@@ -146,7 +146,8 @@ class Settling:
     ) -> bool:
         later = np.concatenate(later_blocks)
         expected = variance * self._excess * (1 / block.size + 1 / later.size)
-        # A scan has many dwells, and a dwell many blocks: once in a thousand each.
+        # One false alarm in a thousand blocks, because a scan has many dwells of many
+        # blocks.
         return bool(abs(block.mean() - later.mean()) ** 2 <= 1.5 * _AGREE * expected)
 
     def learn(self, signals: Sequence[complex], mean: float) -> None:
@@ -168,7 +169,7 @@ class Settling:
         lower = abs(signal) / (self._depth * self._volt)
         rate = lower if math.isnan(mean) else mean / self._volt - self._dark_rate
         dark, light = self._variances
-        # In darkness no less than one photoelectron in a reading.
+        # Without light, one photoelectron in a reading is the least.
         return dark + light * max(rate, lower, 0.5 / self._constant)
 
 
@@ -240,7 +241,7 @@ class DwellReader:
         self._buffer = procedure.readings == "buffer" or self._records
         self._filter_is_known = self._filter_is_known and not self._records
         if self._filter_is_known:
-            # One more: the filter's output at the start is needed.
+            # One more reading: the filter output at the start is needed.
             intervals = intervals_of(survey)
             self._number, self._spacing = intervals + 1, self._dwell / intervals
         else:

@@ -21,7 +21,7 @@ _EXPOSURES = (18e-6, 3e4)
 APERTURE = 7e-3
 #: Longest modulation period that counts by its mean [s].
 _ONE_PULSE = 5e-6
-#: Powers that a class allows of a continuous visible point source, above class 1 [W].
+#: Largest power of each class above 1, for a continuous visible point source [W].
 _CLASS_POWERS = {"2": 1e-3, "3R": 5e-3, "3B": 0.5, "4": math.inf}
 #: Exposure of class 1 [s].
 _CLASS_1_EXPOSURE = 3e4

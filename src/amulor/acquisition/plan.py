@@ -278,7 +278,8 @@ def _dark(survey: Survey, comb: Comb, repeats: range) -> Iterator[Step]:
 
 def _open_water(survey: Survey, comb: Comb, repeats: range) -> Iterator[Step]:
     grid = open_water_grid(survey)
-    # Round the directions again and again: the repeats of one are spread over time.
+    # All directions in turn, repeatedly: the repeats of a direction are spread over
+    # time.
     for repeat in repeats:
         for place, where in grid.items():
             yield comb.step(OPEN_WATER, place, repeat, where)

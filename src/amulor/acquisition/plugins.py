@@ -95,7 +95,7 @@ def make(part: str, name: str, wiring: Wiring) -> Any:
         device = entry.load()(wiring)
     except InstrumentError:
         raise
-    except Exception as error:  # it is a program of others
+    except Exception as error:  # code of another package
         raise InstrumentError(
             f"the {part} {name!r} of {entry.value} cannot be made: "
             f"{type(error).__name__}: {error}"
@@ -127,7 +127,7 @@ class GuardedDevice:
                 result = value(*args, **options)
             except AmulorError:
                 raise
-            except Exception as error:  # a program of others
+            except Exception as error:  # code of another package
                 text = " ".join(str(error).split()) or "no message"
                 raise InstrumentError(
                     f"the {self._name} has failed in {name}(): "

@@ -115,7 +115,7 @@ def refuse_beyond_reach(survey: Survey, settings: Settings, devices: Devices) ->
         ask()
 
 
-#: Longest strip of a row, all lost with the power [s]; its fewest pixels.
+#: Longest strip of a row, which a loss of power discards [s]; least number of pixels.
 _LONGEST_ROW, _SHORTEST_ROW = 20.0, 4
 SURVEY_NAME = "survey.toml"
 DEVICES_NAME = "devices.toml"
@@ -290,8 +290,8 @@ def acquire(
         "survey_digest": cube.digest(survey.to_toml()),
     }
     with contextlib.ExitStack() as stack:
-        # The folder first: a scan that is going on there has the devices, and one that
-        # is refused must not switch off its light.
+        # The folder is locked first: a running scan of this folder uses the devices,
+        # and a refused scan must not switch off its laser.
         if resume:
             journal = stack.enter_context(Journal.resume(folder, meta=start))
             part = len(journal.segments())
@@ -339,7 +339,7 @@ def _left_safe(devices: Devices) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        # Once more, in case that the first time was interrupted, or never came.
+        # Again, in case the first call was interrupted or missing.
         unsafe = "; ".join(devices.make_safe())
         if unsafe and isinstance(error, AmulorError):
             raise type(error)(f"{unsafe}; {error}") from error

@@ -436,8 +436,7 @@ class Sampler:
         self._calm = 0 if flags & SampleFlag.RESCALED else self._calm + 1
 
     def _take_finer_scale(self, amplitude: float) -> None:
-        # Only rarely: every change of scale costs settling, and shifts the phase of
-        # some instruments a little.
+        # Rarely, because each change of scale needs settling, and may shift the phase.
         if self._calm >= _CALM and self._devices.lock_in.sharpen(amplitude):
             self._calm = 0
             self._new = True

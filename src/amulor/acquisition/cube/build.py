@@ -41,9 +41,9 @@ from amulor.survey.counting import photon_noise_volt
 from amulor.survey.directions import scan_directions
 from amulor.survey.view import geometry_attributes
 
-#: The cube in the folder of its scan.
+#: File name of the cube in the folder of its scan.
 CUBE_NAME = "cube.nc"
-#: Lines about damaged rows, beyond which their number is stated.
+#: Largest number of messages on damaged rows; for more rows, their number is stated.
 _MOST_LINES = 20
 #: Difference of scan and open water that shows a target, in standard errors [1].
 _SIGNIFICANT = 5.0
@@ -202,7 +202,7 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
             f"{journal.folder} holds no sample of the scan yet; go on with it by "
             "amulor acquire --resume"
         )
-    # Darkness is no measurement of water or target; the journal keeps what was read.
+    # Samples without light measure neither water nor target; the journal keeps them.
     scan["signal"][scan["flags"] & SampleFlag.NO_LIGHT != 0] = MISSING
     dark = dark_output(survey, journal)
     frequency = read_back_frequencies(scan, survey)
@@ -302,7 +302,7 @@ def _open_water(
     for key, record in recorded:
         samples.put(key, record, 0, shots[key.repeat, key.row, key.column])
     samples["signal"][...] -= dark[0][:, :, None, None]
-    # A shot with an overload, or without light, is no measurement of the water.
+    # A shot with an overload or without light does not measure the water.
     spoiled = SampleFlag.OVERLOAD | SampleFlag.NO_LIGHT
     samples["signal"][samples["flags"] & spoiled != 0] = MISSING
     outputs = {
@@ -317,7 +317,7 @@ def _open_water(
             0
         ],
     }
-    # Commanded directions tell shots apart: read-back ones never repeat.
+    # Commanded directions identify shots, because read-back directions never repeat.
     commanded = {
         f"user_{name}": values.squeeze("row").rename({"column": "shot"})
         for name, values in _commanded(samples).items()

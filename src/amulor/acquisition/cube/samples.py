@@ -109,7 +109,7 @@ def procedure_of(journal: Journal) -> Procedure:
     """Return the acquisition procedure that a journal records."""
     try:
         content = tomllib.loads(entry(journal, "devices")).get("procedure", {})
-        # Not the whole file: devices of other packages need not be there any more.
+        # Only the procedure: packages with drivers of other devices may be missing now.
         return Procedure.model_validate(content, context={"from_text": True})
     except (tomllib.TOMLDecodeError, ValidationError) as error:
         raise FormatError(
@@ -165,7 +165,7 @@ def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) ->
     detector = survey.instrument.detector
     volt = detector.volt_per_photoelectron_rate
     lower = samples["raw_amplitude"] / (survey.instrument.modulation_depth * volt)
-    # A mean output below that of dark counts is noise about no light at all.
+    # A mean output below the dark level is noise without light.
     from_mean = np.maximum(samples["mean"] / volt - detector.dark_rate, 0.0)
     rate = np.where(np.isfinite(samples["mean"]), from_mean, lower)
     if procedure.mode == "continuous":
@@ -188,7 +188,7 @@ def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) ->
             np.isfinite(samples["interval"]), samples["interval"] / constant, 1
         )
         ratio = variance_ratio(samples["readings"], spacing=length)
-    # The noise that a record shows is better than the one expected by counting.
+    # Noise estimated from a record is more accurate than expected counting noise.
     noise = np.where(
         np.isfinite(samples["spread"]), samples["spread"] ** 2, variance * ratio
     )

@@ -117,12 +117,12 @@ class DigitiserLockIn:
             signals.append(tones.signals * turn)
             variances.append(tones.spreads**2 + (np.abs(tones.signals) * extra) ** 2)
             means.append(tones.offset if waveform.shows_mean else math.nan)
-            # Another one of the same length must fit.
+            # Another record of equal length must fit.
             length = len(values) / rate
             if self._clock.now() - began + length > duration * (1 + 1e-9):
                 break
         count = len(signals)
-        # The generator's clock is what the frequencies are stated by.
+        # Frequencies refer to the clock of the generator.
         return Recorded(
             times=np.linspace(0.0, duration, count),
             signals=np.array(signals),
@@ -144,7 +144,7 @@ class DigitiserLockIn:
         """Select the next smaller range if the amplitude [V] allows it; else False."""
         if self._range == 0 or amplitude > _FINER_BELOW * self.full_scale():
             return False
-        # The mean of the detector needs room, too, where the input shows it.
+        # If the input shows the mean of the detector, the range must include it.
         if self._digitiser.shows_mean:
             return False
         self._set_range(self._range - 1)

@@ -121,7 +121,7 @@ class OphydScanner:
             if hasattr(axis, "stop"):
                 try:
                     self._device.call(f"stop {path}", partial(axis.stop, success=True))
-                except InstrumentError as error:  # the other one is to stop, too
+                except InstrumentError as error:  # the other axis must stop, too
                     wrong.append(str(error))
         if wrong:
             raise InstrumentError("; ".join(wrong))

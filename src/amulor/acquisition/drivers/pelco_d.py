@@ -12,13 +12,13 @@ from amulor.acquisition.settings.parts import PanTiltSettings
 from amulor.errors import InstrumentError
 
 _SYNC, _LENGTH = 0xFF, 7
-#: Second command byte: set a position, query it, and the one of the answer.
+#: Second command byte of a position command, of a position query, and of its answer.
 _SET = {"pan": 0x4B, "tilt": 0x4D}
 _ASK = {"pan": 0x51, "tilt": 0x53}
 _ANSWER = {"pan": 0x59, "tilt": 0x5B}
 #: Hundredths of a degree in a turn.
 _TURN = 36_000
-#: Steps within which an axis has arrived, and positions in a row that show it.
+#: Tolerance of an arrived axis in steps, and number of consecutive positions within it.
 _NEAR, _LOOKS = 2, 2
 #: Waits for an axis at rest near its goal and far from it [s]; time between queries
 #: [s].
@@ -160,7 +160,7 @@ class PelcoHead:
 
     def _angle(self, axis: str, position: int) -> float:
         steps = (position - self._zeros[axis]) * self._signs[axis]
-        # Between half a turn to either side of the zero.
+        # Wrapped to half a turn on either side of zero.
         return math.radians(((steps + _TURN / 2) % _TURN - _TURN / 2) / 100)
 
     def _arrived(self, axis: str, goal: int, end: Deadline) -> int:
@@ -193,7 +193,8 @@ class PelcoHead:
         content = b""
         while len(content) < _MOST_OTHERS:
             content += self._link.receive(_LENGTH)
-            # Others on the line, and acknowledgements of four bytes, may come first.
+            # Answers of other heads, and acknowledgements of four bytes, may come
+            # first.
             place = content.find(header)
             if place < 0 or len(content) < place + _LENGTH:
                 continue

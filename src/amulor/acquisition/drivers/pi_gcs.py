@@ -16,7 +16,7 @@ _STOPPED = 10
 _FIRST_POLL, _POLL = 0.2e-3, 2e-3
 #: Part of the identity of every controller, in small letters.
 _MAKER = "physik instrumente"
-#: Asks for the axes that move, as bits of a hexadecimal number: the one character 5.
+#: Query of the moving axes, the character 5; the answer is a hexadecimal bit mask.
 _MOTION = "\x05"
 #: Longest time for coming to rest after HLT, before STP is sent [s].
 _HALT = 2.0
@@ -70,7 +70,7 @@ class PiController:
         low = self._values("TMN?", [*goals])
         high = self._values("TMX?", [*goals])
         for axis, positions in goals.items():
-            # To the digits that MOV sends.
+            # Rounded to the digits that MOV sends.
             least, most = round(min(positions), 7), round(max(positions), 7)
             if least < low[axis] or most > high[axis]:
                 raise InstrumentError(
@@ -85,7 +85,7 @@ class PiController:
         axes = [*goals]
         listed = " ".join(axes)
         words = [f"{axis} {goal:.7f}" for axis, goal in goals.items()]
-        # Not in one packet with a question: a controller may answer it before it moves.
+        # Sent in a separate packet: a controller may answer a query before it moves.
         self._link.send("MOV " + " ".join(words))
         end, wait = Deadline(self._clock, timeout), _FIRST_POLL
         # Both are queries: the position is needed as soon as the goal is reached.
@@ -214,7 +214,8 @@ class PiScanner(_OnController):
 
     def __init__(self, controller: PiController, settings: ScannerSettings) -> None:
         self._settings = settings
-        #: Velocities outside sweeps, read at the first sweep; whether one changed them.
+        #: Velocities outside sweeps, read at the first sweep; whether a sweep changed
+        #: them.
         self._fast: dict[str, float] = {}
         self._is_slow = False
         #: Positions after the last move, until the next one starts.

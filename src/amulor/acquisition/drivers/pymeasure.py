@@ -56,7 +56,7 @@ class PymeasureLockIn:
     def _identify(self) -> str:
         try:
             return str(self._instrument.id)
-        except NotImplementedError:  # of those that it does not take for SCPI ones
+        except NotImplementedError:  # of instruments that pymeasure counts as non-SCPI
             return str(self._instrument.ask("*IDN?")).strip()
 
     def identity(self) -> str:
@@ -78,7 +78,7 @@ class PymeasureLockIn:
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
         """Set the modulation frequency [Hz]; return the actual one [Hz]."""
         self._set(self._options["frequency"], frequency)
-        self._bits()  # clears what was before
+        self._bits()  # clears earlier status bits
         self._frequency = float(self._get(self._options["frequency"]))
         return self._frequency
 
@@ -161,7 +161,7 @@ class PymeasureLockIn:
     def _checked(self, action: str, call: Callable[[], _Value]) -> _Value:
         try:
             return call()
-        except Exception as error:  # pymeasure and what it rests on raise many kinds
+        except Exception as error:  # pymeasure and its dependencies raise many kinds
             raise InstrumentError(
                 f"{self._options['class']} at {self._address} has failed to {action}: "
                 f"{type(error).__name__}: {error}; check cable, power, lock_in.options"

@@ -207,7 +207,7 @@ class ScpiLockIn:
         self._link, self._words, self._clock = link, words, clock
         self._external = external
         (self._identity,) = link.ask("*IDN?")
-        # Coarse first, whatever the codes are.
+        # Coarse scales first, in whatever order of codes.
         self._order = sorted(
             range(len(words.scales)), key=words.scales.__getitem__, reverse=True
         )
@@ -248,7 +248,7 @@ class ScpiLockIn:
         if not self._external:
             self._link.send(words.frequency.format(value=frequency))
         end = Deadline(self._clock, timeout)
-        self._status()  # clears what was before
+        self._status()  # clears earlier status bits
         while self._status() & words.unlocked:
             if end.passed():
                 raise InstrumentError(

@@ -157,7 +157,7 @@ SENSITIVITIES = tuple(
 )
 #: Bits of LIAS? (manual, page 4-32).
 UNLOCKED, OUT_OF_RANGE, INPUT, RESERVE, FILTER = 1, 2, 16, 32, 64
-#: More of them: display or output of either channel, either auxiliary input.
+#: Further bits of LIAS?: display or output of either channel, either auxiliary input.
 CHANNEL_1, CHANNEL_2, AUXILIARY = 256, 512, 1024
 _FREQUENCIES = (25e3, 200e6)
 #: Reserves by the codes of WRSV and CRSV: the first is the largest.
@@ -194,7 +194,7 @@ class Sr844(Stanford):
         code = self.index_of(time_constant, TIME_CONSTANTS, "time constant")
         self._sensitivity = len(SENSITIVITIES) - 1
         self._wide = self._close = _NORMAL
-        # After *RST neither ratio nor offset is in what SNAP? answers.
+        # After *RST, the answer to SNAP? contains neither ratio nor offset.
         lines = [
             "*RST",
             f"FMOD {int(not self._external)}",
@@ -217,7 +217,7 @@ class Sr844(Stanford):
         if not self._external:
             self._link.send(f"FREQ {frequency:.6g}")
         end = Deadline(self._clock, timeout)
-        self.number("LIAS?")  # clears what was before
+        self.number("LIAS?")  # clears earlier status bits
         while int(self.number("LIAS?")) & (UNLOCKED | OUT_OF_RANGE):
             if end.passed():
                 raise InstrumentError(

@@ -86,7 +86,7 @@ class Sr865a(Stanford):
         )
         self._amplitude, self._first_range = modulation_amplitude, input_range
         self._rate, self._stride = 0.0, 1
-        #: The next point of a stream.
+        #: Number of the next point of a stream.
         self._next = 0
         #: Earliest and latest start of the buffer, and the time of this estimate.
         self._began_after, self._began_before, self._noted = -math.inf, math.inf, 0.0
@@ -122,7 +122,7 @@ class Sr865a(Stanford):
         if not self._external:
             self._link.send(f"FREQ {frequency:.7g}")
         end = Deadline(self._clock, timeout)
-        self.number("LIAS?")  # clears what was before
+        self.number("LIAS?")  # clears earlier status bits
         while int(self.number("LIAS?")) & UNLOCKED:
             if end.passed():
                 raise InstrumentError(

@@ -306,7 +306,7 @@ class ZurichLockIn:
             for place in range(count, available):
                 self._device.demods[place].enable(0)
             self._drive(count)
-            self._subscribed = False  # of others, from now on
+            self._subscribed = False  # further demodulators are in use now
         for place, frequency in enumerate(frequencies):
             self._device.oscs[place].freq(frequency)
         set_to = [float(self._device.oscs[place].freq()) for place in range(count)]
@@ -382,7 +382,7 @@ class ZurichLockIn:
     def _set_range(self, number: int) -> None:
         self._range = number
         self._device.sigins[0].range(INPUT_RANGES[number])
-        # It takes the next range that it has.
+        # The instrument selects an available range, which is read back.
         self._full_scale = float(self._device.sigins[0].range())
 
     @_explained

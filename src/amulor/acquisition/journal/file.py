@@ -150,7 +150,8 @@ def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
             with contextlib.suppress(OSError):
                 draft.unlink(missing_ok=True)
             raise
-        # A new name lasts when its folder is on disk, and so does a new folder.
+        # A new name survives a loss of power once its folder is flushed, and so does a
+        # new folder.
         for folder in (path.parent, path.parent.resolve().parent):
             synchronise_folder(folder)
 
@@ -158,7 +159,7 @@ def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
 def writer(path: Path) -> sqlite3.Connection:
     """Open the journal file for writing; commits survive a loss of power."""
     with explained(path):
-        # One thread at a time writes: that of the scan, or one that commits for it.
+        # One thread at a time writes: the thread of the scan, or its commit thread.
         connection = sqlite3.connect(
             path, isolation_level=None, timeout=_PATIENCE, check_same_thread=False
         )
@@ -184,7 +185,8 @@ def text_of(content: bytes) -> str:
 def reader(path: Path) -> sqlite3.Connection:
     """Open the journal file for reading, also while a scan writes to it."""
     with explained(path):
-        # One thread at a time reads: a page goes on with what its command began.
+        # One thread at a time reads; a page continues with the connection of its
+        # command.
         connection = sqlite3.connect(
             path, isolation_level=None, timeout=_PATIENCE, check_same_thread=False
         )
@@ -204,7 +206,7 @@ def explained(path: Path) -> Iterator[None]:
             "was changed"
         ) from error
     except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
-        # A damaged schema is quoted as it is, lines and all; or cannot even be.
+        # SQLite quotes a damaged schema with its line breaks, or fails to decode it.
         words = " ".join(str(error).split())
         raise FormatError(
             f"{path} cannot be used: {words}; {_advice(error)}"

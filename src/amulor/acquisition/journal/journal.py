@@ -80,7 +80,7 @@ class Journal:
             If there is a journal or a part of one, or if another program starts one.
         """
         claim = journal_file.claimed(folder)
-        # Checked under the claim: no other program can create one in between.
+        # Checked under the lock, so that no other program creates a journal in between.
         path = folder / FILE_NAME
         if path.exists():
             claim.close()
@@ -296,7 +296,7 @@ class Journal:
             journal. Also if the key exists already.
         """
         with explained(self._path):
-            # Without an open transaction the statement is one of its own.
+            # Without an open transaction, the statement is its own transaction.
             self._connection.execute(INSERT, row_of(key, record))
 
     def commit_together(self, samples: Sequence[tuple[Key, Record]]) -> None:
@@ -322,7 +322,7 @@ class Journal:
                 self._connection.executemany(INSERT, rows)
                 self._connection.execute("COMMIT")
             except BaseException:
-                # On a full disk it may have been undone already.
+                # On a full disk, SQLite may have rolled back already.
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
                 raise
@@ -337,7 +337,7 @@ class Journal:
         """Yield the samples of one kind in the order of acquisition."""
         entries = self.meta()
         with explained(self._path):
-            # The sign keeps it from an index, which may be damaged itself.
+            # The unary plus prevents the use of an index, which may be damaged, too.
             for _, key, record in self._rows.sound(entries, "+kind = ?", kind):
                 yield key, record
 

@@ -283,7 +283,7 @@ class Rows:
         ):
             missing = [*range(before + 1, min(number, before + _SEARCHED))]
             for absent in missing:
-                # Rows are inserted and never deleted: their numbers leave none out.
+                # Rows are never deleted, so their numbers have no gaps.
                 if absent not in unread:
                     self._damaged(f"row {absent}: not there")
             before = number

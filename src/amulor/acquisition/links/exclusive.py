@@ -71,7 +71,7 @@ def hold(*addresses: str) -> DeviceLocks:
             os.chmod(folder, 0o1777)
     except OSError as error:
         raise _cannot_lock(folder, addresses[0], error) from error
-    # In one order, so that two scans cannot hold a half each.
+    # Sorted, so that two scans cannot lock a part of the devices each.
     for name, address in sorted(names.items()):
         path = folder / f"{hashlib.sha256(name.encode()).hexdigest()[:32]}.lock"
         lock = FileLock(

@@ -219,7 +219,7 @@ class Link:
                 open_timeout=round(self._timeout * 1000),
                 **self._port_settings(),
             )
-        except Exception as error:  # PyVISA and what it rests on raise many kinds
+        except Exception as error:  # PyVISA and its dependencies raise many kinds
             raise InstrumentError(
                 f"nothing can be reached at {self.address}: {_reason(error)}; check "
                 "address, cable and power, and that no other program holds the link"
@@ -249,7 +249,7 @@ class Link:
         return settings
 
     def _line(self) -> str:
-        # What `read` of the resource does, without what it does for other devices.
+        # As in `read` of the resource, without its steps for other kinds of devices.
         resource = self._resource
         result: bytes = b""
         while not result.endswith(self._end):
@@ -358,7 +358,7 @@ class OctetLink:
     def _explained(self) -> Iterator[None]:
         try:
             yield
-        except Exception as error:  # PyVISA and what it rests on raise many kinds
+        except Exception as error:  # PyVISA and its dependencies raise many kinds
             text = " ".join(str(error).split()) or type(error).__name__
             raise InstrumentError(
                 f"{self.address} has not answered within {self._timeout:g} s: {text}; "

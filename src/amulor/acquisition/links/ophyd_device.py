@@ -119,7 +119,7 @@ class OphydDevice:
         except InstrumentError:
             loop.close()
             raise
-        except Exception as error:  # a program of others
+        except Exception as error:  # code of another package
             loop.close()
             raise InstrumentError(
                 f"the {part} {options['class']} cannot be connected: "
@@ -152,7 +152,7 @@ class OphydDevice:
             return self._loop.run(call, timeout=limit)
         except InstrumentError:
             raise
-        except Exception as error:  # a program of others
+        except Exception as error:  # code of another package
             text = " ".join(str(error).split())
             late = f"not done within {limit:g} s"
             raise InstrumentError(

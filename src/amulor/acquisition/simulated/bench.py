@@ -401,7 +401,7 @@ class Bench:
         self, interval: float, *, most: int, start: float | None = None
     ) -> None:
         """Start to record outputs at an interval [s], now or at a start time."""
-        # Loaded before time counts.
+        # Imported before the clock is read.
         importlib.import_module("scipy.signal")
         with self._lock:
             self._advance()
@@ -489,7 +489,7 @@ class Bench:
             pair = self._polarization()
             where = (self._place["azimuth"], self._place["elevation"])
             drift = self._settings.water_drift * (self.clock.now() - self._begun)
-            # Water moves for all frequencies together.
+            # The water fluctuates equally at all frequencies.
             change = max(1 + drift, 0.0) * (1 + self._fluctuation())
         for number, tone in enumerate(self._tones):
             tone.input = 0j
@@ -503,7 +503,7 @@ class Bench:
             level = complex(light.target[index] + change * light.water[index])
             phase = self._phase_error(abs(level), tone.frequency)
             tone.input = level * cmath.exp(1j * phase)
-            if number == 0:  # the mean light is that of all of them
+            if number == 0:  # mean light of all frequencies
                 rate = float(
                     light.target_rate[index]
                     + max(change, 0.0) * light.water_rate[index]

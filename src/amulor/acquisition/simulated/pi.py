@@ -160,7 +160,7 @@ class SimulatedPiController:
             except _RefusedError as refusal:
                 self._error = refusal.code
                 return []
-            # A question that is not known is not answered either.
+            # An unknown query has no answer.
             self._error = _UNKNOWN
             return []
 
@@ -190,7 +190,7 @@ class SimulatedPiController:
 
     def _move(self, words: list[str], *, relative: bool) -> None:
         goals = self._pairs(words)
-        # A line is carried out as a whole or not at all.
+        # All commands of a line are executed, or none.
         for axis in goals:
             definition = self._axes[axis]
             if not self._servo[axis]:

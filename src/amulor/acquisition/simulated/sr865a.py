@@ -162,7 +162,7 @@ class Capture:
             raise ValueError(argument)
         numbers = [value for row in self._stopped for value in self._numbers(row)]
         content = struct.pack(f"<{len(numbers)}f", *numbers).ljust(self._length, b"\0")
-        # Beyond the end it begins anew.
+        # Beyond its end, the buffer starts again.
         part = (content * 2)[first : first + length]
         count = str(len(part))
         return [f"#{len(count)}{count}".encode() + part]

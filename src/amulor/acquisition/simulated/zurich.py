@@ -193,7 +193,7 @@ class SimulatedUhfli:
             for n in channels
             if self._get("sigouts/0/on") and self._get(f"sigouts/0/enables/{n}")
         ]
-        # Without the option all go by the first oscillator.
+        # Without the option MF, all demodulators use the first oscillator.
         driven = enabled if len(channels) > 1 else [0] * bool(enabled)
         frequencies = [self._get(f"oscs/{n}/freq") for n in driven]
         if frequencies and (driven, frequencies) != (
