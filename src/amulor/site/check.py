@@ -158,7 +158,7 @@ def _untied_scans(site: Site) -> Iterator[str]:
     placed = {scan.name for scan in site.scan if scan.start is not None}
     controlled = {scan.target for scan in site.control}
     if not placed and len(controlled) < _ENOUGH:
-        placed = {site.scan[0].name}  # the frame is that of the first scan then
+        placed = {site.scan[0].name}  # then the first scan defines the frame
     located = set(controlled)
     waiting = [scan for scan in site.scan if scan.name not in placed]
     targets = {scan.name: _targets_in(site, scan) for scan in site.scan}

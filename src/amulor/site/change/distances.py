@@ -41,7 +41,7 @@ _SURE = 4.0
 _LAYER = 2.0
 #: Number of cylinders searched at once, which limits memory.
 _AT_ONCE = 500
-#: Normals of points that belong together differ by less; cosine of the angle [1].
+#: Least cosine of the angle between the normals of points that belong together [1].
 _ALIKE = 0.6
 
 
@@ -204,7 +204,7 @@ def _cores(
     near = cKDTree(place).query_ball_point(core, radius)
     normal = np.array([normals[members].mean(axis=0) for members in near])
     size = np.linalg.norm(normal, axis=1)
-    # Where normals point everywhere there is no surface, but an edge.
+    # Points whose normals have all directions lie on an edge, not on a surface.
     good = (size > 0.8) & (count >= 2)
     normal = normal / np.maximum(size, 1e-9)[:, None]
     of_group = np.empty(len(count), dtype=np.intp)
@@ -324,7 +324,8 @@ def _in_cylinders(
         along = np.einsum("ij,ij->i", off, normal[owner])
         across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0))
         facing = np.einsum("ij,ij->i", cloud.normal[at[index]], normal[owner])
-        # On flanks and at creases a point has no normal, and counts by its place.
+        # Points without a normal, on flanks and creases, are selected by position
+        # alone.
         alike = ~(facing <= _ALIKE)
         inside = (across <= radius) & (np.abs(along) <= reach) & alike
         pieces.append((owner[inside], index[inside], off[inside], along[inside]))
@@ -405,7 +406,7 @@ def _patches(
         )
     share = np.einsum("ij,ij->i", back[owner, 0], terms) * part
     deviation = np.sqrt(np.abs(back[:, 0, 0]) / np.maximum(scale, 1e-30)) * scatter
-    # Root mean square of the shape: what is left of the scatter without the noise.
+    # Root mean square of the shape: scatter without the noise.
     noise = count / np.maximum(np.bincount(owner, used, minlength=size), 1e-300)
     excess = np.where(
         scatter**2 > 1 + _SURE * np.sqrt(2 / freedom), scatter**2 - 1, 0.0
@@ -510,7 +511,7 @@ def region_of(change: Change, members: NDArray[np.intp]) -> Region:
 def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float]:
     """Return the volume change summed over points, and its uncertainty [m^3]."""
     place, area = change.position[members], change.area[members]
-    # Cylinders closer than their width hold the same points.
+    # Cylinders closer than their width contain common points.
     near = cKDTree(place).query_pairs(2 * change.radius, output_type="ndarray")
     noise = area * change.own[members]
     variance = float((noise**2).sum())
@@ -543,7 +544,7 @@ def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -
     rows = [
         ",".join(
             [
-                # Micrometers, however far from the origin of the frame.
+                # To the micrometer, at any distance from the origin of the frame.
                 *(f"{v:.6f}" for v in row[:3]),
                 *(f"{v:.6g}" for v in row[3:-2]),
                 f"{row[-2]:.0f}",

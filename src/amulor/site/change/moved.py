@@ -143,7 +143,8 @@ def motion_of(
     if not partners:
         return None
     shift, turn = np.zeros(3), np.eye(3)
-    # In the middle of what was seen, turns and shifts tell least of each other.
+    # About the center of the visible points, errors of translation and rotation are
+    # least correlated.
     clouds = [
         registration.poses[name].place(cut[name].position[cut[name].smooth])
         for name in names[0]
@@ -174,7 +175,8 @@ def motion_of(
         held, _ = _held(pairs, middle)
         normal, gradient = _sums(pairs, middle, held, steady=gate is not None)
         step = -np.linalg.pinv(normal, rcond=1e-9) @ gradient
-        # A step of the points back onto the first epoch is one of the object forward.
+        # A motion of the points back to the first epoch is the inverse motion of the
+        # object.
         undone = Rotation.from_rotvec(step[3:]).as_matrix()
         shift = turn @ undone.T @ -step[:3] + shift
         turn = turn @ undone.T
@@ -205,7 +207,7 @@ def _object(
         design = np.column_stack([ground[level, :2] - centre[:2], np.ones(level.sum())])
         plane = np.linalg.lstsq(design, ground[level, 2], rcond=None)[0]
         off = ground[:, 2] - (ground[:, :2] - centre[:2]) @ plane[:2] - plane[2]
-        # Other things stand on the ground, too; it is what is lowest.
+        # Other objects stand on the ground, too; the ground is the lowest surface.
         spread = 1.4826 * float(np.median(np.abs(off[level] - np.median(off[level]))))
         level = (off < 2 * spread + 1e-3) & (off > -4 * spread - 1e-3)
         if int(level.sum()) < 20:
@@ -303,8 +305,8 @@ def _result(
         noise += scaled.T @ scaled
     prior = registration.covariance_of(*names)
     covariance = back @ (noise + gain @ prior @ gain.T) @ back.T
-    # A turn that the shape does not tell is any turn: the place is on its axis, if that
-    # passes through the object.
+    # An unconstrained rotation has any angle: the reference point is on its axis, if
+    # the axis passes through the object.
     away = np.zeros(3)
     if loose:
         away = _best_place(

@@ -64,7 +64,7 @@ def seen_by_others(
         )
         score = at.distance / error
         confirmed[met] += good & (np.abs(score) < _CONFIRMED)
-        # Before the surface by more than the relief of a patch as well.
+        # In front of the surface by more than the relief of a patch, too.
         before = at.distance < -3 * surface.spacing
         through[met] += good & (score < -_THROUGH) & before
     return confirmed, through

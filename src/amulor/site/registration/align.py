@@ -21,7 +21,8 @@ from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]
 
-#: Steps with a wide gate, narrowing, then with that of the noise [1].
+#: Number of steps with a wide gate that narrows, then of steps with the gate of the
+#: noise [1].
 _WIDE_STEPS, _FINE_STEPS = 3, 20
 #: After this many fine steps an excluded point stays excluded, and no further direction
 #: is determined: near a limit they would alternate forever [1].
@@ -269,7 +270,7 @@ def _rough_pose(
     if start is not None:
         far = np.array([squared_pull(attempt, start) for attempt in attempts])
         likely = far <= float(chi2.isf(_UNLIKELY, 6))
-        # Unless all that is near fits as badly as no alignment at all.
+        # Unless all near poses fit as badly as no alignment.
         if (misfit[likely] < min(0.5, 2 * misfit.min())).any():
             misfit = np.where(likely, misfit, np.inf)
     return attempts[int(np.argmin(misfit))]
@@ -419,7 +420,7 @@ def _pair_weights(
         freedom = round(float(np.trace(pair.held)))
         score = float(change @ np.linalg.pinv(spread, rcond=1e-12) @ change)
         limit = float(chi2.isf(_CHANCE, max(freedom, 1)))
-        # As of Huber: what is farther off pulls no more for it.
+        # Huber weights: an outlier has no more effect than a point at the limit.
         weight = 1.0 if score <= limit else float(np.sqrt(limit / score))
         trust.append(weight)
         if score > limit:

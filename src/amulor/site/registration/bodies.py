@@ -41,7 +41,7 @@ def held_directions(
                 np.linalg.norm(axis[:3]) if np.linalg.norm(axis[:3]) > 0.5 else length
             )
             loose.append(np.asarray(direction / max(float(size), 1e-12)))
-    # Back from scaled to plain coordinates, where rows are multiplied from the right.
+    # Back from scaled to plain coordinates; rows are multiplied from the right.
     return np.diag(1 / scale) @ projection @ np.diag(scale), tuple(loose)
 
 
@@ -184,7 +184,7 @@ def _chance(
     carry = part.matrix @ held @ np.linalg.pinv(held.T @ matrix @ held) @ held.T
     off = part.gradient - carry @ (total.gradient - part.gradient)
     shared = part.shared - carry @ (total.shared - part.shared)
-    # The patches of the body, and those of all else, share pixels at its rim.
+    # Patches of the body and of the other points share pixels at its rim.
     near = total.patches[columns]
     cross = part.patches.T @ (near - part.patches)
     patches = total.patches.T @ total.patches - near.T @ near
@@ -196,7 +196,7 @@ def _chance(
     scale = np.sqrt(variance.diagonal())
     off, variance = off / scale, variance / np.outer(scale, scale)
     if loose:
-        # Where the others hold nothing, the scans may stand anywhere.
+        # Directions that the other points do not constrain have no known offset.
         free = part.matrix @ np.stack(loose, axis=1) / scale[:, None]
         basis, sizes, _ = np.linalg.svd(free)
         basis = basis[:, int((sizes > 1e-9 * sizes[0]).sum()) :]
@@ -207,9 +207,9 @@ def _chance(
     return float(chi2.sf(score, int(significant.sum())))
 
 
-#: Standard errors of a distance beyond which the point is of another surface [1].
+#: Distance in standard errors beyond which a point belongs to another surface [1].
 _FAR = 4.0
-#: Standard errors of the mean of neighbors that are displaced together [1].
+#: Displacement in standard errors of the mean of neighbors that moved together [1].
 _MOVED = 5.0
 
 
@@ -271,7 +271,7 @@ def _offset_together(
         for values in (total, count, patches)
     )
     number = np.maximum(count, 1.0)
-    # Noise of the patches is the same in neighbors, at worst.
+    # The noise of patches is equal in neighbors in the worst case.
     error = misfit * np.sqrt(1 / number + patches / number)
     off = (np.abs(total / number) > _MOVED * error) & (count >= 5)
     off = ndimage.binary_dilation(off, iterations=2)

@@ -110,7 +110,7 @@ def _sphere(
         away = position - centre
         facing = -np.einsum("ijk,ijk->ij", away, surface.direction) / target.radius
         off = np.linalg.norm(away, axis=-1) - target.radius
-        # Wide at first, since the picked pixel need not be the middle.
+        # Wide at first, since the picked pixel may be off the center.
         gate = target.radius / 2 if number < 4 else _NEAR * misfit * surface.own
         on = (np.abs(off) < np.maximum(gate, 1e-5)) & (facing > _STEEP)
         if int(on.sum()) < _FEWEST:
@@ -204,7 +204,7 @@ def _disc(
             f"{across * 1e3:.0f} mm wide, stated are {target.diameter * 1e3:.0f} mm; "
             "look at its place, or at what stands right behind it"
         )
-    # Each pixel of the rim is in or out by chance.
+    # Each pixel of the rim is inside or outside by chance.
     sideways = pitch / np.sqrt(12) * np.sqrt(2 / rim)
     weight = np.full(count, 1 / count)
     inward = np.eye(3) - np.outer(unit, unit)
@@ -235,7 +235,7 @@ def _checkerboard(
     first = np.cross(unit, [0.0, 1.0, 0.0] if abs(unit[1]) < 0.9 else [1.0, 0.0, 0.0])
     first /= np.linalg.norm(first)
     axes = np.stack([first, np.cross(unit, first)])
-    # On the plane, so that the noise of a range moves no edge sideways.
+    # Projected on the plane, so that range noise does not move edges sideways.
     begin, beam = surface.origin[on], surface.direction[on]
     reach = (1 - begin @ plane) / (beam @ plane)
     middle = middle - ((middle @ plane - 1) / np.linalg.norm(plane)) * unit
@@ -261,7 +261,7 @@ def _checkerboard(
 
     tried = (fitted(trial, 10) for trial in starts)
     best = fitted(min(tried, key=lambda trial: float(trial.cost)).x, 60)
-    # How blurred edges are moves none of them.
+    # The blur of the edges does not move the center.
     slopes = best.jac[:, :5]
     normal = slopes.T @ slopes
     variance = 2 * best.cost / max(len(bright) - 6, 1)
@@ -270,8 +270,8 @@ def _checkerboard(
             f"target {target.name!r} in scan {surface.name!r}: no dark and bright "
             "fields are seen around the place; look at its intensity in amulor view"
         )
-    # What the fields leave over stands at their edges, where it counts (H. White,
-    # Econometrica 48 (1980) 817).
+    # Residuals occur at the edges, which determine the center (H. White, Econometrica
+    # 48 (1980) 817).
     scores = slopes * best.fun[:, None]
     back = np.linalg.inv(normal)
     spread = (back @ (scores.T @ scores) @ back)[:2, :2]
@@ -283,7 +283,7 @@ def _checkerboard(
     away = centre / np.linalg.norm(centre)
     distance = 1 / float(plane @ away)
     noise = axes.T @ spread @ axes
-    # The range of the plane along the line of sight to the middle.
+    # Range of the plane along the line of sight to the center.
     height = distance**2 * np.sqrt(float(away @ covariance @ away))
     noise = noise + height**2 * np.outer(away, away)
     count = int(on.sum())
@@ -300,7 +300,7 @@ def _point(
     ahead = surface.direction[at]
     sigma = float(surface.own[at])
     across = target.picking_uncertainty**2 * (np.eye(3) - np.outer(ahead, ahead))
-    # Where the pixel is picked wrongly, its range is that of the place beside it.
+    # The range of a wrongly picked pixel is that of the place beside it.
     slope = surface.normal[at] if surface.smooth[at] else -ahead
     tilt = slope / (slope @ ahead) - ahead
     moved = np.eye(3) - np.outer(ahead, tilt)

@@ -315,7 +315,8 @@ def projector(
         extent[place] += moved
         parts.append((at, moved))
     values, axes = np.linalg.eigh(extent)
-    # All scans together, and what is no pose, leave the distances as they are.
+    # A common motion of all scans, and unknowns other than poses, do not change
+    # distances.
     relative = values > 1e-10 * max(float(values[-1]), 1e-300)
     modes = axes[:, relative] / np.sqrt(values[relative])
     sums, turned = np.linalg.eigh(modes.T @ information @ modes)

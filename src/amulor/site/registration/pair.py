@@ -27,7 +27,7 @@ Numbers = NDArray[np.intp]
 _GRAZING = 0.2
 #: Smallest cosine of the angle between the normals of one surface [1].
 _ALIKE = 0.7
-#: Largest number of compared points; more gain nothing beside shared errors.
+#: Largest number of compared points; with more, shared errors dominate.
 MOST_POINTS = 20_000
 
 
@@ -158,8 +158,8 @@ def compared(
     keys = tuple(dict.fromkeys((*source.shared.keys, *target.shared.keys)))
     window = _window(target, at)
     noises = [one.own.ravel() for one in (source, target)]
-    # What distances are multiplied with knows nothing of their noise, not even by the
-    # place: where neighbors of the pixel put it, on the patches there.
+    # Derivatives must be independent of the noise of the distances, also through the
+    # position: points are placed from neighbors of their pixels.
     guessed = poses[0].place(source.apart.reshape(-1, 3)[pixel])
     at_guess = on_grid(target, poses[1].back(guessed), at.pixel)
     rows, alongs = [], []
@@ -288,8 +288,9 @@ def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
     inside = (np.abs(off) <= 0.6).all(axis=1) & target.smooth.ravel()[pixel]
     start = start + off[:, :1] * slopes[0][0][pixel] + off[:, 1:] * slopes[0][1][pixel]
     ahead = ahead + off[:, :1] * slopes[1][0][pixel] + off[:, 1:] * slopes[1][1][pixel]
-    # Rows of beams are bent: far from level, by 5 um of range on a grazing plane, with
-    # the sign of the elevation. Poses absorb most of a pattern, and the rest is large.
+    # Rows of beams are curved away from the horizon: by 5 um of range on a grazing
+    # plane, with the sign of the elevation. Poses absorb most of such a pattern, so the
+    # remainder matters.
     ahead += _bend(direction, shape, pixel, off)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     more = _pixels_off(point - start, ahead, slopes[:, :, pixel])
@@ -386,7 +387,7 @@ def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
 
 def _tilt(target: ScanSurface, at: OnGrid, normal: Floats) -> Floats:
     """Return the variance of derivatives that noise of surface normals causes."""
-    # Of the slope of a patch, per pixel across it, as an angle of the surface.
+    # Noise of a patch's slope per pixel, as an angle of the surface.
     angle = target.slope * target.own.ravel()[at.pixel] / target.spacing
     along = np.abs(_dot(normal, at.direction))
     return np.asarray(angle**2 / np.maximum(along, _GRAZING) ** 2)

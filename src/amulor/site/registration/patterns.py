@@ -208,8 +208,8 @@ def _tests_of(
     crossed, squares = np.zeros((count, size)), np.zeros((count, count))
     back, sums = np.zeros((size, count)), np.zeros(count)
     for pair, (x, z, weight) in zip(pairs, derivatives, strict=True):
-        # Factors of a sum with the distances hold none of their noise, as in `pair`: at
-        # the place of the point itself the rows of a plane seem to drift by 1 mm.
+        # Factors are independent of the noise of the distances, as in `pair`. With
+        # factors at the point itself, the rows of a plane seem to drift by 1 mm.
         columns = _derivatives(
             name, shapes, pair, weight, pair.along, pair.target_pixel
         )
@@ -239,7 +239,7 @@ def _tests_of(
     tests, changes = [], []
     bias = inverse @ back
     for number, pattern in enumerate(PATTERNS):
-        # What poses absorb to the last part cannot be tested.
+        # Patterns that poses absorb completely cannot be tested.
         if not effect[number] > 1e-6 * squares[number, number] > 0:
             continue
         sigma = float(np.sqrt(variance[number]))

@@ -75,7 +75,7 @@ def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
     for axis in (pose.rotation[:, 0], pose.rotation[:, 2]):
         covariance[3:, 3:] += start.level_uncertainty**2 * np.outer(axis, axis)
     covariance[3:, 3:] += start.heading_uncertainty**2 * np.outer(heading, heading)
-    # Of three axes that may be nearly in a plane, none may count as known.
+    # Three axes may lie nearly in a plane; no direction may count as known.
     least = 0.25 * min(start.level_uncertainty, start.heading_uncertainty) ** 2
     covariance[3:, 3:] += least * np.eye(3)
     return covariance
@@ -129,7 +129,7 @@ def aligned(
         raise MissingExtraError(
             "small-gicp", extra="site", purpose="aligning scans"
         ) from error
-    # Near the origin, since the voxels are numbered from there.
+    # Near the origin, because the numbering of voxels starts there.
     middle = others.mean(axis=0)
     matrix = start.matrix
     matrix[:3, 3] -= middle

@@ -162,7 +162,7 @@ def _centres(
             if target.moved:
                 centre = replace(centre, target=f"{target.name} in {scan.epoch}")
             centres.append(centre)
-            # What holds a target does not count a second time as a surface.
+            # The pixels of a target do not count a second time as a surface.
             smooth = remaining[scan.name].smooth & ~pixels
             remaining[scan.name] = replace(remaining[scan.name], smooth=smooth)
     return tuple(centres), remaining
@@ -459,7 +459,7 @@ def _weak_directions(
         root = np.linalg.cholesky(start.covariance)
         others = [_relative_to_prior(spread, start.covariance) for spread in options]
         for value, axis in zip(values, axes.T, strict=True):
-            # Two start poses by themselves make a mean; a neighbor may know better.
+            # Two start poses alone have a mean; a neighbor may be more certain.
             if min(float(axis @ spread @ axis) for spread in others) > _NO_BETTER**2:
                 step = root @ axis * math.sqrt(value)
                 surface = surfaces[name]

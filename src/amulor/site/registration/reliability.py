@@ -30,7 +30,7 @@ def non_centrality(chance: float) -> float:
 
 #: Non-centrality at a chance of 1e-3 of a false alarm [1].
 _NON_CENTRALITY = non_centrality(1e-3)
-#: An observation with a smaller redundancy is checked by nothing [1].
+#: Smallest redundancy of an observation that other observations check [1].
 _UNCHECKED = 1e-3
 _SHIFTS = ("east", "north", "up")
 _TURNS = ("about east", "about north", "about up")

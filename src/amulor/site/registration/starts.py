@@ -121,7 +121,7 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
     }
     placed = {name: _placed(starts[name], samples[name]) for name in starts}
     gates = {name: _gate(starts[name], samples[name]) for name in starts}
-    # Of two visits that contradict each other the one that is known worse is named.
+    # Of two contradicting visits, the less certain one is named.
     worse = sorted(
         visits,
         key=lambda name: (
@@ -149,7 +149,7 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
         best = max(gains.values(), default=0.0)
         if best <= agreement + _BETTER:
             continue
-        # Of poor start poses a draw of their errors may gain as much by chance.
+        # With uncertain start poses, a random draw may gain as much overlap.
         chance = max(
             _agreement(visits, scans, placed | drawn, gates)
             for drawn in _draws({name: starts[name] for name in scans}, samples)

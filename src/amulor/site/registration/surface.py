@@ -163,7 +163,8 @@ Numbers = NDArray[np.intp]
 
 #: Largest chi-square of a smooth window, over that of most [1].
 _ROUGH = 3.0
-#: Degree of a patch: with less, bends of a sea bed exceed the noise of patches [1].
+#: Degree of a patch: with a lower degree, the curvature of a sea bed exceeds the noise
+#: [1].
 _DEGREE = 4
 #: Smallest number of patches that place a scan [1].
 _FEWEST = 50
@@ -272,7 +273,7 @@ def scan_surface(
             f"smooth surface {window} pixels wide, at least {_FEWEST} are needed to "
             "place it; scan finer, or set registration.window lower"
         )
-    # The fit without the pixel in the middle; its slopes are the same.
+    # Fit without the central pixel; its slopes are equal.
     middle = plain[0, window // 2, window // 2]
     without = (low[0] - middle * inverse) / (1 - middle)
     # No neighbor has a range where the inverse is 0.
@@ -326,7 +327,8 @@ def _is_smooth(
     half = window // 2
     place = np.arange(-half, half + 1).astype(float)
     bare = [np.outer(place**i, place**j) for i, j in powers]
-    # Squares left over: those of the data less those of the fit, about the middle.
+    # Residual sum of squares: squares of the data minus squares of the fit, about the
+    # mean.
     middle = inverse.mean()
     shifted = inverse - middle
     square = count * ndimage.uniform_filter(shifted**2, window, mode="nearest")
