@@ -99,7 +99,7 @@ def accuracy_statement(
             continue
         sigma = image["slant_range_uncertainty"].values
         sigma = sigma[np.isfinite(sigma)]
-        # max() of a number that is none would be zero.
+        # max() of NaN would be zero.
         noise = math.sqrt(float(np.maximum(budget.combined**2 - budget.common**2, 0.0)))
         rows.append(
             [
@@ -254,7 +254,7 @@ def _or_not_known(value: float | None, factor: float, unit: str) -> str:
     return "not known" if value is None else f"{value * factor:.3g} {unit}"
 
 
-#: Terms that pixels have in common, of the whole scan or of their surroundings.
+#: Terms common to pixels of the whole scan or of a neighborhood.
 _SHARED = {*ALIKE_TERMS, *SHARED_TERMS}
 
 

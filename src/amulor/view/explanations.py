@@ -86,7 +86,7 @@ def find(words: str) -> list[Explanation]:
     plain = re.sub(r"[^a-z]+", "_", words.lower()).strip("_")
     if plain.upper() in by_name:
         return [by_name[plain.upper()]]
-    # Messages first: they name other things on their way.
+    # Messages first, because they contain names of other explanations.
     matches = [
         by_name[name]
         for table in ("warning", "pixel")
@@ -424,13 +424,13 @@ def _reasons(
     """Yield the measured values beyond their limits, at least one for each flag."""
     flags = QualityFlag(int(numbers["quality_flag"]))
     causes = WaterResidualCause(int(numbers.get("water_residual_cause", 0)))
-    if "residual_phase" in numbers:  # the angle says more than its ratio
+    if "residual_phase" in numbers:  # the angle is clearer than its ratio
         numbers.pop("residual_phase_ratio", None)
     if "joint_detection" in numbers:  # which looks for a target in all samples together
         numbers.pop("open_phase", None)
     tests = _tests(numbers, attributes)
     for flag in (bit for bit in QualityFlag if bit & flags):
-        # Bits of flags and causes are alike as numbers: told apart by their names.
+        # Flags and causes have equal bits, so their names distinguish them.
         of_water = flag == QualityFlag.WATER_RESIDUAL and causes
         unexplained = [str(bit.name) for bit in (causes if of_water else flag)]
         for test in tests:

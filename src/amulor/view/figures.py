@@ -286,7 +286,7 @@ def surfaces(images: Mapping[str, xr.Dataset]) -> Figure:
             axis.view_init(elev=30, azim=-72)
             spans = [np.ptp(x), max(np.ptp(y), 0.4 * np.ptp(x)), 0.6 * np.ptp(x)]
             axis.set_box_aspect(spans, zoom=1.02)
-            # As many numbers as an axis of its length has room for.
+            # As many tick labels as fit on an axis of this length.
             for span, ruler in zip(
                 spans, (axis.xaxis, axis.yaxis, axis.zaxis), strict=True
             ):
@@ -316,7 +316,7 @@ def _grid(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:
         values[place] = cloud[name].values * 1e3
         axes.append(values)
     x, y, z = axes
-    # Where there is no range the direction alone places the pixel, at mean distance.
+    # A pixel without a range is placed by its direction, at the mean distance.
     far = float(np.nanmedian(z)) if np.isfinite(z).any() else 0.0
     azimuth, elevation = image["azimuth"].values, image["elevation"].values
     x = np.where(np.isfinite(x), x, far * np.tan(azimuth))

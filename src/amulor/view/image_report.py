@@ -96,7 +96,7 @@ def write(
                 flag_sentence(image, statistics.get(name)),
             ),
         ]
-    # A surface needs two rows and two columns, and something to be drawn of them.
+    # A surface needs two rows, two columns and a finite range.
     drawable = {name: image for name, image in images.items() if _is_surface(image)}
     tell("drawing profiles and surfaces", 0.6)
     if drawable:
@@ -218,7 +218,7 @@ def interactive(images: Mapping[str, xr.Dataset]) -> list[Part]:
     return parts
 
 
-#: Pixels of an image that a report carries as a page [1].
+#: Largest image that a report contains as an interactive page [pixel].
 _LARGEST_IN_REPORT = 400_000
 
 

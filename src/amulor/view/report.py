@@ -188,7 +188,7 @@ def _rendered(part: Part) -> str:
     if isinstance(part, Table):
         return _table(part)
     if isinstance(part, Interactive):
-        # Apart from the report: its scripts reach nothing outside of their frame.
+        # Isolated from the report: its scripts have no access outside their frame.
         return (
             f'<figure class="interactive"><iframe title="{html.escape(part.title)}" '
             'sandbox="allow-scripts allow-downloads" loading="lazy" '

@@ -40,7 +40,7 @@ _SHEETS = {
 # Border of the sheet, room for numbers beside the picture, and below it [mm].
 _BORDER, _TICKS, _BLOCK = 10.0, 16.0, 52.0
 _INCH = 25.4
-# Where a scan has a surface, but nothing to be colored.
+# Color of a surface without a value to show.
 _GREY = (226, 226, 226, 255)
 #: Part of the cells that limits of colors may leave out on either side [%].
 _STRAY = 1.0

@@ -27,7 +27,7 @@ from amulor.view.style import (
 
 Floats = NDArray[np.float64]
 
-#: Most points that a picture shows; more would only cover each other [1].
+#: Largest number of points in a figure; more would cover each other [1].
 _SHOWN = 60_000
 
 
@@ -166,7 +166,7 @@ def change_map(change: Change, places: Sequence[Region]) -> Figure:
         corner = (place.centre[0] + place.reach, place.centre[1] + place.reach)
         axes[0].annotate(str(number + 1), corner)
     if places:
-        # No centimeter among empty meters.
+        # Limits around the changed regions, which may be small within the site.
         low, high = (
             pick([sign * place.reach + place.centre[:2] for place in places], axis=0)
             for pick, sign in ((np.min, -1), (np.max, 1))

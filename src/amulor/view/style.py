@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 #: Okabe and Ito's colors, in the order in which lines take them.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-#: Each means one thing, in every figure, sheet and page: distances, brightness, signed
-#: differences, and uncertainties.
+#: One color map per quantity, in every figure, sheet and page: distances, brightness,
+#: signed differences, and uncertainties.
 DISTANCE_MAP, BRIGHTNESS_MAP, DIFFERENCE_MAP = "viridis", "gray", "RdBu_r"
 ERROR_MAP = "cividis"
 #: Pixels without a value.

@@ -24,13 +24,13 @@ __all__ = ["CHOICES", "going", "map_name", "picture", "screen", "signal_to_noise
 
 Floats = NDArray[np.float64]
 
-#: Maps that can be watched, and their color scales.
+#: Available maps, and their color scales.
 CHOICES = {
     "range": DISTANCE_MAP,
     "amplitude": BRIGHTNESS_MAP,
     "uncertainty": "magma",
 }
-#: From little to much, on terminals without colors.
+#: Characters from low to high values, for terminals without colors.
 _SHADES = " .:-=+*#%@"
 #: Character with two halves: one pixel above another.
 _HALF = "▀"

@@ -145,7 +145,7 @@ class Explorer:
             "frequencies", [survey.instrument.modulation_frequencies]
         )
         if "baseline" in axes:
-            # The receiver keeps looking at the same place of the beam.
+            # The receiver axis keeps its intersection with the beam.
             survey = with_receiver(
                 survey, baseline=axes["baseline"], aim=aim_of(survey)
             )

@@ -21,7 +21,7 @@ from amulor.view.style import COLOURS, ERROR_MAP, new_figure, style
 
 Floats = NDArray[np.float64]
 
-#: Total errors that get a line [mm].
+#: Total errors with a contour line [mm].
 CONTOURS = (1.0, 3.0, 10.0)
 #: Regions where a range must not be trusted: flag, label and hatch pattern.
 REGIONS = (

@@ -57,9 +57,9 @@ MAPS = {
         for term in (*ALIKE_TERMS, *WATER_TERMS)
     },
 }
-#: Steps of the surface to the next pixel, which means do not cross.
+#: Steps of the surface to the next pixel, which averages do not cross.
 STEPS = Layer(name="steps", label="Steps", unit="1", kind="hidden")
-#: Maps that exist of the picture before rejection, too.
+#: Maps that are available before rejection, too.
 BEFORE = ("slant_range", "intensity", "quality_flag", "slant_range_uncertainty")
 
 

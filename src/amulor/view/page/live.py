@@ -30,7 +30,7 @@ from amulor.survey.view import geometry_attributes
 from amulor.view.page.progress import Progress
 from amulor.view.page.recording import Recording, recording_of
 
-#: The same for all frequencies, so that the highest count most [rad].
+#: Equal for all frequencies, so that the highest frequency has the most weight [rad].
 _PHASE_ERROR = 0.02
 
 
@@ -67,7 +67,7 @@ def quick_layers(
 POLL = 0.2
 #: All pixels are recomputed after this time, or later if it takes long [s].
 _AGAIN = 2.0
-#: At most this part of the time is spent on that [1].
+#: Largest fraction of the time for recomputation [1].
 _SHARE = 0.15
 
 Floats = NDArray[np.float64]
@@ -142,7 +142,7 @@ class Live:
             try:
                 self._look()
             except (AmulorError, ValueError, LookupError, OSError) as error:
-                # Whatever it is, the page says so, and it is tried again.
+                # The page reports any error, and the next attempt follows.
                 self._close()
                 with self._lock:
                     self.status = {**self.status, "error": str(error)}
@@ -165,7 +165,8 @@ class Live:
         rows = self._patched()
         if rows:
             self.row_time = (time.perf_counter() - begun) / len(rows)
-        # Asked for before the segments: a writer ends its segment, then lets go.
+        # Queried before the segments: a writer ends its segment, then releases the
+        # lock.
         resume = None if in_use(self.folder) else resume_command(self.folder)
         segments = self._journal.segments()
         with self._lock:
@@ -214,7 +215,7 @@ class Live:
         begun = self._clock()
         assert self._journal is not None
         with contextlib.suppress(AmulorError), warnings.catch_warnings():
-            # A scan that has begun has means of nothing in it.
+            # A scan that has just begun has means over no samples.
             warnings.simplefilter("ignore", RuntimeWarning)
             cube = acquisition.build(self._journal)
             picture = recording_of(cube, name=self.name)

@@ -40,7 +40,7 @@ class Products(Protocol):
         """Make a requested product of a range image as a file."""
 
 
-#: Pixels with one of these are no part of a surface.
+#: Flags of pixels that belong to no surface.
 _OFF_SURFACE = QualityFlag.MIXED | QualityFlag.OUTLIER
 _MOST_PICKS = 200
 _LARGEST_REACH = 20

@@ -251,7 +251,7 @@ def large_picture(path: Path) -> LargePicture:
         while remaining > 0 and (part := file.read(min(remaining, 1 << 22))):
             digest.update(part)
             remaining -= len(part)
-    # What another program wrote has no seal.
+    # Files of other programs have no digest.
     expected = f"\namulor sha256:{digest.hexdigest()}\n".encode()
     if seal.startswith(b"\namulor sha256:") and seal != expected:
         raise FormatError(
@@ -272,7 +272,7 @@ class LargePicture:
         self.shape: tuple[int, int] = (int(rows), int(columns))
         self.attributes = _plain(self._file.attrs)
         self.geometry = _plain(self._file["geometry"].attrs)
-        # Files of before say it by their flags alone.
+        # Older files state this only by their flags.
         first = self._read("quality_flag", slice(0, _BAND), slice(None))
         flags = {"quality_flag": (("row", "column"), first)}
         self.error_unknown = error_unknown(xr.Dataset(flags, attrs=self.attributes))
@@ -286,7 +286,7 @@ class LargePicture:
         rows, columns = (-(-size // stride) for size in self.shape)
         kind = self._read(variable, slice(0, 1), slice(0, 1)).dtype.kind
         out = np.empty((rows, columns), np.uint16 if kind in "iu" else np.float32)
-        # A band is a whole number of steps, so that each begins where it should.
+        # A band is a whole number of strides, so that each band begins at a drawn row.
         band = max(1, _BAND // stride) * stride
         for first in range(0, self.shape[0], band):
             part = self._read(variable, slice(first, first + band), slice(None))

@@ -125,11 +125,11 @@ def _two_sided(value: float, error: float, freedom: float) -> float:
     return 2 * float(stdtr(freedom, -abs(value) / error))
 
 
-#: Water that changed by this part is worth a reference, if chance did not do it [1].
+#: Relative change of the water that is worth a new reference, if significant [1].
 WORTH_A_REFERENCE = 0.02
-#: Chance does it if more than this share of scans in steady water show as much [1].
+#: Significance level: fraction of scans in steady water with such a change [1].
 CHANCE = 1e-3
-#: Share of samples with a flag that is worth a word [1].
+#: Fraction of flagged samples above which the page gives advice [1].
 WORTH_A_WORD = 0.01
 #: Without a sample for this many times the usual interval, something may be wrong.
 _PATIENCE = 20.0
@@ -213,7 +213,7 @@ def advice(going: Going) -> list[str]:
 
 #: Frequency, channel, row and column of shots in one direction.
 Series = tuple[float, str, int, int]
-#: The rate is that of the last samples, by the wall clock [1].
+#: Number of last samples that determine the rate, by the wall clock [1].
 _RECENT = 400
 
 
@@ -228,7 +228,7 @@ class Progress:
         procedure = Procedure.model_validate(content, context={"from_text": True})
         self.total = plan.count(survey, procedure)
         water = survey.scan.open_water
-        #: Samples of the plan have smaller repeat numbers.
+        #: Repeat number from which samples are additional to the plan.
         self._planned = {
             plan.SCAN: 1,
             plan.OPEN_WATER: 0 if water is None else water.repeats,
@@ -343,13 +343,13 @@ class Progress:
         """State of the scan, as the browser page needs it."""
         now = self._clock()
         last = segments[-1] if segments else {"ended": "", "reason": "not begun"}
-        # Devices that are not safe may follow the word.
+        # The word may be followed by the devices that are not safe.
         finished = str(last["reason"]).startswith("finished")
         running = last["ended"] is None and resume is None
         if finished:
             resume = None
         if not (running and self._running):
-            # Time without a writer counts neither for the rate nor as silence.
+            # Time without a writer counts neither in the rate nor as silence.
             self._recent.clear()
             self._last_at = now
         self._running = running

@@ -171,7 +171,7 @@ class Recording:
         if after is None and before is None:
             raise CubeError(f"{self.name} holds nothing that can be shown as a picture")
         if after is not None and _water_in(after):
-            before = None  # the same picture
+            before = None  # one picture for both
         return Channel(after=after, before=before)
 
     def _raw(self) -> xr.Dataset:
@@ -195,7 +195,7 @@ class Recording:
             name for name in ("water_in_phase", "water_quadrature") if name in cube
         ]
         at = cube.amulor.polarizations.index(channel)
-        # The samples carry the beams along where the water is not known.
+        # With unknown water, the samples contain the beams.
         part = cube[names or ["in_phase"]].isel(row=[row])
         part = part.isel(polarization=at, drop=True)
         return part if names else part.drop_vars("in_phase")

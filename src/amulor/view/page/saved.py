@@ -26,7 +26,7 @@ TYPES = {
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }
-#: Numbers of spectra that a page may carry [1].
+#: Largest number of spectra in a saved page [1].
 _MOST_SPECTRA = 4_000_000
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; "

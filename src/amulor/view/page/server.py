@@ -35,7 +35,7 @@ from amulor.view.page.saved import TYPES, saved_page, saved_space, static_files
 from amulor.view.page.security import Guard, new_token
 from amulor.view.page.space import Space
 
-#: Measurements that a saved page may begin with [1].
+#: Largest number of measurements in a saved page [1].
 _MOST_MEASUREMENTS = 500
 
 

@@ -24,7 +24,7 @@ from amulor.view.page.layers import flag_words
 
 __all__ = ["ENDINGS", "Space", "is_space", "opened"]
 
-#: Points that are drawn at most, and triangles [1].
+#: Largest number of drawn points, and of drawn triangles [1].
 MOST_POINTS = 4_000_000
 MOST_TRIANGLES = 2_000_000
 _TEXT = (".xyz", ".csv", ".txt", ".asc", ".pts")
@@ -33,7 +33,7 @@ _MESHES = (".stl", ".obj", ".off", ".glb")
 _METRES = (".laz", ".las", ".e57", ".glb")
 ENDINGS = (".ply", ".laz", ".las", ".e57", *_TEXT, *_MESHES)
 
-#: Points by which the distance of neighbors is judged [1].
+#: Number of points that determine the typical distance of neighbors [1].
 _SOME = 100_000
 
 #: Label, unit and kind of colors of the numbers that the page has words for.
@@ -166,8 +166,8 @@ class Space:
         self.size = high - low
         order = np.arange(len(shape.position))
         if shape.faces is None:
-            # Any first part of them stands for all, so that a picture that moves
-            # draws fewer.
+            # The first part of the points, of any size, represents all, so that a
+            # moving view draws fewer.
             order = np.random.default_rng(2).permutation(order)
         self.total = shape.total or len(shape.position)
         self.faces = shape.faces
@@ -276,7 +276,7 @@ class Space:
             return float(np.max(self.size)) or 1e-3
         sample = some[:: max(1, len(some) // 2000)]
         away = cKDTree(some).query(sample, k=2)[0][:, 1]
-        # Of a surface a part of the points is as much wider apart as its root.
+        # On a surface, the spacing of a subset grows with the root of the reduction.
         near = float(np.median(away)) * math.sqrt(len(some) / len(points))
         return near or float(np.max(self.size)) / 1000 or 1e-3
 
