@@ -16,10 +16,10 @@ __all__ = ["BoxSeries"]
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Coefficients are left out, the smallest first, as long as their sum is below this
-#: part of the largest one [1].
+#: Coefficients are omitted, the smallest first, while their sum is below this fraction
+#: of the largest coefficient [1].
 _LEFT_OUT = 1e-9
-#: Places that the loop works on at once: their sums stay in the nearest cache.
+#: Number of points per loop block: their sums stay in the nearest cache.
 _TOGETHER = 64
 
 
@@ -49,7 +49,7 @@ class BoxSeries:
         mesh = np.stack(np.meshgrid(*self._axes, indexing="ij"))
         mesh = mesh.reshape(len(self._axes), -1)
         nodes = self._centre[:, None] + self._half[:, None] * mesh
-        # Rounding must not push one out of the box.
+        # Rounding must not move a point out of the box.
         inside: Floats = np.clip(nodes, self._low[:, None], self._high[:, None])
         return inside
 

@@ -46,11 +46,11 @@ _NOT_KEPT = (
 )
 _FORM = rb"(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))"
 _IMPORT = re.compile(rb"^" + _FORM, re.MULTILINE)
-#: Those that a package makes for types, too, and when it is asked for a name.
+#: Imports at any indentation, such as those for types or within functions.
 _ANY_IMPORT = re.compile(rb"^[ \t]*" + _FORM, re.MULTILINE)
-#: What was read of each file and its digest, and the import at which it was.
+#: By file: object of its import, text and digest.
 _read: dict[Path, tuple[object, bytes, bytes]] = {}
-#: The digest of a file and of all behind it, and the import at which it was taken.
+#: By file: object of its import, and digest of the file and all its imports.
 _digests: dict[Path, tuple[object, str]] = {}
 
 
@@ -66,7 +66,7 @@ def keep_fresh(package: Path) -> None:
     cache: Any = getattr(caching, "CacheImpl", getattr(caching, "_CacheImpl", None))
     places = getattr(cache, "_locator_classes", None)
     if places:
-        # One that goes by files on disk, whatever a version of numba calls it.
+        # Locator class for files on disk, under any name that numba gives it.
         by_file = [place for place in places if "UserWide" in place.__name__]
         last = [_last_resort(place) for place in by_file]
         fresh = (_fresh(place, package) for place in [*places, *last])
@@ -97,7 +97,7 @@ def _fresh(place: Any, package: Path) -> Any:
 
         def ensure_cache_path(self) -> None:
             super().ensure_cache_path()
-            if self._function:  # empty while numba looks for a place, set when it saves
+            if self._function:  # empty until numba saves
                 former = Path(self.get_cache_path()).glob(f"{self._function}*.nb[ic]")
                 for path in former:
                     if self._digest not in path.name:

@@ -15,7 +15,7 @@ __all__ = ["COMPILING", "Listener", "aside", "listening", "part", "tell"]
 
 #: Begin of the step that waits for the compiler.
 COMPILING = "compiling for this computer, once"
-#: Takes what is done now and the share of the work done before it [1].
+#: Function of the present step and the completed fraction of the work [1].
 Listener = Callable[[str, float], None]
 
 
@@ -30,7 +30,7 @@ class _Ear:
 
 
 _ear: ContextVar[_Ear | None] = ContextVar("_ear", default=None)
-#: All listeners, for work in threads that the one who listens waits for.
+#: All listeners, for work in threads that a listener waits for.
 _ears: list[_Ear] = []
 
 
@@ -40,7 +40,7 @@ def listening(listener: Listener) -> Iterator[None]:
     reached = 0.0
 
     def rising(step: str, share: float) -> None:
-        # Work that is done twice, as by two methods in turn, does not go back.
+        # Progress does not decrease when work is repeated, as by two methods in turn.
         nonlocal reached
         reached = max(reached, share)
         listener(step, reached)

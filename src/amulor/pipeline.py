@@ -40,7 +40,7 @@ AnyPath = str | os.PathLike[str]
 HALO = 8
 #: Rows of a tile, in halos at least, so that few rows are processed twice.
 _HALOS = 4
-#: Pixels that become points at once, by default.
+#: Default number of pixels converted to points at once.
 _PIXELS = 2**17
 
 
@@ -73,7 +73,7 @@ class TiledStep:
 
 def reject_step(method: str, **options: Any) -> TiledStep:
     """Return the processing step in which a method rejects the water signal."""
-    from amulor import rejection  # images and clouds start without it
+    from amulor import rejection  # images and clouds load faster without it
 
     chosen = rejection.load(method)
     return TiledStep(
@@ -482,7 +482,7 @@ def _counted(
         tile = image.tile(begin, end)
         words = words or cubes.error_unknown(tile)
         excluded, reasons = to_leave_out(tile, **vars(selection))
-        # Reasons without a pixel stay in the list.
+        # Reasons that exclude no pixel stay in the list.
         for reason, number in reasons.items():
             counts[reason] += number
         flag = tile["quality_flag"].values

@@ -166,7 +166,7 @@ def _convert(
     try:
         registry = _registry_for(unit_text)
         unit = registry.Unit(unit_text)
-    # The reader of unit expressions raises errors of many kinds on odd text.
+    # The parser of unit expressions raises errors of many kinds on odd text.
     except Exception:
         raise ValueError(
             f"found {text!r}, whose unit {unit_text!r} is not known; {advice}"

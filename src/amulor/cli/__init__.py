@@ -248,7 +248,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except BrokenPipeError:
-        # The reader has seen enough; what is still in the buffer must not complain.
+        # The reader closed the pipe; the rest of the buffer must not cause an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
@@ -314,7 +314,7 @@ def _run(words: list[str]) -> int:
     from amulor.cli._arguments import UsageError
     from amulor.errors import AmulorError
 
-    # Advice about its own settings folder, where no home can be written.
+    # matplotlib's advice about its settings folder, if no home is writable.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     app = App(
         name="amulor",

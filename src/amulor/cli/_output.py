@@ -79,7 +79,7 @@ def print_table(
         table.add_column(cell, justify=justify, overflow="fold")
     for row in rows:
         table.add_row(*row)
-    # Without markup, "[mm]" is a unit; in a pipe, a table is as wide as it has to be.
+    # Without markup, "[mm]" is a unit. In a pipe, a table is as wide as needed.
     width = None if sys.stdout.isatty() else 1000
     Console(markup=False, emoji=False, width=width).print(table)
 

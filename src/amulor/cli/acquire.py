@@ -224,7 +224,7 @@ class _Interrupts:
     the program was started to ignore, as by nohup, stay ignored, except SIGTERM.
     """
 
-    #: Ctrl-Z, too: a program that is only stopped would leave the light on.
+    #: Ctrl-Z, too: a stopped program would leave the laser on.
     _ASK = ("SIGINT", "SIGTSTP")
     _END = ("SIGTERM", "SIGHUP", "SIGQUIT")
 
@@ -267,7 +267,8 @@ class _Interrupts:
         return answer.strip().lower() in ("", "y", "yes")
 
     def _want(self, number: int, frame: object) -> None:
-        # In place of an answer, or a second time before the question: at once.
+        # Ctrl-C instead of an answer, or a second one before the question, ends the
+        # scan.
         if self._wanted or self._screen.asking or self._leaving:
             self._end(number, frame)
         self._wanted = True
@@ -302,11 +303,12 @@ class _Screen:
 
     def ask(self, text: str) -> str:
         """Ask the operator a question, and return the answer."""
-        # A live bar keeps back what does not end a line, such as a question.
+        # A live bar holds back text without a line end, such as a question.
         if self._bar is not None:
             self._bar.stop()
         self.asking = True
-        # Not by `input`: that would write it where the outcome goes, maybe to a file.
+        # Not with `input`, which would write the question to standard output, maybe a
+        # file.
         print(text, end="", file=sys.stderr, flush=True)
         try:
             return input()

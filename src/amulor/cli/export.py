@@ -115,7 +115,7 @@ def export(
     overwrite
         Replace an existing file.
     """
-    # What is wrong with options comes first; knowing it of lengths needs more.
+    # Errors in options are reported first; checks of lengths need the image.
     options = line, against, cell, contours, farthest, product, largest_uncertainty
     if output.suffix.lower() in _CLOUDS and not any(options):
         check_inputs(image, pose)

@@ -52,7 +52,7 @@ def recordings(
     described = RecordingMap.from_toml(columns)
     planned = Survey.from_toml(survey)
     if tile_rows is not None or is_large(8 * samples_of(planned)):
-        # Loads what works by rows, which other imports do without.
+        # Imported here, because only this import needs processing by rows.
         from amulor.scale.recorded import import_file
 
         with progress_bar():

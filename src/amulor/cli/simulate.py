@@ -89,12 +89,12 @@ def simulate(
                 case "diffusion":
                     chosen = DiffusionModel()
                 case "photons":
-                    # Loads photon transport, which the others do without.
+                    # Imported here, because other simulations need no photon transport.
                     from amulor.simulation import PhotonModel
 
                     chosen = PhotonModel(relative_error=goal, seed=seed)
             if by_rows:
-                # Loads what works by rows, which other simulations do without.
+                # Imported here, because other simulations need no processing by rows.
                 from amulor.scale.simulated import simulate_file
 
                 summary = simulate_file(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-#: Part of an echo in the medium that is worth a word [1].
+#: Fraction of an echo in the medium above which a warning is printed [1].
 _OVERLAP = 0.03
 
 

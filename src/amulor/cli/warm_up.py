@@ -119,7 +119,7 @@ def _ready() -> tuple[int, str]:
 
     from amulor._compiled import loops_behind
 
-    # Of what comes from the disk, only the outermost ones are loaded.
+    # Only the outermost loops on disk are loaded; `loops_behind` adds the others.
     entries = [
         value
         for name, module in list(sys.modules.items())

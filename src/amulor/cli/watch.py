@@ -61,7 +61,7 @@ def watch(
         else:
             _in_lines(live, channel, pause, once=once)
     except KeyboardInterrupt:
-        # Watching ends like this; the scan goes on.
+        # Ctrl-C ends the display; the scan continues.
         return
     finally:
         live.stop()

@@ -43,7 +43,7 @@ def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
     if not names:
         return None
     short = {key: key.removeprefix(prefix) for key in names}
-    # A coordinate of the cube must not stand in the way of a variable of the group.
+    # A coordinate of the cube must not collide with a variable of the group.
     clash = [name for name in short.values() if name in cube.coords]
     return (
         cube[names]

@@ -14,7 +14,7 @@ from amulor.cube.values import check_limits, check_values, restore_dimensions
 from amulor.errors import CubeError
 from amulor.optics.polarization import stokes
 
-# Variables that a caller may add to a cube go under names of his own with this start.
+# Prefix of variables that a caller may add to a cube.
 _FREE_PREFIX = "user_"
 
 

@@ -33,7 +33,7 @@ def flags_of_pixels(
 ) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
     """Combine the flags of all frequencies into flags of pixels."""
     unseen = (flag & QualityFlag.NO_TARGET) != 0
-    # A target that half of the frequencies show is there: the others are left out.
+    # A target at half of the frequencies is present; the other frequencies are omitted.
     unseen &= unseen.mean(axis=0) <= _HALF
     outlying = (flag & QualityFlag.OUTLIER) != 0
     # The other frequencies determine the range without a few outliers.
@@ -79,7 +79,7 @@ def by_frequency(channel: xr.Dataset, name: str, default: float) -> NDArray[np.f
     """Return an attribute that has one number for each frequency."""
     values = np.atleast_1d(np.asarray(channel.attrs.get(name, default), dtype=float))
     count = channel.sizes["modulation_frequency"]
-    # One frequency of several was selected.
+    # The cube has a single selected frequency.
     return values if values.size == count else np.full(count, values.max())
 
 
@@ -89,7 +89,7 @@ def _name(channel: xr.Dataset) -> str:
 
 WATER_NOT_REMOVED = flag_words()["pixel"]["NO_OPEN_WATER"]["short"]
 _UNSETTLED = flag_words()["pixel"]["RELATIVE"]["short"]
-#: Attribute of images and clouds with this text.
+#: Attribute of images and clouds with the reason.
 _WORDS = "error_unknown"
 #: Combined uncertainties; those of single terms are not changed.
 _COMBINED = (

@@ -113,7 +113,7 @@ WATER_TERMS = ("drift", "column")
 RANGE_PREFIX, PHASE_PREFIX = "slant_range_uncertainty_", "phase_uncertainty_"
 
 
-#: Raised when a file written by an older amulor can no longer be read as it is.
+#: Schema version; increased when older files cannot be read unchanged.
 SCHEMA_VERSION = "1"
 CONVENTIONS = "CF-1.11"
 
@@ -347,7 +347,7 @@ PIXEL_TESTS = {
         _PIXEL, "m", "shift of the slant range above which the pixel is flagged"
     ),
 }
-#: The same of the range image itself.
+#: Test statistics that are computed with the range image.
 _IMAGE_TESTS = {
     "ambiguous_interval_probability": _optional(
         _PIXEL, "1", "probability of another interval, for ambiguous pixels"
@@ -356,7 +356,7 @@ _IMAGE_TESTS = {
         _PIXEL, "1", "p-value of the phases of all frequencies, for ambiguous pixels"
     ),
 }
-#: The same of each sample.
+#: Test statistics of each sample.
 SAMPLE_TESTS = {
     "signal_significance": _optional(
         _SAMPLE, "1", "target signal over its standard error, from both outputs"
@@ -410,7 +410,7 @@ _RANGE_TERMS = {
     )
     for term in TERMS.values()
 }
-#: Names that variables had in files of version 1 before they had a place in a level.
+#: Old names of variables, from files of version 1.
 FORMER_NAMES = {
     "user_joint_slant_range": "joint_slant_range",
     "user_joint_uncertainty": "joint_slant_range_uncertainty",

@@ -52,7 +52,8 @@ def is_large(size: float) -> bool:
 
 
 Indices = NDArray[np.intp]
-#: Function from rows of a scan and the number of their first to the rows of a result.
+#: Function of rows of a scan and the number of the first row; returns rows of the
+#: result.
 OfRows = Callable[[xr.Dataset, int], xr.Dataset]
 
 

@@ -80,11 +80,11 @@ def _restored(
     if variable.dims != remaining or remaining == spec.dimensions:
         return variable
     expanded: xr.Variable = variable.set_dims(spec.dimensions)  # type: ignore[no-untyped-call]
-    # A single text has a length, a coordinate of texts must not.
+    # A single text may have a length, a coordinate of texts may not.
     return expanded.astype(object) if expanded.dtype.kind == "U" else expanded
 
 
-#: Detectors and lock-ins give volts; so much more is damage, or another unit [V].
+#: Largest plausible signal; a larger one is damage, or has another unit [V].
 _LARGEST_SIGNAL = 1e15
 #: Errors that all samples share: all of them are present, or none.
 _COMMON = (

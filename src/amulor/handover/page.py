@@ -195,7 +195,7 @@ def _line(
     plane = products.plane_of(frame, side)  # type: ignore[arg-type]
     line: list[float] = []
     for row, column in pixels:
-        # Where a pixel has no range, the nearest one that has stands for it.
+        # A pixel without a range is replaced by the nearest pixel with a range.
         away = np.hypot(cloud["row"].values - row, cloud["column"].values - column)
         place = places[int(np.argmin(away))]
         line += [float(plane.axes[0] @ place), float(plane.axes[1] @ place)]

@@ -23,7 +23,7 @@ from amulor.view.sheet import Sheet, sheet
 Floats = NDArray[np.float64]
 Said = tuple[str, list[str]]
 
-#: Endings of meshes that are read.
+#: File endings of readable meshes.
 MESHES = (".ply", ".stl", ".obj", ".off", ".glb")
 
 
@@ -122,7 +122,7 @@ def read_mesh(path: Path, *, unit: float) -> tuple[Floats, NDArray[np.intp]]:
         vertices = np.asarray(mesh.vertices, dtype=float) * unit
         faces = np.asarray(mesh.faces, dtype=np.intp).reshape(-1, 3)
         corner = vertices[faces]
-    except Exception as error:  # trimesh's readers raise whatever they meet
+    except Exception as error:  # trimesh's readers raise many kinds
         raise FormatError(
             f"{path} cannot be read as a mesh: {' '.join(str(error).split())}"
         ) from error

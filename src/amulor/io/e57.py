@@ -43,7 +43,7 @@ FIELDS: dict[str, type] = {
     "columnIndex": np.longlong,
     "cartesianInvalidState": np.int8,
 }
-#: Records that are handed over at once.
+#: Number of records per block.
 BLOCK = 2**18
 # What `cartesianInvalidState` says of a pixel, after ASTM E2807.
 _VALID, _DIRECTION_ONLY, _NOTHING_MEANT = 0, 1, 2
@@ -231,7 +231,7 @@ def _write(libe57: Any, path: Path, scans: Sequence[Records]) -> None:
     file = libe57.ImageFile(str(path), "w")
     try:
         file.extensionsAdd("", libe57.E57_V1_0_URI)
-        # The same clouds get the same identifiers.
+        # Equal clouds get equal identifiers.
         digests = [scan.digest for scan in scans]
         digest = digests[0] if len(scans) == 1 else cubes.digest(str(digests).encode())
         _set(libe57, file, file.root(), {
@@ -298,7 +298,7 @@ def _set(libe57: Any, file: Any, node: Any, children: Mapping[str, Any]) -> None
 
 def _write_points(libe57: Any, file: Any, node: Any, scan: Records) -> None:
     size = min(BLOCK, scan.count)
-    # The writer takes its records from these, again and again.
+    # The writer reads its records from these arrays repeatedly.
     fields: dict[str, NDArray[Any]] = {
         key: np.zeros(size, dtype=kind) for key, kind in FIELDS.items()
     }
@@ -323,7 +323,7 @@ def _write_points(libe57: Any, file: Any, node: Any, scan: Records) -> None:
                 values[: len(block)] = block[key]
             writer.write(len(block))
     except BaseException:
-        # A writer that is open when its file goes ends the whole program.
+        # An open writer whose file is deleted ends the whole program.
         with contextlib.suppress(libe57.E57Exception):
             writer.close()
         raise
@@ -355,7 +355,7 @@ class Records:
         assert first is not None
         #: A part of the cloud, for its attributes.
         self.first = first
-        #: The matrix that takes the records into the frame of the cloud, if any.
+        #: Matrix from the records to the frame of the cloud, if any.
         self.matrix = _in_the_instrument(first)[1]
         parts_digests = [digest.hexdigest() for digest in digests.values()]
         #: Of all that is written.
@@ -459,7 +459,7 @@ def _in_the_instrument(
         return cloud, None
     matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)
     away = [cloud[axis].values - matrix[k, 3] for k, axis in enumerate("xyz")]
-    # Not by a product of matrices, whose sums depend on how many points there are.
+    # Not as a matrix product, whose rounding depends on the number of points.
     instrument_position = [
         away[0] * matrix[0, k] + away[1] * matrix[1, k] + away[2] * matrix[2, k]
         for k in range(3)
@@ -558,6 +558,6 @@ def _scan(
         columns["doubtful"] = (state == 1)[present].astype(float)
     try:
         words = str(header["description"].value()).splitlines()
-    except Exception:  # the format does not ask for a description
+    except Exception:  # the format requires no description
         words = []
     return position, columns, words, moved

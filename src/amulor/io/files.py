@@ -86,7 +86,8 @@ def atomic_output(
     target = _target(path, overwrite=overwrite)
     temporary = target.with_name(f".amulor-{secrets.token_hex(8)}{target.suffix}")
     try:
-        # Made here, so that its permissions follow the umask whoever fills it.
+        # Created here, so that its permissions follow the umask, whatever library
+        # writes it.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         _synchronise(temporary)

@@ -22,7 +22,7 @@ from amulor.io.files import read_bytes
 
 #: Meter in an inch, by definition.
 _INCH = 0.0254
-#: Bytes that one array of a file may take: more is damage, or a scan to be cut.
+#: Largest size of an array in a file; a larger one is damage, or must be cut [byte].
 _LARGEST = 2**32
 #: Exceptions raised for a damaged zip archive, or a damaged array in it.
 _DAMAGE = (

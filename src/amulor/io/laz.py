@@ -35,7 +35,7 @@ SCALE = 1e-6
 # Coordinates are 32-bit steps from an offset.
 _LARGEST = np.iinfo(np.int32).max
 _BRIGHTEST = np.iinfo(np.uint16).max
-#: Points that go to the compressor at once: whole chunks of 50,000.
+#: Number of points compressed at once: whole chunks of 50,000.
 _BLOCK = 200_000
 # Name, type, variable, and description of at most 32 bytes, where the unit goes.
 _EXTRA = (
@@ -60,13 +60,13 @@ _EXTRA = (
     ("column", np.uint32, "column", "column of the scan [1]"),
 )
 
-#: Points that are read at once.
+#: Number of points read at once.
 _PART = 500_000
 #: Header of LAS 1.4, the longest header that is read here [byte].
 _HEADER = 255
 #: Header of a variable-length record, and of an extended one [byte].
 _VLR, _EVLR = 54, 60
-#: Dimensions of the format that say nothing of a scan of this kind.
+#: Dimensions of the format without meaning for such a scan.
 _DULL = {
     "X", "Y", "Z", "red", "green", "blue", "return_number", "number_of_returns",
     "synthetic", "key_point", "overlap", "scanner_channel", "scan_direction_flag",
@@ -276,7 +276,7 @@ def _lazrs_error() -> Any:
 def read_laz(path: Path, *, most: int) -> Shape:
     """Read a LAS or LAZ file in chunks and thin it to a maximum number of points."""
     laspy = _laspy("reading")
-    # What it has to say of damage is in the error; its log would be more lines.
+    # The error describes the damage; its log would repeat it.
     logging.getLogger("laspy").addHandler(logging.NullHandler())
     _check_counts(path)
     _check_chunks(path)
@@ -328,7 +328,7 @@ def _check_chunks(path: Path) -> None:
         (points,) = struct.unpack_from("<I", head, 96)
         file.seek(points)
         (table,) = struct.unpack("<q", file.read(8).ljust(8, b"\0"))
-        if table == -1 and size > 8:  # written at the end, by what could not go back
+        if table == -1 and size > 8:  # written at the end by writers that cannot seek
             file.seek(size - 8)
             (table,) = struct.unpack("<q", file.read(8))
         if not 0 <= table <= size - 8:

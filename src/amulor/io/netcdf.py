@@ -50,7 +50,7 @@ _GROUP_TITLES = {
 # Directions of the beams and the frequencies are known for every pixel, measured or
 # not; any other number may be missing.
 _NEVER_MISSING = {"modulation_frequency", "azimuth", "elevation"}
-# A reader would take these as instructions and change the values.
+# A reader would interpret these attributes and change the values.
 _RESERVED_ATTRIBUTES = {
     "_FillValue", "missing_value", "scale_factor", "add_offset", "coordinates",
     "dtype", "_Unsigned", "_Encoding", "CLASS", "NAME", "REFERENCE_LIST",
@@ -103,7 +103,7 @@ def read_cube(path: str | os.PathLike[str]) -> xr.Dataset:
     _check_seal(content, path)
     try:
         with warnings.catch_warnings():
-            # What a reader of foreign files warns about ends in the check below.
+            # Warnings about foreign files become errors in the check below.
             warnings.simplefilter("ignore")
             cube = _decoded(content, path)
         cubes.check(cube, name=str(path))
@@ -265,8 +265,8 @@ def _encoded(parts: Mapping[str, xr.Dataset]) -> bytes:
     load_hdf5()
     import h5netcdf
 
-    # In memory first: on a full disk it is then one write that fails, and not the
-    # closing of an HDF5 file, which leaves it open.
+    # Built in memory first: on a full disk, one write fails, instead of an HDF5 file
+    # that stays open.
     buffer = io.BytesIO()
     with h5netcdf.File(buffer, "w", libver=_LIBRARY_VERSION) as file:
         for group, part in parts.items():
@@ -335,7 +335,7 @@ def _create(
     full_shape = values.shape if shape is None else shape
     dtype: Any = values.dtype.newbyteorder("=")
     options: dict[str, Any] = {}
-    if dtype.kind == "b":  # netCDF has no truth values; this is how xarray marks them
+    if dtype.kind == "b":  # netCDF has no booleans; xarray marks them like this
         values, dtype = values.astype(np.int8), np.dtype(np.int8)
         attributes = {**attributes, "dtype": "bool"}
     if dtype.kind in "OUT":
@@ -392,7 +392,7 @@ def _decoded(content: bytes, path: Path) -> xr.Dataset:
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as storage:
-        # All of them, since h5netcdf does not end well when it finds one damaged.
+        # All variables, because h5netcdf fails badly at a damaged one.
         if "amulor_schema_version" not in dict(storage.attrs):
             raise FormatError(
                 f"{path} is no cube of amulor: it lacks the attribute "
@@ -659,7 +659,7 @@ def _check_digest(path: Path) -> None:
             file.seek(max(size - _SEAL_LENGTH, 0))
             end = file.read()
             if start != _HDF5_SIGNATURE:
-                # `read_cube` says what it is.
+                # `read_cube` reports the error.
                 read_cube(path)
             at = end.rfind(_SEAL_START)
             if at < 0:

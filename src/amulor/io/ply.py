@@ -247,7 +247,8 @@ def read_ply(path: Path, *, unit: float) -> Shape:
         raise MissingExtraError(
             "trimesh", extra="scene", purpose="reading PLY files"
         ) from error
-    # The error names damage in one line; the log of trimesh would be more lines.
+    # The error describes the damage in one line; the log of trimesh would add more
+    # lines.
     logging.getLogger("trimesh").addHandler(logging.NullHandler())
     with path.open("rb") as file:
         if file.readline(16).strip() != b"ply":

@@ -21,11 +21,11 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Places = Literal["rows", "angles", "order"]
 
-#: Turns rms into peak amplitudes [1].
+#: Factor from rms to peak amplitudes [1].
 _PEAK = 2**0.5
 #: Frequencies that differ by less count as one [1]; temperatures, in degC.
 _SAME_FREQUENCY, _SAME_TEMPERATURE = 1e-6, 0.05
-#: Temperatures of one scan may differ by so much [degC].
+#: Largest difference of temperatures within a scan [degC].
 _SPREAD = 1.0
 #: Largest distance of a sample from the grid of the scan, in steps [1].
 _OFF_GRID = 0.5

@@ -19,7 +19,7 @@ from amulor.errors import CubeError, FormatError, MissingExtraError
 
 Up = Literal["-y", "y", "z"]
 
-#: Numbers of points that the page has words for, and the names they have in files.
+#: Point values that the page has labels for, and their names in files.
 KNOWN = {
     "uncertainty": ("slant_range_uncertainty", "sigma_range"),
     "common": (
@@ -76,11 +76,11 @@ def scalars_of(
                 scalars[name] = np.asarray(columns[column], dtype=float)
                 used.add(column)
     if "amplitude" in scalars:
-        # Beside the amplitude a LAS file has it once more, in parts of the largest.
+        # A LAS file also has the amplitude in parts of its largest value.
         scalars.pop("intensity", None)
     remaining = [column for column in columns if column not in used]
     for column in remaining[:_MOST_OTHERS]:
-        # The name becomes a part of an address, beside those of the page itself.
+        # The name becomes part of a URL, beside the names of the page itself.
         name = re.sub(r"[^\w -]", "_", plain[column])[:40].strip() or "unnamed"
         while name in scalars or name in _TAKEN:
             name += " 2"
@@ -98,7 +98,7 @@ def up_of(statements: Sequence[str], default: Up = "z") -> Up:
 
 def checked(shape: Shape, name: str) -> Shape:
     """Drop non-finite points and empty columns; raise if no point remains."""
-    # Numbers of which none is known, such as errors with the water left in.
+    # Columns without a finite value, such as errors with the water left in.
     scalars = {k: v for k, v in shape.scalars.items() if np.isfinite(v).any()}
     shape = Shape(**{**vars(shape), "scalars": scalars})
     finite = np.asarray(np.isfinite(shape.position).all(axis=1))
@@ -148,7 +148,7 @@ def spread(total: int, most: int) -> NDArray[np.intp]:
     if step <= 1:
         return np.arange(total)
     first = np.arange(0, total, step)
-    # The same file looks the same again.
+    # Equal files give equal pictures.
     offset = np.random.default_rng(1).integers(0, step, first.size)
     return np.asarray(np.minimum(first + offset, total - 1), dtype=np.intp)
 
@@ -161,7 +161,7 @@ def read_mesh(path: Path, *, unit: float) -> Shape:
         raise MissingExtraError(
             "trimesh", extra="scene", purpose="reading meshes"
         ) from error
-    # What it has to say of damage is in the error; its log would be more lines.
+    # The error describes the damage; its log would repeat it.
     logging.getLogger("trimesh").addHandler(logging.NullHandler())
     ending = path.suffix.lower().removeprefix(".")
     try:
@@ -175,7 +175,7 @@ def read_mesh(path: Path, *, unit: float) -> Shape:
             )
         vertices = np.array(mesh.vertices, dtype=float).reshape(-1, 3) * unit
         faces = np.array(mesh.faces, dtype=np.intp).reshape(-1, 3)
-    except Exception as error:  # trimesh's readers raise whatever they meet
+    except Exception as error:  # trimesh's readers raise many kinds
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise FormatError(f"{path.name} cannot be read as a mesh: {reason}") from error
     if not len(faces):

@@ -283,7 +283,7 @@ def _ratio(
     total = observed.signal.T
     light = slabs.counts.sum(axis=1, keepdims=True)
     ratio = 1 + (total - level * sums) / light
-    # The median shares its noise with the bins that hold no light.
+    # The median has the noise of the bins without light.
     dark = (slabs.counts <= _DARK * np.sqrt(level)).astype(float)
     dark_bins = dark.sum(axis=1, keepdims=True)
     # Copies, because only unbroken arrays multiply fast.

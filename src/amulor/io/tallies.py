@@ -220,7 +220,7 @@ def _loaded(content: bytes, path: Path) -> xr.Dataset:
 
 def _tally(dataset: xr.Dataset, path: Path) -> Tally:
     """Tally from the contents of a file; raise if its values are invalid."""
-    # Brings the compiled loops with it, which other readers of files do not need.
+    # Imported here with its compiled loops, which other readers do not need.
     from amulor.transport.tally import PathRecord, Tally
 
     def real(name: str) -> NDArray[np.float64]:

@@ -67,8 +67,8 @@ def _smoothed(values: Floats) -> Floats:
     return np.asarray(np.convolve(padded, np.full(width, 1 / width), mode="valid"))
 
 
-#: Nominal. A photon counter has no volt and the schema has no other unit; one volt
-#: for one counted photon changes no phase, no range and no ratio.
+#: Nominal: the schema requires volts, which a photon counter does not have. One volt
+#: per counted photon changes no phase, range or ratio.
 VOLTS_PER_COUNT = 1.0
 
 #: N photons of one phase have the amplitude N and the variance N / 2 in each output.

@@ -130,7 +130,7 @@ def _opened(step: Step, *, check_digest: bool) -> Iterator[_Rows]:
 @lru_cache(maxsize=1)
 def _simulated(text: str, path: Path, seed: int) -> SimulatedRows:
     """Return the simulated rows of a survey; cached for further parts of the scan."""
-    del text  # tells a survey that was changed from the one before
+    del text  # distinguishes a changed survey from its old version
     return SimulatedRows(Survey.from_toml(path), rng=seed)
 
 
@@ -219,7 +219,8 @@ def make_part(task: Task, name: str, begin: int, end: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
 
     def make(path: Path) -> None:
-        # Not all of the source for each part of it; its blocks have checksums.
+        # The digest of the whole source is not checked again for each part; its blocks
+        # have checksums.
         with (
             _opened(step, check_digest=False) as rows,
             row_writer(path, end - begin, overwrite=True) as writer,

@@ -35,9 +35,9 @@ __all__ = ["RecordedSummary", "import_file"]
 Floats = NDArray[np.float64]
 Scratch = NDArray[np.void]
 
-#: Lines of a recording that are read at once.
+#: Number of lines read at once.
 _LINES = 2**16
-#: Samples that are read back at once.
+#: Number of samples read back at once.
 _SAMPLES = 2**18
 _NUMBERS = (
     "mean", "frequency", "azimuth", "elevation", "row", "column", "temperature",
@@ -51,7 +51,7 @@ _SAMPLE = np.dtype(
         ("water", "?"),
     ]
 )
-#: The same with its place on the scan.
+#: A sample on the disk, with its place on the scan.
 _PLACED = np.dtype([("sample", _SAMPLE), ("at", "i8", (4,))])
 
 
@@ -207,7 +207,8 @@ def _known(folder: Path, pairs: list[str], temperature: float | None) -> _Known:
     number = np.zeros(count, dtype=np.intp)
     numbers = np.arange(count)
     for part in shared.samples(folder):
-        # Sums go on where those of the part before ended, as those of one part would.
+        # Sums continue from the part before, so that they equal the sums of a single
+        # part.
         group = shared.frequency(part)
         weights = np.concatenate([total, part["frequency"]])
         total = np.asarray(np.bincount(np.concatenate([numbers, group]), weights))

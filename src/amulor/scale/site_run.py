@@ -80,7 +80,7 @@ def work_on_rows(task: Task, name: str, begin: int, end: int) -> str:
 def _steps(task: Task, record: Record, until: str | None = None) -> None:
     io.make_folder(task.folder)
     for step in chain(task):
-        # Those before are there, or nobody would ask for this one.
+        # The input files exist, because the task is started only after them.
         if until in (None, step.name):
             record.made(step.name, of=step.of, how=step.how, make=partial(whole, step))
             forget_parts(step)
@@ -148,7 +148,7 @@ def _spread_out(client: Any, tasks: tuple[Task, ...]) -> Iterator[Done]:
         spread.begin(task, list(splits(task)))
     for future in spread.futures:
         error = future.exception()
-        # Such as a worker that died time and again.
+        # For example, a worker that died repeatedly.
         message = ""
         if error is not None:
             message = " ".join(str(error).split()) or type(error).__name__

@@ -102,7 +102,7 @@ class Record:
             content = json.loads((folder / RECORD).read_text("utf-8"))
             self._steps = {str(name): dict(step) for name, step in content.items()}
         except (OSError, ValueError, TypeError, AttributeError):
-            # None yet, or a record that is no record: everything is made anew.
+            # No record, or an unreadable record: all files are made again.
             self._steps = {}
         self._now: dict[str, str] = {}
 
@@ -205,8 +205,8 @@ def set_up_worker() -> None:
 
     config: Any = numba.config
     config.NUMBA_NUM_THREADS = max(int(worker.state.nthreads), 1)
-    # It holds the frames that it looks at, and so objects of HDF5 that were about to
-    # be closed: the same content then lies elsewhere in the file.
+    # The profiler keeps frames alive, with HDF5 objects that should be closed; equal
+    # content then lies at other places in the file.
     profiler = worker.periodic_callbacks.get("profile")
     if profiler is not None:
         worker.loop.add_callback(profiler.stop)
@@ -227,7 +227,7 @@ def cluster_client(scheduler: str, workers: int | None) -> Iterator[Any]:
                 threads_per_worker=1,
                 processes=True,
                 dashboard_address=None,
-                # What is at work when all is known is ended, which is no warning.
+                # Workers still busy at the end are stopped, which needs no warning.
                 silence_logs=logging.ERROR,
             ) as cluster,
             dask.Client(cluster) as client,

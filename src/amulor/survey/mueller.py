@@ -22,7 +22,7 @@ SURFACES: dict[str, tuple[float, float, float]] = {
     # Fresnel's equations at right angles, whatever the index: what a mirror keeps.
     # Metal that was not polished depolarizes; no published number is at hand.
     "smooth-metal": (1.0, -1.0, -1.0),
-    # By definition; white standards of reflectance come close.
+    # By definition; white reflectance standards are similar.
     "ideal-depolarizer": (0.0, 0.0, 0.0),
 }
 

@@ -286,7 +286,7 @@ def _slope(survey: Survey, name: str) -> float:
     """Return the derivative of the group index by temperature or salinity."""
     state = state_of(survey.water)
     highest = {"temperature": 30.0, "salinity": 43.0}[name]
-    # One-sided at the ends of what the formula holds for.
+    # One-sided at the limits of the formula's validity.
     ends = max(state[name] - _STEP, 0.0), min(state[name] + _STEP, highest)
     low, high = (
         float(

@@ -17,7 +17,7 @@ from amulor.survey.view import medium_of
 
 Floats = NDArray[np.float64]
 
-#: Beams of the scan that are followed, along each of its sides.
+#: Number of traced beams along each side of the scan.
 _BEAMS = 65
 
 
@@ -106,7 +106,7 @@ def _crossing(
     direction = beam.direction @ turn
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = (low - start) / direction, (high - start) / direction
-    # A beam along a pair of faces is between them everywhere or nowhere.
+    # A beam parallel to a pair of faces is between them everywhere or nowhere.
     inside = (start >= low) & (start <= high)
     along = direction == 0
     near = np.where(along, np.where(inside, -np.inf, np.inf), np.fmin(first, second))
@@ -166,8 +166,8 @@ def _mesh(target: Mesh) -> list[tuple[Floats, Floats]] | None:
 
         loaded: Any = trimesh.load(target.file, force="mesh")
         corners = np.asarray(loaded.vertices)
-    # Without the extra, or far from the file, the shape is simply not known here;
-    # readers of four formats raise errors of many kinds.
+    # Without the extra, or with the file elsewhere, the shape is unknown here; readers
+    # of four formats raise many kinds of errors.
     except Exception:
         return None
     if corners.size == 0 or not np.all(np.isfinite(corners)):

@@ -69,7 +69,7 @@ def projected_code(text: str) -> int | None:
 
 def _checked(text: str) -> str:
     """Return the name of a reference system; raise if pyproj does not know it."""
-    # What writes coordinates in the system asks for pyproj.
+    # Only writers of coordinates in the reference system require pyproj.
     with contextlib.suppress(MissingExtraError):
         projected_code(text)
     return text

@@ -156,7 +156,7 @@ def _largest_reflectance(
         if turn.size == 1
         else 2 * np.trapezoid(table, turn, axis=-1)
     )
-    # Linear between its angles, as it is read, but the cosine is not.
+    # The BRDF is interpolated linearly over the angle; the cosine is not linear.
     fine = np.linspace(slant[0], slant[-1], 200)
     weight = np.cos(fine) * np.sin(fine)
     shares = [

@@ -14,7 +14,7 @@ from amulor.survey.properties import WaterProperties, indices
 from amulor.survey.survey import Survey
 
 Floats = NDArray[np.float64]
-#: Beyond this angle between axis and beam no small-angle model means anything [1].
+#: Largest angle between axis and beam for which small-angle models are valid [1].
 _SMALLEST_COSINE = 0.5
 
 
@@ -101,9 +101,9 @@ def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
             "the scan, but the signal models hold for small angles only; aim the "
             "receiver at the scan (azimuth, elevation)"
         )
-    # What a way along the beam leads across the axis: the sine of their angle.
+    # Displacement across the axis per length along the beam: the sine of their angle.
     inclination = beam.direction - along[..., None] * sight.direction
-    # Where the water begins, across the receiver's axis.
+    # Start of the water, across the receiver's axis.
     offset = sight.entry - beam.entry
     before = (
         beam.optical_length_before
@@ -113,7 +113,7 @@ def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
     offset = offset - np.sum(offset * sight.direction, axis=-1)[..., None] * (
         sight.direction
     )
-    # The offset is that at the water's edge; the model counts it from the start.
+    # The offset applies at the water's edge; the model counts it from the start.
     offset = offset + inclination * standoff
     baseline = np.linalg.norm(offset, axis=-1)
     safe = np.where(baseline > 0, baseline, 1.0)[..., None]

@@ -12,7 +12,7 @@ import numpy as np
 from amulor.errors import FormatError
 from amulor.handover.archive import project as layout
 
-#: Names that every file system and archive takes.
+#: Pattern of names that every file system and archive accepts.
 _PORTABLE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
 #: First bytes of registered clouds, by format.
 _SIGNATURES = {".laz": b"LASF", ".las": b"LASF", ".e57": b"ASTM-E57"}

@@ -95,7 +95,7 @@ def digest_of(path: Path) -> str:
 
 
 _Text = Annotated[str, Field(min_length=1, max_length=2000)]
-#: Names that file systems and archives all take.
+#: Pattern of names that every file system and archive accepts.
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,59}$")]
 
 

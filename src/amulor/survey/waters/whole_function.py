@@ -67,7 +67,8 @@ def phase_function_of(water: Water | WaterProperties) -> PhaseFunction:
             f"got {moment!r} rad^2, {fraction!r} and {backwards!r} 1/sr: state them, "
             "or an asymmetry"
         )
-    # One function for water of any turbidity: coefficients differ in the last bits.
+    # One function for water of any turbidity, although coefficients differ in the last
+    # bits.
     moments = (float(f"{value:.12g}") for value in (moment, fraction, backwards))
     return _joined(*moments, split=water.split_angle)
 
@@ -88,7 +89,7 @@ def whole_function_arguments(
     )
     diffuse = arguments.pop("diffuse_scattering")
     if forward * moment == 0:
-        # Light that is scattered by no angle is not scattered.
+        # Scattering by an angle of zero counts as no scattering.
         arguments["absorption"] = arguments["absorption"] + diffuse
         beam = beam_arguments(survey, water)
         return {**arguments, **beam, "scattering": 0.0, **_no_scattering()}
@@ -111,7 +112,7 @@ def whole_function_arguments(
 def whole_phase_function(water: WaterProperties) -> PhaseFunction:
     """Return the phase function of water for all angles; cached."""
     if water.phase_function is None and water.backscatter_vsf == 0:
-        # What small angles need is the forward part, which has a curve to join on to.
+        # Small-angle models need the forward part, which has a curve to continue.
         water = replace(water, backscatter_vsf=_DARK * water.scattering)
     return phase_function_of(water)
 
