@@ -52,7 +52,7 @@ class Geometry:
     def path_limits(
         self, interval: tuple[float, float] | None, frequency: Floats
     ) -> tuple[Floats, Floats]:
-        """Shortest and longest two-way optical path for limits of the range [m]."""
+        """Shortest and longest two-way optical path for given range limits [m]."""
         return rays.path_limits(
             interval,
             self.beam,

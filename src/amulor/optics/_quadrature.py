@@ -57,7 +57,7 @@ class Panel(NamedTuple):
     even: Array
     """Sums of the values at equal distances from the center."""
     odd: Array
-    """Differences of these values, value at the greater depth first."""
+    """Differences of the values at equal distances, deeper minus shallower."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -221,7 +221,7 @@ def polynomial(table: Array, cell: int, s: float) -> float:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def j0(x: float, table: Array) -> float:
-    """Return the Bessel function J0 for x >= 0, below 26 from a table."""
+    """Return the Bessel function J0 for x >= 0, from a table below x = 26."""
     if x < NO_WAVE:
         cell = int(x)
         return polynomial(table, cell, 2.0 * (x - cell) - 1.0)

@@ -24,7 +24,7 @@ def _at_least_one(value: ArrayLike, *, name: str, unit: str) -> NDArray[np.float
 _LEAST, _MOST = float(np.nextafter(0.0, -1.0)), float(np.finfo(np.float64).max)
 _BELOW_ONE = float(np.nextafter(1.0, 0.0))
 
-# What each argument must be, its unit, and above and up to what a float is that.
+# Rule, unit, and limits (above, up to) for a float argument.
 _RULES: dict[str, tuple[_Check, str, float, float]] = {
     name: (check, unit, above, most)
     for check, above, most, units in (
@@ -103,7 +103,7 @@ def phase_per_depth(
 
 @dataclass(frozen=True, kw_only=True)
 class _Checked:
-    """Base class of arguments that are checked on construction."""
+    """Base class of arguments with range checks on construction."""
 
     def __post_init__(self) -> None:
         values = self.__dict__  # as the class is frozen
@@ -117,7 +117,7 @@ class _Checked:
 
 @dataclass(frozen=True, kw_only=True)
 class Receiver(_Checked):
-    """Receiver size, and its geometry relative to the beam; floats or arrays."""
+    """Receiver size and geometry relative to the beam, as floats or arrays."""
 
     baseline: Any
     receiver_radius: Any

@@ -55,17 +55,17 @@ class Path:
     uncertainty: Floats
     """Standard uncertainty of the optical path [m]."""
     weight: Floats
-    """Weight of each frequency in the result, first axis the frequencies [1]."""
+    """Weight of each frequency in the result, along the first axis [1]."""
     settled: NDArray[np.bool_]
-    """False if another ambiguity interval fits almost as well, or none fits."""
+    """Whether a single ambiguity interval fits, clearly better than the next."""
     wrong: Floats
     """Probability of a wrong ambiguity interval, for normal phase errors [1]."""
     residual: Floats
-    """Residuals of the phases as paths, frequencies first; 0 for outliers [m]."""
+    """Phase residuals as paths, along the first axis; 0 for outliers [m]."""
     strain: Floats
     """Sum of squared residuals over their variances, `doubt` included [1]."""
     left_out: NDArray[np.bool_]
-    """Phases excluded as outliers, first axis the frequencies."""
+    """Mask of phases excluded as outliers, frequencies along the first axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,11 +80,11 @@ class Choices:
     """
 
     order: tuple[int, ...]
-    """Frequency indices, sorted by rising median error of the path."""
+    """Frequency indices, sorted by rising median path error."""
     outliers_searched: bool = True
-    """Whether unsettled pixels are so few that outliers are searched."""
+    """Whether outliers are searched, as ambiguous pixels are few."""
     outliers_left_out: bool = True
-    """Whether outliers are so rare that they are excluded."""
+    """Whether outliers are excluded, as they are rare."""
 
 
 def optical_path(
@@ -224,7 +224,7 @@ def _solved(
     doubt: Floats | float,
     choices: Choices | None,
 ) -> tuple[Path, Choices]:
-    """Return optical paths and scan-wide decisions, computing decisions not given."""
+    """Return optical paths and scan-wide decisions, which are computed if not given."""
     if choices is None:
         order = _by_error(uncertainty, modulation_frequency)
     else:
@@ -305,7 +305,7 @@ class _Phases:
 def _wrong(
     path: Path, unsettled: NDArray[np.bool_], phases: _Phases
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return outliers of unsettled pixels, and pixels that agree without them."""
+    """Return the outliers of ambiguous pixels, and the pixels resolved without them."""
     left_out = path.left_out[:, unsettled]
     strain = path.strain[unsettled]
     cured = np.zeros(strain.size, dtype=bool)
@@ -352,14 +352,14 @@ def _leave_out(
 def _without_each(
     phases: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the misfit, and whether phases agree, without each frequency in turn."""
+    """Return misfit and phase consistency with each frequency omitted in turn."""
     strains = np.full(left_out.shape, np.inf)
     settled = np.zeros(left_out.shape, dtype=bool)
     for index in range(len(left_out)):
         without = left_out.copy()
         without[index] = True
         tried = _grouped(phases, pixels, without)
-        # Leaving out what is out already is no cure.
+        # Phases that are already excluded cannot be excluded again.
         strains[index] = np.where(left_out[index], np.inf, tried.strain)
         settled[index] = tried.settled & ~left_out[index]
     return strains, settled
@@ -385,7 +385,7 @@ def _grouped(
 
 
 def _best_path(phases: _Phases) -> Path:
-    """Return the path of least misfit, ignoring phases of infinite error."""
+    """Return the path of least misfit, without phases of infinite error."""
     phase, modulation_frequency = phases.phase, phases.modulation_frequency
     shortest, longest = phases.shortest, phases.longest
     wavelength = speed_of_light / modulation_frequency

@@ -301,7 +301,7 @@ def photon_noise(
 
 
 def speckle_contrast(speckle_cells: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the relative intensity fluctuation by speckle from a rough surface.
+    r"""Return the relative intensity fluctuation due to speckle of a rough surface.
 
     Parameters
     ----------

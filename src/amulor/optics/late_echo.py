@@ -325,7 +325,7 @@ def _scattering_terms(
 def _way(
     terms: tuple[Array, Array, Array], kappa: Array, spread: Array, *, way: Array
 ) -> tuple[Array, Array]:
-    """Return the path integrals with an initial Gaussian angular spread added.
+    """Return the path integrals, with an initial Gaussian angular spread included.
 
     The start is Gaussian in direction, with the 1/e semi-angle `spread`.
     """

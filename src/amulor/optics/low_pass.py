@@ -395,7 +395,7 @@ def _closest(residual_sum: NDArray[np.float64], f: NDArray[np.float64]) -> int:
 
 
 def _not_shown(f: NDArray[np.float64]) -> ValueError:
-    """Return the error for a sweep in which no low-pass behavior is visible."""
+    """Return the exception for a sweep without visible low-pass behavior."""
     return ValueError(
         f"the amplitudes between {f.min():g} and {f.max():g} Hz do not show where "
         "they fall to 1/sqrt(2); a cut-off cannot be fitted to them"

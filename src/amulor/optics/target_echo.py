@@ -432,7 +432,7 @@ def sharp_receiver_target_response(
     standoff: ArrayLike = 0.0,
     return_path: ArrayLike | None = None,
 ) -> NDArray[np.complex128]:
-    r"""Return the echo of a diffuse surface for a receiver with sharp edges.
+    r"""Return the echo of a diffuse surface for a sharp aperture and field of view.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ class Problem:
     target: PlaneTarget | MeshTarget | None
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for parts that are inconsistent."""
+        """Raise a ValueError for inconsistent medium, source, receiver or target."""
         axis = self.axes[2]
         if not self.medium.unbounded and abs(abs(axis[2]) - 1) > 1e-9:
             tilt = math.degrees(math.acos(min(1.0, abs(axis[2]))))
@@ -227,7 +227,7 @@ class Problem:
 
     @property
     def joined_touch(self) -> float:
-        """Estimated light of a target reflection that is joined with adjoint paths [1].
+        """Estimated light of a target reflection joined with adjoint paths [1].
 
         Omega times reflectance over pi, for a target that faces the receiver; 0 where
         no path of light from the target is scattered on its way. Several times as much

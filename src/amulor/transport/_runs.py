@@ -46,7 +46,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Accumulator:
-    """Results of the batches so far, with neighboring batches merged if many.
+    """Accumulated batch results; neighboring batches are merged if many.
 
     What is kept depends on the batches alone, so a run that was resumed has the same
     numbers as one that was not. A batch makes a new accumulator, so an interruption at
@@ -66,7 +66,7 @@ class Accumulator:
 
     @classmethod
     def start(cls, frame: Tally, resume: Tally | None) -> Self:
-        """Return an empty accumulator, or one with the batches of a run to resume."""
+        """Return an accumulator, empty or with the batches of a resumed run."""
         if resume is None:
             return cls(frame=frame, full=frame.batch_size)
         if resume.problem != frame.problem or resume.parts != frame.parts:
@@ -163,7 +163,7 @@ class Accumulator:
 
     @property
     def contribution(self) -> tuple[float, float, float]:
-        """Sum, sum of squares and maximum of the groups' contributions to all light."""
+        """Sum, sum of squares and maximum of all group contributions."""
         if self.contributions is None:
             return (0.0, 0.0, 0.0)
         total, square, largest = (float(value) for value in self.contributions[0, 0])
@@ -215,7 +215,7 @@ class Progress:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorGoal:
-    """Relative error at which a transport run stops.
+    """Required relative error of a transport run.
 
     Raises
     ------
@@ -248,8 +248,8 @@ class ErrorGoal:
         _refuse_fractions(self.frequency, least=0, name="frequency")
 
     def of(self, tally: Tally) -> float:
-        """Return the relative error of a tally; infinite for fewer than 8 batches."""
-        if tally.histories_of.size < 8:  # too few to tell
+        """Return a tally's relative error; infinite for fewer than 8 batches."""
+        if tally.histories_of.size < 8:  # too few batches
             return math.inf
         errors = tally.relative_error_of(self.light, analyser=self.analyser)
         return float(errors[self.frequency])
@@ -320,7 +320,7 @@ def checked_seed(seed: int) -> int:
 
 
 def _refuse_fractions(value: float, *, least: int, name: str) -> None:
-    """Raise a ValueError for a number that is not whole or too small."""
+    """Raise a ValueError for a number below a minimum, or not an integer."""
     if not (value >= least and value % 1 == 0):
         raise ValueError(
             f"{name} must be a whole number of at least {least}, got {value}"

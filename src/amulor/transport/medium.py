@@ -1,4 +1,4 @@
-"""Water through which photons travel, as homogeneous layers."""
+"""Medium of photon transport: homogeneous layers of water."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Medium:
     """
 
     layers: tuple[Layer, ...]
-    """Layers, in the order in which forward light passes them."""
+    """Layers in forward order."""
     group_index: float
     """Group index of all layers [1]."""
     top: float = -math.inf

@@ -71,7 +71,7 @@ class MeshTarget:
         object.__setattr__(self, "matrix", matrix)
 
     def depth_inside(self, point: Array) -> float:
-        """Return the depth of a point below the surface of a closed part, or 0 [m].
+        """Return the depth of a point inside a closed part of the mesh, 0 outside [m].
 
         A part is a set of triangles that share edges; it is closed if each of its
         edges has two triangles.
@@ -86,7 +86,7 @@ class MeshTarget:
         return inside
 
     def reach_into(self, centre: Array, axis: Array, radius: float) -> float:
-        """Depth to which a mesh extends into a disc from its rim, 0 if outside [m].
+        """Depth of a mesh inside a disc, measured from the rim; 0 if outside [m].
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ def _corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
 
 
 def _refuse_twins(corner: Array) -> None:
-    """Raise a ValueError for two triangles in the same place."""
+    """Raise a ValueError for coincident triangles."""
     _, number = np.unique(corner.reshape(-1, 3), axis=0, return_inverse=True)
     _, first, face_of = np.unique(
         np.sort(number.reshape(-1, 3), axis=1),

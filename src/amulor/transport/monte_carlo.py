@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Technique:
-    """Options for sampling and joining paths; none changes the expected result.
+    """Options for sampling and joining paths, without effect on the expected result.
 
     Raises
     ------
@@ -234,7 +234,7 @@ class _Run:
 
     @property
     def stated(self) -> dict[str, Any]:
-        """Settings that determine the result of the batches, by name."""
+        """Settings that determine the batch results, by name."""
         return {
             "problem": self.problem.digest,
             "technique": asdict(self.technique),

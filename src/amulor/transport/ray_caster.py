@@ -15,12 +15,12 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 #: Padding of boxes, and least distance of a hit to a ray that starts on a triangle,
-#: over the largest coordinate: far above rounding (1e-16), far below what matters.
+#: over the largest coordinate: far above rounding (1e-16), far below relevant lengths.
 RELATIVE_GAP = 1e-9
 
 
 class RayCaster:
-    """Triangle mesh for ray intersection, hit on both sides of a triangle.
+    """Triangle mesh for ray intersection; triangles are two-sided.
 
     Examples
     --------

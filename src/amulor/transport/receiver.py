@@ -49,9 +49,9 @@ class Source:
     direction: ArrayLike = _FORWARD
     """Direction of the beam, a vector of any length."""
     polarization: str | ArrayLike = "none"
-    """Name of a state of `amulor.optics.polarization.stokes.state`, or a Stokes vector
-    with an intensity of 1. Its parallel axis is the part of "right" perpendicular to
-    the direction."""
+    """Polarization state, by name as in `optics.polarization.stokes.state`, or as a
+    Stokes vector with an intensity of 1. Its parallel axis is the part of "right"
+    perpendicular to the direction."""
     radius: float = 0.0
     """Radius at which the irradiance falls to 1/e; 0 for a thin beam [m]."""
     divergence: float = 0.0

@@ -226,7 +226,7 @@ class AngleCells:
         """Integral of the phase function over each cell [1]."""
         edges = self.edges
         integrals = 4 * np.pi * self._values.sum(axis=0) * np.diff(edges)
-        # The innermost cell may hold a steep head.
+        # The innermost cell may contain a steep head.
         integrals[0] = self.phase_function.cumulative(_angle(edges)[1])
         if not np.all(np.isfinite(integrals)) or np.any(integrals < 0):
             raise ValueError(
@@ -275,7 +275,7 @@ class AngleCells:
         """
         angle = _angle(self.edges)
         terms = self._values[..., np.newaxis].copy()
-        terms[:, 0] = 1.0  # a steep head holds most of its light at its lower end
+        terms[:, 0] = 1.0  # a steep head has most of its light at the lower end
         terms[1:, 0] = 0.0
         at = [matrix.elements_at(a) for a in (angle[:-1], self.middle, angle[1:])]
         total = terms.sum(axis=0)

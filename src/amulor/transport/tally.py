@@ -37,14 +37,14 @@ _FEWEST = 30
 
 
 def analyser_vector(name: str) -> Array:
-    """Return the analyzer's Stokes vector, whose product with light is its power."""
+    """Return an analyzer's vector, whose product with a Stokes vector is the power."""
     vector = _stokes.state(name)
     result: Array = vector if name == "none" else 0.5 * vector
     return result
 
 
 def sums_of(weight: Array) -> Array:
-    """Return sum, sum of squares and maximum of the light of groups of histories."""
+    """Return sum, sum of squares and maximum of the group contributions."""
     light = np.stack([weight.sum(axis=1), weight[:, 0], weight[:, 1]])
     if weight.shape[2] == 4:
         vectors = np.stack([analyser_vector(name) for name in ANALYSERS], axis=-1)
@@ -78,7 +78,7 @@ def outweighs(sums: Array, *, groups: int, unseen: float = 0.0) -> bool:
     remaining_groups = groups - 1
     mean = (total - largest) / remaining_groups
     spread = max(square - largest**2 - remaining_groups * mean**2, 0.0)
-    # What rounding leaves of equal contributions is no tail.
+    # Rounding differences of equal contributions are no tail.
     if largest - mean > math.sqrt(spread) + 1e-6 * largest:
         return True
     return unseen > math.sqrt(max(square - total**2 / groups, 0.0))
@@ -117,7 +117,7 @@ class PathRecord:
     water: Array
     """Mean light scattered by water only, shape (bins, components) [1]."""
     target: Array
-    """Mean light that was reflected by the target, shape (bins, components) [1]."""
+    """Mean light reflected by the target, shape (bins, components) [1]."""
     beyond: float
     """Fraction of unmodulated light with path lengths beyond the record [1]."""
 
@@ -216,7 +216,7 @@ class Tally:
     seed: int
     """Seed of the random number generator."""
     next_batch: int
-    """Number of the next batch, from which the run can resume."""
+    """Number of the next batch, for resumption of the run."""
     batch_size: int
     """Number of histories in a full batch."""
     problem: str
@@ -224,11 +224,11 @@ class Tally:
     seconds: float
     """Run time [s]."""
     interrupted: bool = False
-    """Whether the run was stopped before all of its histories."""
+    """Whether the run was stopped early."""
     record: PathRecord | None = None
     """Path-length record, if requested."""
     merged_seeds: tuple[int, ...] = ()
-    """Seeds of other runs that are merged into this one."""
+    """Seeds of other runs merged into this tally."""
     contributions: Array | None = None
     """Sums of the group contributions at zero frequency, shape (3, 1 or 7, 3) [1].
 
@@ -236,11 +236,11 @@ class Tally:
     maximum.
     """
     phase_function_integral: tuple[float, ...] = ()
-    """Integral over the sphere of each layer's phase function before normalization; 1
+    """Sphere integral of each layer's phase function before normalization; 1
     within 0.2 % [1].
     """
     unseen: float = 0.0
-    """Light of a group from one target reflection joined with an adjoint path [1]."""
+    """Group contribution of a target reflection joined with an adjoint path [1]."""
 
     @property
     def histories(self) -> int:
@@ -285,7 +285,7 @@ class Tally:
 
     @property
     def target_signal(self) -> Complex:
-        """Received light that was reflected by the target, shape (n,) [1]."""
+        """Received light reflected by the target, shape (n,) [1]."""
         signal: Complex = self._mean(self._select("target"))[0]
         return signal
 
@@ -504,7 +504,7 @@ class Tally:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Whether a single group dominates the error of total, water or target light.
+        """Whether a single group dominates the error of all, water or target light.
 
         If so, the stated error of at least one of them is likely too small;
         `heavy_tail_of` determines which.
@@ -513,7 +513,7 @@ class Tally:
         return any(self.heavy_tail_of(light) for light in kinds)
 
     def heavy_tail_of(self, light: str = "all", *, analyser: str = "none") -> bool:
-        """Return whether a single group of histories dominates the error of the light.
+        """Return whether a single group of histories dominates the standard error.
 
         Parameters
         ----------

@@ -189,7 +189,7 @@ def fournier_forand_backscatter_fraction(
 
 
 def _growth(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the term (delta^power - 1) / log(delta), which is power at delta = 1."""
+    """Return the term (delta^power - 1) / log(delta), with its limit at delta = 1."""
     safe = np.where(log_delta == 0, 1.0, log_delta)
     growth: NDArray[np.float64] = np.where(
         log_delta == 0, power, np.expm1(power * safe) / safe

@@ -264,7 +264,7 @@ def henyey_greenstein_second_moment(
 
 
 def similarity_second_moment(*, asymmetry: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the second moment of the angle, estimated from the mean cosine alone.
+    r"""Estimate the second moment of the scattering angle from the mean cosine.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ __all__ = ["Panels", "forward_split", "gauss_legendre"]
 Density = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 INNERMOST_ANGLE = 1e-12
-"""Angle below which a phase function counts as a power law [rad]."""
+"""Angle below which a phase function is integrated as a power law [rad]."""
 
 LARGEST_DIRECTION_FREQUENCY = 1e9
 """Largest frequency accepted by `Panels.hankel` [1/rad]."""
@@ -221,7 +221,7 @@ def _oscillating(
 
 @cache
 def _legendre(order: int) -> NDArray[np.float64]:
-    """Return Legendre polynomials (2 l + 1) P_l at the nodes, one row for each l."""
+    """Return Legendre polynomials (2 l + 1) P_l at quadrature nodes, as rows by l."""
     nodes, _ = gauss_legendre(order)
     degree = np.arange(order)[:, np.newaxis]
     return np.ascontiguousarray((2 * degree + 1) * special.eval_legendre(degree, nodes))

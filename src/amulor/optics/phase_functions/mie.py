@@ -58,7 +58,7 @@ class Sphere(NamedTuple):
     scattering: float
     """Scattering efficiency [1]."""
     backscattering: float
-    """Radar efficiency: 4 pi times backward cross section per sr, over area [1]."""
+    """Radar efficiency: 4 pi times backscatter cross section per sr, over area [1]."""
     asymmetry: float
     """Mean cosine of the scattering angle [1]."""
 
@@ -357,7 +357,7 @@ def _amplitudes(
 
 
 def _angles(angle: ArrayLike | None, *, largest: float) -> NDArray[np.float64]:
-    """Return the table angles, checked to rise from 0 to pi."""
+    """Return the angles of the table; ValueError unless rising from 0 to pi."""
     if angle is None:
         count = max(721, 1 + int(np.ceil(32 * largest)))
         return np.linspace(0, np.pi, count)

@@ -104,11 +104,11 @@ class PhaseFunction:
     name: str
     """Name of the phase function, with its parameters."""
     panels: Panels = field(repr=False)
-    """Function, and the intervals of angle in which it is smooth."""
+    """Phase function by intervals of angle in which it is smooth."""
     head_angle: float = 0.0
     """Angle below which a power law replaces missing data; 0 if none [rad]."""
     integral: float = 1.0
-    """Integral over the sphere before normalization: 1, or for a volume scattering
+    """Sphere integral before normalization: 1, or for a volume scattering
     function the scattering coefficient [1/m].
     """
     closed_cumulative: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = (
@@ -222,7 +222,7 @@ class PhaseFunction:
         Raises
         ------
         ValueError
-            If the split angle is outside of its range, or nothing lies below it.
+            If the split angle is outside of its range, or no scattering lies below it.
 
         Notes
         -----
@@ -258,7 +258,7 @@ class PhaseFunction:
         Raises
         ------
         ValueError
-            If an argument is outside of its range, or nothing lies below the split.
+            If an argument is outside of its range, or the forward part is zero.
 
         Notes
         -----
@@ -311,7 +311,7 @@ class PhaseFunction:
         """
         if size < 16:
             raise ValueError(f"size must be at least 16 cells, got {size}")
-        # Half of the nodes by fraction, half by decades from where 1e-6 lies below.
+        # Half of the nodes by fraction, half by decades above a fraction of 1e-6.
         dense = np.geomspace(INNERMOST_ANGLE, np.pi, 4096)
         dense[-1] = np.pi
         fraction = np.maximum.accumulate(self.cumulative(dense))

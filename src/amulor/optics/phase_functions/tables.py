@@ -278,7 +278,7 @@ def _slope_value(
     tiny = np.maximum(np.sin(angle / 2) ** 2, 1e-300)
     first = np.sin(node[0] / 2) ** 2
     position = np.log(np.clip(tiny, first, 1.0))
-    # The curve rises; where it is level, rounding may leave less than zero.
+    # The curve rises; where it is level, rounding may cause values below zero.
     fraction, steepness = np.exp(curve(position)), np.maximum(curve(position, 1), 0.0)
     # d(solid angle) = 4 pi dh with h = sin^2(angle / 2).
     value = fraction * steepness / (4 * np.pi * np.maximum(tiny, first))

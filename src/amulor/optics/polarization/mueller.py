@@ -360,7 +360,7 @@ def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
     Raises
     ------
     ValueError
-        If the last axes are not (4, 4) or the pair is not known.
+        If the last axes are not (4, 4) or the pair is unknown.
 
     Notes
     -----

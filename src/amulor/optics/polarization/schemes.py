@@ -56,7 +56,7 @@ class PolarizationArm:
     """
 
     extinction_ratio: ArrayLike = 0.0
-    """Transmission of the polarizer crossed over that aligned [1]."""
+    """Ratio of crossed to aligned transmission of the polarizer [1]."""
     polarizer_transmission: ArrayLike = 1.0
     """Fraction of aligned light that the polarizer passes [1]."""
     polarizer_error: ArrayLike = 0.0

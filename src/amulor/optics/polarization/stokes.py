@@ -110,7 +110,7 @@ def pair_states(pair: str) -> tuple[str, str]:
     Raises
     ------
     ValueError
-        If the pair is not known.
+        If the pair is unknown.
 
     Examples
     --------

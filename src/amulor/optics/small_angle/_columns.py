@@ -522,7 +522,7 @@ def overlap_of(
 
 
 def _alike(values: list[Array], count: int) -> list[NDArray[np.intp]]:
-    """Return groups of indices with equal values."""
+    """Return groups of column indices with equal argument values."""
     if count == 0:
         return []
     if not values:
@@ -575,7 +575,7 @@ def fit_of(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> _Fitted | None:
-    """Return the result of a given fit to columns that differ only in the view."""
+    """Apply a fit function to columns that differ only in the receiver view."""
     phases, columns, spread, _ = _prepared(
         modulation_frequency,
         arguments,
@@ -642,7 +642,7 @@ def _views(
     def scatter(results: Complex) -> Complex:
         """Arrange the results of each view, (view, phase), in the shape of the call."""
         results = results[back.ravel()].reshape(*wide, phases.size)
-        # The frequencies go to where they were.
+        # Original order of the frequencies.
         lifted = np.moveaxis(results, -1, 0).reshape(phases.size, *wide)
         out: Complex = np.empty(shape, dtype=complex)
         for number, index in enumerate(np.ndindex(padded)):

@@ -1,4 +1,4 @@
-"""Compiled loops of the small-angle model for a receiver with sharp edges."""
+"""Compiled loops of the small-angle model for a sharp aperture and field of view."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class _Place(NamedTuple):
     split_angle: float
     """Split angle, the end of the forward part of the phase function [rad]."""
     reach: float
-    """Oscillation by the phase function's cut: z times the split angle [m]."""
+    """Oscillation rate due to the phase function's cut: z times the split angle [m]."""
     radius: tuple[float, float, float]
     """Arguments of J0 and of the two disc transforms, over kappa [m]."""
 
@@ -221,9 +221,10 @@ def _plain_factors(
     disc: Array,
     value: Complex,
 ) -> float:
-    """Fill `value[0]` with the smooth factors, and return the last node's without J0.
+    """Fill `value[0]` with the smooth factors; return the last value without J0.
 
-    The tables come one by one, as each access to an array of a bundle is counted.
+    Tables are separate arguments, as access to an array in a tuple costs a reference
+    count.
     """
     half, centre = panel
     last = 0.0

@@ -196,7 +196,7 @@ def water_response(
 
 @dataclass(frozen=True, kw_only=True)
 class SharedLight:
-    """Scattered light that all columns of a scan share, as returned by `fit`.
+    """Scattered light common to all columns of a scan, as returned by `fit`.
 
     Examples
     --------
@@ -226,7 +226,7 @@ def fit(
     standoff: ArrayLike = 0.0,
     **arguments: Any,
 ) -> SharedLight:
-    """Return the table of scattered light that the columns of a scan share.
+    """Return the table of scattered light common to all columns of a scan.
 
     Parameters
     ----------

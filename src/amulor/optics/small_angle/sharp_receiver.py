@@ -1,4 +1,4 @@
-r"""Small-angle water signal of a receiver with sharp edges.
+r"""Small-angle water signal for a sharp aperture and field of view.
 
 The aperture is a uniform disc and the acceptance a uniform cone, as those of a lens in
 front of a field stop are; `amulor.optics.small_angle` has the Gaussian receiver.
@@ -348,7 +348,7 @@ def _unscattered(depth: Array, column: Column) -> Array:
 
 
 def _common(offset: Array, column: Column, path: Array) -> Array:
-    """Return the acceptance of the part of the aperture that sees a thin beam [sr].
+    """Return the acceptance for a thin beam by the receiving part of the aperture [sr].
 
     This is the area that the aperture has in common with the disc that the
     acceptance cone cuts out at the path, over the squared path [sr].

@@ -25,12 +25,12 @@ Array = NDArray[np.float64]
 _SETTLED = 1e-12  # relative change of S at which it is found
 _STEPS = 300  # most steps to S
 _SAME = 1e-9  # relative difference of S up to which two are one
-_UNRESOLVED = 1e-10  # of the integral: what a panel may leave unresolved
-_ROUNDING = 1e-14  # of the light on the axis: what counts as rounding
+_UNRESOLVED = 1e-10  # allowed interpolation error of a panel, relative to the integral
+_ROUNDING = 1e-14  # rounding level, relative to the light on the axis
 _NARROWEST = 1e-12  # width of a panel over its depth: F(z) has a step there
 _CAPACITY = 256  # waiting panels
 _DOUBLINGS = 200  # most groups of panels to the end of the water
-_LOST = 3.0  # exponent A beyond which the light that counts as lost is not
+_LOST = 3.0  # exponent A beyond which the light regarded as lost is not lost
 _ASIDE = 30.0  # offset squared over S beyond which a Gaussian has no light
 
 
@@ -154,7 +154,7 @@ def _overlap(z: float, water: Water, table: Array) -> float:
 def departures(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill `out` with the light of eq. (29) minus that of the closure.
+    """Fill `out` with the difference in light between eq. (29) and the closure.
 
     By Gauss-Laguerre nodes: rule has nodes and weights, a row of look is as in
     `collected`. Compiled, as S(z) is found step by step.
@@ -202,7 +202,7 @@ def _bound(z: float, water: Water) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _unresolved(value: Array, tail: Array) -> float:
-    """Return the largest of the last Legendre coefficients of a panel."""
+    """Return the largest high-order Legendre coefficient of a panel."""
     largest = 0.0
     for m in range(tail.shape[1]):
         total = 0.0
@@ -290,7 +290,7 @@ def water_column(
 ) -> None:
     """Add the integrals of exp(i w z) times the overlap over pi R^2 gamma^2.
 
-    Compiled, as panels are halved one by one where F(z) asks for it.
+    Compiled, as panels are halved one by one where F(z) requires it.
     """
     length = math.sqrt(water.radius_squared / water.angle_squared) + water.standoff
     widest = 12.0 / water.loss if water.loss > 0.0 else math.inf

@@ -437,7 +437,7 @@ def _laguerre() -> Array:
 
 
 def _lacked(column: Column, spread: Table) -> float:
-    """Return a whole column's relative excess of eq. (29) over the closure [1]."""
+    """Return the relative excess of eq. (29) over the closure, full column [1]."""
     loss = column.loss(spread) / 2
     across = (column.receiver_radius + column.baseline) / column.acceptance_angle
     faded = _REACH / loss if loss > 0 else np.inf

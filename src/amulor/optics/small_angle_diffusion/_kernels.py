@@ -15,7 +15,7 @@ __all__ = ["water_column"]
 
 Array = NDArray[np.float64]
 
-_UNRESOLVED = 3e-14  # of the whole integral: what a panel may leave unresolved
+_UNRESOLVED = 3e-14  # allowed interpolation error of a panel, relative to the integral
 _ROUNDING = 3e-14  # of the largest value in a panel: rests below it are rounding
 _NEGLIGIBLE = 1e-17  # of the whole integral: panels below it are left out
 _DARK = -700.0  # exponent below which a column counts as dark
@@ -401,7 +401,7 @@ def water_column(
 
     Eq. (46) without its constant factor, docs/theory/water-signal.md: F(z) is written
     as Legendre series in panels, each integrated with exp(i w z) in closed form.
-    Compiled, as panels are halved one by one where F(z) asks for it, and a scan or
+    Compiled, as panels are halved one by one where F(z) requires it, and a scan or
     a design has thousands of columns.
     """
     size = phase_per_depth.shape[1]

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 
-# A column shorter than this holds nothing that a double can tell from 0 [m].
+# Column length below which the signal is 0 in double precision [m].
 _SMALLEST_LENGTH = 1e-250
 
 
@@ -65,12 +65,12 @@ def _light_of(
     refuse_behind_receiver(column.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     vsf = checked("backscatter_vsf", backscatter_vsf)
-    # Both limits are what the caller knows as the end of the water.
+    # For the caller, both limits are the end of the water.
     start, end = checked("end", start), checked("end", end)
     try:
         return _integral(column, phases, vsf, start, end)
     except ValueError:
-        # Says by name what does not broadcast, if that is the reason.
+        # Names the arguments that do not broadcast.
         _bounds.broadcast(
             modulation_frequency=phases,
             **column.named(),
@@ -216,7 +216,7 @@ def water_response(
 
     See Also
     --------
-    water_tail : What lies behind the end.
+    water_tail : Water signal from behind the end.
     overlap : The integrand.
     amulor.optics.phase_functions.integrals.forward_split : Arguments for a split angle.
     amulor.optics.small_angle.water_response : Slower, keeps unscattered light.
@@ -357,7 +357,7 @@ def overlap(
     try:
         return _overlap(z, column)
     except ValueError:
-        # Says by name what does not broadcast, if that is the reason.
+        # Names the arguments that do not broadcast.
         broadcast(depth=z, **column.named())
         raise
 

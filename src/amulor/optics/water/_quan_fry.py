@@ -16,7 +16,7 @@ _Array = NDArray[np.float64]
 
 
 def state(temperature: ArrayLike, salinity: ArrayLike) -> tuple[_Array, _Array]:
-    """Return temperature and salinity as arrays, checked to be within the fit."""
+    """Return temperature and salinity as arrays, checked against the fit's range."""
     return (
         within(temperature, 0, 30, name="temperature", unit="degC"),
         within(salinity, 0, 43, name="salinity"),

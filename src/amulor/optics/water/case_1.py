@@ -82,7 +82,7 @@ def phytoplankton_absorption(
 def particle_absorption(
     wavelength: ArrayLike, *, chlorophyll: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the absorption coefficient of phytoplankton and detritus together.
+    r"""Return the total absorption coefficient of phytoplankton and detritus.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def particle_backscattering(
 
 
 def _power_law(wavelength: ArrayLike, chlorophyll: ArrayLike, *, column: int) -> _Array:
-    """Return the power law A Chl^E, from two neighboring table columns [1/m]."""
+    """Return the power law A Chl^E, with A and E from two table columns [1/m]."""
     vacuum, pigment = _checked(wavelength, chlorophyll)
     table = _tables.numbers("bricaud_1998.csv")
     grid = table[:, 0] * 1e-9

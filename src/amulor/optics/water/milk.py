@@ -44,7 +44,7 @@ _BANDS = {"B": 400e-9, "G": 500e-9, "R": 600e-9}
 
 
 class MilkSuspension(NamedTuple):
-    """Optical properties that added milk contributes to water.
+    """Optical properties of the milk in a mixture of milk and water.
 
     Examples
     --------

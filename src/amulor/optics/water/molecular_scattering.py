@@ -259,7 +259,7 @@ def morel_scattering(wavelength: ArrayLike) -> NDArray[np.float64]:
 
 
 def _pattern(angle: ArrayLike) -> _Array:
-    """Return the volume scattering function relative to that at 90 degrees."""
+    """Return the volume scattering function relative to its value at 90 degrees."""
     delta = DEPOLARIZATION_RATIO
     theta = checked_angle(angle, name="angle")
     return np.asarray(1 + (1 - delta) / (1 + delta) * np.cos(theta) ** 2)

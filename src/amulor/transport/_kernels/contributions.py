@@ -79,7 +79,7 @@ from amulor.transport._kernels.types import (
 def add_at(
     array: Array, part: int, scaled: float, component: int, light: float
 ) -> None:
-    """Distribute light over the four nodes around a position, by cubic weights."""
+    """Distribute light over the four nearest path-length nodes, with cubic weights."""
     node = max(int(scaled) - 1, 0)
     a = scaled - node
     b, c, d = a - 1.0, a - 2.0, a - 3.0
@@ -105,7 +105,7 @@ def add_to(total: Array, kind: int, light: Array) -> None:
 def add_beyond(
     record: Record, part: int, low: float, high: float, light: Array
 ) -> None:
-    """Add light of path lengths beyond the last node, transformed exactly."""
+    """Record light with path lengths beyond the last node, as Fourier integrals."""
     beyond, wavenumber = record.beyond, record.wavenumber
     for f in range(wavenumber.size):
         q = wavenumber[f]
@@ -119,7 +119,7 @@ def add_beyond(
 
 @kernel
 def add_point(record: Record, part: int, length: float, light: Array) -> None:
-    """Add light of a single path length to the record."""
+    """Record light with a single path length."""
     mass = record.mass
     scaled = length / record.spacing
     if scaled < mass.shape[2] - 3:
@@ -131,7 +131,7 @@ def add_point(record: Record, part: int, length: float, light: Array) -> None:
 
 @kernel
 def add_range(record: Record, part: int, low: float, high: float, light: Array) -> None:
-    """Add light that is uniformly distributed over an interval of path lengths."""
+    """Record light distributed uniformly over an interval of path lengths."""
     edge, spacing = record.edge, record.spacing
     if high - low < 0.05 * spacing:
         add_point(record, part, 0.5 * (low + high), light)
@@ -202,9 +202,9 @@ def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
 
 @kernel
 def face_point(state: States, place: Vector, radius: float, slope: float) -> Vector:
-    """Draw a point of the receiver face that sees a given place, with its area weight.
+    """Draw a point on the receiver face that accepts light from a place, with weight.
 
-    Returns its two coordinates and the area it stands for, 0 if it does not see the
+    Returns two coordinates and the represented area, 0 if the point does not see the
     place.
     """
     x, y, z = place
@@ -237,7 +237,7 @@ def direct_from_segments(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add light that is scattered on each segment straight to the receiver.
+    """Record light scattered from each path segment directly to the receiver.
 
     At z on a segment it is b p(theta) dz / |n_z| times the solid angle of the face,
     the transmission and the weight w_k.
@@ -322,7 +322,7 @@ def direct_from_touches(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Add light of each target reflection that travels straight to the receiver.
+    """Record light from each target reflection that reaches the receiver directly.
 
     It is (reflectance / pi) cos times the solid angle of the face and the
     transmission, the cosine that between the target's normal and the way.
@@ -384,7 +384,7 @@ def direct_from_touches(
 def path_blocked(
     adjoint: Array, row: int, end: Vector, start: float, mesh: Mesh
 ) -> bool:
-    """Return whether the mesh blocks an adjoint path that is shifted on the face.
+    """Return whether the mesh blocks an adjoint path, shifted on the receiver face.
 
     end is the shift of the path over the face, and the depth z on its segment in row
     at which it ends; start is the number of the triangle that it ends on, or -1.

@@ -31,7 +31,7 @@ _STEEP = 1e300  # in place of 1/0, so that 0 times it is not "not a number"
 
 @kernel
 def inverse(component: float) -> float:
-    """Return the reciprocal of a direction component, finite also for 0."""
+    """Return the reciprocal of a direction component, with a finite value for 0."""
     if abs(component) * _STEEP > 1.0:
         return 1.0 / component
     return math.copysign(_STEEP, component)
@@ -108,7 +108,7 @@ def first_hit(
 
 @kernel
 def facing_normal(number: float, way: Vector, mesh: Mesh) -> Vector:
-    """Return the triangle's normal on the side from which the ray comes."""
+    """Return the triangle normal that faces the incoming ray."""
     triangle = mesh.triangle
     k = int(number)
     nx, ny, nz = triangle[k, 9], triangle[k, 10], triangle[k, 11]
@@ -174,7 +174,7 @@ def widest(centre: Array, number: Integers, first: int, last: int) -> int:
 def part(
     centre: Array, number: Integers, axis: int, first: int, last: int, middle: int
 ) -> None:
-    """Partition triangles along an axis about the middle one.
+    """Partition triangles along an axis at the median center.
 
     C. A. R. Hoare's Find, Commun. ACM 4, 321 (1961), doi:10.1145/366622.366647.
     """

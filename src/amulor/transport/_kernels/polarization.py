@@ -50,7 +50,7 @@ def any_frame(n: Vector) -> Vector:
 
 @kernel
 def projected_frame(n: Vector, right: Vector) -> Vector:
-    """Return an axis projected onto the plane perpendicular to n, of length 1."""
+    """Return the unit projection of an axis onto the plane perpendicular to n."""
     c = cross(right, n)
     across = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
     if across < 1e-24:  # along that axis, where it has no part to the side
@@ -62,7 +62,7 @@ def projected_frame(n: Vector, right: Vector) -> Vector:
 
 @kernel
 def returning_frame(m: Vector) -> Vector:
-    """Return the polarization axis of light that returns along m."""
+    """Return the polarization axis for light that returns along direction m."""
     # Rotation that takes a = (0, 0, -1) to m: e - (e.m) (a + m) / (1 + a.m), as e.a=0.
     factor = m[0] / max(1.0 - m[2], 1e-300)
     return 1.0 - factor * m[0], -factor * m[1], -factor * (m[2] - 1.0)
@@ -110,7 +110,7 @@ def scattered(
 
 @kernel
 def see_through(row: Array, turn: Turn, element: Array, table: int, cell: int) -> None:
-    """Multiply the Mueller matrix of an adjoint path by that of a scattering event.
+    """Multiply an adjoint path's Mueller matrix by a scattering event's matrix.
 
     The light is scattered first and its frame then turned back, so the matrix is
     multiplied from the right: A L(-azimuth) M.
@@ -130,7 +130,7 @@ def see_through(row: Array, turn: Turn, element: Array, table: int, cell: int) -
 
 @kernel
 def between_frames(n: Vector, e: Vector, axis: Vector) -> Turn:
-    """Return the rotation angle between two polarization axes of direction n."""
+    """Return the rotation angle between two polarization axes perpendicular to n."""
     p = cross(n, e)
     return (
         e[0] * axis[0] + e[1] * axis[1] + e[2] * axis[2],

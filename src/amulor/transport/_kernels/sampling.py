@@ -29,7 +29,7 @@ def next_integer(state: States) -> Any:
 
 @kernel
 def uniform(state: States) -> float:
-    """Return a uniformly distributed random number from 0 to 1, 1 excluded."""
+    """Return a uniformly distributed random number in [0, 1)."""
     return float(next_integer(state) >> np.uint64(11)) * _PER_UNIT
 
 
@@ -61,7 +61,7 @@ _BACKWARD_OFFSET = (1023 - BACKWARD_OCTAVES - 1) * PER_OCTAVE - 1
 
 @kernel
 def cell_of(height: float) -> Any:
-    """Return the angle cell for sin^2(angle / 2), from 0 to 1."""
+    """Return the index of the angle cell for a value of sin^2(angle / 2)."""
     if height < 0.5:
         if height < _FORWARD_LOW:
             return 0

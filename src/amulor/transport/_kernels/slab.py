@@ -47,7 +47,7 @@ REFLECTED, TRANSMITTED, FIRST_DIRECTION = 0, 1, 2
 
 
 class Light(NamedTuple):
-    """Light incident on a slab, and the fixed directions in which to record light."""
+    """Incident light of a slab, and fixed directions of recorded light."""
 
     incidence: Array
     """Unit vector along the propagation of the incident light."""
@@ -79,7 +79,7 @@ def way_out(
 
 @kernel
 def meridian(n: Vector) -> Vector:
-    """Return the polarization axis of direction n that lies in the plane of n and z.
+    """Return the polarization axis of direction n in the plane of n and z.
 
     The angle is counted from +z. Along z it is taken at an azimuth of zero.
     """

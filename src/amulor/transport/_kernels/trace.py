@@ -53,7 +53,7 @@ TOUCH_NX, TOUCH_NY, TOUCH_NZ = range(6, 9)
 NORMAL_X, NORMAL_Y, NORMAL_Z, TRIANGLE = range(9, 13)
 TOUCH_COLUMNS = 13
 
-#: Where the numbers of used rows stand.
+#: Positions of the numbers of used rows.
 USED_SEGMENTS, USED_TOUCHES = range(2)
 
 #: How a flight ends: out of the water, at the target, or at a collision.
@@ -64,7 +64,7 @@ _LEVEL = 1e-9  # segments with less of a slope have no z to be joined at
 
 @step
 def has_room(paths: Paths, water: Water) -> bool:
-    """Return whether the arrays have free rows for one more flight."""
+    """Return whether the arrays have enough free rows for another flight."""
     return bool(
         paths.used[USED_SEGMENTS] + water.attenuation.size < paths.segment.shape[0]
         and paths.used[USED_TOUCHES] < paths.touch.shape[0]
@@ -110,7 +110,7 @@ def layer_of(z: float, edge: Array) -> int:
 def surface_ahead(
     ray: Ray, thickness: float, start: float, water: Water, target: Target
 ) -> tuple[float, Vector, float]:
-    """Return distance, surface normal and triangle index of the target ahead of a ray.
+    """Return distance, surface normal and triangle index where a ray meets the target.
 
     The distance is infinite if no part of the target is within the optical thickness
     of the flight in the clearest water. start is the triangle that the ray starts on,
@@ -149,7 +149,7 @@ def fly(
     paths: Paths,
     now: Array,
 ) -> tuple[int, Vector, int, float]:
-    """Add the segments of one flight; return end type, end point, layer, path length.
+    """Record the segments of a flight; return end type, end point, layer, path length.
 
     The fourth number is the length of the path up to there. thickness is the optical
     one of the flight, tau = c L summed over the layers, to_target the way to the
@@ -223,7 +223,7 @@ def touch_target(
     paths: Paths,
     now: Array,
 ) -> None:
-    """Add a target reflection to the path arrays."""
+    """Record a target reflection in the path arrays."""
     touch, touch_light = paths.touch, paths.touch_light
     row = paths.used[USED_TOUCHES]
     touch[row, TOUCH_X], touch[row, TOUCH_Y], touch[row, TOUCH_Z] = ray.place
@@ -241,7 +241,7 @@ def touch_target(
 def reflect(
     state: States, ray: Ray, normal: Vector, target: Target, kind: Kind, now: Array
 ) -> Ray:
-    """Draw a reflected ray at random, with the distribution of Lambert's law.
+    """Draw a random reflected ray, distributed by Lambert's law.
 
     The frame and Stokes vector in now become those of the light that goes on, by the
     Mueller matrix of the target.
@@ -271,7 +271,7 @@ def reflect(
 def scatter(
     state: States, ray: Ray, layer: int, kind: Kind, water: Water, now: Array
 ) -> tuple[Ray, float]:
-    """Draw a scattered ray; return it with its term of the weight of joined paths.
+    """Draw a scattered ray; return it with its term in the balance heuristic.
 
     The angle is drawn from the phase function p, and |n_z m_z| / (b p) is added, the
     denominator of the weight w_k. The frame in now and the Stokes vector, or the
@@ -314,10 +314,10 @@ def trace(
 ) -> tuple[bool, Walk]:
     """Trace a path until it ends or the arrays are full.
 
-    Returns whether it has ended, and where it is. now holds frame and Stokes vector,
-    or Mueller matrix, of its light. Adjoint paths go through the target; what of them
-    is in front of a plane is told by FRONT, the least height of their scatterings over
-    it, the start left out.
+    Returns whether it has ended, and its position. `now` contains frame and Stokes
+    vector, or Mueller matrix, of its light. Adjoint paths pass through the target;
+    FRONT, the least height of their scattering events over a plane (without the start),
+    states whether they are in front of it.
     """
     normal = target.normal
     ray, past, thickness, triangle = walk

@@ -14,7 +14,7 @@ Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
 class Compiler(Protocol):
-    """Type of a compiler decorator that keeps the types of the decorated function."""
+    """Type of a compiling decorator that preserves the function's type."""
 
     def __call__(self, loop: Loop, /) -> Loop:
         """Return the compiled function."""
@@ -87,11 +87,11 @@ class Mesh(NamedTuple):
     box: Array
     """Lower and upper corner of each box, shape (boxes, 6) [m]."""
     link: Integers
-    """For each box: next box after a miss, first triangle, number of triangles."""
+    """Next box after a miss, first triangle and triangle count of each box."""
     triangle: Array
     """Corner, two edges and unit normal of each triangle, shape (triangles, 12) [m]."""
     least: float
-    """Least hit distance for a ray that starts on a triangle [m]."""
+    """Smallest hit distance of a ray that starts on a triangle [m]."""
 
 
 class Target(NamedTuple):
@@ -173,7 +173,7 @@ class Record(NamedTuple):
     mass: Array
     """Light with single path lengths, shape (parts, components, nodes) [1]."""
     edge: Array
-    """Steps of the light per path length, shape (parts, components, nodes) [1/m]."""
+    """Steps of light per path length, shape (parts, components, nodes) [1/m]."""
     beyond: Complex
     """Light beyond the last node, shape (parts, components, frequencies) [1]."""
     wavenumber: Complex
@@ -201,13 +201,13 @@ class Past(NamedTuple):
     first: int
     """Row of the path's first segment."""
     layer: int
-    """Water layer at that point."""
+    """Water layer at the last event."""
     length: float
-    """Path length L up to that point [m]."""
+    """Path length L up to the last event [m]."""
     partition: float
     """Sum of 1 / w over scatterings, denominator of the balance heuristic [m sr]."""
     front: float
-    """Least height of an adjoint path's scatterings above the target plane [m]."""
+    """Least height of an adjoint path's scattering events above the target [m]."""
     order: float
     """Number of scattering events so far."""
     touches: float
@@ -220,7 +220,7 @@ class Walk(NamedTuple):
     ray: Ray
     """Ray from the last scattering event or reflection."""
     past: Past
-    """State of the path at that event."""
+    """State of the path at its last event."""
     thickness: float
     """Optical thickness tau of the next flight [1]."""
     triangle: float
@@ -231,13 +231,13 @@ class Kind(NamedTuple):
     """Type of a path: forward or adjoint, polarized or not."""
 
     adjoint: bool
-    """Whether the path starts at the receiver, against the light."""
+    """Whether the path is adjoint: traced backward from the receiver."""
     polarized: bool
-    """Whether the path has a Stokes vector, or if adjoint a Mueller matrix."""
+    """Whether the path has Stokes vectors (forward) or Mueller matrices (adjoint)."""
     face: float
     """Radius of the receiver face at the start of an adjoint path [m]."""
     scale: float
-    """Weight of a pair with this adjoint path [sr]."""
+    """Weight of a path pair with this adjoint path [sr]."""
 
 
 class Paths(NamedTuple):
@@ -246,7 +246,7 @@ class Paths(NamedTuple):
     segment: Array
     """Straight segments, with the columns defined in `trace`."""
     light: Array
-    """Polarization axis, with Stokes vector or Mueller matrix, on each segment."""
+    """Polarization axis and Stokes vector or Mueller matrix on each segment."""
     touch: Array
     """Target reflections, with the columns defined in `trace`."""
     touch_light: Array
@@ -261,6 +261,6 @@ class Arrival(NamedTuple):
     light: Array
     """Received Stokes vector, or intensity."""
     path_matrix: Array
-    """Polarization axis and identity matrix, for light without further scattering."""
+    """Polarization axis and identity matrix, for direct light to the receiver."""
     total: Array
     """Sum of a group's light from water and target, shape (2, components)."""
