@@ -8,6 +8,7 @@ import {
   covariance,
   distance,
   height,
+  interpolated,
   surfaceMarks,
 } from "../../src/amulor/view/page/static/geometry.js";
 
@@ -40,6 +41,32 @@ function close(actual, expected, relative = 1e-12) {
     `${actual} is not ${expected}`,
   );
 }
+
+test("lengths along a row are chords of its beams, along a column those of its origins", () => {
+  const nodes = { rows: [0, 2, 6], columns: [0, 10, 20, 30] };
+  // Beams fan out by 0.1 rad per node column, and start 3 mm lower per row.
+  const values = nodes.rows.flatMap((row) =>
+    nodes.columns.flatMap((column) => {
+      const angle = 0.01 * column;
+      return [0, 0.003 * row, 0, Math.sin(angle), 0, Math.cos(angle), angle, 0];
+    }),
+  );
+  const beams = new Beams(nodes, Float64Array.from(values));
+  const chord = 2 * 1.5 * Math.sin(0.05);
+  beams.alongRow(2, 1.5).forEach((length, k) => close(length, k * chord, 1e-12));
+  const down = beams.alongColumn(20, 1.5);
+  [0, 0.006, 0.018].forEach((length, k) => close(down[k], length, 1e-12));
+});
+
+test("a table is interpolated between its rows and continued beyond both ends", () => {
+  const [from, to] = [
+    [0, 10, 20],
+    [0, 2, 6],
+  ];
+  const found = [5, 10, 15, -5, 25].map((at) => interpolated(from, to, at));
+  found.forEach((value, k) => close(value, [1, 2, 4, -1, 8][k]));
+  close(interpolated([3], [7], 100), 7);
+});
 
 test("beams between nodes are bilinear in row and column", () => {
   const nodes = { rows: [0, 4, 10], columns: [0, 7] };

@@ -81,13 +81,13 @@ def test_the_map_has_a_scale_and_a_finger_scrolls_the_page(
             viewport={"width": 420, "height": 860}, is_mobile=True, has_touch=True
         )
         shown = opened.open(address)
-        bar, wide, typical = shown.evaluate(
-            "[amulor.views.map.bar, document.getElementById('map').width,"
-            " amulor.scene.typical]"
+        bar, axes, typical = shown.evaluate(
+            "[amulor.views.map.bar, amulor.views.map.axes, amulor.scene.typical]"
         )
         # 40 columns over 8 degrees fill the width; beams diverge by so much at the
         # median range, which the bar names.
         across = typical * math.radians(8)
+        wide = axes["ends"]["right"] - axes["ends"]["left"]
         assert bar["pixels"] / bar["metres"] == pytest.approx(wide / across, rel=0.03)
         # The pixel is at the lower end of the screen, whatever is scrolled to.
         box = shown.locator("#pixel-card").bounding_box()
@@ -98,4 +98,35 @@ def test_the_map_has_a_scale_and_a_finger_scrolls_the_page(
         assert shown.evaluate(action) == "none"
         shown.locator("#tools button[data-kind=plane]").dispatch_event("click")
         assert shown.evaluate(action) == "pan-y"
+        assert opened.errors == []
+
+
+def test_the_axes_of_the_map_are_lengths_at_the_median_range(
+    tab: Callable[..., Any], steps: page.Recording
+) -> None:
+    with page.background(steps) as address:
+        opened = tab()
+        shown = opened.open(address)
+        for zoomed in (False, True):
+            if zoomed:
+                shown.focus("#map")
+                for _ in range(6):
+                    shown.keyboard.press("+")
+                settled(shown)
+            axes, typical, spots = shown.evaluate(
+                "[amulor.views.map.axes, amulor.scene.typical, [[0, 0], [23, 39]].map("
+                "(pixel) => amulor.views.map.spot(amulor.scene, pixel))]"
+            )
+            for at, span in ((0, 8.0), (1, 4.8)):
+                side = axes["sides"][at]
+                assert side["label"].startswith(("across [mm]", "down [mm]")[at])
+                # Ticks on the line from the first to the last pixel of the scan.
+                length = typical * math.radians(span)
+                scale = (spots[1][at] - spots[0][at]) / length
+                assert len(side["ticks"]) >= 2
+                for tick in side["ticks"]:
+                    place = spots[0][at] + tick["value"] * scale
+                    assert tick["at"] == pytest.approx(place, abs=0.01 * scale * length)
+                    assert float(tick["text"]) == pytest.approx(1e3 * tick["value"])
+            assert axes["sides"][0]["label"].endswith(f"at {typical:.2f} m")
         assert opened.errors == []

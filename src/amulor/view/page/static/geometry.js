@@ -87,6 +87,51 @@ export class Beams {
     const b = this.at(row, column);
     return [b[0] + range * b[3], b[1] + range * b[4], b[2] + range * b[5]];
   }
+
+  /**
+   * Return the distances from the first pixel along a row, at one range, for its nodes [m].
+   * @param {number} row
+   * @param {number} range
+   */
+  alongRow(row, range) {
+    return lengths(this.columns.map((column) => this.point(row, column, range)));
+  }
+
+  /**
+   * Return the distances from the first pixel along a column, at one range, for its nodes [m].
+   * @param {number} column
+   * @param {number} range
+   */
+  alongColumn(column, range) {
+    return lengths(this.rows.map((row) => this.point(row, column, range)));
+  }
+}
+
+/**
+ * Return the lengths of a line from its first point to each of its points.
+ * @param {number[][]} places
+ */
+function lengths(places) {
+  let length = 0;
+  return places.map((place, k) => {
+    if (k) length += norm(minus(place, places[k - 1]));
+    return length;
+  });
+}
+
+/**
+ * Return a value interpolated linearly in a table with increasing arguments, and continued
+ * beyond both ends.
+ * @param {number[]} from arguments
+ * @param {number[]} to values
+ * @param {number} at
+ */
+export function interpolated(from, to, at) {
+  let low = 0;
+  while (low < from.length - 2 && from[low + 1] <= at) low += 1;
+  const high = Math.min(low + 1, from.length - 1);
+  const span = from[high] - from[low];
+  return span > 0 ? to[low] + ((at - from[low]) / span) * (to[high] - to[low]) : to[low];
 }
 
 /**

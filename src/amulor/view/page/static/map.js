@@ -1,7 +1,8 @@
 // Map of one layer: zoom, picks, lines and regions.
 
 import { inkOf, over, ratioOf, spotOn } from "./dom.js";
-import { chain, dot, halo, polyline, scaleBar } from "./marks.js";
+import { interpolated } from "./geometry.js";
+import { chain, dot, halo, mapAxes, polyline, scaleBar } from "./marks.js";
 import { ticks, withUnit } from "./text.js";
 
 /** Fit a canvas to its size on the screen; return whether it changed. */
@@ -14,6 +15,9 @@ export function fitted(canvas) {
   canvas.height = height;
   return true;
 }
+
+/** Margins for the axes of a map [page pixel]. */
+const MARGIN = { left: 46, top: 7, right: 7, bottom: 34 };
 
 /** Return the overlay of a canvas, cleared and of equal size. */
 export function clearedOver(ctx, canvas) {
@@ -43,9 +47,36 @@ export class MapView {
     this.middle = null;
   }
 
+  /** Return the part of the canvas between the axes [canvas pixel]. */
+  #box() {
+    const { width, height } = this.canvas;
+    const [left, top, right, bottom] = ["left", "top", "right", "bottom"].map(
+      (side) => MARGIN[side] * ratioOf(this.canvas),
+    );
+    return {
+      left,
+      top,
+      right: Math.max(width - right, left + 1),
+      bottom: Math.max(height - bottom, top + 1),
+    };
+  }
+
+  /** Return the part of the canvas on which the scan is drawn [canvas pixel]. */
+  #ends(scene) {
+    const view = this.view(scene);
+    const box = this.#box();
+    return {
+      left: Math.max(box.left, -view.left / view.x),
+      right: Math.min(box.right, (scene.wide - view.left) / view.x),
+      top: Math.max(box.top, -view.top / view.y),
+      bottom: Math.min(box.bottom, (scene.high - view.top) / view.y),
+    };
+  }
+
   /** Return column and row at the top left, and columns and rows per canvas pixel. */
   view(scene) {
-    const { width, height } = this.canvas;
+    const box = this.#box();
+    const [width, height] = [box.right - box.left, box.bottom - box.top];
     const tall = scene.high * scene.aspect;
     const perPixel = Math.max(scene.wide / width, tall / height) / this.zoom;
     const step = [perPixel, perPixel / scene.aspect];
@@ -57,8 +88,8 @@ export class MapView {
       this.middle[k] = Math.min(Math.max(this.middle[k], sizes[k] / 2 - room), sizes[k] / 2 + room);
     }
     return {
-      left: this.middle[0] - half[0],
-      top: this.middle[1] - half[1],
+      left: this.middle[0] - half[0] - box.left * step[0],
+      top: this.middle[1] - half[1] - box.top * step[1],
       x: step[0],
       y: step[1],
     };
@@ -68,6 +99,9 @@ export class MapView {
   pixel(scene, event, kept = false) {
     const [x, y] = spotOn(this.canvas, event);
     const view = this.view(scene);
+    const box = this.#box();
+    const outside = x < box.left || x > box.right || y < box.top || y > box.bottom;
+    if (outside && !kept) return null;
     let column = Math.floor(view.left + x * view.x);
     let row = Math.floor(view.top + y * view.y);
     if (kept) {
@@ -98,6 +132,7 @@ export class MapView {
     parts.set.uView = ["4f", view.left, view.top, view.x, view.y];
     renderer.drawMap(this.context, parts);
     this.#marks(state, colours);
+    this.#axes(state, colours);
     this.point(state, colours);
   }
 
@@ -107,21 +142,80 @@ export class MapView {
     if (!cursor) return;
     const ratio = ratioOf(this.canvas);
     const [x, y] = this.spot(scene, cursor).map((at) => Math.round(at) + 0.5);
+    const { left, right, top, bottom } = this.#ends(scene);
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(left, top, right - left, bottom - top);
+    ctx.clip();
     ctx.globalAlpha = 0.5;
     halo(ctx, ratio, colours, () => hair(ctx, x, y, 7 * ratio, Infinity));
     ctx.globalAlpha = 1;
     halo(ctx, ratio, colours, () => hair(ctx, x, y, 7 * ratio, 22 * ratio));
+    ctx.restore();
+  }
+
+  /** Draw ticks in lengths at the median range along the map, and the scale bar. */
+  #axes({ scene }, colours) {
+    const { context: ctx, canvas } = this;
+    const ratio = ratioOf(canvas);
+    const view = this.view(scene);
+    const box = this.#box();
+    ctx.fillStyle = colours.stage;
+    for (const [x, y, width, height] of [
+      [0, 0, box.left, canvas.height],
+      [box.right, 0, canvas.width - box.right, canvas.height],
+      [0, 0, canvas.width, box.top],
+      [0, box.bottom, canvas.width, canvas.height - box.bottom],
+    ])
+      ctx.fillRect(x, y, width, height);
+    // The axes lie along the edges of the scan where these are in view.
+    const ends = this.#ends(scene);
+    const typical = withUnit(scene.typical, "m", 3);
+    const [across, down] = [
+      { name: "across", first: ends.left, last: ends.right, start: view.left, step: view.x },
+      { name: "down", first: ends.top, last: ends.bottom, start: view.top, step: view.y },
+    ].map((side, k) => this.#ticks(scene, side, scene.lengths[k], [55, 30][k] * ratio));
+    across.label += ` at ${typical}`;
+    mapAxes(ctx, ends, { across, down }, ratio, colours);
+    this.axes = { ends, sides: [across, down] };
+    // Beams diverge; axes and scale bar are valid at the stated median range.
+    if (scene.columns > 1) {
+      const perMetre = 1 / (view.x * scene.spacing.column);
+      // Below the axis if there is room, otherwise on the map.
+      const below = canvas.height - ends.bottom > 75 * ratio;
+      const bottom = below ? canvas.height : Math.max(ends.bottom, 40 * ratio) + 6 * ratio;
+      this.bar = scaleBar(ctx, perMetre, ratio, colours, ` at ${typical}`, {
+        right: ends.right,
+        bottom,
+      });
+    }
+  }
+
+  /** Return the label of an axis, and its ticks: lengths from the first pixel. */
+  #ticks(scene, { name, first, last, start, step }, { nodes, lengths }, apart) {
+    const span = lengths.at(-1);
+    const { factor, unit } = span < 2 ? { factor: 1e3, unit: "mm" } : { factor: 1, unit: "m" };
+    const [low, high] = [first, last].map((at) => {
+      const pixel = (start + at * step - 0.5) * scene.stride;
+      return Math.min(Math.max(interpolated(nodes, lengths, pixel), 0), span) * factor;
+    });
+    const label = `${name} [${unit}]`;
+    if (!(high > low)) return { label, ticks: [] };
+    const { values, places } = ticks(low, high, Math.max(2, Math.floor((last - first) / apart)));
+    return {
+      label,
+      ticks: values.map((value) => {
+        const pixel = interpolated(lengths, nodes, value / factor);
+        const at = (pixel / scene.stride + 0.5 - start) / step;
+        return { at, value: value / factor, text: value.toFixed(places).replace("-", "−") };
+      }),
+    };
   }
 
   #marks(state, colours) {
     const { context: ctx, canvas } = this;
     const { scene } = state;
     const ratio = ratioOf(canvas);
-    // Beams diverge; the scale bar is valid at the stated median range.
-    if (scene.columns > 1) {
-      const perMetre = 1 / (this.view(scene).x * scene.spacing.column);
-      this.bar = scaleBar(ctx, perMetre, ratio, colours, ` at ${withUnit(scene.typical, "m", 3)}`);
-    }
     if (state.section) {
       const ends = state.section.map((pixel) => this.spot(scene, pixel));
       halo(ctx, 2 * ratio, colours, () => polyline(ctx, ends), true);

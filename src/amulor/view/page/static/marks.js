@@ -114,10 +114,44 @@ export function axes(ctx, camera, named, ratio, colours) {
   ctx.restore();
 }
 
+/** Draw the axes of a map left of and below it: `box` of the map, and for each axis its label
+and its ticks with positions [canvas pixel]. */
+export function mapAxes(ctx, box, { across, down }, ratio, colours) {
+  ctx.save();
+  ctx.font = `${11 * ratio}px ${colours.font}`;
+  ctx.fillStyle = ctx.strokeStyle = colours.soft;
+  ctx.lineWidth = ratio;
+  ctx.beginPath();
+  ctx.textAlign = "center";
+  ctx.textBaseline = "top";
+  for (const { at, text } of across.ticks) {
+    ctx.moveTo(at, box.bottom);
+    ctx.lineTo(at, box.bottom + 4 * ratio);
+    ctx.fillText(text, at, box.bottom + 6 * ratio);
+  }
+  ctx.textAlign = "right";
+  ctx.fillText(across.label, box.right, box.bottom + 19 * ratio);
+  ctx.textBaseline = "middle";
+  for (const { at, text } of down.ticks) {
+    ctx.moveTo(box.left, at);
+    ctx.lineTo(box.left - 4 * ratio, at);
+    ctx.fillText(text, box.left - 6 * ratio, at);
+  }
+  ctx.stroke();
+  ctx.translate(box.left - 37 * ratio, box.top);
+  ctx.rotate(-Math.PI / 2);
+  ctx.fillText(down.label, 0, 0);
+  ctx.restore();
+}
+
+function whole({ canvas }) {
+  return { right: canvas.width, bottom: canvas.height };
+}
+
 /** Draw a scale bar for a number of pixels per meter, with text after its length; return the
-length in meters and pixels. */
-export function scaleBar(ctx, perMetre, ratio, colours, words = "") {
-  const { width, height } = ctx.canvas;
+length in meters and pixels. It is in the lower right corner of a box, by default the canvas. */
+export function scaleBar(ctx, perMetre, ratio, colours, words = "", box = whole(ctx)) {
+  const { right: width, bottom: height } = box;
   const { step } = ticks(0, (150 * ratio) / perMetre, 1.2);
   const length = step * perMetre;
   const [end, low] = [width - 18 * ratio, height - 20 * ratio];

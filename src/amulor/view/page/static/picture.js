@@ -91,6 +91,7 @@ export function themed(name) {
     mark: get("mark"),
     under: get("under"),
     plate: get("card"),
+    stage: get("stage"),
     chosen: get("chosen"),
     font: getComputedStyle(document.body).fontFamily || "sans-serif",
     ground: rgb(get("stage")),

@@ -31,6 +31,8 @@ export class Scene {
   aspect = 1;
   spacing = { row: 1e-3, column: 1e-3 };
   beams = new Beams(this.nodes, new Float32Array());
+  /** Lengths along the middle row and the middle column at the median range [m]. */
+  lengths = [0, 1].map(() => ({ nodes: [0], lengths: [0] }));
   /** @type {Map<string, Layer>} */
   byName = new Map();
 
@@ -117,6 +119,11 @@ export class Scene {
     this.spacing = { row: downs || across || 1e-3, column: across || downs || 1e-3 };
     const aspect = this.spacing.row / this.spacing.column;
     this.aspect = Math.min(Math.max(aspect, 0.05), 20);
+    const [row, column] = centre;
+    this.lengths = [
+      { nodes: columns, lengths: this.beams.alongRow(row, this.typical) },
+      { nodes: rows, lengths: this.beams.alongColumn(column, this.typical) },
+    ];
   }
 
   /** Return a map; load it if necessary. */
