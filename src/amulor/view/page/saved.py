@@ -61,7 +61,10 @@ def save_page(
 
 
 def saved_page(
-    recording: Recording, *, measurements: Sequence[Mapping[str, Any]] = ()
+    recording: Recording,
+    *,
+    measurements: Sequence[Mapping[str, Any]] = (),
+    limits: str = "",
 ) -> str:
     """Browser page of a data file as the text of one HTML file."""
     files = static_files()
@@ -69,6 +72,7 @@ def saved_page(
     content = {
         "scenes": scenes,
         "measurements": [dict(measurement) for measurement in measurements],
+        "limits": limits,
     }
     scripts = [_data("amulor-scene", json.dumps(content, allow_nan=False))]
     for channel in scenes:
@@ -84,12 +88,18 @@ def saved_page(
     return _assembled(files, scripts, page="index", starts="app.js")
 
 
-def saved_space(space: Space, *, measurements: Sequence[Mapping[str, Any]] = ()) -> str:
+def saved_space(
+    space: Space,
+    *,
+    measurements: Sequence[Mapping[str, Any]] = (),
+    limits: str = "",
+) -> str:
     """Browser page of a point cloud or mesh as the text of one HTML file."""
     scene = space.describe()
     content = {
         "scenes": {"space": scene},
         "measurements": [dict(measurement) for measurement in measurements],
+        "limits": limits,
     }
     scripts = [_data("amulor-scene", json.dumps(content, allow_nan=False))]
     names = ["position", *(str(layer["name"]) for layer in scene["layers"])]

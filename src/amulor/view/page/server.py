@@ -37,6 +37,8 @@ from amulor.view.page.space import Space
 
 #: Largest number of measurements in a saved page [1].
 _MOST_MEASUREMENTS = 500
+#: Letters in the color limits of all maps of a page [1].
+_LONGEST_LIMITS = 2000
 
 
 class Files:
@@ -58,14 +60,18 @@ class Files:
         return Response(self._files[name], media_type=TYPES[Path(name).suffix])
 
 
-async def measurements_of(request: Request) -> list[dict[str, Any]]:
-    """List of measurements in a request to save the page."""
-    measurements = (await object_of(request)).get("measurements", [])
+async def saving(request: Request) -> dict[str, Any]:
+    """Measurements and typed color limits in a request to save the page."""
+    query = await object_of(request)
+    measurements, limits = query.get("measurements", []), query.get("limits", "")
     if not isinstance(measurements, list) or len(measurements) > _MOST_MEASUREMENTS:
         raise CubeError(f"at most {_MOST_MEASUREMENTS} measurements are kept")
-    return [
+    if not isinstance(limits, str) or len(limits) > _LONGEST_LIMITS:
+        raise CubeError(f"color limits are text of at most {_LONGEST_LIMITS} letters")
+    kept = [
         measurement for measurement in measurements if isinstance(measurement, dict)
     ]
+    return {"measurements": kept, "limits": limits}
 
 
 async def object_of(request: Request) -> dict[str, Any]:
@@ -221,10 +227,7 @@ def space_routes(space: Space) -> list[Any]:
 
     async def save(request: Request) -> Response:
         async def answer() -> Response:
-            measurements = await measurements_of(request)
-            page = await run_in_threadpool(
-                saved_space, space, measurements=measurements
-            )
+            page = await run_in_threadpool(saved_space, space, **await saving(request))
             return numbers(page.encode())
 
         return await explained(answer())
@@ -336,9 +339,8 @@ class _Pages:
 
     async def save(self, request: Request) -> Response:
         async def answer() -> Response:
-            measurements = await measurements_of(request)
             page = await run_in_threadpool(
-                saved_page, self._recording, measurements=measurements
+                saved_page, self._recording, **await saving(request)
             )
             return Response(page.encode(), media_type="application/octet-stream")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -141,4 +142,80 @@ def test_means_of_the_page_do_not_cross_steps_and_are_those_of_the_library(
         noise = np.nanmedian(image["slant_range_uncertainty"].values)
         assert np.all(np.abs(means[:, 10:17] - 1.5) < noise)
         assert np.all(np.abs(means[:, 21:28] - 1.46) < noise)
+        assert one.errors == []
+
+
+def typed(shown: Any, field: str, text: str) -> None:
+    """Type a limit over the one in a field, by keyboard."""
+    shown.focus(field)
+    shown.keyboard.press("Control+a")
+    shown.keyboard.type(text)
+    shown.keyboard.press("Enter")
+    settled(shown)
+
+
+def test_typed_limits_color_the_map_and_outlive_reload_and_saving(
+    tab: Callable[..., Any], steps: page.Recording, tmp_path: Path
+) -> None:
+    one = tab()
+    with page.background(steps) as address:
+        shown = one.open(address)
+        automatic = shown.evaluate("amulor.limits")
+        typed(shown, "#low", "1.2")
+        typed(shown, "#high", "1.45")
+        assert shown.evaluate("amulor.limits") == [1.2, 1.45]
+        # The wall, at 1.5 m, is beyond the scale now: all of it has the last color.
+        shown.uncheck("#light")
+        settled(shown)
+        x, y = shown.evaluate("amulor.views.map.spot(amulor.scene, [2, 38])")
+        # The last color of viridis (matplotlib).
+        assert drawn(shown, "map")[int(y), int(x), :3] == pytest.approx(
+            [253, 231, 37], abs=2
+        )
+        with shown.expect_download() as download:
+            shown.click("#save")
+        saved = tmp_path / "page.html"
+        download.value.save_as(saved)
+        # Arrow keys step to round numbers; each step is kept.
+        shown.focus("#high")
+        shown.keyboard.press("ArrowUp")
+        settled(shown)
+        stepped = shown.evaluate("amulor.limits[1]")
+        assert 1.45 < stepped < 1.46
+        shown.reload()
+        shown.wait_for_selector("html[data-complete=yes]")
+        assert shown.evaluate("amulor.limits") == [1.2, stepped]
+        shown.click("#auto")
+        assert shown.evaluate("amulor.limits") == automatic
+        assert "limits" not in shown.url
+        shown = one.open(saved.as_uri())
+        assert shown.evaluate("amulor.limits") == [1.2, 1.45]
+        assert shown.input_value("#low").startswith("1.2")
+        assert one.errors == []
+
+
+def test_a_wrong_limit_is_explained_and_changes_nothing(
+    tab: Callable[..., Any], steps: page.Recording
+) -> None:
+    one = tab()
+    with page.background(steps) as address:
+        shown = one.open(address)
+        before = shown.evaluate("amulor.limits")
+        typed(shown, "#low", "9")
+        said = shown.inner_text("#limits-note")
+        assert said.startswith("9.0000 m is not below 1.5")
+        assert shown.get_attribute("#low", "aria-invalid") == "true"
+        assert shown.evaluate("amulor.limits") == before
+        typed(shown, "#high", "-")
+        assert "Type a number in m, such as" in shown.inner_text("#limits-note")
+        # Escape discards what was typed, with its message.
+        shown.keyboard.press("Escape")
+        assert shown.inner_text("#limits-note") == ""
+        assert float(shown.input_value("#high")) == pytest.approx(before[1], abs=1e-3)
+        # A signed scale keeps 0 in its middle.
+        shown.focus("#map")
+        layer(shown, 4)
+        typed(shown, "#low", "-7")
+        low, high = shown.evaluate("amulor.limits")
+        assert low == -high != 0
         assert one.errors == []

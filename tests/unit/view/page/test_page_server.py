@@ -213,6 +213,16 @@ def test_a_page_is_saved_with_at_most_500_measurements(
     assert len(re.findall(r'"kind": ?"own"', taken.text)) == 500
 
 
+def test_a_page_is_saved_with_typed_limits(client: TestClient) -> None:
+    body = {"measurements": [], "limits": "range:1.2:1.5"}
+    taken = client.post(f"/{TOKEN}/save", json=body)
+    assert '"limits": "range:1.2:1.5"' in taken.text
+    for limits in ("r" * 2001, ["range", 1.2, 1.5]):
+        refused = client.post(f"/{TOKEN}/save", json={**body, "limits": limits})
+        assert refused.status_code == 422
+        assert "2000 letters" in refused.json()["error"]
+
+
 def test_a_title_cannot_become_a_script(target: xr.Dataset) -> None:
     evil = target.assign_attrs(title="</script><script>alert(1)</script>")
     text = page.saved_page(page.recording_of(evil, name="<b>.nc"))

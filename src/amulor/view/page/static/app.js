@@ -44,6 +44,7 @@ const state = {
 const page = new Page(state, {
   draw,
   point: drawPointer,
+  limited,
   idle: "Choose what to measure, then pick it in the map or in space.",
   said,
   themed,
@@ -329,7 +330,7 @@ async function show(name) {
     );
   const flags = layer.kind === "flags";
   for (const id of ["light", "light-turn", "light-rise"]) $(id).disabled = layer.kind !== "range";
-  $("bar").parentElement.hidden = flags;
+  for (const hidden of [$("bar").parentElement, $("auto"), $("narrow")]) hidden.hidden = flags;
   $("legend").hidden = !flags;
   if (flags) showLegend(scene.maps.get(wanted).values, scene.flags);
   for (const button of $("water").querySelectorAll("button"))
@@ -555,15 +556,15 @@ function narrow() {
   if (!Number.isFinite(value) || layer.kind === "flags") return;
   const span = Math.max((state.limits[1] - state.limits[0]) / 4, scene.least(state.layerName));
   const middle = layer.kind === "signed" ? 0 : value;
-  state.ownLimits.set(state.layerName.replace("_before", ""), [middle - span, middle + span]);
-  state.limits = limitsOf(state.layerName);
-  page.redraw();
+  page.limit(state.layerName, [middle - span, middle + span]);
 }
 
 function automatic() {
-  state.ownLimits.delete(state.layerName.replace("_before", ""));
+  page.limit(state.layerName);
+}
+
+function limited() {
   state.limits = limitsOf(state.layerName);
-  page.redraw();
 }
 
 async function water(raw) {

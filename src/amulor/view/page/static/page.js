@@ -2,6 +2,7 @@
 
 import { flagColour, MAP_OF, table } from "./colour.js";
 import { $, made } from "./dom.js";
+import { addressLimits, LimitFields, limitsFrom, limitsOfAddress, limitsText } from "./limits.js";
 import { colourBar } from "./map.js";
 import { failed, listMeasurements } from "./panel.js";
 import { download, pictureOf, png, themed } from "./picture.js";
@@ -14,8 +15,8 @@ const ARROWS = {
   ArrowDown: [0, 1],
 };
 
-/** A page with its state. Pages differ in `draw`, `point`, `idle`, `said` and `tools`, some also
-in `themed` and `unable`. */
+/** A page with its state. Pages differ in `draw`, `point`, `limited`, `idle`, `said` and `tools`,
+some also in `themed` and `unable`. */
 export class Page {
   colours = {};
   /** Number of times that a hint was shown. */
@@ -23,10 +24,12 @@ export class Page {
   #on;
   #waiting = 0;
   #all = false;
+  #limits = new LimitFields((limits) => this.limit(this.state.layerName, limits));
 
   constructor(state, on) {
     this.state = state;
     this.#on = on;
+    state.ownLimits = limitsFrom(limitsOfAddress() ?? state.source.limits ?? "");
     for (const [kind, name] of Object.entries(MAP_OF)) state.tables[kind] = table(name);
     state.flagColour = flagColour;
     state.record = new MeasurementRecord(state, () => {
@@ -125,6 +128,22 @@ export class Page {
   drawBar(layer, unit) {
     const bar = this.bar(layer, unit);
     colourBar($("bar"), bar.table, bar.limits, bar.unit, this.colours);
+    this.#limits.show(layer, this.state.limits, unit);
+  }
+
+  /** Set the color limits of a map; without limits, they follow from the data. The maps with
+  and without the water signal share their limits.
+   * @param {string} name
+   * @param {number[] | null} limits
+   */
+  limit(name, limits = null) {
+    const { ownLimits } = this.state;
+    const key = name.replace("_before", "");
+    if (limits) ownLimits.set(key, limits);
+    else ownLimits.delete(key);
+    addressLimits(ownLimits);
+    this.#on.limited();
+    this.redraw();
   }
 
   /** Switch between perspective and orthographic view. */
@@ -146,11 +165,12 @@ export class Page {
 
   /** Save the page as one file. */
   async save() {
-    const { source, measurements } = this.state;
+    const { source, measurements, ownLimits } = this.state;
     try {
       if (source.saved) {
         this.hint("This page is a saved one; its measurements go with copy as text.", true);
-      } else download(`${this.stem()}.html`, await source.page(measurements));
+      } else
+        download(`${this.stem()}.html`, await source.page(measurements, limitsText(ownLimits)));
     } catch (error) {
       failed(error);
     }

@@ -43,8 +43,8 @@ class Served {
     return (await this.#post("measure", request)).json();
   }
 
-  async page(measurements) {
-    return (await this.#post("save", { measurements })).blob();
+  async page(measurements, limits) {
+    return (await this.#post("save", { measurements, limits })).blob();
   }
 
   /** Return the products that the server can make. */
@@ -82,6 +82,7 @@ class Saved {
   constructor(content) {
     this.#scenes = content.scenes;
     this.measurements = content.measurements;
+    this.limits = content.limits;
   }
 
   async scene(channel) {
@@ -173,6 +174,7 @@ export class SpaceSource {
     this.content = script ? JSON.parse(script.textContent) : null;
     this.saved = this.content !== null;
     this.measurements = this.content?.measurements ?? [];
+    this.limits = this.content?.limits;
   }
 
   async scene() {
@@ -191,8 +193,8 @@ export class SpaceSource {
     return new Kind(buffer);
   }
 
-  page(measurements) {
-    return this.#served.page(measurements);
+  page(measurements, limits) {
+    return this.#served.page(measurements, limits);
   }
 }
 

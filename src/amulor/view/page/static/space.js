@@ -39,6 +39,7 @@ const state = {
   scene: /** @type {any} */ (null),
   layerName: "height",
   limits: [0, 1],
+  ownLimits: new Map(),
   tables: {},
   tool: null,
   picks: /** @type {Pick[]} */ ([]),
@@ -54,6 +55,7 @@ const camera = new Camera();
 const page = new Page(state, {
   draw,
   point: drawPointer,
+  limited: () => show(by),
   idle: "Choose what to measure, then pick points.",
   said,
   tools: TOOLS,
@@ -219,6 +221,7 @@ function heights() {
 
 function limitsOf({ layer, values }) {
   if (layer.kind === "flags") return [0, 255];
+  if (state.ownLimits.has(layer.name)) return state.ownLimits.get(layer.name);
   const some = sampled(values, 60000)
     .filter(Number.isFinite)
     .sort((a, b) => a - b);
@@ -421,6 +424,7 @@ function from(side) {
 const KEYS = {
   r: home,
   o: () => page.orthographic(camera),
+  a: () => page.limit(state.layerName),
   f: () => from(camera.straight),
   t: () => from(camera.above),
   d: () => page.otherTheme(),
@@ -472,6 +476,7 @@ function wired() {
       top: KEYS.t,
       home: KEYS.r,
       picture: KEYS.p,
+      auto: KEYS.a,
     },
     keys: KEYS,
     arrow,
