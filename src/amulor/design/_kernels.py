@@ -99,7 +99,7 @@ class Points(NamedTuple):
     """Pairs of candidate instrument and target distance, one pair per row."""
 
     number: Floats
-    """Numbers of each point, with the columns of `NUMBERS`, shape (point, ...)."""
+    """Parameters of each point, in the columns `NUMBERS`, shape (point, ...)."""
     look: Index
     """Row of the arrays in `Light`, shape (point,)."""
     reach: Index
@@ -124,11 +124,11 @@ class Light(NamedTuple):
     mean: Floats
     """Unmodulated water signal, shape (look, distance + 1) [1]."""
     water: NDArray[np.complex128]
-    """Water signal by frequency, shape (version, look, distance + 1, frequency);
-    versions after the first have slightly more absorption or scattering [1].
+    """Water signal, shape (version, look, distance + 1, frequency);
+    later versions have slightly more absorption or scattering [1].
     """
     step: float
-    """Relative increase of absorption or scattering in those versions [1]."""
+    """Relative increase of absorption or scattering in the later versions [1]."""
     frequency: Floats
     """Modulation frequencies, shape (frequency,) [Hz]."""
     path: Floats
@@ -148,7 +148,7 @@ class Scratch(NamedTuple):
     water: NDArray[np.complex128]
     """Water signal before the target [1/s]."""
     open_water: NDArray[np.complex128]
-    """Water signal without a target, of the whole water column [1/s]."""
+    """Open-water signal, without a target [1/s]."""
     change: NDArray[np.complex128]
     """Derivatives of the water signal by log absorption and log scattering [1/s].
 
@@ -176,7 +176,7 @@ _LIGHT_SPEED = 299792458.0
 
 @numba.njit(cache=True, error_model="numpy")
 def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
-    """Compute the signals of a point; return the detector output over its limit.
+    """Compute the signals of a point; return the ratio of detector output to limit.
 
     Signals are photoelectron rates, with the phase of the delay.
     """
@@ -222,7 +222,7 @@ def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def across(value: complex, along: complex) -> float:
-    """Phase shift of a signal by a small signal added to it [rad]."""
+    """Phase shift of a signal due to an added small signal [rad]."""
     square = along.real * along.real + along.imag * along.imag
     if square == 0.0:
         return np.inf
@@ -287,13 +287,13 @@ class Nodes(NamedTuple):
     segment: NDArray[np.intp]
     """Spline segment of each node, shape (node,)."""
     within: Floats
-    """Position in that spline segment, as logarithm of the depth, shape (node,)."""
+    """Position in the spline segment, as logarithm of the depth, shape (node,)."""
     weight: Floats
     """Quadrature weight, shape (node,) [m]."""
     turn: NDArray[np.complex128]
     """Complex phase factor, shape (node, frequency) [1]."""
     stop: NDArray[np.intp]
-    """Number of nodes before each distance, increasing, shape (distance,)."""
+    """Number of nodes in front of each distance, increasing, shape (distance,)."""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -369,7 +369,7 @@ def phase_errors(
 def _mix(
     method: int, k: int, x: Floats, passed: Floats, scratch: Scratch, weight: Floats
 ) -> None:
-    """Compute the weights that combine channels to the target signal."""
+    """Compute the weights of the channels in the target signal."""
     of_target = passed[0, 1] / max(passed[0, 0], 1e-12)
     of_water = passed[1, 1] / max(passed[1, 0], 1e-12)
     if method == UNMIX:
@@ -463,7 +463,7 @@ def _inverse(
 
 @numba.njit(cache=True, error_model="numpy")
 def _add(slope: Complex, inverse: tuple[float, float, float], out: Floats) -> None:
-    """Add the Fisher information of one sample on the parameters."""
+    """Add the Fisher information of one sample."""
     for i in range(slope.size):
         re = inverse[0] * slope[i].real + inverse[2] * slope[i].imag
         im = inverse[2] * slope[i].real + inverse[1] * slope[i].imag
@@ -545,7 +545,7 @@ def _scaled(matrix: Floats) -> Floats:
 def _terms(
     x: Floats, scratch: Scratch, inner: Floats, out: Floats, bias: Floats
 ) -> None:
-    """Split the range variance by cause, for known water properties."""
+    """Split the range variance into error terms, for known water properties."""
     departed = 0.0
     for k in range(scratch.to_range.size):
         if scratch.to_range[k] == 0.0:
@@ -579,7 +579,7 @@ _COUNTING, _LOST = 0.2, 0.3
 
 @numba.njit(cache=True, error_model="numpy")
 def _phase_variance(k: int, scratch: Scratch) -> float:
-    """Sum of all random error terms in the phase of one frequency [rad^2]."""
+    """Total random phase variance at one frequency [rad^2]."""
     total = 0.0
     for j in range(scratch.variance.shape[1]):
         total += scratch.variance[k, j]

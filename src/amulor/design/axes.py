@@ -20,16 +20,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Axis:
-    """Parameter of instrument, water or target that an evaluation may vary."""
+    """Variable parameter of instrument, water or target in an evaluation."""
 
     meaning: str
-    """Short description of the quantity."""
+    """Short description of the parameter."""
     unit: str
     """SI unit."""
     least: float = 0.0
     """Smallest allowed value [unit]."""
     open: bool = True
-    """Whether the smallest value itself is excluded."""
+    """Whether the smallest value is excluded."""
     most: float = np.inf
     """Largest allowed value [unit]."""
 
@@ -73,14 +73,14 @@ Method = Literal["none", "frequency", "open-water", "polarization", "combined", 
 
 @dataclass(frozen=True, kw_only=True)
 class Predicted:
-    """Properties of a rejection method from which its error is predicted."""
+    """Properties of a rejection method for the prediction of its error."""
 
     kernel: int
     """Number of the method in the compiled loops."""
     channel_pair: bool = False
-    """Whether the method needs a co-polarized channel and its cross-polarized one."""
+    """Whether a co-polarized and a cross-polarized channel are required."""
     separate_frequencies: bool = True
-    """Whether dwell time can be divided between frequencies by the phases' errors."""
+    """Whether the phase errors determine an optimum dwell time per frequency."""
     assumptions: tuple[str, ...] = ()
     """Fields of `Assumptions` that affect the error."""
 
@@ -116,9 +116,9 @@ class Arranged:
     sizes: dict[str, int]
     """Length of each dimension by its name."""
     values: dict[str, Floats]
-    """Values of each axis, with all dimensions, of length 1 where constant."""
+    """Values of each axis, with all dimensions, of length 1 if constant."""
     frequencies: Floats | None
-    """Sets of modulation frequencies, (K, ...), filled up with NaN [Hz]."""
+    """Sets of modulation frequencies, (K, ...), padded with NaN [Hz]."""
     coordinates: dict[str, Any]
     """Coordinates of the array dimensions."""
 

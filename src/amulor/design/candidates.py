@@ -102,7 +102,7 @@ def box_values(box: Box) -> tuple[float, ...]:
 
 
 def frequency_grid(goal: Goal) -> tuple[float, ...]:
-    """Modulation frequencies among which a goal allows a choice, increasing [Hz]."""
+    """Modulation frequencies available in a goal, increasing [Hz]."""
     modulation = goal.components.modulation
     if modulation.sets:
         return tuple(sorted({f for members in modulation.sets for f in members}))
@@ -184,7 +184,7 @@ def scan_time(goal: Goal, chosen: Parameters) -> float:
 
 
 def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
-    """Mueller matrix scaled to a given element m22, which states depolarization."""
+    """Mueller matrix scaled to a given element m22, the measure of depolarization."""
     base = matrix(mueller)
     if base[1, 1] == 0:
         base = np.diag([1.0, 1.0, -1.0, -1.0])
@@ -194,7 +194,7 @@ def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
 
 
 def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
-    """Ratio of a laser's water coefficients to those at the first laser [1]."""
+    """Ratio of water coefficients at a laser's to the first laser's wavelength [1]."""
     first = goal.components.lasers[0].name
     if chosen.laser == first:
         return {}
@@ -208,7 +208,7 @@ def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
 
 
 def survey_of(goal: Goal, chosen: Parameters) -> Survey:
-    """Survey of a candidate, with a plate at the distance where the receiver aims."""
+    """Survey of a candidate, with a plate at the receiver's aiming distance."""
     laser = laser_of(goal, chosen.laser)
     detector = goal.detector
     if laser.quantum_efficiency is not None:

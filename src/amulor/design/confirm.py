@@ -1,4 +1,4 @@
-"""Check of a design by simulated scans and by photon transport."""
+"""Check of a design against simulated scans and photon transport."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Photons:
-    """Signals from photon transport along the middle beam, relative to the model."""
+    """Signals of the middle beam by photon transport, relative to the model."""
 
     histories: int
     """Number of photon histories [1]."""
@@ -136,7 +136,7 @@ def _reported(
 def _model(
     survey: Survey, water: WaterProperties, traced: Geometry, place: Place
 ) -> tuple[Complex, Complex]:
-    """Echo, and water signal from before the target, by the small-angle model."""
+    """Echo, and water signal in front of the target, by the small-angle model."""
     frequency = np.array(survey.instrument.modulation_frequencies)[:, None, None]
     common: dict[str, Any] = {"survey": survey, "water": water, "view": traced.view}
     surface = {
@@ -180,7 +180,7 @@ def _compared(
 def _ratio(
     light: Complex, covariance: Floats, expected: Complex
 ) -> tuple[Complex, Floats, Floats]:
-    """Ratio of a signal to its prediction, with amplitude and phase uncertainty."""
+    """Ratio of a simulated to a predicted signal, with uncertainties."""
     lit = (np.abs(expected) > 0) & (np.abs(light) > 0)
     along = np.where(lit, light, 1.0) / np.where(lit, np.abs(light), 1.0)
     ahead = np.stack([along.real, along.imag], axis=-1)
@@ -223,14 +223,13 @@ class Scans:
     ratio: float
     """Ratio of simulated to predicted standard deviation [1]."""
     ratio_error: float
-    """Standard error of this ratio, from the scatter between scans [1]."""
+    """Standard error of the ratio, from the scatter between scans [1]."""
     offset: float
     """Mean error of the simulated ranges [m]."""
     offset_error: float
     """Standard error of the mean error [m]."""
     residual_bias: float
-    """Bias predicted by `evaluate`, without late light, which simulated scans lack [m].
-    """
+    """Bias predicted by `evaluate`, excluding late light as in simulated scans [m]."""
     ranges: int
     """Number of simulated ranges."""
 
@@ -251,7 +250,7 @@ class Confirmation:
     scans: Scans
     """Comparison of simulated scans with the prediction."""
     photons: Photons | None
-    """Photon-transport result; None if photons cannot follow the water or the beam."""
+    """Photon-transport result; None for unsupported water or beam."""
     late: float
     """Predicted standard uncertainty of the late-light correction [m]."""
     said: tuple[str, ...]
@@ -365,7 +364,7 @@ def scans(
 
 
 def _reduced_survey(goal: Goal, chosen: Parameters, distance: float) -> Survey:
-    """Survey of an instrument with few pixels and a plate at one distance."""
+    """Survey of an instrument, reduced to few pixels and a plate at one distance."""
     survey = survey_of(goal, chosen)
     scan = survey.scan
     return survey.with_(
@@ -413,7 +412,7 @@ def _truth(survey: Survey, image: xr.Dataset) -> Floats:
 def _differences(
     name: str, simulated: Scans, photons: Photons | None, late: float, accuracy: float
 ) -> list[str]:
-    """Messages about differences from the prediction that exceed limits."""
+    """Messages about excessive differences from the prediction."""
     differences = []
     if not simulated.holds:
         differences.append(

@@ -226,7 +226,7 @@ def scheme_of(text: str) -> tuple[str, ...]:
 
 
 def _several(names: str | Sequence[str] | None, default: str) -> tuple[list[str], bool]:
-    """Values of a text parameter as a list, and whether there were several."""
+    """Values of a text parameter as a list, and whether a list was given."""
     if names is None:
         return [default], False
     if isinstance(names, str):
@@ -345,9 +345,9 @@ class Reach:
     nearest: float | None
     """Nearest slant range of the longest accurate interval; None without one [m]."""
     farthest: float | None
-    """Farthest slant range of that interval; infinite if met up to 60 m [m]."""
+    """Farthest slant range of the interval; infinite if accurate up to 60 m [m]."""
     binding: str
-    """Largest error term at that range, or "model" where the model ends."""
+    """Largest error term at the farthest range, or "model" at the model's limit."""
     repetition: float
     """Unambiguous range: slant range after which the phases repeat [m]."""
 
@@ -360,7 +360,7 @@ def reach(
     reflectance: float | None = None,
     method: str = "open-water",
 ) -> Reach:
-    """Return the distances at which an instrument is accurate enough in a water."""
+    """Return the distances at which an instrument meets a required accuracy."""
     title, properties = WATERS[water]
     # A survey's own far wall is not part of another water.
     moved = survey.with_({"water": properties})

@@ -31,13 +31,13 @@ class Place:
     path: Floats
     """Two-way optical path, shape (distance,) [m]."""
     back: Floats
-    """Path length in water back to the receiver, shape (distance,) [m]."""
+    """Return path length in water to the receiver, shape (distance,) [m]."""
     slope: Floats
     """Derivative of the slant range by the optical path, shape (distance,) [1]."""
     cosine: Floats
     """Cosine of the angle between beam and return path, shape (distance,) [1]."""
     per_acceptance: float
-    """Acceptance angle in water over that of the receiver [1]."""
+    """Ratio of the acceptance angle in water to the receiver's [1]."""
 
 
 def place_of(survey: Survey, distance: Floats) -> Place:
@@ -80,7 +80,7 @@ def aim_of(survey: Survey) -> float:
 
 
 def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
-    """Survey with another baseline, and a receiver aimed at a given distance."""
+    """Survey with a new baseline, and the receiver aimed at a given distance."""
     instrument = survey.instrument
     start = np.asarray(instrument.emitter.position)
     side = np.asarray(instrument.receiver.position) - start
@@ -110,7 +110,7 @@ def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
 
 
 def _towards(point: Floats, start: Floats, crossed: rays.Medium) -> Floats:
-    """Direction at which a ray leaves the emitter to reach a point in the water."""
+    """Emission direction of a ray to a point in the water."""
     way = point - start
     if crossed.window_distance is None:
         return np.asarray(way)

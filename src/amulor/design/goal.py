@@ -46,8 +46,9 @@ Distribution = Literal["uniform", "log-uniform", "normal", "log-normal"]
 
 class _Spread(Description):
     distribution: Distribution = "uniform"
-    """Distribution of the values between low and high. A normal one has 95 % of its
-    values between them, and is cut at twice the distance from the middle.
+    """Distribution of the values between low and high. A normal distribution
+    has 95 % of its values in between, and is truncated at twice the distance from the
+    middle.
     """
 
     @model_validator(mode="after")
@@ -105,7 +106,7 @@ Scheme = Annotated[
 
 
 class _Ascending(Description):
-    """Base of distance limits: the nearest must be below the farthest."""
+    """Base class of distance limits, with nearest below farthest."""
 
     nearest: float
     farthest: float
@@ -132,7 +133,7 @@ class DistanceRange(_Ascending):
 
 
 class Interval(_Ascending):
-    """Limits of the slant range that are known before the measurement."""
+    """Prior limits of the slant range."""
 
     nearest: Annotated[Length, Field(ge=0)]
     """Nearest possible slant range [m]."""
@@ -148,18 +149,18 @@ class Accuracy(Description):
     residual bias [m].
     """
     share: Annotated[Fraction, Field(gt=0, le=1)] = 0.9
-    """Fraction of drawn waters and targets in which the total error must be met [1]."""
+    """Fraction of random waters and targets with the total error to be met [1]."""
     wrong_interval: Annotated[Fraction, Field(gt=0, lt=0.5)] = 0.001
     """Largest allowed probability of a wrong ambiguity interval [1]."""
 
 
 class Waters(Description):
-    """Water for which the instrument is designed, with ranges of its properties."""
+    """Water of the design, with ranges of its properties."""
 
     base: WaterStated
     """Base water, described as in a survey."""
     attenuation: CoefficientSpread | None = None
-    """Range of a + b at the first laser's wavelength; as the base if left out [1/m].
+    """Range of a + b at the first laser's wavelength; as in the base by default [1/m].
 
     Absorption and scattering stay in the proportion of the base.
     """
@@ -192,10 +193,10 @@ class Targets(Description):
     m22: FractionSpread | None = None
     """Range of the Mueller element m22; 0 for complete depolarization [1]."""
     slope: AngleSpread | None = None
-    """Range of the surface's inclination; faces the beam if left out [rad]."""
+    """Range of the surface's inclination; normal incidence by default [rad]."""
     texture: FractionSpread | None = None
-    """Range of the relative reflectance change over the half-width of the beam; none if
-    left out [1].
+    """Range of the relative reflectance change over the half-width of the beam; none by
+    default [1].
     """
 
 
@@ -219,7 +220,7 @@ class ScanGoal(Description):
 
 
 class Laser(Description):
-    """Laser that may be chosen, with properties that depend on its wavelength."""
+    """Available laser, with properties at its wavelength."""
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
     """Name of the laser."""
@@ -228,19 +229,19 @@ class Laser(Description):
     powers: Annotated[
         tuple[Annotated[Power, Field(gt=0)], ...], Field(min_length=1, max_length=20)
     ]
-    """Mean launched powers to choose from [W]."""
+    """Available mean launched powers [W]."""
     modulation_depth: Annotated[Fraction, Field(gt=0, le=1)] = 0.8
     """Modulation depth of the intensity [1]."""
     top_frequency: _Tone | None = None
-    """Highest modulation frequency; no limit if left out [Hz]."""
+    """Highest modulation frequency; no limit by default [Hz]."""
     beam_radius: Annotated[Length, Field(ge=0, le=0.5)] | None = None
     """1/e radius of the beam at the emitter [m]."""
     beam_divergence: Annotated[Angle, Field(ge=0, le=0.2)] | None = None
     """1/e half-angle of the beam [rad]."""
     quantum_efficiency: Annotated[Fraction, Field(gt=0, le=1)] | None = None
-    """Quantum efficiency at this wavelength; that of the detector if left out [1]."""
+    """Quantum efficiency at this wavelength; the detector's by default [1]."""
     water: WaterStated | None = None
-    """Base water at this wavelength, if not to be derived from the stated one."""
+    """Base water at this wavelength; derived from the common base by default."""
     price: _Money = 0.0
     """Price of the laser [currency]."""
     price_per_watt: _Money = 0.0
@@ -248,7 +249,7 @@ class Laser(Description):
 
 
 class Modulation(Description):
-    """Modulation frequencies that may be chosen."""
+    """Available modulation frequencies."""
 
     lowest: _Tone | None = None
     """Lowest modulation frequency of a grid [Hz]."""
@@ -289,7 +290,7 @@ class _Box(Description):
     count: Annotated[Count, Field(ge=2, le=50)] = 4
     """Grid values between low and high, evenly spaced in the logarithm [1]."""
     prices: tuple[_Money, ...] = ()
-    """Price of each of the values [currency]."""
+    """Price of each value [currency]."""
 
     @model_validator(mode="after")
     def _is_stated_once(self) -> Self:
@@ -311,10 +312,10 @@ class _Box(Description):
 
 
 class LengthBox(_Box):
-    """Lengths that may be chosen: a list, or a range."""
+    """Available lengths: a list, or a range."""
 
     values: tuple[Annotated[Length, Field(gt=0)], ...] = ()
-    """List of lengths to choose from [m]."""
+    """List of available lengths [m]."""
     low: Annotated[Length, Field(gt=0)] | None = None
     """Lower end of the range [m]."""
     high: Annotated[Length, Field(gt=0)] | None = None
@@ -322,10 +323,10 @@ class LengthBox(_Box):
 
 
 class AngleBox(_Box):
-    """Angles that may be chosen: a list, or a range."""
+    """Available angles: a list, or a range."""
 
     values: tuple[Annotated[Angle, Field(gt=0, le=0.5)], ...] = ()
-    """List of angles to choose from [rad]."""
+    """List of available angles [rad]."""
     low: Annotated[Angle, Field(gt=0)] | None = None
     """Lower end of the range [rad]."""
     high: Annotated[Angle, Field(gt=0, le=0.5)] | None = None
@@ -333,10 +334,10 @@ class AngleBox(_Box):
 
 
 class TimeBox(_Box):
-    """Times that may be chosen: a list, or a range."""
+    """Available times: a list, or a range."""
 
     values: tuple[Annotated[Time, Field(gt=0)], ...] = ()
-    """List of times to choose from [s]."""
+    """List of available times [s]."""
     low: Annotated[Time, Field(gt=0)] | None = None
     """Lower end of the range [s]."""
     high: Annotated[Time, Field(gt=0)] | None = None
@@ -348,12 +349,12 @@ Box = LengthBox | AngleBox | TimeBox
 
 
 class Components(Description):
-    """Components of the instrument that may be chosen."""
+    """Available components of the instrument."""
 
     lasers: Annotated[tuple[Laser, ...], Field(min_length=1)]
-    """Lasers to choose from."""
+    """Available lasers."""
     modulation: Modulation
-    """Modulation frequencies to choose from."""
+    """Available modulation frequencies."""
     baseline: LengthBox
     """Distance between emitter and receiver [m]."""
     radius: LengthBox
@@ -363,13 +364,13 @@ class Components(Description):
     dwell: TimeBox
     """Dwell time per pixel, frequency and channel [s]."""
     polarizations: Annotated[tuple[Scheme, ...], Field(min_length=1)]
-    """Polarization schemes to choose from, such as "VH" or "VV+VH"."""
+    """Available polarization schemes, such as "VH" or "VV+VH"."""
     methods: Annotated[tuple[Method, ...], Field(min_length=1)] = ("open-water",)
-    """Rejection methods to choose from, by the names of `amulor reject`."""
+    """Available rejection methods, named as in `amulor reject`."""
     price_per_channel: _Money = 0.0
     """Price of each additional polarization channel [currency]."""
     budget: _Money | None = None
-    """Largest total price; no limit if left out [currency]."""
+    """Largest total price; no limit by default [currency]."""
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
@@ -422,8 +423,8 @@ class Goal(Description):
     )
     """Slant ranges with required accuracy: a list, or nearest and farthest [m]."""
     interval: Interval | None = None
-    """Limits of the slant range, known before the measurement; from 0 to 1.1 times the
-    farthest distance if left out.
+    """Prior limits of the slant range; from 0 to 1.1 times the farthest distance by
+    default.
     """
     accuracy: Accuracy
     """Required accuracy of the range."""
@@ -434,10 +435,10 @@ class Goal(Description):
     scan: ScanGoal
     """Scan pattern and available time."""
     components: Components
-    """Components to choose from."""
+    """Available components."""
     aim: Annotated[Length, Field(gt=0)] | None = None
-    """Distance at which the receiver's axis meets the beam; the harmonic mean of the
-    nearest and the farthest distance if left out [m]."""
+    """Distance where the receiver's axis meets the beam; by default the harmonic mean
+    of nearest and farthest distance [m]."""
     detector: Detector = Detector()
     """Photomultiplier, as in a survey."""
     lock_in: LockIn = LockIn()
@@ -486,7 +487,7 @@ class Goal(Description):
 
     @property
     def assumed(self) -> dict[str, Any]:
-        """Values that the goal assumes for parameters of `evaluate`."""
+        """Assumed parameter values for `evaluate`."""
         return {"texture": 0.0, **self.assumptions.model_dump()}
 
     @classmethod

@@ -75,7 +75,7 @@ class Looks:
     acceptance: Floats
     """1/e half-width of the field of view in the water [rad]."""
     back: Floats
-    """Path length in water back from each depth, shape (look, depth) [m]."""
+    """Return path length in water from each depth, shape (look, depth) [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +83,7 @@ class Columns:
     """Water signal per launched power, without polarizers, arrays over (look, ...)."""
 
     mean: Floats
-    """Unmodulated water signal in front of each depth, the whole column last, shape
+    """Unmodulated water signal in front of each depth, full column last, shape
     (look, depth + 1) [1].
     """
     water: NDArray[np.complex128]
@@ -363,7 +363,7 @@ def lit(
     joint: bool,
     late: bool = True,
 ) -> Lit:
-    """Compute the signals, which power, dwell, channels and method do not affect."""
+    """Compute the signals that power, dwell, channels and method do not affect."""
     by_axis = values_on_axes(case, values)
     distance, reach = np.unique(values["distance"], return_inverse=True)
     places, place = _places(case, values, distance)
@@ -385,7 +385,7 @@ def lit(
 
 
 def values_on_axes(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
-    """Values of all parameters; the survey's value where one is not varied."""
+    """Values of all parameters, with the survey's values for constant parameters."""
     by_axis = {
         name: np.asarray(value) for name, value in case.survey_values.items()
     } | values

@@ -41,7 +41,7 @@ class Assessed:
     late: Floats
     """Uncertainty of the late-light correction [m]."""
     footprint: Floats
-    """Error by uneven reflectance within the laser spot on a slope [m]."""
+    """Error from uneven reflectance within the laser spot on a slope [m]."""
     near: Floats
     """Nearest possible slant range [m]."""
     far: Floats
@@ -154,7 +154,7 @@ def _repetition(frequencies: Floats, group_index: float) -> Floats:
 
 
 def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floats:
-    """Range error by uneven reflectance in the laser spot on a slope [m]."""
+    """Range error from uneven reflectance in the laser spot on a slope [m]."""
     emitter = case.survey.instrument.emitter
     width = np.hypot(
         emitter.beam_radius or 0.0, (emitter.beam_divergence or 0.0) * distance
@@ -163,7 +163,7 @@ def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floa
 
 
 def _numbers(case: Case, by_axis: dict[str, Floats], lighting: Lit) -> dict[str, Any]:
-    """Columns of `NUMBERS` computed from a survey and the varied parameters."""
+    """Point parameters in the columns `NUMBERS`, from survey and varied values."""
     survey = case.survey
     instrument, detector = survey.instrument, survey.instrument.detector
     constant = np.minimum(instrument.lock_in.time_constant, _LOCK_IN * by_axis["dwell"])

@@ -127,7 +127,7 @@ def _error(
     bias: Floats,
     dwell: tuple[int, ...],
 ) -> float:
-    """Range error at the worst distance [m]; infinite if the interval is unclear."""
+    """Range error at the worst distance [m]; infinite if ambiguous."""
     variances = np.stack([variance[k, number] for k, number in enumerate(dwell)])
     biases = np.stack([bias[k, number] for k, number in enumerate(dwell)])
     weight = 1 / np.maximum(variances, 1e-30)
@@ -161,7 +161,7 @@ _BETWEEN = 41
 
 @dataclass(frozen=True, kw_only=True)
 class Between:
-    """Largest error at any distance between the nearest and farthest required one.
+    """Largest error between the nearest and farthest required distance.
 
     The phase between water signal and echo changes with distance. An instrument may
     therefore be accurate at each required distance and inaccurate between them.
@@ -175,7 +175,7 @@ class Between:
     distance: float
     """Slant range of the largest error [m]."""
     error: float
-    """Total error there, not exceeded in the required fraction of draws [m]."""
+    """Total error at the distance, at the required quantile of draws [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,8 +199,8 @@ class Choice:
     binding: str
     """Largest error term, or the reason for an unusable range."""
     error: float
-    """Total error at the worst required distance, not exceeded in the required fraction
-    of draws [m].
+    """Total error at the worst required distance, at the required quantile of draws
+    [m].
     """
     worst_distance: float
     """Required distance with the largest error [m]."""
@@ -277,10 +277,10 @@ class Recommendation:
     goal: Goal
     """Goal of the design."""
     best: Choice
-    """Best instrument; if the goal is impossible, the one closest to it."""
+    """Best instrument, or the nearest miss if the goal is impossible."""
     runner_up: Choice | None
     """Best instrument with another laser, scheme, method or number of frequencies; None
-    without a choice.
+    without alternatives.
     """
     bounds: tuple[Bound, ...]
     """Parameters of the best instrument that lie at a limit of the goal."""
@@ -390,7 +390,7 @@ def recommend(
 
 
 def _kind(chosen: Parameters) -> tuple[str, str, str, int]:
-    """Laser, channels, method and frequency count: the kind of an instrument."""
+    """Kind of an instrument: laser, channels, method and number of frequencies."""
     return (
         chosen.laser,
         chosen.polarization,
@@ -411,7 +411,7 @@ def _runner_up(result: SearchResult) -> Candidate | None:
 
 
 def _choice(goal: Goal, candidate: Candidate) -> Choice:
-    """Evaluate a candidate: requirements, error terms, best division of the dwell."""
+    """Evaluate a candidate: requirements, error terms, optimum dwell times."""
     chosen = candidate.parameters
     survey = survey_of(goal, chosen)
     all_errors = _errors(goal, chosen, survey)
@@ -477,7 +477,7 @@ def _between(goal: Goal, errors: xr.DataArray) -> Between:
 
 
 def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
-    """Parameters of an instrument whose values lie at a limit of the goal."""
+    """Parameters of an instrument at a limit set by the goal."""
     parts = goal.components
     laser = laser_of(goal, chosen.laser)
     edges: list[tuple[str, float, tuple[float, ...]]] = [

@@ -1,4 +1,4 @@
-"""Requirements of a goal: their margins, and those to relax if none can be met."""
+"""Requirements of a goal: margins, and relaxations if no candidate meets all."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True)
 class Shortfall:
-    """Requirement to relax if no candidate meets all, with a limit that suffices.
+    """Requirement to be relaxed if no candidate meets all, with a sufficient limit.
 
     Examples
     --------

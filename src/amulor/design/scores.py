@@ -72,7 +72,7 @@ class Grid:
         )
 
     def parameters(self, number: int, like: Parameters) -> Parameters:
-        """Parameters of one candidate; laser, channels and method come from `like`."""
+        """Parameters of one candidate, with laser, channels and method of `like`."""
         b, r, f, p, t, s = np.unravel_index(number, self.shape)
         return replace(
             like,
@@ -94,9 +94,9 @@ class Score:
     wrong: Floats
     """Probability of a wrong ambiguity interval, shape (candidate, distance) [1]."""
     output: Floats
-    """Detector output over its linear limit, shape (candidate,) [1]."""
+    """Ratio of detector output to linear limit, shape (candidate,) [1]."""
     validity: Floats
-    """Above 1 where the error model does not apply, shape (candidate,) [1]."""
+    """Validity measure, above 1 outside the error model, shape (candidate,) [1]."""
     time: Floats
     """Time for scanning all pixels, shape (candidate,) [s]."""
     cost: Floats
@@ -252,7 +252,7 @@ class Judge:
         )
 
     def _values(self, grid: Grid) -> dict[str, Floats]:
-        """Values of all parameters, each along its dimension of the grid."""
+        """Values of all parameters, as arrays along the grid dimensions."""
         names = ("baseline", "radius", "field_of_view", "power", "dwell")
         values = {
             name: _along(np.array(getattr(grid, name)), k)
@@ -319,7 +319,7 @@ def _along(values: Floats, dimension: int) -> Floats:
 
 
 def _part(value: NDArray, index: tuple[slice, ...]) -> NDArray:  # type: ignore[type-arg]
-    """Block of an array by index, in which dimensions of length 1 remain."""
+    """Block of an array by index, without slicing dimensions of length 1."""
     if value.ndim != _DIMENSIONS:
         return value
     return value[

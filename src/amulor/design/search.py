@@ -55,7 +55,7 @@ class Candidate:
 def allowed(
     sets: tuple[tuple[float, ...], ...], top: float | None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return frequency sets within a laser's limit; the lowest set if none is."""
+    """Return the frequency sets within a laser's limit, at least the lowest set."""
     good = tuple(members for members in sets if top is None or max(members) <= top)
     return good or (min(sets, key=max),)
 
@@ -129,7 +129,7 @@ def _neighbours(
 def _dwells(
     goal: Goal, like: Parameters, sets: tuple[tuple[float, ...], ...]
 ) -> tuple[float, ...]:
-    """Dwell times to choose from, and those that use up the scan time."""
+    """Available dwell times, and dwell times that use the full scan time."""
     box = goal.components.dwell
     values = {like.dwell, *box_values(box)}
     if not box.values and box.low is not None and box.high is not None:
@@ -228,7 +228,7 @@ def _around(
 
 
 def _single_frequencies(goal: Goal, chosen: Parameters) -> tuple[float, ...]:
-    """Single modulation frequencies that a laser can reach [Hz]."""
+    """Single modulation frequencies within the laser's limit [Hz]."""
     top = laser_of(goal, chosen.laser).top_frequency
     return tuple(t for (t,) in allowed(tuple((f,) for f in frequency_grid(goal)), top))
 

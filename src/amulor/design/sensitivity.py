@@ -64,7 +64,7 @@ class Uncertain:
     high: float
     """Upper end of the range, in the unit of the axis."""
     stated: bool
-    """Whether the range is from the goal; else a factor of two up and down."""
+    """Whether the range is from the goal; otherwise a factor of two up and down."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +145,7 @@ def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
 
 
 def _assumptions(goal: Goal, method: str) -> dict[str, float]:
-    """Assumptions of the goal that affect a rejection method."""
+    """Assumptions of the goal with an effect on a rejection method."""
     names = PREDICTED[method].assumptions
     return {name: getattr(goal.assumptions, name) for name in names}
 

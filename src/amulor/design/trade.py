@@ -1,4 +1,4 @@
-"""Trade-offs of an instrument: Pareto front, and assumptions that change the choice."""
+"""Trade-offs of an instrument: Pareto front, and decisive assumptions."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ _HALVINGS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """Assumption, and the value of it at which the runner-up becomes better."""
+    """Assumption, with the value at which the runner-up becomes better."""
 
     label: str
     """Readable name of the assumption."""
@@ -153,9 +153,9 @@ class Turn:
     unit: str
     """SI unit."""
     turns_at: float | None
-    """Nearest value at which the runner-up is better; None within a factor of 10."""
+    """Nearest value at which the runner-up is better; None if beyond a factor of 10."""
     factor: float | None
-    """Ratio of that value to the one in the goal [1]."""
+    """Ratio of the nearest such value to the goal's value [1]."""
 
 
 def what_if(
@@ -199,7 +199,7 @@ def _crossing(
     scaled: Callable[[float], Goal | None],
     draws: int,
 ) -> float | None:
-    """Factor nearest to 1 that makes the other instrument better; None without."""
+    """Factor nearest to 1 that makes the other instrument better; None if none does."""
 
     def wins(logarithm: float) -> bool | None:
         changed = scaled(math.exp(logarithm))

@@ -37,7 +37,7 @@ def completed(
     fit: LateFit | None = None,
     patches: Patches | None = None,
 ) -> tuple[Ranges, dict[str, Any], LateFit, Patches | None]:
-    """Return ranges without late light, with error terms, attributes and statistics."""
+    """Complete ranges: subtract late light; add error terms, attributes, statistics."""
     slant_range = np.where(ranges.usable, ranges.slant_range, np.nan)
     light, fit = late_light(observation, slant_range, weight=ranges.weight, fit=fit)
     ranges, shared = _without_instrument(observation, ranges)
@@ -104,7 +104,7 @@ def completed(
 def _without_instrument(
     observation: Observation, ranges: Ranges
 ) -> tuple[Ranges, dict[str, Floats]]:
-    """Ranges of a joint estimation without instrument errors, and these errors.
+    """Ranges of a joint estimation without instrument errors; return also the errors.
 
     It counts delay, index and place of the receiver in the common error of its ranges.
     """
@@ -185,7 +185,7 @@ class BudgetLine:
     share: float
     """Share of the combined variance [1]."""
     samples: int | None
-    """Number of samples behind a term of type A, where the image states it."""
+    """Number of samples behind a type-A term, if stated in the image."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,14 +210,14 @@ class ErrorBudget:
     lines: tuple[BudgetLine, ...]
     """Known terms in the order of `amulor.cube.schema`."""
     combined: float
-    """Combined standard uncertainty, median over the usable pixels; NaN if not known
+    """Combined standard uncertainty, median over the usable pixels; NaN if unknown
     [m]."""
     common: float
     """Part of the combined uncertainty shared by all pixels; NaN if not stated [m]."""
     unknown: tuple[Term, ...]
     """Unknown error terms, not included in the combined uncertainty."""
     late_echo: str
-    """Treatment of late light, or the reason why it was not subtracted."""
+    """Treatment of late light, or the reason for not subtracting it."""
     late: float
     """Subtracted late-light delay, median; NaN if none [m]."""
     calibrated: str
@@ -228,7 +228,7 @@ class ErrorBudget:
     error_unknown: str
     """Reason for a missing combined uncertainty of all or some pixels; else empty."""
     tests: tuple[InstrumentTest, ...] = ()
-    """Failed tests of the instrument by the data of the scan."""
+    """Failed instrument tests, from the data of the scan."""
 
     @property
     def expanded(self) -> float:
@@ -397,7 +397,7 @@ def instrument_term(
 def joint_instrument_terms(
     observation: Observation, path: Floats, slope: Floats
 ) -> dict[str, Floats]:
-    """Instrument terms that a joint estimation already includes in its errors."""
+    """Instrument error terms that are included in the errors of a joint estimation."""
     sizes = observation.joint_values(
         "delay_uncertainty_s",
         "group_index_uncertainty",

@@ -17,7 +17,7 @@ _ROUNDED = 4 * np.finfo(float).eps
 
 
 def own_variance(image: xr.Dataset) -> Floats:
-    """Variance of slant ranges without the errors that pixels share."""
+    """Variance of slant ranges, without errors common to all pixels."""
     variance: Floats = image["slant_range_uncertainty"].values ** 2
     if "slant_range_common_uncertainty" in image:
         shared = image["slant_range_common_uncertainty"].values ** 2

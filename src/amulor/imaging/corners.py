@@ -1,4 +1,4 @@
-"""Range error by light that is reflected twice in concave corners of the scene."""
+"""Range error from light reflected twice in concave corners of the scene."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _AT_ONCE = 4096
 
 @dataclass(frozen=True, kw_only=True)
 class Patches:
-    """Flat parts of the surfaces of a scan, as sources of light for other parts."""
+    """Flat surface patches of a scan, as light sources for other patches."""
 
     position: Floats
     """Centers, shape (patches, 3) [m]."""
@@ -54,7 +54,7 @@ class Patches:
     brightness: Floats
     """Reflectance times the cosine toward the receiver, shape (patches,) [1]."""
     concerned: NDArray[np.bool_]
-    """Patches with a range error by other patches that matters, shape (patches,)."""
+    """Mask of patches with a relevant range error from other patches."""
 
 
 def corner_ratio(
@@ -68,7 +68,7 @@ def corner_ratio(
     attenuation: float = 0.0,
     acceptance: float = math.inf,
 ) -> Complex:
-    r"""Return light reflected twice over light reflected once, by frequency and point.
+    r"""Return the ratio of doubly to singly reflected light, by frequency and point.
 
     A Lambertian patch Q of area A, at the distance r from the lit point P, adds
 
@@ -110,7 +110,7 @@ def corner_error(
     noise: Floats,
     fit: Patches | None = None,
 ) -> tuple[Floats | None, Patches | None]:
-    """Return the range error by light reflected twice, and the patches of the scan.
+    """Return the range error from doubly reflected light, and the patches of the scan.
 
     None without a survey, and for simulated samples, which have no such light unless
     the attribute `corner_light` is "present". The reflectance of a patch comes from its
@@ -179,7 +179,7 @@ def _brightness(
     water: WaterProperties,
     slant_range: Floats,
 ) -> Floats:
-    """Return the echo over that of a white surface that faces the receiver [1]."""
+    """Return the echo relative to a white surface facing the receiver [1]."""
     geometry = observation.geometry
     depth = geometry.depth(slant_range)
     usable = np.isfinite(depth) & (depth > 0)
@@ -211,7 +211,7 @@ def _brightness(
 
 
 def _acceptance(survey: Survey) -> float:
-    """Field of view about the beam; infinite where the receiver does not follow it."""
+    """Field of view about the beam; infinite for a receiver that does not follow it."""
     if survey.scan.moves != "both":
         return math.inf
     return float(view(survey, np.zeros(1), np.zeros(1)).acceptance)
@@ -226,7 +226,7 @@ def _patches(
     receiver: Floats,
     brightness: Floats,
 ) -> Patches:
-    """Flat blocks of pixels, with planes fitted to them."""
+    """Flat blocks of pixels, with fitted planes."""
     rows, columns = slant_range.shape
     side = max(_NARROWEST, math.ceil(math.sqrt(rows * columns / _PATCHES)))
     scale = _coverage(observation)
@@ -277,7 +277,7 @@ def _plane(
 
 
 def _coverage(observation: Observation) -> float:
-    """Ratio of the solid angle of the scan to that of the pixels at hand, 1 or more."""
+    """Ratio of the solid angle of the scan to that of given pixels, at least 1."""
     span: Span | None = observation.span
     geometry = observation.geometry
     if span is None or min(geometry.azimuth.shape) < 2:
@@ -294,7 +294,7 @@ def _coverage(observation: Observation) -> float:
 
 
 def _nearest(position: Floats, centers: Floats) -> NDArray[np.intp]:
-    """Return the number of the nearest patch of each point."""
+    """Return the index of the patch nearest to each point."""
     from scipy.spatial import cKDTree
 
     if not len(position):

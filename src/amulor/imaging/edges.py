@@ -236,7 +236,7 @@ def reached(
     pixel: tuple[int, int],
     reach: int,
 ) -> NDArray[np.bool_]:
-    """Mask of pixels within reach of a given pixel, without a range step in between.
+    """Mask of pixels near a given pixel that are connected without a range step.
 
     The way goes along the column, then along the row, as on the page.
     """
@@ -249,7 +249,7 @@ def reached(
 
 
 def _walked(step: NDArray[np.bool_], start: int, reach: int) -> list[int]:
-    """Return the indices within reach of a start, without crossing a range step."""
+    """Return the indices near a start that are connected without a range step."""
     low = high = start
     while low > max(start - reach, 0) and not step[low - 1]:
         low -= 1
@@ -291,7 +291,7 @@ def _along_edge(
 
 
 def _between(distance: Floats, variance: Floats, axis: int, step: int) -> Floats:
-    """Distance of pixels from the surfaces on either side of them.
+    """Distances of pixels from the surfaces on both sides.
 
     In standard errors, 0 where they lie between none.
     """
@@ -351,7 +351,7 @@ def _off_lines(
 
 
 def _shifted(values: Floats, axis: int, shift: int) -> Floats:
-    """Values of the pixel a number of rows or columns away, NaN beyond the border."""
+    """Values shifted by a number of rows or columns, NaN beyond the border."""
     moved = np.full(values.shape, np.nan)
     size = values.shape[axis]
     if abs(shift) >= size:

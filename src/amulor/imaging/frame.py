@@ -34,7 +34,7 @@ _TEXTS: dict[str, tuple[str, tuple[str, str, str]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """Axes of a product, and the transformation from the instrument's axes.
+    """Coordinate frame of a product: axes, and transformation from the instrument.
 
     Examples
     --------
@@ -47,7 +47,7 @@ class Frame:
     """
 
     name: Axes
-    """Kind of axes."""
+    """Kind of axes: "instrument", "z-up" or "pose"."""
     rotation: Floats
     """Rotation from right, down, forward into the frame, shape (3, 3) [1]."""
     position: Floats
@@ -57,7 +57,7 @@ class Frame:
     crs_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Offset to add to coordinates to obtain those of the reference system [m]."""
     pose: Pose | None = None
-    """Pose of the instrument from which the frame follows; None without one."""
+    """Pose of the instrument that defines the frame; None without a pose."""
 
     @property
     def axes(self) -> str:

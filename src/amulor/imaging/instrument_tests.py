@@ -1,4 +1,4 @@
-"""Tests of the instrument by the data of a scan, with causes and measurements."""
+"""Instrument tests from the data of a scan, with causes and remedial measurements."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ PROBABILITY, PHASES = "frequency_phase_probability", "frequency_phase_rad"
 
 @dataclass(frozen=True, kw_only=True)
 class FrequencyPhase:
-    """Phases of all frequencies about one optical path, medians of a scan."""
+    """Phase deviations of all frequencies from a common optical path, scan medians."""
 
     phase: Floats
-    """Deviation of each frequency from the path of all [rad]."""
+    """Deviation of each frequency from the common path [rad]."""
     probability: float
     """Probability of so large deviations by chance and stated errors [1]."""
 
@@ -45,7 +45,7 @@ class FrequencyPhase:
 def frequency_phase(
     observation: Observation, path: ambiguity.Path
 ) -> FrequencyPhase | None:
-    """Test whether one path explains the phases; None with too few frequencies.
+    """Test whether a common path explains the phases; None with too few frequencies.
 
     The path of each pixel is free. Errors that pixels share and the water that is left
     count for each frequency on its own. The stated phase error of the instrument does
@@ -96,7 +96,7 @@ class InstrumentTest:
     cause: str
     """Probable causes."""
     measurement: str
-    """Measurement that confirms or removes the cause."""
+    """Measurement for confirmation or removal of the cause."""
 
 
 _LEAKAGE = (

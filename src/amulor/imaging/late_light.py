@@ -41,9 +41,9 @@ class LateFit:
     """Scan-wide statistics for the estimate of late light."""
 
     depth: tuple[float, float] | None = None
-    """Least and largest distance of the targets [m]; None where no pixel has one."""
+    """Least and largest target distance [m]; None without a pixel with a range."""
     span: Span | None = None
-    """Range of scan directions; None where no pixel has a range."""
+    """Range of scan directions; None without a pixel with a range."""
     in_view: bool = True
     """Whether all targets lie in the receiver's field of view."""
 
@@ -57,7 +57,7 @@ class LateLight:
     uncertainty: Floats | None
     """Standard uncertainty of the estimate; None without an estimate [m]."""
     note: str
-    """Statement that it is subtracted, or the reason why not."""
+    """Statement of the subtraction, or the reason for not subtracting."""
 
 
 def late_light(
@@ -240,7 +240,7 @@ def _between(
 
 
 def _spread(low: float, high: float) -> Floats:
-    """Return a few angles that cover a slightly extended span."""
+    """Return a few angles over a slightly extended span."""
     margin = 1e-6 + 1e-6 * (high - low)
     return np.linspace(low - margin, high + margin, _DIRECTIONS)
 
@@ -273,12 +273,12 @@ def _phase_functions(
 
 @lru_cache(maxsize=16)
 def _function(asymmetry: float) -> PhaseFunction:
-    """Henyey-Greenstein function from a cache, which also keeps its transform."""
+    """Henyey-Greenstein function, cached together with its transform."""
     return henyey_greenstein_function(asymmetry=asymmetry)
 
 
 def _asymmetry(moment: float, split_angle: float) -> float | None:
-    """Asymmetry with a given second moment of the forward part, None without one."""
+    """Asymmetry for a given second moment of forward scattering; None if impossible."""
     try:
         asymmetry = asymmetry_of(moment, split=split_angle)
     except SurveyError:

@@ -82,7 +82,7 @@ class Contrast:
     """
 
     value: float
-    """(target - surround) / (target + surround) of the mean amplitudes [1]."""
+    """Contrast (target - surround) / (target + surround) of mean amplitudes [1]."""
     uncertainty: float
     """Standard uncertainty, from the scatter of the pixels [1]."""
 

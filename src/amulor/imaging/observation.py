@@ -1,4 +1,4 @@
-"""One channel of a cube, prepared for ranging: phases, noise, geometry, survey."""
+"""Input of ranging for a single channel: phases, noise, geometry, survey."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _WINDOW = (
 
 
 def geometry_of(cube: xr.Dataset) -> Geometry:
-    """Geometry of the pixels of a cube of any level."""
+    """Beam geometry of the pixels, from a cube of any level."""
     attributes = cube["geometry"].attrs
     emitter, receiver = (
         np.asarray(attributes[f"{name}_position"], dtype=float)
@@ -75,7 +75,7 @@ class Observation:
     most_outliers: float = ambiguity.BREAKDOWN
     """Largest fraction of a pixel's frequencies that may be discarded [1]."""
     span: Span | None = None
-    """Directions of the whole scan; None if the channel contains all of it."""
+    """Directions of the full scan; None if the channel is the full scan."""
 
     @cached_property
     def frequency(self) -> Floats:
@@ -122,7 +122,7 @@ class Observation:
 
     @property
     def own_sigma(self) -> Floats:
-        """Phase uncertainties without the errors that pixels share [rad]."""
+        """Phase uncertainties, without errors common to all pixels [rad]."""
         shared = self.shared_sigma(self.usable)
         if shared is None:
             return self.sigma
@@ -135,7 +135,7 @@ class Observation:
         return self._sigma("common_", usable)
 
     def _sigma(self, prefix: str, usable: NDArray[np.bool_]) -> Floats:
-        """Phase uncertainty from those of the outputs, arbitrary in unusable pixels."""
+        """Phase uncertainty from output uncertainties, arbitrary in unusable pixels."""
         channel, signal = self.channel, self.signal
         cross = channel["common_covariance"] if prefix else channel.amulor.covariance
         mask = np.broadcast_to(usable, signal.shape)
@@ -152,7 +152,7 @@ class Observation:
 
     @cached_property
     def shift(self) -> Floats:
-        """Phase shifts by the residual water signal, NaN if unknown [rad]."""
+        """Phase shifts due to the residual water signal, NaN if unknown [rad]."""
         channel = self.channel
         if "residual_in_phase" in channel:
             residual = channel["residual_in_phase"].values
@@ -163,7 +163,7 @@ class Observation:
 
     @property
     def has_late_light(self) -> bool:
-        """Whether late light is possible: measured, or simulated with late light."""
+        """Whether the samples may contain late light; False if simulated without."""
         simulated = self.channel.attrs.get("late_echo")
         if simulated is None:
             return not self.channel.attrs.get("simulated", 0)

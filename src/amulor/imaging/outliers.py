@@ -50,7 +50,7 @@ _AS_FAR, _STEEP = 4.0, 4.0
 def outlying_pixels(
     image: xr.Dataset, *, significance: float = 3.0
 ) -> NDArray[np.bool_]:
-    r"""Mask of pixels that deviate from all their neighbors.
+    r"""Mask of pixels that deviate from all neighbors.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def _more_than_chance(
 
 
 def _median_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
-    """Median of the values around selected pixels, shape (n,)."""
+    """Median of the values surrounding selected pixels, shape (n,)."""
     padded = np.pad(values, _AROUND, constant_values=np.nan)
     size = 2 * _AROUND + 1
     around = sliding_window_view(padded, (size, size))[at].reshape(-1, size**2).T

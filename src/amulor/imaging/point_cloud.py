@@ -104,6 +104,6 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
 def _common(
     image: xr.Dataset, row: NDArray[np.intp], column: NDArray[np.intp]
 ) -> dict[str, NDArray[np.float64]]:
-    """Part of the range uncertainty that all points share, if the image has it."""
+    """Range uncertainty common to all points; None if not in the image."""
     name = "slant_range_common_uncertainty"
     return {name: image[name].values[row, column]} if name in image else {}

@@ -41,11 +41,11 @@ class PathFit:
     first: ambiguity.Choices
     """Ambiguity statistics before late light is subtracted."""
     weight: Floats
-    """Weight of each frequency, of sum 1 [1]."""
+    """Weights of the frequencies, normalized to a sum of 1 [1]."""
     late: LateFit
     """Statistics of late light, from the paths before its subtraction."""
     second: ambiguity.Choices | None = None
-    """Ambiguity statistics after late light is subtracted; None if it is not."""
+    """Ambiguity statistics after subtraction of late light; None if not subtracted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ class RangeImageFit:
     late: LateFit
     """Statistics for late light in the final ranges."""
     patches: Patches | None = None
-    """Surfaces that light each other; None for a cube without such light."""
+    """Surface patches with mutual illumination; None for a cube without such light."""
     phases: FrequencyPhase | None = None
     """Test of the phases of all frequencies; None with fewer than three."""
     path: PathFit | None = None
@@ -65,7 +65,7 @@ class RangeImageFit:
     noise_scale: float = 1.0
     """Ratio of the observed noise of the phases to the stated noise [1]."""
     rescaled: PathFit | None = None
-    """Statistics for optical paths with the noise scaled up; None if it is not."""
+    """Statistics for optical paths with scaled noise; None without scaling."""
 
 
 def range_image(
@@ -343,7 +343,7 @@ def _tests_of(channel: xr.Dataset) -> dict[str, NDArray[Any]]:
 
 
 def _photon_limit(observation: Observation) -> Floats:
-    """Range uncertainty by photon noise of the target signal alone, Eq. (2) [m]."""
+    """Range uncertainty from photon noise of the target signal alone, eq. (2) [m]."""
     attributes = observation.channel.attrs
     depth = float(attributes["modulation_depth"])
     amplitude = np.abs(observation.signal)

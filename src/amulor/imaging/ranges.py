@@ -24,9 +24,9 @@ class RangesFit:
     """Scan-wide statistics for the estimate of slant ranges."""
 
     weight: Floats
-    """Weight of each frequency in the range of a typical pixel, of sum 1 [1]."""
+    """Weights of the frequencies for a typical pixel, normalized to a sum of 1 [1]."""
     has_rest: bool = False
-    """Whether part of the range error belongs to none of the stored error terms."""
+    """Whether the range error exceeds the sum of the stored error terms."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class Ranges:
     flag: NDArray[np.int16]
     """Quality flags."""
     weight: Floats
-    """Weight of each frequency, of sum 1, shape (frequencies,) [1]."""
+    """Weights of the frequencies, with a sum of 1, shape (frequencies,) [1]."""
     total: Floats
     """Combined standard uncertainty of the slant range [m]."""
     terms: dict[str, Floats]
@@ -181,14 +181,14 @@ def ranges_of_joint(
 def _with_unsettled(
     observation: Observation, settled: NDArray[np.bool_]
 ) -> NDArray[np.int16]:
-    """Quality flags, with `AMBIGUOUS` added where no unique range follows."""
+    """Quality flags, with `AMBIGUOUS` added for pixels without a unique range."""
     flag = observation.flag.copy()
     flag[observation.usable & ~settled] |= QualityFlag.AMBIGUOUS
     return flag
 
 
 def _tests_of(flag: NDArray[np.int16], path: ambiguity.Path) -> dict[str, Floats]:
-    """Test statistics of the choice of interval, for ambiguous pixels."""
+    """Test statistics of the ambiguity resolution, for ambiguous pixels."""
     from scipy.special import chdtrc
 
     ambiguous = (flag & QualityFlag.AMBIGUOUS) != 0
@@ -203,7 +203,7 @@ def _tests_of(flag: NDArray[np.int16], path: ambiguity.Path) -> dict[str, Floats
 
 
 def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Floats:
-    """Weight of each frequency in the range of a typical pixel, of sum 1 [1]."""
+    """Weights of the frequencies for a typical pixel, normalized to a sum of 1 [1]."""
     if not usable.any():
         return np.full(frequency.size, 1 / frequency.size)
     error = np.maximum(np.median(sigma[:, usable], axis=1), 1e-9)

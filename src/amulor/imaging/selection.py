@@ -1,4 +1,4 @@
-"""Selected pixels of a range image: without doubtful ones, or thinned for drawing."""
+"""Pixel selection in range images: doubtful pixels removed, or thinned for drawing."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def to_leave_out(
     largest_uncertainty: float | None,
     mixed: bool,
 ) -> tuple[NDArray[np.bool_], dict[str, int]]:
-    """Mask of the pixels to discard, and their number by reason."""
+    """Mask of pixels to discard, and their number by reason."""
     if largest_uncertainty is not None and not largest_uncertainty > 0:
         raise ValueError(
             f"largest uncertainty must be above 0 m, got {largest_uncertainty:g} m"
@@ -109,7 +109,7 @@ def to_leave_out(
 def without(
     image: xr.Dataset, gone: NDArray[np.bool_], counts: dict[str, int]
 ) -> xr.Dataset:
-    """Range image with some pixels flagged as missing."""
+    """Range image with selected pixels flagged as missing."""
     if not any(counts.values()):
         return image
     ranges = {
@@ -130,16 +130,16 @@ SHOWN = 250_000
 
 @dataclass(frozen=True, kw_only=True)
 class Whole:
-    """Statistics of all pixels of a range image that is drawn thinned."""
+    """Statistics of all pixels of a range image that is thinned for drawing."""
 
     rows: int
-    """Rows [1]."""
+    """Number of rows [1]."""
     columns: int
-    """Columns [1]."""
+    """Number of columns [1]."""
     step: int
     """Stride of the drawn rows and columns; 1 if all are drawn [1]."""
     usable: int
-    """Pixels with a range [1]."""
+    """Number of pixels with a range [1]."""
     flags: dict[str, int]
     """Number of pixels by flag [1]."""
     checks: tuple[Checked, ...] = ()

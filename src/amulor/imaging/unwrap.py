@@ -1,4 +1,4 @@
-"""Range images from one ambiguous frequency, unwrapped between neighboring pixels."""
+"""Range images from a single frequency, by phase unwrapping between pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Water signal of a survey against modulation frequency, by each forward model."""
+"""Water signal of a survey over modulation frequency, by several forward models."""
 
 from __future__ import annotations
 

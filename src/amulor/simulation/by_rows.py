@@ -1,4 +1,4 @@
-"""Simulation of a scan row by row, with the same noise as the whole scan.
+"""Simulation of a scan row by row, with noise identical to a full simulation.
 
 A random generator fills plane after plane of (row, column). Its state is copied at the
 start of each plane; the rows of a plane continue from this copy.
@@ -32,7 +32,7 @@ _AT_ONCE = 2**20
 
 @dataclass(kw_only=True)
 class _Plane:
-    """Random generator for one plane of (row, column), with its count of draws."""
+    """Random generator for a plane of (row, column), with the number of draws."""
 
     start: np.random.Generator
     now: np.random.Generator
@@ -40,7 +40,7 @@ class _Plane:
 
 
 class RowNoise:
-    """Random generator for some rows, with the numbers drawn for the whole scan."""
+    """Random generator for a range of rows, consistent with the full scan."""
 
     def __init__(
         self,
@@ -150,7 +150,7 @@ class SimulatedRows:
 
     @property
     def head(self) -> xr.Dataset:
-        """Part of the cube that does not depend on the row."""
+        """Part of the cube that is independent of the row."""
         if self._head is None:
             self._head = tiles.InMemory(self.tile(0, 1)).head
         return self._head

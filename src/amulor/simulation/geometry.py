@@ -21,7 +21,7 @@ class Setup:
     """Instrument, water and targets of a survey, with derived quantities cached."""
 
     survey: Survey
-    """Survey that is simulated."""
+    """Simulated survey."""
 
     @cached_property
     def water(self) -> WaterProperties:
@@ -30,7 +30,7 @@ class Setup:
 
     @cached_property
     def medium(self) -> rays.Medium:
-        """Refractive indices of the water, and the window if there is one."""
+        """Refractive indices of water and window."""
         return medium_of(self.survey)
 
     @cached_property
@@ -76,7 +76,7 @@ class Geometry:
     slant_range: Floats
     """Distance from the emitter along the beam, infinite without a target [m]."""
     depth: Floats
-    """Length of the beam in the water, infinite without a target [m]."""
+    """Beam length in the water, infinite without a target [m]."""
     optical_path: Floats
     """Round-trip optical path, 0 without a target [m]."""
     return_path: Floats
@@ -86,7 +86,7 @@ class Geometry:
     """Cosine of the angle between surface normal and receiver, times the visible share
     of the aperture [1]."""
     brightness: Floats
-    """Radiance towards the receiver over that of a Lambertian surface with the target's
+    """Radiance towards the receiver, relative to a Lambertian surface with the target's
     reflectance, from BRDF and texture [1]."""
 
 

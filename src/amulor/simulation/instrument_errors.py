@@ -39,10 +39,10 @@ _CONJUGATE = (3, 7)
 
 @dataclass(frozen=True, kw_only=True)
 class Chain:
-    """Signal chain of an instrument with the errors that its survey states."""
+    """Signal chain of an instrument, with the instrument errors in the survey."""
 
     setup: Setup
-    """Setup of the survey with its errors."""
+    """Setup of the survey, instrument errors included."""
     errors: InstrumentErrors
     """Errors of the instrument."""
     entropy: int
@@ -59,7 +59,7 @@ class Chain:
 
     @property
     def survey(self) -> Survey:
-        """Survey that states the instrument errors."""
+        """Survey with the instrument errors."""
         return self.setup.survey
 
     @property
@@ -277,7 +277,7 @@ class Chain:
         return _scaled(light, modulated=live**2 * after, mean=live * (1 + late))
 
     def _passed(self, leakage: OpticalLeakage) -> Floats:
-        """Return the fraction of leaking light that passes each analyzer [1]."""
+        """Return the fraction of leakage light that passes each analyzer [1]."""
         polarized = 1 - leakage.depolarization
         state = matrix((polarized, polarized, polarized))
         return np.array(

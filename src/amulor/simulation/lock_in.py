@@ -1,4 +1,4 @@
-"""Light of target and water at the detector, and lock-in samples of it."""
+"""Light from target and water at the detector, and its lock-in samples."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Light:
     """Ratio of received to launched power, (frequency, polarization, pixels...)."""
 
     modulated: NDArray[np.complex128]
-    """Received over launched power at each modulation frequency, complex [1]."""
+    """Ratio of received to launched power at each modulation frequency, complex [1]."""
     mean: NDArray[np.float64]
-    """Received over launched power without modulation [1]."""
+    """Ratio of received to launched mean power, without modulation [1]."""
     variance: NDArray[np.float64] | float = 0.0
     """Variance of `modulated` from errors of the forward model, sum of real and
     imaginary part [1]."""
@@ -83,7 +83,7 @@ def water_light(
     end: NDArray[np.float64] | None = None,
     model: SignalModel = DEFAULT_MODEL,
 ) -> Light:
-    """Return the received light that the water scatters back."""
+    """Return the received light backscattered by the water."""
     frequency, stop = _column_axes(setup.survey, view, end)
     # The model counts the delay from where the water begins.
     turn = np.exp(2j * np.pi * frequency * view.optical_offset / speed_of_light)
@@ -97,7 +97,7 @@ def water_light(
 
 
 def _model_arguments(setup: Setup, view: View) -> dict[str, Any]:
-    """Return the arguments that a model's methods `echo` and `column` share."""
+    """Return the common arguments of a model's methods `echo` and `column`."""
     return {"survey": setup.survey, "water": setup.water, "view": view}
 
 
@@ -168,7 +168,7 @@ def expected_signal(setup: Setup, light: Light) -> NDArray[np.complex128]:
 
 
 class Noise(Protocol):
-    """Interface of random generators, for a whole scan or some of its rows."""
+    """Interface of random generators, for a full scan or a range of rows."""
 
     def standard_normal(self, size: tuple[int, ...], /) -> NDArray[np.float64]:
         """Return standard normal deviates."""
@@ -182,7 +182,7 @@ class Noise(Protocol):
 
 
 def draws(survey: Survey) -> list[tuple[str, int]]:
-    """Return the random distributions of `sample`, with their counts of planes."""
+    """Return the random distributions used by `sample`, with numbers of planes."""
     analysers = len(survey.instrument.polarizations)
     planes = len(survey.instrument.modulation_frequencies) * analysers
     speckled = survey.instrument.receiver.speckle_cells is not None

@@ -102,11 +102,11 @@ class Setting:
     model: SignalModel
     """Forward model."""
     seed: int | None
-    """Seed of the noise, if there is one."""
+    """Seed of the noise, if given."""
     chain: Chain | None
-    """Signal chain of an instrument with errors, if the survey states some."""
+    """Signal chain with instrument errors, if any are in the survey."""
     light_setup: geometry_of.Setup
-    """Setup at the frequencies whose light is computed."""
+    """Setup at the frequencies of the computed light."""
     geometry: dict[str, Any]
     """Positions and indices of the instrument, as cube attributes."""
     attributes: dict[str, Any]

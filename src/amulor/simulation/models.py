@@ -64,7 +64,7 @@ class SignalModel(Protocol):
 
     @property
     def late_echo(self) -> str:
-        """Whether scattered light arrives late: "present" or "absent"."""
+        """Late arrival of scattered light in the model: "present" or "absent"."""
         ...
 
     def echo(
@@ -76,7 +76,7 @@ class SignalModel(Protocol):
         view: View,
         surface: dict[str, Any],
     ) -> Complex:
-        """Return target echo power over launched power [1].
+        """Return the ratio of target echo power to launched power [1].
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class SignalModel(Protocol):
         view: View,
         end: Any,
     ) -> Complex:
-        """Return backscatter power of water in front of `end` over launched power [1].
+        """Return backscatter power of water in front of `end`, over launched power [1].
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class SignalModel(Protocol):
 
 @runtime_checkable
 class FittedModel(Protocol):
-    """Interface of forward models that first compute a table or the like for a scan.
+    """Interface of forward models with scan-wide precomputation, such as a table.
 
     It is a `SignalModel`, too. A model that wraps another must call its `fit`; else
     a scan by rows differs from the whole scan by the error of such a table.
@@ -168,7 +168,7 @@ class FittedModel(Protocol):
 
 @runtime_checkable
 class UncertainModel(Protocol):
-    """Interface of forward models that also give standard errors."""
+    """Interface of forward models with standard errors."""
 
     def echo_with_error(
         self,
@@ -214,7 +214,7 @@ class DiffusionModel:
     title: str = "small-angle diffusion model, the paper's form"
     """Name of the model for cube attributes."""
     late_echo: str = "absent"
-    """"absent": all light is assumed to take the straight path."""
+    """Late light is "absent", as all light is assumed to take the straight path."""
 
     def echo(
         self,
@@ -269,7 +269,7 @@ class SmallAngleModel:
     title: str = "small-angle model with the whole phase function"
     """Name of the model for cube attributes."""
     late_echo: str = "absent"
-    """"absent": all light is assumed to take the straight path."""
+    """Late light is "absent", as all light is assumed to take the straight path."""
     shared_light: SharedLight | None = None
     """Table of scattered light for all columns of a scan, created by `fit`; by default
     each call creates its own."""
@@ -362,7 +362,7 @@ class ClosureModel:
     title: str = "closure of the small-angle model"
     """Name of the model for cube attributes."""
     late_echo: str = "absent"
-    """"absent": all light is assumed to take the straight path."""
+    """Late light is "absent", as all light is assumed to take the straight path."""
 
     def echo(
         self,

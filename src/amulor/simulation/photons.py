@@ -1,4 +1,4 @@
-"""Photon transport as a forward model: a few beams, interpolated to all others."""
+"""Photon transport as a forward model: selected beams, interpolated to all others."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Axis:
-    """Interpolation nodes along one quantity."""
+    """Interpolation nodes along a single quantity."""
 
     nodes: Floats
 
@@ -117,7 +117,7 @@ def grid_of(
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Beam for photon transport: receiver geometry, and the surface that ends it."""
+    """Beam for photon transport: receiver geometry and target surface."""
 
     baseline: float
     """Distance between receiver and beam at depth zero [m]."""
@@ -162,13 +162,13 @@ class Light:
     """Ratio of received to launched power at each frequency, with standard error."""
 
     water: Complex
-    """Received over launched power of light that met only water, shape (n,) [1]."""
+    """Ratio of received to launched power, scattered by water only, shape (n,) [1]."""
     water_error: Floats
-    """Standard error of `water`, root sum of squares of both parts [1]."""
+    """Standard error of `water`, real and imaginary part combined [1]."""
     target: Complex
-    """Received over launched power of light that met the target, shape (n,) [1]."""
+    """Ratio of received to launched power, reflected by the target, shape (n,) [1]."""
     target_error: Floats
-    """Standard error of `target`, root sum of squares of both parts [1]."""
+    """Standard error of `target`, real and imaginary part combined [1]."""
 
 
 def follow(
@@ -327,8 +327,7 @@ class PhotonModel:
     """
 
     relative_error: float = 0.005
-    """Relative standard error of all received light of one beam, without modulation
-    [1]."""
+    """Required relative standard error of a beam's unmodulated received light [1]."""
     histories: int = 2_000_000
     """Largest number of photons for one beam; the error is first tested after an eighth
     of them."""
@@ -337,11 +336,11 @@ class PhotonModel:
     progress: Callable[[str, float], None] | None = field(
         default=None, compare=False, repr=False
     )
-    """Callback with the current step and the fraction of the work done before it."""
+    """Callback with the current step and the completed fraction of the work."""
     title: str = "photon transport, all orders of scattering"
     """Name of the model for cube attributes."""
     late_echo: str = "present"
-    """"present": scattered light arrives late."""
+    """Late light is "present", from scattered photons."""
     _known: dict[Any, Any] = field(
         default_factory=dict, init=False, compare=False, repr=False
     )
@@ -513,7 +512,7 @@ class PhotonModel:
         frequency: Floats,
         count: tuple[int, int],
     ) -> Light:
-        """Return the light of one beam, simulated once and then cached."""
+        """Return the light of one beam from a cached simulation."""
         key = (setting, place, tuple(frequency))
         if key not in self._known:
             self._known[key] = follow(
@@ -549,7 +548,7 @@ def _apply(
     value: Complex,
     error: Floats,
 ) -> None:
-    """Multiply the small-angle light of some beams by ratios, and store its error."""
+    """Multiply the small-angle light of selected beams by ratios; store the error."""
     between = [1] * (value.ndim - 1 - selected.ndim)
     ratio, standard_error = factor
     error[..., selected] = abs(value[..., selected]) * standard_error.reshape(

@@ -164,7 +164,7 @@ class Scene:
         self._caster = RayCaster(self._corners)
 
     def cast(self, start: NDArray[Any], direction: NDArray[Any]) -> Hits:
-        """Return the first surface that each ray hits."""
+        """Return the first surface hit by each ray."""
         count = len(start)
         target = np.full(count, -1)
         met = np.full(count, -1)

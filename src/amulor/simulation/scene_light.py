@@ -38,7 +38,7 @@ class LightByDirection:
 
 @dataclass(frozen=True)
 class SceneLight:
-    """Noiseless light of a survey, with its targets in the water and without them."""
+    """Noiseless light of a survey, with and without the targets."""
 
     with_target: LightByDirection
     """Light in the directions of the scan."""
@@ -141,7 +141,7 @@ _BEAMS = 25
 
 @dataclass(frozen=True, kw_only=True)
 class Expectation:
-    """Statistics expected of a scan's samples; NaN where no beam hits a target.
+    """Expected statistics of a scan's samples; NaN if no beam hits a target.
 
     Examples
     --------
@@ -165,15 +165,15 @@ class Expectation:
     saturated: float
     """Fraction of the samples that saturate the detector [1]."""
     signal_to_noise: Floats
-    """Median of the target signal over its standard uncertainty, shape
-    (modulation_frequency, polarization) [1]."""
+    """Median signal-to-noise ratio of the target signal, shape (modulation_frequency,
+    polarization) [1]."""
     water_to_echo: Floats
-    """Median of the water signal in front of the target over the target signal, of
+    """Median ratio of the water signal in front of the target to the target signal, of
     equal shape [1]."""
 
 
 def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expectation:
-    """Estimate statistics of a scan's samples from a few of its beams.
+    """Estimate statistics of a scan's samples from selected beams.
 
     Parameters
     ----------

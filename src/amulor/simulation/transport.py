@@ -127,7 +127,7 @@ def monte_carlo_response(
 
 
 def _layers(water: WaterProperties) -> tuple[Layer, ...]:
-    """Return the water as layers for photon transport, one for uniform water."""
+    """Return the water as layers for photon transport; a single layer if uniform."""
     if not water.layers:
         return (
             Layer(
@@ -148,7 +148,7 @@ def _layers(water: WaterProperties) -> tuple[Layer, ...]:
 
 
 def half_power(tally: Tally) -> tuple[float, float]:
-    r"""Return the frequency at which the amplitude falls to 0.707, and its error."""
+    r"""Return the half-power frequency of the amplitude, and its standard error."""
     frequency = tally.modulation_frequency
     if frequency[0] != 0 or not np.all(np.diff(frequency) > 0):
         raise ValueError("the frequencies must rise from 0 Hz")
@@ -170,7 +170,7 @@ def half_power(tally: Tally) -> tuple[float, float]:
 
 
 def relative_amplitude_uncertainty(tally: Tally) -> NDArray[np.float64]:
-    """Return the standard errors of amplitudes relative to that at zero frequency."""
+    """Return standard errors of amplitudes normalized to zero frequency."""
     along, modulus = _moduli(tally), np.abs(tally.signal)
     ratio = (along - along[:, :1] * modulus / modulus[0]) / modulus[0]
     error: NDArray[np.float64] = np.sqrt(tally.covariance_of(ratio)[:, 0, 0])
@@ -178,7 +178,7 @@ def relative_amplitude_uncertainty(tally: Tally) -> NDArray[np.float64]:
 
 
 def _moduli(tally: Tally) -> NDArray[np.float64]:
-    """Return each batch's component along the mean signal, (batch, frequency)."""
+    """Project each batch's signal onto the mean signal, (batch, frequency)."""
     values = tally.batches.sum(axis=1)[:, 0]
     along: NDArray[np.float64] = (
         values * np.conj(tally.signal) / np.abs(tally.signal)

@@ -364,8 +364,7 @@ class Check(Description):
     expected_uncertainty: Annotated[Length, Field(ge=0)] = 0.0
     """Standard uncertainty of the reference length [m]."""
     tolerance: Annotated[Length, Field(gt=0)] | None = None
-    """Largest allowed deviation; by default the lengths have to agree within their
-    expanded uncertainty [m]."""
+    """Largest allowed deviation; the expanded uncertainty by default [m]."""
 
 
 class _Checks(Description):

@@ -50,8 +50,8 @@ class Fit:
     pixels: int
     """Number of fitted pixels [1]."""
     doubt: str = ""
-    """Reason not to use the values, empty if there is none: residuals exceed their
-    errors, or the pixels do not constrain the radius."""
+    """Reason not to use the values, else empty: residuals exceed their errors, or the
+    pixels do not constrain the radius."""
 
 
 def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
@@ -295,7 +295,7 @@ class _Bent:
         self.middle, self.back, self.across, self.slopes = _flat(points)
 
     def placed(self, values: Floats) -> tuple[Floats, Floats]:
-        """Point of the surface for given parameters, and the normal there."""
+        """Surface point and normal for given parameters."""
         vector = self.back - values[:2] @ self.across
         normal = vector / np.linalg.norm(vector)
         return self.middle + values[2] * normal, normal
@@ -490,7 +490,7 @@ def _doubt(
     values: dict[str, float],
     uncertainties: dict[str, float],
 ) -> str:
-    """Reason not to use the values of a fit, empty if there is none."""
+    """Reason not to use the values of a fit, empty for a good fit."""
     # Pixels of a rim are picked by hand: their scatter is in the uncertainty.
     if kind != "circle" and misfit > max(chance, _MISFIT):
         return (

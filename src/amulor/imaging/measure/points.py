@@ -95,7 +95,7 @@ def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
 
 
 def _only(image: xr.Dataset, row: Numbers, column: Numbers) -> xr.Dataset:
-    """Beam origins and directions of some pixels, as an image of one row."""
+    """Beam origins and directions of selected pixels, as an image of one row."""
     names = ("origin_x", "origin_y", "origin_z", "azimuth", "elevation")
     return xr.Dataset(
         coords={
@@ -110,7 +110,7 @@ def _only(image: xr.Dataset, row: Numbers, column: Numbers) -> xr.Dataset:
 
 
 def _reason(image: xr.Dataset, row: int, column: int) -> str:
-    """Reason in words why a pixel has no range."""
+    """Text with the reason for a pixel without range."""
     flag = QualityFlag(int(image["quality_flag"].values[row, column]) & UNUSABLE)
     names = [str(bit.name).lower().replace("_", " ") for bit in flag]
     return ", ".join(names) or "not measured"
@@ -119,7 +119,7 @@ def _reason(image: xr.Dataset, row: int, column: int) -> str:
 def reference_basis(
     azimuth: ArrayLike, elevation: ArrayLike, *, degree: int
 ) -> dict[str, Any]:
-    r"""Polynomial basis from which correlated open-water reference errors follow.
+    r"""Polynomial basis of the correlated open-water reference errors.
 
     Parameters
     ----------

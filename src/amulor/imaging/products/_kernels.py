@@ -1,4 +1,4 @@
-"""Compiled loop that rasterizes triangles and keeps the one nearest to the viewer."""
+"""Compiled rasterization of triangles, with hidden surfaces removed."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def deviation(
 def _met(
     surface: Surface, vertices: Floats, faces: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Numbers of vertices whose beam hits the reference, and of the triangles hit."""
+    """Vertex indices of beams that hit the reference, and indices of triangles hit."""
     caster = RayCaster(vertices[faces])
     place, ahead = surface.position, surface.direction
     # Of surfaces before and behind the measured point the one that is next to it.

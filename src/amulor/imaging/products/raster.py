@@ -46,7 +46,7 @@ class Raster:
     plane: Plane
     """Drawing plane."""
     surface: Surface
-    """Surface that the raster was computed from."""
+    """Surface from which the raster was computed."""
     layers: dict[str, Floats]
     """Means of additional vertex values over each cell, by name."""
 
@@ -379,7 +379,7 @@ def _cells(raster: Raster, points: Floats) -> NDArray[np.intp]:
 
 
 def _along(raster: Raster, points: Floats) -> float:
-    """Median height uncertainty of the cells that a contour line crosses."""
+    """Median height uncertainty of the cells along a contour line."""
     row, column = _cells(raster, points).T
     rows, columns = raster.height.shape
     sigma = raster.uncertainty[row.clip(0, rows - 1), column.clip(0, columns - 1)]

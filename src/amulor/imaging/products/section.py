@@ -26,7 +26,7 @@ class Section:
     own: Floats
     """Part of the uncertainty from noise of single pixels [m]."""
     piece: NDArray[np.intp]
-    """Number of the piece that each point belongs to, shape (n,) [1]."""
+    """Number of each point's piece, shape (n,) [1]."""
     start: tuple[float, float]
     """Start of the section line, right and up in the drawing [m]."""
     end: tuple[float, float]
@@ -34,7 +34,7 @@ class Section:
     plane: Plane
     """Drawing plane."""
     surface: Surface
-    """Surface that was cut."""
+    """Surface of the section."""
 
 
 def section(
@@ -133,7 +133,7 @@ def section(
 def _crossed(
     triangles: NDArray[np.intp], side: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Triangle edges that the section crosses, and pairs of them in one triangle.
+    """Triangle edges crossed by the section, and edge pairs of the same triangle.
 
     A vertex on the cut counts as beyond it, so that every crossed triangle has two.
     """
@@ -169,7 +169,7 @@ def _with_ends(
 def _pieces(
     neighbours: NDArray[np.intp], inside: NDArray[np.bool_], distance: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Section points ordered along continuous pieces, and the piece number of each."""
+    """Section points ordered along continuous pieces, with piece numbers."""
     joined: dict[int, list[int]] = {}
     for first, second in neighbours.tolist():
         if inside[first] and inside[second]:
@@ -212,7 +212,7 @@ def _gain(surface: Surface, across: Floats) -> Floats:
 def _pose_errors(
     surface: Surface, points: Floats, plane: Plane, along: Floats
 ) -> Floats:
-    """Variance of section points by pose errors, within the section plane [m^2]."""
+    """Variance of section points from pose errors, within the section plane [m^2]."""
     shifts = surface.frame.shared_errors(points) @ plane.axes.T
     return np.asarray(
         ((shifts[..., :2] @ along) ** 2 + shifts[..., 2] ** 2).sum(axis=0)

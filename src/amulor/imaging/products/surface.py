@@ -104,7 +104,7 @@ class Surface:
     own: Floats
     """Standard uncertainty of the range from noise of the pixel, shape (n,) [m]."""
     shared: Floats
-    """Standard uncertainty of the range that pixels share, shape (n,) [m]."""
+    """Range uncertainty common to all pixels, shape (n,) [m]."""
     amplitude: Floats
     """Amplitude of the target signal, shape (n,) [V]."""
     pixel: NDArray[np.intp]
