@@ -1,4 +1,4 @@
-"""Ladder study: scans in clear and milky water, before and after water rejection."""
+"""Ladder study: simulated scans in clear and milky water, with water rejection."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def treads(survey: Survey) -> NDArray[np.intp]:
 def evaluate(
     survey: Survey, image: xr.Dataset, *, water: str, channel: str, stage: str
 ) -> Case:
-    """Compare a range image of the ladder with the true ladder."""
+    """Compare a range image of the ladder with the true geometry."""
     stairs = survey.targets[0]
     assert isinstance(stairs, Staircase)
     number = treads(survey)
@@ -156,7 +156,7 @@ def summary(cases: list[Case]) -> list[dict[str, object]]:
 
 
 def _known(value: float) -> float | None:
-    """Return a number, or None if it is infinite or NaN."""
+    """Return a number, or None for infinity and NaN."""
     return value if math.isfinite(value) else None
 
 
@@ -250,7 +250,7 @@ def write(
 
 
 def _result(cases: list[Case]) -> str:
-    """Return a sentence with the main result of the study."""
+    """Format the main result of the study as a sentence."""
     before, after = cases[-2:]
     return (
         f"Result: in {'milky' if after.water == 'milk' else after.water} water the "
@@ -407,7 +407,7 @@ def output_names() -> list[str]:
 
 
 def left_out() -> dict[str, str]:
-    """Return point-cloud formats that cannot be written, with the missing package."""
+    """Return the unavailable point-cloud formats, with the missing packages."""
     return _extras.left_out(_WRITERS)
 
 

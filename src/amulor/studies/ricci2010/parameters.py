@@ -1,4 +1,4 @@
-"""Input numbers of the study from a TOML file, each with source and range."""
+"""Input numbers of the study, with source and range, from a TOML file."""
 
 from __future__ import annotations
 

@@ -36,9 +36,9 @@ class Check:
     wanted: str
     """Required result, with unit."""
     passed: bool
-    """Whether the result agrees with the statement."""
+    """Whether the result confirms the statement."""
     role: Role = "test"
-    """Role of the statement: a test, or used to choose an input number."""
+    """Role of the statement: test, or basis of an input number."""
     value: float | None = None
     """Result as a number, in the unit of `found`."""
 
@@ -129,7 +129,7 @@ class Statements:
     """Statement, place, limits, unit and role of each check, by check name."""
 
     def row(self, name: str, **words: Any) -> dict[str, Any]:
-        """Return the texts of a check, with words inserted for placeholders."""
+        """Return the texts of a check, with placeholders replaced by words."""
         return {
             key: value.format(**words) if isinstance(value, str) else value
             for key, value in self.checks[name].items()
@@ -147,7 +147,7 @@ class Statements:
         note: str = "",
         **words: Any,
     ) -> Check:
-        """Return the check that a number lies between two limits, and append a note."""
+        """Return the check that a number lies between two limits, with a note."""
         row = {"place": "", "low": low, "high": high, **self.row(name, **words)}
         check = within(value=value, uncertainty=uncertainty, **row)
         return replace(check, found=check.found + note)
@@ -192,16 +192,16 @@ class PaperFigure:
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """Result of a check if one input number is set to an end of its range."""
+    """Result of a check with one input number at an end of its range."""
 
     parameter: str
     """Name of the input number."""
     shown: str
-    """Value at that end, with its unit."""
+    """Value of the input number at the end of its range, with unit."""
     found: str
-    """Result at that end."""
+    """Result of the check, as text."""
     passed: bool
-    """Whether the check passes at that end."""
+    """Whether the check passes."""
     value: float | None
     """Result as a number."""
 
@@ -271,7 +271,7 @@ class Results:
     """All input numbers of the study."""
 
     def plain(self) -> dict[str, Any]:
-        """Return all results except the pictures as plain values, for JSON."""
+        """Return all results except the drawings as plain values, for JSON."""
         return {
             "figures": [
                 {

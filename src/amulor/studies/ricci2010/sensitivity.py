@@ -35,7 +35,7 @@ def sensitivity(
     folder: Path | None = None,
     progress: Callable[[str, float], None] = lambda step, done: None,
 ) -> tuple[Dependence, ...]:
-    """Repeat all checks with each assumed input number at both ends of its range.
+    """Repeat all checks with each assumed input at both ends of its range.
 
     One number at a time; numbers that a figure does not read are left alone. The
     noise is the same in all, so that a flip is the number's doing.
@@ -138,7 +138,7 @@ def _worked(
 
 
 def _together(tasks: list[_Task]) -> list[list[_Task]]:
-    """Return the tasks grouped by input number and end."""
+    """Group tasks by input number and end of range."""
     return [list(group) for _, group in groupby(tasks, key=lambda task: task[0])]
 
 
@@ -181,7 +181,7 @@ class _Ends:
     file: str = "end.json"
 
     def made_of(self, number: int) -> dict[str, Any]:
-        """Return all inputs that determine the outcomes at an end, as text."""
+        """Return all inputs that determine the outcomes at an end of range, as text."""
         return {
             "parameters": {entry.name: entry.value for entry in self.parameters},
             "quick": self.quick,
@@ -246,7 +246,7 @@ def _elsewhere(
 
 @cache
 def _study_here(parameters: tuple[Parameter, ...], quick: bool, seed: int) -> Study:
-    """Return the study shared by the tasks of a process, cached."""
+    """Return the cached study common to all tasks of a process."""
     return Study({entry.name: entry for entry in parameters}, quick=quick, rng=seed)
 
 
@@ -259,7 +259,7 @@ def _outcome(
 
 
 def _outcomes(checks: Checks, study: Study, count: int) -> list[_Outcome]:
-    """Return value, text and outcome of each check; after an error all have failed."""
+    """Return value, text and outcome of each check; all fail after an error."""
     try:
         result = checks(study)
     except (AmulorError, ValueError) as problem:

@@ -1,4 +1,4 @@
-"""Study object: input numbers, and cached results that the figures share."""
+"""Study object: input numbers, and cached results common to all figures."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Study:
         return outcome
 
     def read_by(self, function: Callable[[Study], Result]) -> tuple[set[str], Result]:
-        """Return the input numbers that a function uses, and its result."""
+        """Evaluate a function; return the input numbers it used, and the result."""
         names: set[str] = set()
         self._read.append(names)
         try:

@@ -19,17 +19,17 @@ class Case:
     """Samples of a test scan, the user's inputs to its processing, and true ranges."""
 
     samples: xr.Dataset
-    """Level `samples`, with the survey that the user believes in."""
+    """Samples cube, with the user's survey, which may be wrong."""
     surfaces: Floats
-    """Slant range of the surfaces that each beam meets, shape (surfaces, row, column),
-    not a number where there is none [m]."""
+    """Slant ranges of the surfaces on each beam, shape (surfaces, row, column), NaN
+    without a surface [m]."""
     late: Floats
-    """Delay of the echo after the surface, shape (row, column), as a slant range; mean
-    weighted as by equal noise at all frequencies [m]."""
+    """Excess delay of the echo as a slant range, shape (row, column); mean over
+    frequencies, weighted for equal noise [m]."""
     interval: tuple[float, float] | None
-    """Nearest and farthest slant range that the user states [m]."""
+    """Nearest and farthest slant range given by the user [m]."""
     judged: NDArray[np.bool_]
-    """Pixels that are evaluated, shape (row, column)."""
+    """Mask of evaluated pixels, shape (row, column)."""
 
 
 def case_of(
@@ -61,7 +61,7 @@ def lateness(
     modulation_frequency: Floats,
     group_index: float,
 ) -> Floats:
-    r"""Return the delay of an echo relative to its surface, as a slant range [m]."""
+    r"""Return the excess delay of an echo behind its surface, as a slant range [m]."""
     frequency = modulation_frequency.reshape(-1, *[1] * optical_path.ndim)
     turn = np.exp(-2j * np.pi * frequency * optical_path / speed_of_light)
     phase = np.angle(echo * turn)

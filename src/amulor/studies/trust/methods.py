@@ -37,7 +37,7 @@ class Outcome:
     image: xr.Dataset | None
     """Range image of its first channel."""
     note: str
-    """Method that `auto` chose, or the reason without an image."""
+    """Method chosen by `auto`, or the reason for a missing image."""
 
 
 def outcome(method: str, case: Case) -> Outcome:

@@ -1,4 +1,4 @@
-"""Surveys of the trust study: one instrument, many waters and targets."""
+"""Surveys of the trust study: various waters and targets, common instrument."""
 
 from __future__ import annotations
 

@@ -29,18 +29,17 @@ class Score:
     empty: int
     """Number of judged pixels without a surface."""
     trusted: float
-    """Fraction of the pixels with a surface that is trusted [1]."""
+    """Trusted fraction of the pixels with a surface [1]."""
     phantoms: float
-    """Fraction of the pixels without a surface that is trusted [1]."""
+    """Trusted fraction of the pixels without a surface [1]."""
     inside_68: float
     """Fraction of trusted pixels whose 68 % interval contains the surface [1]."""
     inside_95: float
     """Fraction of trusted pixels whose 95 % interval contains the surface [1]."""
     echo_95: float
-    """Fraction of trusted pixels whose 95 % interval contains the range of the echo
-    [1]."""
+    """Fraction of trusted pixels whose 95 % interval contains the echo range [1]."""
     worst: float
-    """Largest error of a trusted pixel over its standard uncertainty [1]."""
+    """Largest ratio of error to standard uncertainty of a trusted pixel [1]."""
     far: float
     """Fraction of trusted pixels with errors beyond 3.5 standard uncertainties [1]."""
     rms: float
@@ -48,7 +47,7 @@ class Score:
     uncertainty: float
     """Median standard uncertainty of the trusted pixels [m]."""
     note: str
-    """Method that `auto` chose, or the reason without an image."""
+    """Method chosen by `auto`, or the reason for a missing image."""
     mean: float = math.nan
     """Mean error of the trusted pixels [m]."""
 
@@ -143,13 +142,13 @@ class Written:
     method: str
     """Name of the method."""
     trusted: float
-    """Pixels with a surface that are trusted [%]."""
+    """Trusted percentage of the pixels with a surface [%]."""
     inside: float
-    """Trusted pixels whose 95 % interval contains the surface [%]."""
+    """Percentage of trusted pixels whose 95 % interval contains the surface [%]."""
     far: float
-    """Trusted pixels with errors beyond 3.5 standard uncertainties [%]."""
+    """Percentage of trusted pixels off by over 3.5 standard uncertainties [%]."""
     phantom: float
-    """Pixels without a surface that are trusted [%]."""
+    """Trusted percentage of the pixels without a surface [%]."""
     refused: bool
     """Whether the method refused the scan."""
 

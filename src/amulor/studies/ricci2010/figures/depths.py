@@ -45,18 +45,18 @@ class Profile:
 
     @property
     def maxima(self) -> int:
-        """Number of maxima of the overlap, by the diffusion model."""
+        """Number of overlap maxima, by the diffusion model."""
         slope = np.sign(np.diff(self.diffusion))
         return int(np.count_nonzero(np.diff(slope[slope != 0]) < 0))
 
     def fraction(self, integrand: Floats) -> Floats:
-        """Return the fraction of an overlap's integral up to each depth [1]."""
+        """Return the cumulative fraction of an overlap's integral at each depth [1]."""
         area: Floats = cumulative_trapezoid(integrand, self.depth, initial=0.0)
         fraction: Floats = area / area[-1]
         return fraction
 
     def reach(self, integrand: Floats) -> float:
-        """Return the depth up to which an overlap reaches 90 % of its integral [m]."""
+        """Return the depth at which an overlap reaches 90 % of its integral [m]."""
         return float(np.interp(0.9, self.fraction(integrand), self.depth))
 
 

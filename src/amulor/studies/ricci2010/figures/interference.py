@@ -169,7 +169,7 @@ def _spread(apart: Floats) -> str:
 
 
 def _in_better_water(study: Study) -> list[Check]:
-    """Check experiments 2 and 3 with the small-angle model's water signal, eq. (29)."""
+    """Check experiments 2 and 3 with the small-angle water signal, eq. (29)."""
     rows = statements(7)
     checks = []
     for sweep in study.once(shared.small_angle_sweeps)[1:]:
@@ -227,7 +227,7 @@ def _white_in_milk(study: Study) -> list[Check]:
 
 
 def _backscatter_needed(study: Study) -> Check:
-    """Check that both models need equal phase functions at 180 degrees."""
+    """Check that both models require the same phase function at 180 degrees."""
     forms = [
         [sweep.needed_backscatter for sweep in study.once(sweeps)]
         for sweeps in (shared.sweeps, shared.small_angle_sweeps)
@@ -322,7 +322,7 @@ def same_extrema(sweep: Sweep, value: Floats, name: str) -> Check:
 
 
 def almost_monotonic(sweep: Sweep, value: Floats, name: str) -> Check:
-    """Check that a quantity increases almost monotonically with frequency."""
+    """Check that a quantity rises almost monotonically with frequency."""
     count = turns(sweep, value, depth=0.1 * float(np.ptp(smoothed(value))))
     return statements(8).holds(
         "monotonic", count == 0, str(count), number=sweep.number, quantity=name
@@ -344,7 +344,7 @@ def turns(sweep: Sweep, value: Floats, *, depth: float) -> int:
 
 
 def grows(sweep: Sweep, value: Floats, name: str) -> Check:
-    """Check that a quantity's mean rises from each interference period to the next."""
+    """Check that the mean of a quantity rises from period to period of interference."""
     span = sweep.frequency[-1] - sweep.frequency[0]
     count = max(2, int(span / sweep.period))
     edges = sweep.frequency[-1] - sweep.period * np.arange(count, -1, -1.0)

@@ -67,7 +67,7 @@ def linear_checks(study: Study) -> list[Check]:
 
 
 def _overlap(study: Study) -> Check:
-    """Check that water light over plate light is least at pixel 1, largest at 80."""
+    """Check that the water-to-plate ratio is least at pixel 1, largest at pixel 80."""
     ratios = [lines.water_over_plate(study, step, "VV") for step in ("b", "c", "d")]
     ends = [(int(np.argmin(r)) + 1, int(np.argmax(r)) + 1) for r in ratios]
     return statements(10).holds(
@@ -82,7 +82,7 @@ def _overlap(study: Study) -> Check:
 
 
 def needed_crossed_share(study: Study) -> float:
-    """Return the cross-polarized fraction of water light that fits panel (d) [1]."""
+    """Return the cross-polarized fraction of water light required by panel (d) [1]."""
     m22 = study["m22_target"]
     ratio = _CROSSED / _PARALLEL * (1 - m22) / (1 + m22)
     return ratio / (1 + ratio)
@@ -126,12 +126,12 @@ def crossed_checks(study: Study) -> list[Check]:
 
 
 def echo_ratio(study: Study) -> float:
-    """Return the ratio of the plate's echo behind RR to that behind VH.
+    """Return the ratio of the plate's echo behind RR to its echo behind VH.
 
-    In light exactly back from particles without order reciprocity makes
-    m44 = 1 - 2 m22, so that the ratio of the water is 2 there, at any order of
-    scattering. The ratio of the plate reaches 2 where m44 is -0.22, the upper end of
-    what can exist, and is lower elsewhere.
+    For exact backscattering by randomly oriented particles, reciprocity implies
+    m44 = 1 - 2 m22. The water's ratio is then 2, at any order of scattering. The
+    plate's ratio reaches 2 at m44 = -0.22, the upper end of physical values, and is
+    lower elsewhere.
     """
     return (1 + study["m44_target"]) / (1 - study["m22_target"])
 
@@ -165,7 +165,7 @@ def _draw_waters(study: Study, pairs: tuple[str, str]) -> Figure:
 
 @styled
 def draw_crossed(study: Study) -> Figure:
-    """Draw the phase along the plate for VH and RR, and drifts in other set-ups."""
+    """Draw phases along the plate for VH and RR, and phase drifts in other set-ups."""
     figure = new_figure(WIDE, 3.6)
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
     _draw_lines(study, left, "d", ("VH", "RR"), subtracted=False)
@@ -215,7 +215,7 @@ def _draw_lines(
 
 
 def _water_name(study: Study, step: str) -> str:
-    """Return the title of the panel for one water."""
+    """Return the panel title for one water."""
     attenuation = study[TURBIDITIES[step]]
     thickness = attenuation * study["short_distance"]
     name = "tap water" if step == "tap" else "with milk"
@@ -223,7 +223,7 @@ def _water_name(study: Study, step: str) -> str:
 
 
 def _draw_trade_off(study: Study, axis: Axes) -> None:
-    """Draw the phase drift of RR over that of VH, for all set-ups and the paper."""
+    """Plot the RR phase drift against the VH drift, for all set-ups and the paper."""
     low, high = _CROSSED_LIMITS
     axis.fill_between(
         [low, high],

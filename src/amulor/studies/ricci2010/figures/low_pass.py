@@ -95,7 +95,7 @@ def sweep_checks(data: Sweep) -> list[Check]:
 
 
 def _fits(data: Sweep, name: str) -> list[Check]:
-    """Check a low-pass fit, eq. (71), to synthetic measurements and to model curves."""
+    """Check low-pass fits, eq. (71), to synthetic measurements and model curves."""
     rows = statements(3)
     squares, first_order = (
         _fit_of(measured, name) for measured in (data.squares, data.first_order)
@@ -186,7 +186,7 @@ def _ratio(
     error: float = 0.0,
     **words: str,
 ) -> Check:
-    """Check that the ratio of two frequencies is 1, and list both frequencies."""
+    """Check that two frequencies agree within a tolerance, and state both."""
     return statements(3).within(
         name,
         first / second,

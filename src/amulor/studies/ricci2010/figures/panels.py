@@ -73,18 +73,18 @@ _STRIP = 4.0
 
 @dataclass(frozen=True)
 class Relief:
-    """Surface of a range image: height of each pixel over the plane of the target."""
+    """Surface of a range image: pixel heights above the plane of the target."""
 
     right: Floats
-    """Positions to the right, shape (row, column) [mm]."""
+    """Rightward positions, shape (row, column) [mm]."""
     up: Floats
-    """Positions upwards [mm]."""
+    """Upward positions [mm]."""
     near: Floats
     """Heights toward the instrument, NaN without a range [mm]."""
 
 
 def relief(image: xr.Dataset, *, origin: float) -> Relief:
-    """Convert a range image to heights over the plane of the target."""
+    """Convert a range image to heights above the plane of the target."""
     cloud = point_cloud(image)
     place = (cloud["row"].values, cloud["column"].values)
     right = origin * np.tan(image["azimuth"].values)
@@ -96,12 +96,12 @@ def relief(image: xr.Dataset, *, origin: float) -> Relief:
 
 
 def masked(surface: Relief, keep: NDArray[np.bool_]) -> Relief:
-    """Return a surface with only the selected pixels."""
+    """Return a surface reduced to selected pixels."""
     return replace(surface, near=np.where(keep, surface.near, np.nan))
 
 
 def median(surface: Relief, *, size: int = 5) -> tuple[Relief, float]:
-    """Return a surface smoothed by a median, and the scatter of pixels about it."""
+    """Smooth a surface by a median filter; return also the scatter of the pixels."""
     half = size // 2
     padded = np.pad(surface.near, half, constant_values=np.nan)
     windows = sliding_window_view(padded, (size, size))
@@ -237,7 +237,7 @@ def _in_strips(quads: Floats) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def _brightness(corners: Floats) -> Floats:
-    """Return each corner's brightness, for a matte surface under lamp and sky light."""
+    """Return the brightness at corners of a matte surface in lamp and sky light."""
     filled = _bridged(corners[..., 2])
     column = corners[..., 0].mean(axis=0)
     row = corners[..., 1].mean(axis=1)

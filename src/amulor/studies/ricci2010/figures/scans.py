@@ -209,7 +209,7 @@ def profile_checks(study: Study) -> list[Check]:
 
 
 def _in_milk(study: Study) -> list[Check]:
-    """Check the step heights in milk, where only polarizers reject the water."""
+    """Check the step heights in milk, with water rejection by polarizers only."""
     rows = statements(13)
     scan = study.once(polarized_milk)
     crossed, parallel = (scan.off(scan.raw[name]) * 1e3 for name in ("VH", "VV"))
@@ -250,7 +250,7 @@ def _phases(study: Study, steps: Steps, words: dict[str, str]) -> list[Check]:
 
 @styled
 def draw_profiles(study: Study) -> Figure:
-    """Draw the height profiles of all scan lines over each other."""
+    """Draw the superposed height profiles of all scan lines."""
     figure = new_figure(WIDE, 4.3)
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     for axis, (_, scan_of, channel) in zip(axes.flat, PANELS, strict=True):
@@ -399,7 +399,7 @@ def disc_checks(study: Study) -> list[Check]:
 def _outline_checks(
     study: Study, scan: DiscScan, measured: Outlines, words: dict[str, str]
 ) -> list[Check]:
-    """Check diameters of disc and holes to within a pixel, and the number of holes."""
+    """Check the diameters of disc and holes within a pixel, and the number of holes."""
     rows = statements(15)
     small = measured.small_holes[:4]
     mean = None

@@ -67,7 +67,7 @@ class DiscScan:
     pitch: float
     """Spacing of neighboring pixels on the disc [m]."""
     truth: Floats
-    """True slant range, NaN beside the disc, shape (row, column) [m]."""
+    """True slant range, NaN outside the disc, shape (row, column) [m]."""
     inside: Mask
     """Mask of pixels on the disc, edges excluded."""
     outside: Mask
@@ -147,7 +147,7 @@ curvature_radius = "{write(study["disc_bend"], "length")}"
 
 
 def bright(image: xr.Dataset) -> Mask:
-    """Return a mask of pixels brighter than midway between bright and dark pixels."""
+    """Return the mask of bright pixels, above the mid-level of the intensity image."""
     intensity = image["intensity"].values
     over: Mask = intensity > _halfway(intensity)
     return over
@@ -176,7 +176,7 @@ def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
 
 
 def _circle(area: float, step: float) -> Outline:
-    """Return the circle with the area of a pixel count."""
+    """Return the circle with the area covered by a number of pixels."""
     diameter = math.sqrt(4 * area / math.pi)
     count = math.sqrt(_SECTORS * _LATTICE * math.pi * diameter / step)
     return Outline(diameter, 2 * count * step**2 / (math.pi * diameter))

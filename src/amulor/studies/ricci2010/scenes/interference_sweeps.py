@@ -90,7 +90,7 @@ repeats = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """Synthetic frequency sweep of one experiment, with the result of each method."""
+    """Synthetic frequency sweep of one experiment, with target signals by method."""
 
     number: int
     """Number of the experiment."""
@@ -115,14 +115,14 @@ class Sweep:
     truth: Complex
     """True target signal, without noise and water [V]."""
     reflectance: float
-    """Plate reflectance that gives the paper's ratio of water signal to echo [1]."""
+    """Plate reflectance for the paper's ratio of water signal to echo [1]."""
     needed_backscatter: float
-    """Phase function at 180 degrees that explains the ratio [1/sr].
+    """Phase function at 180 degrees for the paper's ratio [1/sr].
 
     For a white plate of reflectance 0.8.
     """
     period: float
-    """Expected period of the interference in frequency [Hz]."""
+    """Expected frequency period of the interference [Hz]."""
 
     @property
     def ratio(self) -> Floats:
@@ -131,7 +131,7 @@ class Sweep:
 
     @property
     def corrected_ratio(self) -> Floats:
-        """Target signal after open-water subtraction over water signal, eq. (58)."""
+        """Ratio of target signal after subtraction to water signal, eq. (58)."""
         return interference.signal_to_optical_noise_ratio(self.subtracted, self.water)
 
     @property
@@ -146,12 +146,12 @@ class Sweep:
 
 
 def shown(sweep: Sweep) -> slice:
-    """Return a slice that thins samples for drawing, with space between markers."""
+    """Return the slice of samples to draw, with space between markers."""
     return slice(None, None, max(1, len(sweep.frequency) // 65))
 
 
 def smoothed(value: Floats) -> Floats:
-    """Smooth a quantity over frequency, so that its extrema can be found in noise."""
+    """Smooth a quantity over frequency, for the detection of extrema in noise."""
     count = round(_SMOOTHED * (len(value) - 1) / (LAST - FIRST))
     fitted: Floats = savgol_filter(value, count + 1 - count % 2, 2)
     return fitted

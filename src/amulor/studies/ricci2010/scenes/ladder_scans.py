@@ -1,4 +1,4 @@
-"""Simulated and processed scans of the ladder, for figures 5, 6, 13 and 14."""
+"""Simulated ladder scans with range images, for figures 5, 6, 13 and 14."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def phase_step(study: Study, height: float) -> float:
 def steps_are_faithful(
     study: Study, rows: Statements, name: str, steps: Steps
 ) -> Check:
-    """Check that step heights are right within the phase error of the instrument."""
+    """Check that step heights are correct within the instrument's phase error."""
     interval = ranging.ambiguity_interval(
         study["frequency"], group_index=study["index"]
     )
@@ -245,7 +245,7 @@ def steps_are_faithful(
 def steps_agree(
     study: Study, rows: Statements, name: str, steps: Steps, **words: str
 ) -> Check:
-    """Check that the step heights are right within three standard errors."""
+    """Check that step heights are correct within three standard errors."""
     true = np.array([study["first_step"], *[study["other_steps"]] * 3])
     off = np.abs(steps.heights - true) / steps.uncertainties
     text = ", ".join(

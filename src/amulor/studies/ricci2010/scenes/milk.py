@@ -1,4 +1,4 @@
-"""Tank with milk: water and plate signal by quadrature and photon transport."""
+"""Milky tank water: water and plate signals by quadrature and photon transport."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ WIDER = 2.0
 
 @dataclass(frozen=True, eq=False)
 class LineLight:
-    """Light behind one polarizer pair along a line of pixels, over launched light."""
+    """Ratio of received to launched light along a line, for one polarizer pair."""
 
     water: Complex
     """Light scattered by water only, shape (pixels,) [1]."""
@@ -239,7 +239,7 @@ class LineLight:
 def scattered_more(
     study: Study, water: Medium, place: Array, *, histories: int, plate_there: bool
 ) -> dict[str, Complex]:
-    """Return the light multiply scattered by water, by polarized Monte Carlo."""
+    """Simulate multiple scattering in the water by polarized Monte Carlo."""
     target = _plate(study) if plate_there else None
     return _traced(study, water, place, histories, water_parts, target=target)
 
@@ -247,7 +247,7 @@ def scattered_more(
 def reflected_and_scattered(
     study: Study, water: Medium, place: Array, *, histories: int
 ) -> dict[str, Complex]:
-    """Return the plate light that is also scattered in water, by Monte Carlo."""
+    """Simulate light both reflected by the plate and scattered, by Monte Carlo."""
     traced = _traced(
         study, water, place, histories, plate_parts, target=_plate(study), wider=WIDER
     )
@@ -262,7 +262,7 @@ def reflected_and_scattered(
 def returned_by_walls(
     study: Study, water: Medium, place: Array, *, histories: int
 ) -> dict[str, Complex]:
-    """Return the light that reaches the receiver via the tank walls, by Monte Carlo."""
+    """Simulate light received via the tank walls, by Monte Carlo."""
     return _traced(study, water, place, histories, plate_parts, target=walls(study))
 
 
@@ -309,17 +309,17 @@ def _traced(
 
 
 def water_parts(name: str) -> bool:
-    """Return whether a part of a tally is light multiply scattered by water."""
+    """Return whether a tally part is multiply scattered water light."""
     return name.startswith("water") and name != "water, order 1"
 
 
 def plate_parts(name: str) -> bool:
-    """Return whether a part of a tally is light both reflected and scattered."""
+    """Return whether a tally part is light both reflected and scattered."""
     return name == "target, scattered"
 
 
 def line_light(study: Study, attenuation: float) -> dict[str, LineLight]:
-    """Return the light at all pixels along a line over the plate, by polarizer pair.
+    """Return the light along a line over the plate, for all polarizer pairs.
 
     The Monte Carlo runs at Chebyshev's places, three of them if quick and five if not,
     and is joined by a parabola. What it adds varies slower along the line than the
@@ -353,7 +353,7 @@ def line_light(study: Study, attenuation: float) -> dict[str, LineLight]:
 
 
 def open_water(study: Study, attenuation: float) -> dict[str, Complex]:
-    """Return the light along the same line in open water, by polarizer pair."""
+    """Return the light along the line in open water, for all polarizer pairs."""
     water = medium(study, attenuation)
     nodes, join = _nodes(study)
     histories = 2_048 if study.quick else 32_768
@@ -386,7 +386,7 @@ PAIRS = ("VV", "VH", "RL", "RR")
 def scattered_once(
     study: Study, water: Medium, place: Array, *, until: float
 ) -> dict[str, Complex]:
-    """Return the light that the water scatters once, by quadrature.
+    """Return the light scattered once in the water, by quadrature.
 
     The frame is not turned on the way back: within the acceptance that changes what
     passes a crossed analyser by 1e-5 of what passes the parallel one.
@@ -451,7 +451,7 @@ def interpolation(nodes: Array, at: Array, *, degree: int) -> Array:
 
 
 def _passed(matrix: Array, pair: str) -> float:
-    """Return the fraction of reflected light that passes a polarizer pair."""
+    """Return the fraction of reflected light transmitted by a polarizer pair."""
     launched, analysed = pair_states(pair)
     return float(0.5 * state(analysed) @ matrix @ state(launched))
 

@@ -1,4 +1,4 @@
-"""Survey files of the simulated scans: the paper's instrument, target and water."""
+"""Surveys of the simulated scans: the paper's instrument, target and water."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def table() -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def water_of(study: Study, name: str) -> ScanWater:
-    """Return a water defined in `scans.toml`, by name."""
+    """Return the named water from `scans.toml`."""
     names = table()["waters"][name]
     return ScanWater(**{field: study[number] for field, number in names.items()})
 
@@ -137,7 +137,7 @@ repeats = {round(study["open_water_repeats"])}
 
 
 def around(distance: float) -> tuple[float, float]:
-    """Return the range limits that an operator would give for a target [m]."""
+    """Return an operator's typical range limits for a target distance [m]."""
     return max(distance - 1.0, 0.2), distance + 1.0
 
 

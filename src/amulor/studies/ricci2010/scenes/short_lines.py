@@ -40,21 +40,21 @@ class Line:
     measured: Array
     """Simulated phase with noise, zero at the first pixel, shape (80,) [degrees]."""
     drift: float
-    """Rise of a straight line fitted to `phase`, first to last pixel [degrees]."""
+    """Linear phase drift from first to last pixel, fitted to `phase` [degrees]."""
     error: float
     """Standard error of `drift`, from Monte Carlo [degrees]."""
     fitted: float
-    """Drift of a straight line fitted to `measured` [degrees]."""
+    """Linear phase drift fitted to `measured` [degrees]."""
     fitted_error: float
     """Standard error of `fitted`, from the noise [degrees]."""
     bend: float
-    """Largest deviation of `phase` from the straight line, over the drift [1]."""
+    """Largest deviation of `phase` from linearity, relative to the drift [1]."""
     bend_error: float
     """Standard error of `bend`, from Monte Carlo [1]."""
 
 
 def _light_of(step: str) -> Callable[[Study], Lines]:
-    """Return a function that computes the light over the plate in a given water."""
+    """Return a function for the light over the plate in a given water."""
 
     def light(study: Study) -> Lines:
         return line_light(study, study[TURBIDITIES[step]])
@@ -63,7 +63,7 @@ def _light_of(step: str) -> Callable[[Study], Lines]:
 
 
 def _open_water_of(step: str) -> Callable[[Study], dict[str, Complex]]:
-    """Return a function that computes the light in a given water without the plate."""
+    """Return a function for the light in a given water without the plate."""
 
     def light(study: Study) -> dict[str, Complex]:
         return open_water(study, study[TURBIDITIES[step]])
@@ -108,7 +108,7 @@ def standard_error(batches: Array) -> float:
 
 
 def difference(study: Study, step: str, pairs: tuple[str, str]) -> tuple[float, float]:
-    """Return the difference in drift of two polarizer pairs, and its standard error."""
+    """Return the drift difference between two polarizer pairs, with standard error."""
     first, second = (line(study, step, pair).drift for pair in pairs)
     light, dark = (study.once(LIGHT[step])[pair].phase_batches for pair in pairs)
     sign = np.sign(first * second)
@@ -146,7 +146,7 @@ def advance_along(signal: Complex) -> Array:
 
 
 def rise_weight() -> Array:
-    """Return pixel weights that give the rise of a line fitted to the phase."""
+    """Return pixel weights for the phase drift of a linear fit."""
     pixel = np.arange(PIXELS) - 0.5 * (PIXELS - 1)
     weight: Array = pixel / (pixel @ pixel) * (PIXELS - 1)
     return weight

@@ -38,7 +38,7 @@ class SetUp:
 
 @dataclass(frozen=True, kw_only=True)
 class Drifts:
-    """Phase drifts of a set-up with the most milk, for a given drift of VV."""
+    """Phase drifts of a set-up in the most turbid water, for a given VV drift."""
 
     set_up: SetUp
     """Variant of the experiment: kind of milk, tank or plate."""
@@ -117,7 +117,7 @@ def drifts_of(study: Study, set_up: SetUp) -> Drifts:
 
 
 def _drift(light: LineLight, brighter: float) -> tuple[float, float]:
-    """Return a line's phase drift for a brighter plate, and its error [degrees]."""
+    """Return the phase drift for a brighter plate, with its error [degrees]."""
     signal = light.water + brighter * light.target
     rise = rise_weight()
     return (

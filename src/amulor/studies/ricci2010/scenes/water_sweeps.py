@@ -51,11 +51,11 @@ class Water:
     split_angle: float
     """Angle between forward and diffuse scattering [rad]."""
     phase_function: PhaseFunction
-    """Henyey-Greenstein phase function with this second moment."""
+    """Henyey-Greenstein phase function with the given second moment."""
 
     @property
     def realistic(self) -> dict[str, float]:
-        """Arguments of the diffusion model."""
+        """Arguments of the diffusion model, with forward and diffuse scattering."""
         fraction, _ = self.phase_function.forward_split(self.split_angle)
         return {
             "absorption": self.absorption,
@@ -86,7 +86,7 @@ class Curve:
     cut_off: float
     """Half-power frequency [Hz]."""
     fitted: float
-    """Cut-off frequency by a free fit of eq. (71) to amplitudes [Hz]."""
+    """Cut-off frequency by an unconstrained fit of eq. (71) to amplitudes [Hz]."""
     of_power: float
     """Cut-off frequency by a fit of eq. (71) to normalized squared amplitudes [Hz]."""
     at_cut_off: float
@@ -100,7 +100,7 @@ class Curve:
     of_power_error: float = 0.0
     """Standard error of the cut-off fitted to squares [Hz]."""
     of_power_ratio_error: float = 0.0
-    """Standard error of its ratio to the half-power cut-off [1]."""
+    """Standard error of the ratio of `of_power` to the half-power cut-off [1]."""
     band: Floats | None = None
     """Standard errors of the amplitudes [1]."""
 
@@ -112,11 +112,11 @@ class Squares:
     frequency: Floats
     """Modulation frequencies [Hz]."""
     amplitude: Floats
-    """Amplitudes relative to the true one at 0 Hz [1]."""
+    """Amplitudes relative to the true amplitude at 0 Hz [1]."""
     made_with: float
-    """Half-power frequency of the curve behind the measurement [Hz]."""
+    """True half-power frequency of the synthetic measurement [Hz]."""
     fit: low_pass.LowPassFit
-    """Free fit of eq. (71) to the amplitudes."""
+    """Unconstrained fit of eq. (71) to the amplitudes."""
     of_power: low_pass.LowPassFit
     """Fit of eq. (71) to the normalized squared amplitudes."""
 
@@ -134,7 +134,7 @@ class Sweep:
     frequency: Floats
     """Modulation frequencies of the curves [Hz]."""
     simple: Curve
-    """Dashed curve: diffusion model, all attenuation by diffuse scattering."""
+    """Dashed curve: diffusion model with attenuation by diffuse scattering only."""
     realistic: Curve
     """Solid curve: diffusion model of the realistic water."""
     small_angle: Curve
@@ -300,7 +300,7 @@ def _curve(name: str, response: Response, frequency: Floats) -> Curve:
 
 
 def _traced(tally: Tally) -> Curve:
-    """Return the curve of a Monte Carlo run, whose first frequency is 0."""
+    """Return the curve of a Monte Carlo run with 0 Hz as first frequency."""
     frequency = tally.modulation_frequency
     corner, error = half_power(tally)
     amplitude = np.abs(tally.signal) / abs(tally.signal[0])
@@ -329,7 +329,7 @@ def _traced(tally: Tally) -> Curve:
 
 
 def _left_out(tally: Tally) -> list[Complex]:
-    """Return the signals that result from omitting each part of the batches in turn."""
+    """Return jackknife replicates of the signals, with parts of the batches omitted."""
     values = tally.batches.sum(axis=1)[:, 0]
     number = np.arange(values.shape[0])
     signals: list[Complex] = []
@@ -342,7 +342,7 @@ def _left_out(tally: Tally) -> list[Complex]:
 
 
 def _jackknife(left_out: Floats) -> float:
-    """Return the jackknife standard error, from values that omit each part in turn."""
+    """Return the jackknife standard error from jackknife replicates."""
     return math.sqrt((left_out.size - 1) * float(np.var(left_out)))
 
 

@@ -42,7 +42,7 @@ _PARTS = 16
 
 @dataclass(frozen=True)
 class Reflectance:
-    """Plate reflectance that agrees with the paper's ratio of water signal to echo."""
+    """Plate reflectance deduced from the paper's ratio of water signal to echo."""
 
     number: int
     """Number of the experiment."""
@@ -53,7 +53,7 @@ class Reflectance:
 
 
 def reflectances(study: Study) -> tuple[Reflectance, ...]:
-    """Return the plate reflectance that each experiment implies for milky water."""
+    """Return the plate reflectance deduced from each experiment for milky water."""
     return tuple(study.once(_OF[number]) for number in EXPERIMENTS)
 
 
@@ -97,7 +97,7 @@ def _reflectance(study: Study, *, number: int) -> Reflectance:
 
 
 def _batches(tally: Tally, name: str) -> Complex:
-    """Return the light of all tally parts with a name, shape (batches, frequencies)."""
+    """Return the light of all tally parts of a given name, (batches, frequencies)."""
     chosen = [k for k, part in enumerate(tally.parts) if part.startswith(name)]
     light: Complex = tally.batches[:, chosen, 0].sum(axis=1)
     return light

@@ -1,4 +1,4 @@
-"""Scenes that the simulated bench acquires sample by sample, with a journal."""
+"""Scenes acquired sample by sample with the simulated bench and a journal."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class _BrokenOff:
 
 
 def plate_scanned(count: int, seed: int, *, broken: bool = False) -> Case:
-    """Acquire a tilted plate with the simulated bench, interrupted on request."""
+    """Acquire a tilted plate with the simulated bench, optionally interrupted."""
     planned = survey(count, plate(_DISTANCE, lean=_LEAN))
     content = {
         "procedure": {"dark_readings": 2, "position_tolerance": "1 mrad"},

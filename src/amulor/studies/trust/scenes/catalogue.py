@@ -30,9 +30,9 @@ class Scene:
     title: str
     """Description of the scene and of its difficulty."""
     make: Maker
-    """Function that makes the test case."""
+    """Function that simulates the test case."""
     counts: tuple[int, ...] = (1, 2, 4, 16)
-    """Numbers of modulation frequencies for which it is run."""
+    """Numbers of modulation frequencies used for the scene."""
 
 
 #: Histories for each distance by phase function and reflectance, where 400,000 are too

@@ -33,7 +33,7 @@ _SHOTS = "open_water_"
 
 
 class Recorded:
-    """Simulated samples and open-water shots, to which instrument errors are added."""
+    """Simulated samples and open-water shots, without the scene's instrument errors."""
 
     def __init__(self, count: int, seed: int) -> None:
         self.count, self.seed = count, seed

@@ -1,4 +1,4 @@
-"""Scenes with a wrong survey: false water, geometry or group index."""
+"""Scenes with survey errors: wrong water, geometry or group index."""
 
 from __future__ import annotations
 

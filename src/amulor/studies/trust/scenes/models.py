@@ -1,4 +1,4 @@
-"""Scenes simulated by a forward model: scans, targets and waters of many kinds."""
+"""Scenes simulated by forward models: various scans, targets and waters."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ _SMALL_ANGLE_WATER = {
 
 
 def small_angle(count: int, seed: int, *, split: float) -> Case:
-    """Simulate a plate by the small-angle model, with the whole phase function."""
+    """Simulate a plate by the small-angle model, with the full phase function."""
     samples = _small_angle(count, seed, split, plate(2.6, lean=20))
     return case_of(samples, interval=around(2.6))
 

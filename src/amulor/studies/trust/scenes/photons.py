@@ -1,4 +1,4 @@
-"""Scenes with light from photon transport, which has all orders of scattering."""
+"""Scenes with light from photon transport, all scattering orders included."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _ORDER = np.array([0, 7, 1, 6, 2, 5, 3, 4])
 
 @dataclass(frozen=True, kw_only=True)
 class Photons:
-    """Ratio of received to launched light, of water and plate, by photon transport."""
+    """Ratio of received to launched light from water and plate, by photon transport."""
 
     open_water: Complex
     """Open-water signal, shape (frequencies of `_ALL`,)."""
@@ -169,7 +169,7 @@ def _light(
     scatterer: object,
     shape: tuple[int, ...],
 ) -> Light:
-    """Return the light that passes the analyzers, shape (frequencies, columns)."""
+    """Return the light behind the analyzers, shape (frequencies, columns)."""
     passed = [
         float(mueller.detected_fraction(matrix(scatterer), pair=pair))
         for pair in planned.instrument.polarizations
