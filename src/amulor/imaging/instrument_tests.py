@@ -89,6 +89,8 @@ def frequency_phase(
 class InstrumentTest:
     """One failed test of the instrument, in words."""
 
+    name: str
+    """Name: "channels", "frequencies", "drift" or "methods"."""
     result: str
     """Measured contradiction, with its size."""
     probability: float
@@ -113,6 +115,7 @@ def instrument_tests(cube: xr.Dataset) -> tuple[InstrumentTest, ...]:
         size = float(np.max(attributes["channel_phase_rad"]))
         failed.append(
             InstrumentTest(
+                name="channels",
                 result=f"the channels differ by {1e3 * size:.3g} mrad",
                 probability=float(attributes["channel_phase_probability"]),
                 cause="leakage, a phase that depends on the amplitude, or other water "
@@ -124,6 +127,7 @@ def instrument_tests(cube: xr.Dataset) -> tuple[InstrumentTest, ...]:
         size = float(np.max(np.abs(attributes[PHASES])))
         failed.append(
             InstrumentTest(
+                name="frequencies",
                 result=f"the frequencies differ from one distance by up to "
                 f"{1e3 * size:.3g} mrad",
                 probability=float(attributes[PROBABILITY]),
@@ -138,6 +142,7 @@ def instrument_tests(cube: xr.Dataset) -> tuple[InstrumentTest, ...]:
         size = float(delays[np.argmax(np.abs(delays))])
         failed.append(
             InstrumentTest(
+                name="drift",
                 result=f"the delay of the references changed by {1e12 * size:.3g} ps",
                 # Six standard errors, at any of several frequencies.
                 probability=2e-9 * delays.size,
@@ -151,6 +156,7 @@ def instrument_tests(cube: xr.Dataset) -> tuple[InstrumentTest, ...]:
         size = float(attributes["method_disagreement_m"])
         failed.append(
             InstrumentTest(
+                name="methods",
                 result=f"two rejection methods differ by {1e3 * size:.3g} mm",
                 # Four standard errors.
                 probability=6.4e-5,

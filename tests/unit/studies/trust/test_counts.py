@@ -74,17 +74,3 @@ def test_the_page_shows_what_the_table_says() -> None:
     folder = Path(__file__).parents[4] / "docs/trust"
     table = (folder / "default.txt").read_text(encoding="utf-8")
     assert counts(written(table)) in (folder / "details.md").read_text(encoding="utf-8")
-
-
-def test_the_page_counts_the_wrong_cases_of_the_instrument() -> None:
-    folder = Path(__file__).parents[4] / "docs/trust"
-    table = (folder / "instrument.txt").read_text(encoding="utf-8")
-    rows = [row for row in written(table) if not row.scene.startswith("perfect")]
-    page = (folder / "README.md").read_text(encoding="utf-8")
-    for unstated, name in ((False, "states a calibration"), (True, "states none")):
-        own = [row for row in rows if row.scene.endswith("unstated") == unstated]
-        wrong = sum(row.inside < 80 for row in own)
-        line = next(line for line in page.splitlines() if f"| {name}" in line)
-        refused = sum(row.refused for row in own)
-        counted = [f" {number} " for number in (len(own), wrong, refused)]
-        assert line.split("|")[2:5] == counted

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from amulor.studies.trust.scenes import instrument
-from amulor.studies.trust.scenes.catalogue import BY_NAME, INSTRUMENT_SCENES
 from amulor.studies.trust.scenes.instrument import Recorded
 from amulor.survey import Survey
 
@@ -94,20 +93,92 @@ def test_compression_and_scale_change_depend_on_the_amplitude(
     assert turn.max() == pytest.approx(0.5)
 
 
+def test_a_reflection_turns_and_a_window_reaches_one_channel(
+    recorded: Recorded,
+) -> None:
+    scan, shots = instrument.reflection(0.02, delay=10e-9)(recorded)
+    # 20 and 80 MHz times 10 ns: 0.2 and 0.8 of a turn.
+    expected = 1 + 0.02 * np.exp(2j * np.pi * np.array([0.2, 0.8]))
+    assert_allclose((scan / recorded.scan)[:, 1, 4, 4], expected, rtol=1e-9)
+    assert_allclose((shots / recorded.shots)[:, 0, 3], expected, rtol=1e-9)
+    scan, shots = instrument.window(0.02)(recorded)
+    added = (scan - recorded.scan)[:, 0, 2, 2]
+    assert_allclose(np.angle(added) / (2 * np.pi), [0.01, 0.04], rtol=1e-9)
+    assert_allclose(np.abs(added), 0.02 * recorded.echo[:, 0])
+    assert_array_equal(scan[:, 1], recorded.scan[:, 1])
+    assert_array_equal(shots[:, 1], recorded.shots[:, 1])
+
+
+def test_leakage_grows_from_the_first_sample_to_the_late_shots(
+    recorded: Recorded,
+) -> None:
+    scan, shots = instrument.growing_leakage(0.01)(recorded)
+    size = np.abs(scan - recorded.scan)[:, 0] / recorded.echo[:, :, None]
+    assert_allclose(size[:, 0, 0], 0, atol=1e-12)
+    assert_allclose(size[:, -1, -1], 0.01)
+    late = np.abs(shots - recorded.shots)[:, 0] / recorded.echo
+    half = late.shape[1] // 2
+    assert_allclose(late[:, :half], 0, atol=1e-12)
+    assert_allclose(late[:, half:], 0.01)
+
+
+def test_a_demodulator_makes_an_ellipse_of_a_circle(recorded: Recorded) -> None:
+    scan, _ = instrument.quadrature(gain=0.02)(recorded)
+    assert_allclose(scan.real, recorded.scan.real)
+    assert_allclose(scan.imag, 1.02 * recorded.scan.imag)
+    scan, _ = instrument.quadrature(degrees=90.0)(recorded)
+    assert_allclose(scan.imag, recorded.scan.real)
+    step = 0.1 * recorded.echo[:, 0]
+    scan, _ = instrument.resolution(0.1)(recorded)
+    multiple = scan.imag[:, 0] / step[:, None, None]
+    assert_allclose(multiple, np.round(multiple), atol=1e-9)
+
+
+def test_noise_has_the_size_that_it_states(recorded: Recorded) -> None:
+    scan, shots = instrument.excess_noise(3.0)(recorded)
+    sigma = recorded.cube["in_phase_uncertainty"].values
+    added = (scan - recorded.scan).real / sigma
+    # 1,536 values: their standard deviation is known to 1.8 %.
+    assert np.std(added) == pytest.approx(3.0, rel=0.08)
+    assert not np.array_equal(shots, recorded.shots)
+
+
+def test_a_calibration_states_the_phase_error_that_the_echo_has(
+    recorded: Recorded,
+) -> None:
+    turn = np.exp(0.01j)
+    # Water turned as in the shots is taken off: the echo alone is turned.
+    scan = recorded.scan + recorded.truth("target") * (turn - 1)
+    error = instrument.phase_error(recorded, scan, recorded.shots)
+    assert error == pytest.approx(0.01, rel=1e-9)
+    known = instrument.case("phase ripple", 3.0, 2, "calibrated", 1)
+    third = instrument.case("phase ripple", 3.0, 2, "wrong", 1)
+    stated, wrong = (
+        case.samples.amulor.survey.instrument.phase_uncertainty
+        for case in (known, third)
+    )
+    # 0.9 degrees times 1.0 and -1.2: rms 0.994 degrees; and 0.05 degrees at least.
+    assert np.degrees(stated) == pytest.approx(np.hypot(0.994, 0.05), rel=0.05)
+    assert np.degrees(wrong) == pytest.approx(np.hypot(0.994 / 3, 0.05), rel=0.05)
+
+
 def test_a_case_keeps_its_truth_apart_and_states_its_calibration() -> None:
-    stated = BY_NAME["leak 1 %, scan"].make(1, 1)
-    without = BY_NAME["leak 1 %, scan, unstated"].make(1, 1)
+    stated = instrument.case("leakage, scan", 1.0, 1, "calibrated", 1)
+    without = instrument.case("leakage, scan", 1.0, 1, "uncalibrated", 1)
     assert not [name for name in stated.samples if str(name).startswith("truth")]
     known = Survey.from_text(stated.samples.attrs["survey"]).calibration
     assert known is not None
     assert known.delay_uncertainty == pytest.approx(1e-11)
-    assert Survey.from_text(without.samples.attrs["survey"]).calibration is None
-    np.testing.assert_array_equal(
-        stated.samples["in_phase"], without.samples["in_phase"]
-    )
+    unknown = Survey.from_text(without.samples.attrs["survey"])
+    assert unknown.calibration is None
+    assert unknown.instrument.phase_uncertainty is None
+    assert_array_equal(stated.samples["in_phase"], without.samples["in_phase"])
 
 
-def test_each_effect_is_there_with_and_without_a_calibration() -> None:
-    names = {scene.name for scene in INSTRUMENT_SCENES}
-    plain = {name for name in names if not name.endswith(", unstated")}
-    assert names - plain == {f"{name}, unstated" for name in plain}
+def test_each_kind_changes_the_samples_but_the_perfect_one(
+    recorded: Recorded,
+) -> None:
+    for name, kind in instrument.KINDS.items():
+        scan, _ = kind.of_size(1.0)(recorded)
+        assert np.array_equal(scan, recorded.scan) == (name == "perfect"), name
+    assert len(instrument.KINDS) > 15

@@ -10,7 +10,6 @@ from amulor.simulation.models import DiffusionModel
 from amulor.studies.trust.case import Case
 from amulor.studies.trust.scenes import (
     acquired,
-    instrument,
     knowledge,
     models,
     photons,
@@ -151,41 +150,4 @@ SCENES: tuple[Scene, ...] = (
            partial(knowledge.calibrated, make=knowledge.wrong_index)),
 )  # fmt: skip
 
-#: Name, title and effect of the scenes of one instrument error each.
-_EFFECTS: tuple[tuple[str, str, instrument.Effect], ...] = (
-    ("perfect", "no error of the instrument", instrument.nothing),
-    ("leak 1 %, scan", "leakage of 1 % of the echo in the scan, not in the shots",
-     instrument.leakage(0.01)),
-    ("leak 3 %, scan", "leakage of 3 % of the echo in the scan, not in the shots",
-     instrument.leakage(0.03)),
-    ("leak 3 %, delay", "leakage of 3 % of the echo, 2 ns late, everywhere",
-     instrument.leakage(0.03, delay=2e-9)),
-    ("walk 2 deg", "phase that walks by 2 degrees for ten times the amplitude",
-     instrument.walk(2.0)),
-    ("harmonic 1 %", "third harmonic taken for the first, 1 % of it",
-     instrument.aliased_harmonic(0.01)),
-    ("layer 0.4 m", "water twice as strong for 0.4 m before the target",
-     instrument.turbid_layer(0.4)),
-    ("phase drift 1 deg", "phase drifts by 1 degree from first to last sample",
-     instrument.drift(degrees=1.0)),
-    ("delay drift 30 ps", "delay drifts by 30 ps from first to last sample",
-     instrument.drift(delay=30e-12)),
-    ("compression 5 %", "gain 5 % lower at the amplitude of the echo",
-     instrument.compression(0.05)),
-    ("scale 0.5 deg", "phase 0.5 degrees off above the median amplitude",
-     instrument.scale_change(0.5)),
-)  # fmt: skip
-#: Errors of the instrument, with what it is known to stated in the survey, and without.
-INSTRUMENT_SCENES = tuple(
-    _scene(
-        f"{name}{', unstated' if not calibrated else ''}",
-        title + ("" if calibrated else "; no calibration stated"),
-        partial(instrument.with_effect, effect=effect, calibrated=calibrated),
-        (1, 2, 4),
-    )
-    for calibrated in (True, False)
-    for name, title, effect in _EFFECTS
-)
-#: Scenes that are run together.
-GROUPS = {"default": SCENES, "instrument": INSTRUMENT_SCENES}
-BY_NAME = {scene.name: scene for group in GROUPS.values() for scene in group}
+BY_NAME = {scene.name: scene for scene in SCENES}

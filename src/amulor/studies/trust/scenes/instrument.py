@@ -7,7 +7,7 @@ code with the `[instrument.errors]` of the simulation: each judges the other.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -178,18 +178,331 @@ def scale_change(degrees: float) -> Effect:
     return effect
 
 
+def window(size: float, *, delay: float = 0.5e-9) -> Effect:
+    """Return a function that adds light from a window to the first channel alone."""
+
+    def effect(recorded: Recorded) -> tuple[Complex, Complex]:
+        turns = recorded.frequency[:, None] * delay
+        light = size * recorded.echo * np.exp(2j * np.pi * turns)
+        scan, shots = recorded.scan.copy(), recorded.shots.copy()
+        scan[:, 0] += light[:, :, None]
+        shots[:, 0] += light
+        return scan, shots
+
+    return effect
+
+
+def offset(size: float) -> Effect:
+    """Return a function that adds a fraction of the echo to the in-phase output."""
+
+    def effect(recorded: Recorded) -> tuple[Complex, Complex]:
+        added = size * recorded.echo[:, :, None]
+        return recorded.scan + added[..., None], recorded.shots + added
+
+    return effect
+
+
+def growing_leakage(size: float) -> Effect:
+    """Return a function that adds leakage, which grows from zero during the scan."""
+
+    def effect(recorded: Recorded) -> tuple[Complex, Complex]:
+        leak = size * recorded.echo * np.exp(2j * np.pi * 0.13)
+        scan = recorded.scan + leak[:, :, None, None] * recorded.scan_time
+        return scan, recorded.shots + leak[:, :, None] * recorded.late_shots
+
+    return effect
+
+
+def turned(factor: Callable[[Floats], Complex], *, channels: slice) -> Effect:
+    """Return a function that multiplies channels by a complex gain of the frequency."""
+
+    def effect(recorded: Recorded) -> tuple[Complex, Complex]:
+        gain = factor(recorded.frequency)
+        scan, shots = recorded.scan.copy(), recorded.shots.copy()
+        scan[:, channels] *= gain[:, None, None, None]
+        shots[:, channels] *= gain[:, None, None]
+        return scan, shots
+
+    return effect
+
+
+def reflection(size: float, *, delay: float = 10e-9) -> Effect:
+    """Return a function that adds the echo of a cable."""
+    return turned(
+        lambda frequency: 1 + size * np.exp(2j * np.pi * frequency * delay),
+        channels=slice(None),
+    )
+
+
+def _ripple(frequency: Floats) -> Floats:
+    """Return a pattern of the frequencies, with a mean square of about 1."""
+    return np.resize([1.0, -1.2, 0.7, -0.9, 1.1], frequency.size)
+
+
+def gain_ripple(size: float) -> Effect:
+    """Return a function that changes the gain from frequency to frequency."""
+    return turned(
+        lambda frequency: (1 + size * _ripple(frequency)).astype(complex),
+        channels=slice(None),
+    )
+
+
+def phase_ripple(degrees: float) -> Effect:
+    """Return a function that changes the phase from frequency to frequency."""
+    return turned(
+        lambda frequency: np.exp(1j * np.radians(degrees) * _ripple(frequency)),
+        channels=slice(None),
+    )
+
+
+def channel_delay(delay: float) -> Effect:
+    """Return a function that delays the second channel [s]."""
+    return turned(
+        lambda frequency: np.exp(2j * np.pi * frequency * delay), channels=slice(1, 2)
+    )
+
+
+def power_loss(fraction: float) -> Effect:
+    """Return a function that reduces the power after the open-water shots."""
+
+    def effect(recorded: Recorded) -> tuple[Complex, Complex]:
+        return (1 - fraction) * recorded.scan, recorded.shots
+
+    return effect
+
+
+def quadrature(*, gain: float = 0.0, degrees: float = 0.0) -> Effect:
+    """Return a function that changes gain and angle of the quadrature output."""
+
+    def effect(recorded: Recorded) -> tuple[Complex, Complex]:
+        angle = np.radians(degrees)
+
+        def output(signal: Complex) -> Complex:
+            turned = np.cos(angle) * signal.imag + np.sin(angle) * signal.real
+            return np.asarray(signal.real + 1j * (1 + gain) * turned)
+
+        return output(recorded.scan), output(recorded.shots)
+
+    return effect
+
+
+def excess_noise(size: float) -> Effect:
+    """Return a function that adds white noise, as a multiple of the stated noise."""
+
+    def effect(recorded: Recorded) -> tuple[Complex, Complex]:
+        rng = np.random.default_rng(recorded.seed + 1000)
+
+        def noisy(signal: Complex, prefix: str = "") -> Complex:
+            sigma = recorded.cube[f"{prefix}in_phase_uncertainty"].values
+            normal = rng.normal(size=(2, *signal.shape))
+            return np.asarray(signal + size * sigma * (normal[0] + 1j * normal[1]))
+
+        return noisy(recorded.scan), noisy(recorded.shots, _SHOTS)
+
+    return effect
+
+
+def resolution(size: float) -> Effect:
+    """Return a function that rounds outputs to steps of a fraction of the echo."""
+
+    def effect(recorded: Recorded) -> tuple[Complex, Complex]:
+        def rounded(signal: Complex) -> Complex:
+            step = size * recorded.echo.reshape(-1, *[1] * (signal.ndim - 1))
+            counted = np.round(signal.real / step) + 1j * np.round(signal.imag / step)
+            return np.asarray(step * counted)
+
+        return rounded(recorded.scan), rounded(recorded.shots)
+
+    return effect
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """Kind of instrument error, with its typical size and its cause in words."""
+
+    title: str
+    """Error at its typical size."""
+    of_size: Callable[[float], Effect]
+    """Effect of a multiple of the typical size."""
+    causes: tuple[str, ...] = ()
+    """Words of a right suggestion of the cause; one of them is enough."""
+    is_phase: bool = True
+    """Whether a calibration of the phase shows it."""
+
+
+#: Kinds of instrument errors by name; "perfect" has none.
+KINDS: dict[str, Kind] = {
+    "perfect": Kind(title="no error", of_size=lambda _: nothing, is_phase=False),
+    "leakage, scan": Kind(
+        title="leakage of 1 % of the echo, in the scan only",
+        of_size=lambda size: leakage(0.01 * size),
+        causes=("leakage",),
+    ),
+    "leakage, delay": Kind(
+        title="leakage of 1 % of the echo, 2 ns late, in scan and references",
+        of_size=lambda size: leakage(0.01 * size, delay=2e-9),
+        causes=("leakage",),
+    ),
+    "leakage, growing": Kind(
+        title="leakage that grows from 0 to 1 % of the echo",
+        of_size=lambda size: growing_leakage(0.01 * size),
+        causes=("leakage", "drift"),
+    ),
+    "window": Kind(
+        title="light of a window, 1 % of the echo, in one channel",
+        of_size=lambda size: window(0.01 * size),
+        causes=("leakage",),
+    ),
+    "offset": Kind(
+        title="offset of the in-phase output, 0.5 % of the echo",
+        of_size=lambda size: offset(0.005 * size),
+        causes=("leakage", "offset"),
+    ),
+    "walk": Kind(
+        title="phase that depends on the amplitude, 2 degrees for a factor of 10",
+        of_size=lambda size: walk(2.0 * size),
+        causes=("depends on the amplitude",),
+    ),
+    "harmonic": Kind(
+        title="third harmonic of the light, 1 %",
+        of_size=lambda size: aliased_harmonic(0.01 * size),
+        causes=("harmonic",),
+    ),
+    "layer": Kind(
+        title="water twice as strong in the last 0.4 m, in the scan only",
+        of_size=lambda size: turbid_layer(0.4, factor=1 + size),
+        causes=("other water",),
+        is_phase=False,
+    ),
+    "phase drift": Kind(
+        title="drift of the phase by 1 degree",
+        of_size=lambda size: drift(degrees=size),
+        causes=("drift",),
+    ),
+    "delay drift": Kind(
+        title="drift of the delay by 30 ps",
+        of_size=lambda size: drift(delay=30e-12 * size),
+        causes=("drift",),
+    ),
+    "compression": Kind(
+        title="gain 5 % lower at the amplitude of the echo",
+        of_size=lambda size: compression(0.05 * size),
+        causes=("depends on the amplitude",),
+    ),
+    "scale change": Kind(
+        title="phase 0.5 degrees larger above the median amplitude",
+        of_size=lambda size: scale_change(0.5 * size),
+        causes=("depends on the amplitude",),
+    ),
+    "cable": Kind(
+        title="reflection of 1 % in a cable of 1 m",
+        of_size=lambda size: reflection(0.01 * size),
+        causes=("cable",),
+    ),
+    "gain ripple": Kind(
+        title="gain that differs by 3 % between the frequencies",
+        of_size=lambda size: gain_ripple(0.03 * size),
+        causes=("gain",),
+        is_phase=False,
+    ),
+    "phase ripple": Kind(
+        title="phase that differs by 0.3 degrees between the frequencies",
+        of_size=lambda size: phase_ripple(0.3 * size),
+        causes=("cable",),
+    ),
+    "channel delay": Kind(
+        title="second channel 10 ps late",
+        of_size=lambda size: channel_delay(10e-12 * size),
+        causes=("delay between the channels",),
+    ),
+    "power loss": Kind(
+        title="power 2 % lower after the references",
+        of_size=lambda size: power_loss(0.02 * size),
+        causes=("power",),
+        is_phase=False,
+    ),
+    "quadrature gain": Kind(
+        title="quadrature output 1 % too large",
+        of_size=lambda size: quadrature(gain=0.01 * size),
+        causes=("demodulator",),
+    ),
+    "quadrature angle": Kind(
+        title="quadrature output turned by 1 degree",
+        of_size=lambda size: quadrature(degrees=size),
+        causes=("demodulator",),
+    ),
+    "noise": Kind(
+        title="additional noise, 0.3 times the stated noise",
+        of_size=lambda size: excess_noise(0.3 * size),
+        causes=("noise",),
+        is_phase=False,
+    ),
+    "resolution": Kind(
+        title="outputs rounded to 0.3 % of the echo",
+        of_size=lambda size: resolution(0.003 * size),
+        causes=("resolution", "noise"),
+        is_phase=False,
+    ),
+}
+
+#: Statements of the survey: no calibration, the right phase error, a third of it.
+STATES = ("uncalibrated", "calibrated", "wrong")
+#: Least phase uncertainty that a calibration states [rad], and the largest of a survey.
+_LEAST_PHASE, _LARGEST_PHASE = np.radians(0.05), 0.5
+_WRONG = 1 / 3
+
+
+def phase_error(recorded: Recorded, scan: Complex, shots: Complex) -> float:
+    """Return the rms phase error of the echo in the first channel [rad].
+
+    Pixels and frequencies count alike. A change of the shots is taken for water.
+    """
+    added = (scan - recorded.scan)[:, 0]
+    water = (shots - recorded.shots)[:, 0].mean(axis=-1)
+    echo = recorded.truth("target")[:, 0]
+    turn = np.angle(1 + (added - water[:, None, None]) / echo)
+    return float(np.sqrt(np.mean(turn**2)))
+
+
 def with_effect(
-    count: int, seed: int, *, effect: Effect, calibrated: bool = True
+    count: int,
+    seed: int,
+    *,
+    effect: Effect,
+    calibrated: bool = True,
+    phase_uncertainty: float | None = None,
 ) -> Case:
     """Simulate a tilted plate at 2.6 m, with an instrument error in its samples."""
     recorded = Recorded(count, seed)
-    scan, shots = effect(recorded)
+    return _case(recorded, *effect(recorded), calibrated, phase_uncertainty)
+
+
+def case(kind: str, size: float, count: int, state: str, seed: int) -> Case:
+    """Simulate an instrument error of a size, and what a user states about it."""
+    recorded = Recorded(count, seed)
+    scan, shots = KINDS[kind].of_size(size)(recorded)
+    if state == "uncalibrated":
+        return _case(recorded, scan, shots, False, None)
+    error = phase_error(recorded, scan, shots) if KINDS[kind].is_phase else 0.0
+    share = 1.0 if state == "calibrated" else _WRONG
+    stated = min(float(np.hypot(share * error, _LEAST_PHASE)), _LARGEST_PHASE)
+    return _case(recorded, scan, shots, True, stated)
+
+
+def _case(
+    recorded: Recorded,
+    scan: Complex,
+    shots: Complex,
+    calibrated: bool,
+    phase_uncertainty: float | None,
+) -> Case:
     case = case_of(
         _with(_with(recorded.cube, scan), shots, _SHOTS), interval=around(_DISTANCE)
     )
     believed = case.samples.amulor.survey
-    # The user does not know how good the instrument is.
-    instrument = believed.instrument.model_copy(update={"phase_uncertainty": None})
+    instrument = believed.instrument.model_copy(
+        update={"phase_uncertainty": phase_uncertainty}
+    )
     believed = believed.model_copy(update={"instrument": instrument})
     if calibrated:
         believed = believed.with_({"calibration": CALIBRATION})

@@ -1,0 +1,309 @@
+"""Trust study of instrument errors: rows that are measured once and kept in a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from amulor.studies.trust.case import Case
+from amulor.studies.trust.methods import Outcome, outcome
+from amulor.studies.trust.scenes.instrument import KINDS, STATES, case
+from amulor.studies.trust.table import score
+
+#: Sizes of an error, as multiples of its typical size.
+SIZES = (1.0, 3.0, 10.0)
+COUNTS = (1, 2, 4)
+
+
+@dataclass(frozen=True, kw_only=True, order=True)
+class Key:
+    """Conditions of a row: error, what the survey states, frequencies and method."""
+
+    kind: str
+    """Name of the instrument error."""
+    size: float
+    """Size, as a multiple of the typical size."""
+    count: int
+    """Number of modulation frequencies."""
+    state: str
+    """What the survey states: "uncalibrated", "calibrated" or "wrong"."""
+    method: str
+    """Name of the rejection method."""
+    seed: int = 1
+    """Seed of the random numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentRow:
+    """Row of the table: its key, its scores, and the tests that failed."""
+
+    key: Key
+    """Conditions of the row."""
+    trusted: float
+    """Trusted pixels [%]."""
+    inside: float
+    """Trusted pixels whose 95 % interval contains the surface [%]."""
+    far: float
+    """Trusted pixels with errors beyond 3.5 standard uncertainties [%]."""
+    worst: float
+    """Largest error of a trusted pixel over its standard uncertainty [1]."""
+    mean: float
+    """Mean error of the trusted pixels [mm]."""
+    stated: float
+    """Median standard uncertainty of the trusted pixels [mm]."""
+    tests: tuple[str, ...]
+    """Names of the failed tests of the instrument; "refused" for a refused scan."""
+    cause: str
+    """"right" or "wrong" for a suggested cause, "none" without one."""
+
+
+_WIDTHS = {
+    "kind": 17,
+    "size": 5,
+    "f": 3,
+    "state": 13,
+    "method": 13,
+    "seed": 5,
+    "trust": 7,
+    "95 %": 7,
+    ">3.5": 7,
+    "worst": 7,
+    "mean mm": 10,
+    "stated": 8,
+    "cause": 6,
+    "tests": 40,
+}
+_LEFT = ("kind", "state", "method", "cause", "tests")
+LEGEND = """\
+kind     error of the instrument
+size     multiple of its typical size
+f        number of modulation frequencies
+state    what the survey states about the error
+trust    fraction of the pixels without a flag [%]
+95 %     fraction of the trusted whose 95 % interval contains the surface
+>3.5     fraction of the trusted off by more than 3.5 standard uncertainties [%]
+worst    largest error of a trusted pixel over its standard uncertainty
+mean mm  mean error of the trusted
+stated   median standard uncertainty of the trusted [mm]
+cause    whether a suggested cause is the right one
+tests    failed tests of the instrument
+"""
+
+
+def _joined(cells: Iterable[str]) -> str:
+    parts = (
+        f"{cell:<{width}}" if name in _LEFT else f"{cell:>{width}}"
+        for cell, (name, width) in zip(cells, _WIDTHS.items(), strict=True)
+    )
+    return " ".join(parts).rstrip()
+
+
+HEADER = _joined(_WIDTHS)
+
+
+def line(row: InstrumentRow) -> str:
+    """Return one row of the table as text."""
+    key = row.key
+    figures = (
+        (row.trusted, ".1f"),
+        (row.inside, ".1f"),
+        (row.far, ".1f"),
+        (row.worst, ".1f"),
+        (row.mean, "+.3f"),
+        (row.stated, ".3f"),
+    )
+    return _joined(
+        [
+            key.kind,
+            f"{key.size:g}",
+            str(key.count),
+            key.state,
+            key.method,
+            str(key.seed),
+            *("-" if math.isnan(value) else format(value, f) for value, f in figures),
+            row.cause,
+            ",".join(row.tests) or "-",
+        ]
+    )
+
+
+def written(text: str) -> Iterator[InstrumentRow]:
+    """Parse the text of a table, and yield its complete rows."""
+    lines = iter(text.splitlines(keepends=True))
+    for content in lines:
+        if content.rstrip() == HEADER:
+            break
+    else:
+        raise ValueError(
+            "there is no table of instrument errors; it begins with 'kind'"
+        )
+    for content in lines:
+        # An interrupted run leaves a line without an end.
+        if content.endswith("\n"):
+            yield _parsed(content.rstrip("\n"))
+
+
+def _parsed(content: str) -> InstrumentRow:
+    cells, start = [], 0
+    for width in _WIDTHS.values():
+        cells.append(content[start : start + width].strip())
+        start += width + 1
+    kind, size, count, state, method, seed, *figures, cause, tests = cells
+    numbers = [math.nan if cell == "-" else float(cell) for cell in figures]
+    trusted, inside, far, worst, mean, stated = numbers
+    return InstrumentRow(
+        key=Key(
+            kind=kind,
+            size=float(size),
+            count=int(count),
+            state=state,
+            method=method,
+            seed=int(seed),
+        ),
+        trusted=trusted,
+        inside=inside,
+        far=far,
+        worst=worst,
+        mean=mean,
+        stated=stated,
+        tests=() if tests == "-" else tuple(tests.split(",")),
+        cause=cause,
+    )
+
+
+def text(rows: Iterable[InstrumentRow]) -> str:
+    """Return a table as text, in the order of its keys."""
+    names = list(KINDS)
+
+    def order(row: InstrumentRow) -> tuple[int, ...]:
+        key = row.key
+        state = STATES.index(key.state)
+        return names.index(key.kind), state, int(key.size), key.count, key.seed
+
+    ordered = sorted(rows, key=lambda row: (*order(row), row.key.method))
+    return "\n".join([LEGEND, HEADER, *(line(row) for row in ordered), ""])
+
+
+#: Least share of trusted pixels [%].
+_TRUSTED = 80.0
+#: Least share of them in their 95 % interval, and largest beyond 3.5 uncertainties [%].
+_INSIDE, _FAR = 92.0, 0.3
+
+
+def counts(rows: Iterable[InstrumentRow]) -> str:
+    """Return a Markdown table with the cases that meet each requirement."""
+    errors = [row for row in rows if row.key.kind != "perfect"]
+    lines = [
+        "| the survey | size of the error | cases | rejected scans | at least "
+        f"{_TRUSTED:g} % of the pixels trusted | trusted pixels inside the 95 % "
+        f"interval | cases with less than {_INSIDE:g} % inside | cases with more than "
+        f"{_FAR:g} % beyond 3.5 standard uncertainties |",
+        "|" + " --- |" * 8,
+    ]
+    for state in STATES:
+        for size in SIZES:
+            cases = [r for r in errors if (r.key.state, r.key.size) == (state, size)]
+            images = [row for row in cases if not math.isnan(row.inside)]
+            if not images:
+                continue
+            trusted = sum(row.trusted for row in images)
+            inside = sum(row.trusted * row.inside for row in images) / trusted
+            cells = (
+                _STATE_WORDS[state],
+                "typical" if size == 1 else f"{size:g} times",
+                len(cases),
+                sum("refused" in row.tests for row in cases),
+                sum(row.trusted >= _TRUSTED for row in images),
+                f"{inside:.1f} %",
+                sum(row.inside < _INSIDE for row in images),
+                sum(row.far > _FAR for row in images),
+            )
+            lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
+    return "\n".join([*lines, ""])
+
+
+_STATE_WORDS = {
+    "uncalibrated": "states no calibration",
+    "calibrated": "states the phase error",
+    "wrong": "states a third of the phase error",
+}
+
+
+def suggestions(rows: Iterable[InstrumentRow]) -> tuple[int, int]:
+    """Return the numbers of right and of all suggested causes; perfect scans apart."""
+    causes = [row.cause for row in rows if row.key.kind != "perfect"]
+    right = causes.count("right")
+    return right, right + causes.count("wrong")
+
+
+def false_alarms(rows: Iterable[InstrumentRow]) -> tuple[int, int]:
+    """Return the numbers of failed and of all scans of a perfect instrument."""
+    perfect = [row for row in rows if row.key.kind == "perfect"]
+    return sum(bool(row.tests) for row in perfect), len(perfect)
+
+
+def measured(key: Key, test: Case) -> InstrumentRow:
+    """Process a test case by the method of a key, and return its row."""
+    result = outcome(key.method, test)
+    figures = score(test, result)
+    tests, cause = _suggested(KINDS[key.kind].causes, result)
+    return InstrumentRow(
+        key=key,
+        trusted=100 * figures.trusted,
+        inside=100 * figures.inside_95,
+        far=100 * figures.far,
+        worst=figures.worst,
+        mean=1e3 * figures.mean,
+        stated=1e3 * figures.uncertainty,
+        tests=tests,
+        cause=cause,
+    )
+
+
+def _suggested(causes: tuple[str, ...], result: Outcome) -> tuple[tuple[str, ...], str]:
+    """Return the failed tests of a result, and whether their causes are right."""
+    from amulor.imaging.instrument_tests import instrument_tests
+
+    if result.image is None:
+        names, words = ["refused"], result.note
+    else:
+        failed = instrument_tests(result.image)
+        names = [test.name for test in failed]
+        words = "; ".join(test.cause for test in failed)
+    if not words:
+        return (), "none"
+    right = any(cause in words for cause in causes)
+    return tuple(names), "right" if right else "wrong"
+
+
+def run(
+    path: Path,
+    keys: Iterable[Key],
+    *,
+    done: Callable[[InstrumentRow], None] | None = None,
+) -> list[InstrumentRow]:
+    """Measure the rows that a file lacks, and append each to it at once.
+
+    A run that was interrupted goes on where it stopped.
+    """
+    rows = list(written(path.read_text(encoding="utf-8"))) if path.exists() else []
+    # Also removes the rest of an interrupted line.
+    path.write_text(text(rows), encoding="utf-8")
+    present = {row.key for row in rows}
+    last: tuple[object, ...] | None = None
+    for key in keys:
+        if key in present:
+            continue
+        scan = (key.kind, key.size, key.count, key.state, key.seed)
+        if scan != last:
+            test, last = case(*scan), scan
+        row = measured(key, test)
+        rows.append(row)
+        present.add(key)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(line(row) + "\n")
+        if done is not None:
+            done(row)
+    return rows
