@@ -36,9 +36,9 @@ def test_the_report_stands_alone_and_says_what_was_found(folder: Path) -> None:
     assert not re.findall(r'(?:src|href)="(?!data:)', page)
     assert "<script" not in page
     for heading in (
-        "What it is made of", "What is asked for", "Where it works",
-        "What time and frequency buy", "What to measure before buying",
-        "What would change the answer", "Confirmed by scans and photons",
+        "Components", "Requirements", "Where it works",
+        "Trade-off of time, frequency and error", "Measurements before a purchase",
+        "Assumptions that would change the answer", "Confirmed by scans and photons",
     ):  # fmt: skip
         assert f"<h2>{heading}</h2>" in page, heading
     best = paper_goal.choice().best

@@ -200,7 +200,7 @@ def reasons_of(recommendation: Recommendation, *, confirm: bool) -> Reasons:
         choices.append(("runner-up", recommendation.runner_up.parameters))
     begin = 0.3 if confirm else 1.0
     with _progress.part(0.0, begin):
-        _progress.tell("what time and frequency buy", 0.0)
+        _progress.tell("trade-off of time and frequency", 0.0)
         bought = trade(goal, best)
         share = None
         if uncertain(goal, best):

@@ -97,7 +97,7 @@ class Texture:
         if target.texture == "vertex-colours":
             if kind not in ("vertex", "face"):
                 raise SurveyError(
-                    f"{target.file}: has no colours of vertices; export them, or leave "
+                    f"{target.file}: has no colors of vertices; export them, or leave "
                     "out texture"
                 )
             self._values = np.asarray(loaded.visual.vertex_colors, dtype=float)
@@ -346,7 +346,7 @@ def _mesh(target: Mesh) -> NDArray[np.float64]:
     across = float(np.ptp(solid_corners.reshape(-1, 3), axis=0).max())
     if "unit" not in target.model_fields_set and across > _ACROSS:
         raise SurveyError(
-            f"{target.file}: is {across:.3g} m across if its coordinates are metres, "
+            f"{target.file}: is {across:.3g} m across if its coordinates are meters, "
             'more than a scan takes in; state unit = "mm" or what it is, also if it is '
             '"m"'
         )

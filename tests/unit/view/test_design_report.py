@@ -84,9 +84,9 @@ def test_an_impossible_goal_names_what_must_give_first(tmp_path: Path) -> None:
     report.write(path, found, replace(_reasons(), confirmations=()))
     text = _plain(path)
     assert "No instrument of these components does it" in text
-    assert "What must give: scan time: 20 min in place of 10 min" in text
+    assert "Requirement to relax: scan time: 20 min in place of 10 min" in text
     assert "Build this" not in text
-    assert "What would change the answer" not in text
+    assert "Assumptions that would change the answer" not in text
     assert "Confirmed" not in text
     assert path.read_text().count("data:image/png") == 3
 

@@ -191,7 +191,7 @@ def surface(
     corners = _triangles(usable, distance, direction, variance, np.tan(steepest))
     if not len(corners):
         raise CubeError(
-            "no three neighbouring pixels of the range image have a range, so there is "
+            "no three neighboring pixels of the range image have a range, so there is "
             "no surface to draw; look at its quality flags"
         )
     corners = _facing(corners, inside, direction)

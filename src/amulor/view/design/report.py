@@ -137,9 +137,9 @@ def write(
     drawings = figures_of(recommendation, reasons)
     parts: list[Part] = [*_answer(recommendation), *_edges(recommendation)]
     parts += [
-        Heading("What it is made of"),
+        Heading("Components"),
         _components(recommendation),
-        Heading("What is asked for"),
+        Heading("Requirements"),
         _requirements(recommendation.best),
         Heading("Where it works"),
         Picture(
@@ -152,7 +152,7 @@ def write(
     if "runner-up-map" in drawings:
         parts.append(Picture(drawings["runner-up-map"], "The same for the runner-up."))
     parts += [
-        Heading("What time and frequency buy"),
+        Heading("Trade-off of time, frequency and error"),
         Picture(
             drawings["fronts"],
             "The recommended instrument with other dwells and frequencies, whatever "
@@ -164,7 +164,7 @@ def write(
     parts += _turns(recommendation, reasons.turns)
     parts += _confirmed(reasons.confirmations)
     parts += [
-        Heading("What this rests on"),
+        Heading("Basis of the results"),
         Paragraph(
             f"{judged:,} instruments were judged by the total error of one "
             "pixel that the asked share of waters and targets keeps within, from the "
@@ -195,7 +195,7 @@ def _answer(recommendation: Recommendation) -> list[Part]:
                 f"{parameters_text(best.parameters)}: {reached}."
             ),
             *(
-                Paragraph(f"What must give: {conflict.text}.")
+                Paragraph(f"Requirement to relax: {conflict.text}.")
                 for conflict in recommendation.impossible
             ),
         ]
@@ -290,7 +290,7 @@ def _measure(
         return []
     largest = sensitivity.largest
     return [
-        Heading("What to measure before buying"),
+        Heading("Measurements before a purchase"),
         Paragraph(
             f"The error depends most on: {largest.label}. All together change it by a "
             f"factor of {np.exp(sensitivity.spread):.2f} (one standard deviation)."
@@ -319,7 +319,7 @@ def _turns(recommendation: Recommendation, turns: Sequence[Turn]) -> list[Part]:
         for turn in turns
     ]
     return [
-        Heading("What would change the answer"),
+        Heading("Assumptions that would change the answer"),
         Table(
             ["assumption", "as stated", "the runner-up wins at", "factor"],
             rows,
