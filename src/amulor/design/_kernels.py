@@ -87,7 +87,7 @@ RESULTS = (
     "output",  # mean output over the largest linear one [1]
     "unseen",  # share of the frequencies whose phase is lost in noise [1]
     "channel",  # number of the channel that the range is from [1]
-    "frequency_index",  # number of the frequency that is kept, -1 for all [1]
+    "frequency_index",  # index of the selected frequency, -1 for all [1]
 )
 (O_WRONG, O_ASTRAY, O_SIGNAL, O_OUTPUT, O_UNSEEN, O_CHANNEL, O_TONE) = range(10, 17)
 
@@ -508,7 +508,7 @@ def range_information(x: Floats, scratch: Scratch, out: Floats, bias: Floats) ->
             slope[single + c] = column
             slope[single + channels :] = scratch.change[k, c, 2:]
             _add(slope, noise, shared)
-    # The echo of a channel without light says nothing of the range.
+    # The echo of a channel without light has no range information.
     for i in range(single):
         information[i, i] = max(information[i, i], 1e-200)
     inner = np.linalg.inv(_scaled(information[:single, :single])).astype(np.float64)

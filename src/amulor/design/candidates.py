@@ -194,7 +194,7 @@ def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
 
 
 def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
-    """Ratio of water coefficients at a laser's to the first laser's wavelength [1]."""
+    """Water coefficients at a laser's wavelength, relative to the first laser's [1]."""
     first = goal.components.lasers[0].name
     if chosen.laser == first:
         return {}
@@ -333,7 +333,7 @@ def values_at(spread: Spread, share: Floats) -> Floats:
     values = low + (high - low) * place
     if logarithm:
         return np.asarray(np.exp(values))
-    # A normal distribution may reach out of what a fraction or a coefficient can be.
+    # A normal distribution may exceed the physical limits of the quantity.
     floor = 1e-6 if spread.low > 0 else 0.0
     most = 1.0 if isinstance(spread, FractionSpread) else np.inf
     return np.asarray(np.clip(values, floor, most))

@@ -319,7 +319,7 @@ _JERLOV = {
     "source": "williamson-hollins-2022",
     "salinity": 35.0,
 }
-#: Waters known by name, with their description and their form in a survey.
+#: Named waters, with description and survey text.
 WATERS: dict[str, tuple[str, dict[str, Any]]] = {
     "pure": ("pure sea water", {"kind": "pure", "salinity": 35.0}),
     **{

@@ -46,7 +46,7 @@ _NEAREST = 5e-3
 _GROWTH, _POINTS = 1.3, 6
 #: Largest phase over one panel [rad].
 _TURN = 2.5
-#: Light of an overlap so small counts as none (logarithm).
+#: Logarithm of a negligible overlap.
 _DARK = -690.0
 #: Overlap so small somewhere that its logarithm falls steeply.
 _STEEP = -100.0
@@ -195,7 +195,7 @@ def _farthest(survey: Survey, looks: Looks, depth: Floats) -> float:
     faded = _FADED / (2 * least) if least > 0 else _FARTHEST
     reach = max(1.5 * float(depth[-1]), min(faded, _FARTHEST))
     end = survey.water.column_end
-    # A target may stand at the end of the water, or be evaluated behind it.
+    # A target may be at the end of the water, or be evaluated behind it.
     return reach if end is None else max(min(reach, end), float(depth[-1]))
 
 
@@ -504,7 +504,7 @@ def _light(
     if joint:
         factor = 1 + _STEP
         versions.append(light(absorption=looks.absorption * factor).water)
-        # The strength is a parameter of its own, so backscatter is kept as it is.
+        # The strength is a separate parameter, so backscatter is unchanged.
         versions.append(light(scattering=looks.scattering * factor).water / factor)
     bent = case.water.second_moment * np.outer(looks.scattering, depth)
     return (

@@ -76,7 +76,7 @@ def assessed(
         lighting = lit(case, values, frequencies, joint=method == "joint", late=late)
 
     def flat(array: Any) -> NDArray[Any]:
-        # Memory of its own: read-only views would be compiled for once more.
+        # Copies, as read-only views would need another compilation.
         return np.array(np.broadcast_to(array, shape), order="C").reshape(-1)
 
     present = np.isfinite(frequencies)

@@ -151,7 +151,7 @@ def _error(
     return float(np.sort(error, axis=-1)[:, rank].max())
 
 
-#: Relative distance to an edge up to which a value counts as the edge [1].
+#: Relative distance within which a value counts as a limit [1].
 _EDGE = 2e-3
 #: Candidates that a recommendation lists.
 _LISTED = 50

@@ -163,7 +163,7 @@ class Judge:
     ) -> None:
         self.goal = goal
         parts = laser_of(goal, laser)
-        # Of the longest dwell, which leaves the time constant as it is stated.
+        # For the longest dwell, with the stated time constant.
         self.start = replace(
             first_choice(goal),
             laser=laser,

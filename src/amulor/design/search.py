@@ -346,7 +346,7 @@ def _grid(goal: Goal, laser: str) -> Grid:
 
 
 def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Parameters]:
-    """Choose candidates to start the search from: the best and the cheapest."""
+    """Choose the starting candidates of the search: the best and the cheapest."""
     chosen: list[int] = []
     alone = not goal.components.modulation.sets and goal.components.modulation.most > 1
     for with_intervals in (True, False) if alone else (True,):

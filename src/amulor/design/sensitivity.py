@@ -27,7 +27,7 @@ __all__ = ["Sensitivity", "Uncertain", "sensitivity", "uncertain"]
 
 Floats = NDArray[np.float64]
 
-#: Factor up and down within which a number lies that is assumed without a range [1].
+#: Range of assumed numbers without a stated range, as a factor up and down [1].
 FACTOR = 2.0
 _LABELS = {
     "attenuation": "attenuation of the water",

@@ -97,7 +97,7 @@ def trade(goal: Goal, chosen: Parameters, *, draws: int = 24) -> Trade:
     else:
         sets = {(frequency,) for frequency in frequencies}
         if modulation.most > 1:
-            # Pairs of neighbors keep long intervals up to high frequencies.
+            # Pairs of neighboring frequencies have long ambiguity intervals.
             sets |= set(itertools.pairwise(frequencies))
             low = chosen.frequencies[0]
             if len(chosen.frequencies) > 1:

@@ -43,7 +43,7 @@ def completed(
     ranges, shared = _without_instrument(observation, ranges)
     if light.note == "taken off":
         ranges = _without_late_light(observation, ranges)
-    # What the survey states wins over what the estimation took for lack of it.
+    # Values stated in the survey replace the assumptions of the estimation.
     shared |= calibration_terms(observation, ranges.path, ranges.slope)
     phases = instrument_term(observation, ranges.weight, ranges.slope)
     if phases is not None:
@@ -113,7 +113,7 @@ def _without_instrument(
         return ranges, {}
     counted = np.sum([term**2 for term in terms.values()], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        # Its derivatives and those here differ in their last digits.
+        # The estimation's derivatives differ from these in the last digits.
         scale = np.fmin(ranges.common / np.sqrt(counted), 1.0)
         terms = {name: term * scale for name, term in terms.items()}
         counted = counted * scale**2
@@ -159,7 +159,7 @@ def _unknown_of_water(channel: xr.Dataset) -> list[str]:
         # Shots that repeat no direction show no change.
         unknown.append("drift")
     if "open_water_degree" in channel.attrs and "residual_in_phase" not in channel:
-        # No survey tells how much water is behind a target.
+        # Without a survey the amount of water behind a target is unknown.
         unknown.append("column")
     return unknown
 

@@ -24,7 +24,7 @@ def own_variance(image: xr.Dataset) -> Floats:
         variance = np.maximum(variance - shared, _ROUNDED * variance)
     unknown = np.isnan(variance)
     if unknown.any():
-        # The joint estimation states what pixels share as its model of the water.
+        # The joint estimation states errors common to all pixels as water-model errors.
         joint = ("water_model",) if "slant_range_bound" in image else ()
         parts = [
             image[f"{RANGE_PREFIX}{name}"].values ** 2

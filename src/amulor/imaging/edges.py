@@ -184,7 +184,7 @@ def _steps(distance: Floats, variance: Floats) -> NDArray[np.bool_]:
 
 
 def _step_scores(distance: Floats, variance: Floats, rows: int) -> Floats:
-    """Step heights to the next column over their standard uncertainty, 0 if unknown."""
+    """Range steps to the next column in standard errors, 0 if unknown."""
     valid = np.isfinite(distance) & np.isfinite(variance)
 
     def summed(values: Floats) -> Floats:
@@ -223,7 +223,7 @@ def _step_scores(distance: Floats, variance: Floats, rows: int) -> Floats:
     settled = determinant > 1e-6 * hh * xx
     safe = np.where(settled, determinant, 1.0)
     step, slope = (hy * xx - xy * xh) / safe, (xy * hh - hy * xh) / safe
-    # Noise that is stated too small shows in what the fit leaves.
+    # Understated noise appears in the residuals of the fit.
     residual = yy - y**2 / weight_sum - step * hy - slope * xy
     excess = np.maximum(residual / np.maximum(columns - 3, 1), 1.0)
     error = np.sqrt(excess * np.maximum(xx, _TINY) / safe)

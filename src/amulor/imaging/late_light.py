@@ -206,7 +206,7 @@ def _between(
     place = np.empty(shape)
     place[..., 0] = observation.geometry.azimuth
     place[..., 1] = observation.geometry.elevation
-    # What the sample of a scan in tiles has not reached counts as its end.
+    # Values beyond the sampled pixels of a tiled scan are clipped to its limits.
     reached = np.clip(depth, ends[0], ends[1])
     place[..., 2] = np.log(np.where(usable, reached, ends[0]))
     delays = []

@@ -338,7 +338,7 @@ def _regions(
     points = np.stack([cloud[axis].values for axis in "xyz"], axis=1)[keep]
     row, column = row[keep], column[keep]
     variance = cloud["slant_range_uncertainty"].values[keep] ** 2
-    # Where the error is not known, planes are fitted by the noise of the pixels.
+    # If the errors are unknown, planes are weighted by the noise of the pixels.
     unknown = np.isnan(variance)
     variance = np.where(unknown, own_variance(image)[row, column], variance)
     for name in (*ALIKE_TERMS, *WATER_TERMS):

@@ -218,9 +218,9 @@ def readable_survey(cube: xr.Dataset) -> Survey | None:
     return survey
 
 
-#: Pairs of neighbors that are enough to tell.
+#: Least number of neighbor pairs for the estimate.
 _FEWEST = 30
-#: The scatter must stand out of chance by this many standard errors [1].
+#: Least significance of excess scatter, in standard errors [1].
 _SURE = 4.0
 #: Median of chi-square with one degree of freedom, and the relative standard error of
 #: such a median times the root of the number of values [1].

@@ -153,7 +153,7 @@ def stand_off(image: xr.Dataset) -> Floats:
 def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.bool_]:
     """Mask of isolated pixels: few neighbors, and none at a similar range."""
     angles = [image["azimuth"].values, image["elevation"].values]
-    # Azimuths are closer together the higher they are looked at.
+    # Azimuth lines converge with elevation.
     angles[0] = angles[0] * np.cos(angles[1])
     fields = [distance, variance, *angles]
     padded = [np.pad(values, 1, constant_values=np.nan) for values in fields]
@@ -172,7 +172,7 @@ def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.
             with np.errstate(invalid="ignore"):
                 supported |= np.abs(far - distance) <= allowed
     alone = np.isfinite(distance) & ~supported & (around <= _FEW_AROUND)
-    # Of a single pixel nothing around tells anything.
+    # A single pixel has no neighbors for a comparison.
     return np.asarray(alone & (distance.size > 1))
 
 
@@ -346,7 +346,7 @@ def _standing(distance: Floats, variance: Floats, neighbours: Floats) -> _Standi
 
 def _median(values: Floats, count: NDArray[np.intp]) -> Floats:
     """Median of the finite values over the first axis."""
-    ordered = np.sort(values, axis=0)  # what is not there comes last
+    ordered = np.sort(values, axis=0)  # NaN values are last
     last = np.maximum(count - 1, 0)
     two = [
         np.take_along_axis(ordered, half[None], axis=0)[0]

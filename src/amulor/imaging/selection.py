@@ -124,7 +124,7 @@ def without(
 
 #: Pixels up to which an image is shown as it is [1].
 LARGEST = 250_000
-#: Pixels that are left of a larger one, at most [1].
+#: Largest number of pixels after thinning [1].
 SHOWN = 250_000
 
 

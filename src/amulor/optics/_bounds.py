@@ -276,7 +276,7 @@ def one_axis(least: int, **columns: ArrayLike) -> None:
 def last_axes(
     value: ArrayLike, shape: tuple[int, ...], *, name: str, meaning: str = ""
 ) -> Array:
-    """Return an array, checked to have last axes of a given shape.
+    """Return an array; ValueError unless its last axes have a given shape.
 
     Examples
     --------

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from amulor.errors import CubeError
 from amulor.rejection.covariance import Covariance
 
-#: Channels in which backscatter of spheres is dark. A mirror-like return keeps V and H,
-#: but swaps +45 with -45 degrees and right with left, in the axes of its own light.
+#: Channels in which backscatter of spheres is dark. A mirror-like return preserves V
+#: and H, but swaps +45 with -45 degrees and right with left, in its own axes.
 CROSS_POLARIZED = ("VH", "HV", "PP", "MM", "RR", "LL")
 #: Channels in which it is bright.
 CO_POLARIZED = ("VV", "HH", "PM", "MP", "RL", "LR")

@@ -110,7 +110,7 @@ def _combine(
     of_reference = solved.error_of(reference)
     by_water = solved.error_of_water(water_weights, of_water)
     common = of_reference + by_ratio + by_water
-    # Put back where the distance is settled; where it is not, it is not known.
+    # Added back where the distance is unique; elsewhere the column is unknown.
     residual = None if subtracted.residual is None else subtracted.residual[channel[0]]
     # Errors turn alike, so one of each sum is what the others leave of it.
     column = solved.error_of_water(water_weights, subtracted.column.part(channel[0]))
@@ -162,12 +162,12 @@ def _combine(
         target_ratio_uncertainty=target_ratio_uncertainty,
         **{f"phase_error_gain_{co}": gain, **reference_attributes(subtracted)},
     )
-    # Whether there is a target was decided before a column was put back.
+    # The target detection precedes the addition of the column.
     result = quality.add(result, QualityFlag.NO_TARGET, ~subtracted.has_target)
     outlying = subtracted.outlying[channel[0]] | subtracted.outlying[channel[1]]
     result = quality.add(result, QualityFlag.OUTLIER, outlying[:, None])
     if water_change == 0:
-        # Nothing here makes up for a reference that is doubtful.
+        # A doubtful reference cannot be compensated here.
         result = quality.add_water_residual(result, subtracted.cause)
     return result, CombinedFit(
         noise_scale=noise_scale,

@@ -30,7 +30,7 @@ Interval = tuple[float, float] | None
 
 #: A method must use this fraction of the pixels that the best one uses [1].
 _USES_ENOUGH = 0.9
-#: A method that trusts fewer pixels than this says so [1].
+#: Trusted fraction of pixels below which a method has a caution [1].
 _HARDLY_ANY = 0.03
 #: A joint estimation that trusts fewer pixels is tried without the shots [1].
 _FEW = 0.8
@@ -438,7 +438,7 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
     if usable.any():
         noises, biases, agree[usable], path[usable] = _errors(target, usable, excluded)
         water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
-        # A few pixels of which it is not known say so by a flag, and count there.
+        # A few pixels with unknown bias have a flag, and are counted there.
         clear = flag[usable] == 0
         counted = biases[clear] if clear.any() else biases
         bias = float(np.sqrt(np.mean(counted**2)))
@@ -520,7 +520,7 @@ def _errors(
     if "joint_slant_range_uncertainty" in target:
         uncertainty = target["joint_slant_range_uncertainty"].values[usable]
         settled = np.isfinite(uncertainty)
-        # What is not known of the instrument is in no other method's error.
+        # Unknown instrument errors are not included in any other method's error.
         instrument = target.attrs["joint_instrument_uncertainty_m"]
         rest = np.sqrt(np.maximum(uncertainty[settled] ** 2 - instrument**2, 0.0))
         return rest, np.zeros(settled.shape), settled, _joint_path(target)[usable]

@@ -177,7 +177,7 @@ def co_polarized(cube: xr.Dataset) -> xr.Dataset:
     return _with_water(cube, channels=CO_POLARIZED, name="co-polarized")[0]
 
 
-#: Ratios of target and water that are closer cannot be told apart [1].
+#: Least difference of target and water ratio for a separation [1].
 _SMALLEST_CONTRAST = 1e-3
 
 
@@ -507,7 +507,7 @@ def _fluctuations(
     return covariances, FluctuationFit(water=before, channels=tuple(channels))
 
 
-#: Analyser states tell the Stokes vector if their matrix is no worse than that [1].
+#: Largest condition number of the analyzer states for a Stokes vector [1].
 _WORST_CONDITION = 100.0
 #: Target and water differ if their Stokes vectors span an angle of that sine [1].
 _SMALLEST_ANGLE = 1e-3
@@ -654,7 +654,7 @@ def unmix_stokes(
             "proportions, or the first one shows no target; other channels or other "
             "Mueller matrices are needed to tell them apart"
         )
-    # In units of what the first channel sees of the target.
+    # In units of the target signal of the first channel.
     weights = [list(passed / fractions[0][0]) for passed in fractions]
     part = Observation(cube=cube.sel(polarization=chosen))
     signal, errors = part.signal, part.covariance
@@ -673,7 +673,7 @@ def unmix_stokes(
 
     solved = solve(errors)
     if part.shots is not None:
-        # Each channel's water follows from what is left of it.
+        # Each channel's water follows from its residual.
         water = signal - np.stack([w * solved.target for w in weights[0]], axis=1)
         size, _ = not_smaller_than_shots_say(part, water)
         fluctuation = fluctuation_of(fit_shots(part)[0], size)

@@ -16,9 +16,9 @@ from amulor.cube import QualityFlag, WaterResidualCause
 from amulor.optics import detection, ranging
 from amulor.rejection.covariance import Covariance
 
-#: A target is seen when its signal stands this many standard errors off zero.
+#: Least significance of a target signal, in standard errors.
 DETECTION_THRESHOLD = 5.0
-#: And when its phase is known to this; beyond, a first-order error means nothing [rad].
+#: Largest phase error of a detected target; first-order errors fail beyond [rad].
 LARGEST_PHASE_ERROR = 0.3
 
 
@@ -48,7 +48,7 @@ def flags(
     missing = ~np.isfinite(target_signal)
     if saturated is not None:
         flag[saturated] |= QualityFlag.SATURATED
-    # Water that is left in must not pass for a target: it counts as an error too.
+    # Residual water must not be detected as a target: it counts as an error, too.
     water = np.zeros_like(target_signal) if residual is None else residual
     power = np.nan_to_num(np.abs(water) ** 2)
     blurred = Covariance(
@@ -133,7 +133,7 @@ def looks_like_water(
     }
 
 
-#: Phases of two channels that differ by so many standard errors do not see the same.
+#: Phase difference of inconsistent channels, in standard errors.
 _DISAGREE = 4.0
 #: So many are enough where more do than chance makes.
 _LEAST_DISAGREEMENT = 2.5
@@ -152,7 +152,7 @@ def channels_disagree(
     shown: NDArray[np.bool_] | None = None,
     fit: tuple[Disagreement, ...] | None = None,
 ) -> tuple[NDArray[np.bool_], tuple[Disagreement, ...], NDArray[np.float32]]:
-    """Return the samples whose phase differs from that of another channel.
+    """Return the mask of samples whose phases differ between channels.
 
     Both samples of a pair are marked, for nothing tells which one is wrong. None are
     where more than 15 % of the samples of a pair disagree, which is no chance. Pixels
@@ -188,9 +188,9 @@ def channels_disagree(
     return marked, tuple(limits), size
 
 
-#: A phase between channels that chance makes rarer than this is real [1].
+#: P-value below which a phase difference between channels is significant [1].
 _REAL_PHASE = 1e-4
-#: Share of the pixels with a target whose phase must be known for this test [1].
+#: Least fraction of the target pixels with a known phase for this test [1].
 _MOST_PIXELS = 0.5
 #: A larger one flags the scan [rad].
 LARGEST_CHANNEL_PHASE = 0.05
@@ -254,7 +254,7 @@ def channel_phase(
             for second in range(first):
                 pair = [first, second]
                 both = detected[index, pair].all(axis=0)
-                # Noise chooses the few pixels whose phase is known; their mean is off.
+                # Noise selects the few pixels with a known phase; their mean is biased.
                 if both.sum() < max(2.0, _MOST_PIXELS * shown.sum()):
                     continue
                 product, without = (
@@ -362,7 +362,7 @@ def _standardized(
     return np.asarray(np.abs(away - usual) / scatter)
 
 
-#: What is explained leaves a rest that chance makes at least so often [1].
+#: Least p-value of the residual of an explained phase difference [1].
 PLAUSIBLE = 1e-3
 
 

@@ -211,7 +211,7 @@ def ratio_of(target: xr.Dataset) -> Ratio:
     expected = (noise[1] + value**2 * noise[0]) / np.abs(a) ** 2
     strength = weight * np.abs(a) ** 2 / np.sum(weight * np.abs(a) ** 2)
     spread = np.sqrt(max(float(np.sum(strength * (relative**2 - expected))), 0.0))
-    # Chance makes a spread too; only what stands out of it belongs to the targets.
+    # Noise causes a spread, too; only the excess is due to the targets.
     chance = float(np.sum(strength**2 * 2 * expected**2)) ** 0.25
     spread = spread if spread > 2 * chance else 0.0
     shared = [np.sqrt(_common_variance(part, usable) / np.abs(a) ** 2) for part in pair]
@@ -236,7 +236,7 @@ def _line(first: Complex, second: Complex) -> tuple[float, float]:
     # Both channels follow the directions alike, so their difference does not.
     rest = b - value * a
     random = float(rest.std(ddof=1) / np.sqrt(len(rest)) / abs(mean))
-    # Across the phase of the water there is leakage alone, see `ratio_of`.
+    # Only leakage is in quadrature to the water; see `ratio_of`.
     askew = abs(float((second / turn).imag.mean())) / abs(mean)
     return float(value), float(
         np.hypot(random, askew if askew > _BY_CHANCE * random else 0.0)

@@ -86,7 +86,7 @@ class Subtraction:
     tests: dict[str, NDArray[Any]]
     """Test statistics, named in `PIXEL_TESTS` and `SAMPLE_TESTS`."""
     outlying: NDArray[np.bool_]
-    """Samples whose phase differs from that of another channel."""
+    """Mask of samples whose phases differ between channels."""
     water: WaterBeforeTarget
     """Water signal in front of the targets, from shots and survey."""
     fit: SubtractionFit
@@ -168,7 +168,7 @@ def subtract_open_water(
     tell("errors of the target signal", 0.85)
     change = along(water.drift * water.signal, 12**-0.5)
     # Only the water in front of the target fluctuates, drifts and departs; a column
-    # that is not put back is no change of the water.
+    # that is not added back is no change of the water.
     hidden = 0.0 if put_back or residual is None else np.nan_to_num(residual)
     strength = None if fit is None else fit.strength
     if strength is None:

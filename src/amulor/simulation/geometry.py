@@ -166,7 +166,7 @@ def _brightness(
         # At right angles to the surface there is no azimuth; any will do.
         turn = np.sum(flat[0] * flat[1], axis=1) / np.where(length > 0, length, 1.0)
         angles = [np.arccos(np.clip(slope, 0.0, 1.0)) for slope in slopes]
-        # The receiver behind the surface sees nothing of it, whatever its BRDF.
+        # A receiver behind the surface receives no light, for any BRDF.
         bright[indices] *= surface.brightness(
             target.surface,
             reflectance=target.reflectance,

@@ -29,9 +29,9 @@ Complex = NDArray[np.complex128]
 Directions = tuple[Floats, Floats, Floats]
 _Draw = Callable[[], Floats]
 
-#: Purposes of random numbers, each with generators of its own.
+#: Purposes of random numbers, each with separate generators.
 _POINTING, _WHITE, _PINK, _WHITE_SHOTS = range(4)
-#: Tones that stand for pink noise.
+#: Number of tones that represent pink noise.
 _TONES = 64
 #: Orders of harmonics that four samples a period turn into the conjugate.
 _CONJUGATE = (3, 7)

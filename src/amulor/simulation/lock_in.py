@@ -133,7 +133,7 @@ def _frequencies(survey: Survey) -> NDArray[np.float64]:
 def _light(
     response: NDArray[np.complex128], error: NDArray[np.float64] | None = None
 ) -> Light:
-    # Rounding leaves less than nothing where the receiver sees no light.
+    # Rounding causes negative values where no light is received.
     still = np.maximum(response[:1].real, 0.0)
     mean = np.broadcast_to(still, response[1:].shape)
     return Light(response[1:], mean, 0.0 if error is None else error[1:] ** 2)

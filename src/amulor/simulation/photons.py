@@ -565,7 +565,7 @@ def _places(view: View, depth: Any) -> Floats:
 
 
 def _brightness(survey: Survey) -> float:
-    """Return the reflectance of the first target, 0 without targets."""
+    """Return the reflectance of the first target; 0 for a survey without targets."""
     return float(survey.targets[0].reflectance) if survey.targets else 0.0
 
 

@@ -316,7 +316,7 @@ def _steps_table(cases: list[Case]) -> Table:
     )
 
 
-#: Called with what is done now and the fraction of the work done before it.
+#: Callback with the current step and the completed fraction of the work.
 Progress = Callable[[str, float], None]
 
 #: Packages that write point clouds of some formats.

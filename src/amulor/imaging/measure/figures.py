@@ -23,7 +23,7 @@ from amulor.survey.quantity import Description, Length
 Floats = NDArray[np.float64]
 Pixel = tuple[int, int]
 
-#: Directions less than this apart are one, of which no angle can be told [rad].
+#: Angle below which two directions coincide, without a measurable angle [rad].
 _STRAIGHT = 1e-6
 
 
@@ -381,7 +381,7 @@ class Checked:
     check: Check
     """Reference length."""
     measured: Measurement
-    """Measured length."""
+    """Measured length, with uncertainty."""
     deviation: float
     """Measured minus reference length [m]."""
     expanded: float

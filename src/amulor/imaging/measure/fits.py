@@ -17,9 +17,9 @@ Floats = NDArray[np.float64]
 #: Parameters and positions to residuals of shape (kinds, n).
 _Residuals = Callable[[Floats, Floats], Floats]
 
-#: More pixels than these tell no more, since what they share stays; they are thinned.
+#: Largest number of fitted pixels; common errors dominate beyond it.
 MOST_PIXELS = 1500
-#: The scatter must stand out of chance by this many standard errors [1].
+#: Least significance of excess scatter, in standard errors [1].
 _SURE = 4.0
 #: Coverage factor of the least radius that is stated [1].
 _COVERAGE = 2.0
@@ -451,7 +451,7 @@ def _fitted(
         spread[at * count + np.arange(count), np.arange(count)] = change[at]
     gain = inverse @ jacobian.T @ spread
     left_over = spread - jacobian @ gain
-    # Where the error of the ranges is not known, the misfit is against their noise.
+    # If the range errors are unknown, the misfit is relative to the noise.
     covariance_known = np.isfinite(points.covariance).all()
     scatter = points.covariance if covariance_known else np.diag(points.noise)
     expected = float(np.einsum("ij,jk,ik->", left_over, scatter, left_over))

@@ -253,7 +253,7 @@ def _combined(
 
 #: A drawing with more levels is no drawing.
 _MOST_LEVELS = 2000
-#: Cells on either side at which a line must stand apart from noise [1].
+#: Distance on both sides for the significance test of a line, in cells [1].
 _ASIDE = 3
 #: A line is drawn if its sides differ by so many standard errors. Neighboring cells
 #: share pixels, which makes the true ones up to half as large again [1].

@@ -177,7 +177,7 @@ def _pieces(
             joined.setdefault(second, []).append(first)
     lines: list[list[int]] = []
     remaining = set(joined)
-    # Ends of lines first; what is left then are rings.
+    # Open pieces first; the remaining pieces are closed.
     starts = sorted(remaining, key=lambda p: (len(joined[p]) != 1, distance[p]))
     for begin in starts:
         if begin not in remaining:

@@ -82,9 +82,9 @@ def _plane(
     return Plane(side=side, axes=np.array(rows, dtype=float), names=names)
 
 
-#: Beyond this angle between beam and normal two pixels are taken for two surfaces.
+#: Angle between beam and normal beyond which two pixels belong to two surfaces.
 STEEPEST = np.radians(80)
-#: A step between pixels counts as one if it stands out of noise this many times [1].
+#: Least ratio of a range step between pixels to its noise [1].
 _SURE = 3.5
 #: Normals are means over so many pixels in each direction [1].
 _SMOOTHED = 5
@@ -241,7 +241,7 @@ def _triangles(
         )
 
     complete = [joined(i, j) & joined(j, k) & joined(k, i) for i, j, k in halves]
-    # The diagonal that leaves more of the square; of two whole squares the shorter one.
+    # The diagonal with more of the square; the shorter one for complete squares.
     falling = complete[2].astype(int) + complete[3]
     rising = complete[0].astype(int) + complete[1]
     with np.errstate(invalid="ignore"):

@@ -348,7 +348,7 @@ def _unscattered(depth: Array, column: Column) -> Array:
 
 
 def _common(offset: Array, column: Column, path: Array) -> Array:
-    """Return the acceptance for a thin beam by the receiving part of the aperture [sr].
+    """Return the aperture area that receives a thin beam, over the squared path [sr].
 
     This is the area that the aperture has in common with the disc that the
     acceptance cone cuts out at the path, over the squared path [sr].

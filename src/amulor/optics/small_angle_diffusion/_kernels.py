@@ -156,7 +156,7 @@ def _bound(a: float, b: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _geometry(row: Array) -> Geometry:
-    """Convert a table row to named values."""
+    """Convert a table row to a named tuple."""
     return Geometry(
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9]
     )

@@ -44,7 +44,7 @@ def salinity_slope(wavelength: _Array, *, temperature: _Array) -> _Array:
 
 
 def _terms(t: _Array, s: _Array) -> tuple[_Array, _Array]:
-    """Return the fit's constant term, and its factor of 1 / wavelength [nm]."""
+    """Return coefficients of the fit: constant term, factor of 1 / wavelength [nm]."""
     offset = 1.31405 - 2.02e-6 * t**2 + _salt(t) * s
     return offset, 15.868 + 0.01155 * s - 0.00423 * t
 

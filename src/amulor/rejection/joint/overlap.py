@@ -345,7 +345,7 @@ def _lost(function: PhaseFunction, split_angle: float) -> Floats:
 
 Complex = NDArray[np.complex128]
 
-#: Fraction of the water signal that counts as nothing [1].
+#: Negligible fraction of the water signal [1].
 _NOTHING_LEFT = 1e-7
 #: Standard uncertainty of the logarithm of the scattering that a survey states [1].
 _STATED = 0.7
@@ -354,7 +354,7 @@ _KEPT = 8
 
 
 class Frame:
-    """Receiver geometry over a scan, from which water-signal tables are computed."""
+    """Receiver geometry over a scan, the basis of the water-signal tables."""
 
     def __init__(
         self,
@@ -573,7 +573,7 @@ def _scattered_light(
     )
 
 
-#: Strength below which a receiver sees no beam [sr m].
+#: Strength below which the receiver's view misses the beam [sr m].
 SMALLEST_STRENGTH = 1e-100
 
 

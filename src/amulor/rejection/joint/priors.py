@@ -123,7 +123,7 @@ def range_variance(instrument: Instrument, path: Floats, geometry: Geometry) -> 
 
 #: Legendre polynomials over the time of the scan that describe a change of the water.
 TRENDS = 3
-#: Pixels below which the water counts as constant.
+#: Number of pixels below which the water is regarded as constant.
 FEWEST = 96
 
 
@@ -215,9 +215,8 @@ Widths = tuple[float, float, float, float, float]
 #: k' [1/m], b_f <theta^2> [rad^2/m] and b_f [1/m]; a factor of 7 either way.
 _CENTRE = np.log([0.4, 0.02, 1.0])
 _PRIOR = 2.0
-#: Standard deviations tried for what the model does not know: the logarithm of the
-#: overlap at the knots, departures of the water signal over its strength, and those of
-#: the echo [1].
+#: Trial prior widths of model departures: logarithm of the overlap at the knots,
+#: relative departures of the water signal, and relative departures of the echo [1].
 _TRIED = (
     (1e-3, 0.01, 0.03, 0.1, 0.3, 1.0),
     (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1),
@@ -234,7 +233,7 @@ _STARTS: tuple[Widths, ...] = (
     (1e-3, 1e-6, 1e-6, 1e-6, 0.1),
 )
 
-#: Information that counts as none, far above the overflow of its inverse [1].
+#: Negligible information, far above the overflow of its inverse [1].
 _NOTHING = 1e-200
 #: Twice the logarithm of odds beyond which the model's departures are real [1].
 DECISIVE = 10.0
@@ -495,7 +494,7 @@ def widths_of(
                 chosen = min(candidates, key=value)
         return chosen
 
-    # Doubt falls on the shots first: they were taken at another time.
+    # The shots are doubted first, as they were measured at another time.
     blocks: tuple[int, ...] = (3, 0, 1, 2) if layout.doubts else (0, 1, 2)
     # A drift of the water is likelier than a wrong model.
     blocks = (4, *blocks) if layout.trends else blocks

@@ -41,7 +41,7 @@ _TRIALS, _LEAST_DAMPING = 6, 1e-3
 #: step whose expected gain is below 1 [1].
 _SETTLED = 0.02
 _FEW_TRIALS = 3
-#: Largest coefficient of the drift: three of them leave some water at all times [1].
+#: Largest drift coefficient: with three, the strength stays above zero [1].
 _LARGEST = 0.3
 #: Largest turn of the receiver in prior standard deviations; beyond it, the model of
 #: the water is wrong [1].

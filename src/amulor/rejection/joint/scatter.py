@@ -18,7 +18,7 @@ Complex = NDArray[np.complex128]
 
 #: A target is there when it explains this much more than water alone, in chi-square.
 DETECTION = 25.0
-#: Pixels whose p-value is below this have no say in what all share [1].
+#: P-value below which a pixel is excluded from the shared parameters [1].
 _OUTLIER = 1e-6
 #: Fluctuations over the scale of the noise that are tried first [1].
 _RATIOS = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04, 0.08, 0.16, 0.4, 1.0)

@@ -330,7 +330,7 @@ def _linearised(
     rows = np.arange(count)
     by_end[rows, :, :, near] = shared.strength[:, None] * slope[:, None]
     paths = by_channel(by_path + by_end)
-    # Amplitudes held at zero have no columns.
+    # Amplitudes fixed at zero have no columns.
     free = (amplitude > 0).astype(float)
     mixed = np.einsum("ncok,ncol->nckl", echoes * free[:, :, None, :], paths)
     gram = gram * free[..., None] * free[..., None, :]

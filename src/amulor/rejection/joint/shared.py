@@ -101,8 +101,8 @@ def start(
 _FIRST_STEPS = 14
 #: Pixels of the fit before edges, fish and bubbles are excluded.
 _FIRST = 256
-#: Pixels and steps of the test whether a scan is mostly water, and the largest share of
-#: the power that water may leave unexplained.
+#: Pixels and steps of the test for a scan of mostly water, and the largest fraction of
+#: the power that may remain unexplained.
 _LOOK, _LOOK_STEPS, _MOSTLY = 64, 3, 0.02
 
 

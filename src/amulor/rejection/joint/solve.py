@@ -178,7 +178,7 @@ def _variance(slopes: Floats, covariance: Floats) -> Floats:
 
 
 def _free_parameters(shared: Shared) -> Floats:
-    """Return the departures of water and echo in the order of `Layout`."""
+    """Return the departures of water and echo, in the parameter order of `Layout`."""
     return np.concatenate(
         [
             shared.departure.real.ravel(),

@@ -73,10 +73,10 @@ _SMALLEST_COMPONENT = 1e-5
 _ORDER = 4
 #: Length of a cell behind the last target, in periods of the highest frequency [1].
 _BEHIND = 0.3
-#: Fraction of the largest overlap that counts as zero [1].
+#: Negligible fraction of the largest overlap [1].
 _NEGLIGIBLE = 1e-30
-#: Step of the logarithm of a coefficient for a derivative: what a one-sided one errs
-#: by and what rounding leaves of it are both far below what a step of the fit needs.
+#: Step of a log coefficient for one-sided derivatives: truncation and rounding errors
+#: are both far below the precision needed for a step of the fit.
 _SMALL = 1e-5
 
 
@@ -109,7 +109,7 @@ def table_of(
     middle = 0.5 * (edges[1:] + edges[:-1])
     z = (middle[:, None] + 0.5 * width[:, None] * point).ravel()
     measure = (0.5 * width[:, None] * weight).ravel()
-    # First what takes the same series of the scattered light.
+    # First the terms with the same series of scattered light.
     at_edge = _profiles(frame, edges, shape, derivatives=False)[0]
     profile = _profiles(frame, z, shape, derivatives=derivatives)
     component = _components(profile[0], profile[1:])
@@ -162,7 +162,7 @@ def _profiles(
         return base[None]
     changes = [-2 * shape.reduced_attenuation * depth * base]
     last = COEFFICIENTS + len(shape.turn)
-    # First what takes the same series of the scattered light.
+    # First the terms with the same series of scattered light.
     for parameter in reversed(range(1, last)):
         step = np.zeros(shape.size)
         step[parameter] = _SMALL

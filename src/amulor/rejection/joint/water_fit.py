@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 _KNOWN = 0.5
 #: Share of unscattered light from z_max below which b_f has no upper limit [1].
 _UNSCATTERED = 0.01
-#: Step of a parameter for the derivative of what follows from it [1].
+#: Step of a parameter for derivatives of derived quantities [1].
 _STEP = 1e-3
 _DEPTHS = 2000
 _HIGHEST_FREQUENCY = 2e9
@@ -176,7 +176,7 @@ def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
     return _result(frame, shared, scan.polarizations)
 
 
-#: The table of depths is not used: all samples see the water to its end [m].
+#: The table of depths is unused: all samples contain the full water column [m].
 _SHORT = 1.0
 
 
@@ -330,7 +330,7 @@ def _level(frame: Frame, shape: Shape, frequency: float) -> float:
 def _cut_off(frame: Frame, shape: Shape) -> float:
     """Return the frequency at which the response falls to half its power [Hz]."""
     far = min(frame.nothing_left(shape), frame.end)
-    # Not beyond what the steps of depth resolve.
+    # At most the frequency that the depth steps resolve.
     highest = speed_of_light / frame.medium.group_index / (16 * far / _DEPTHS)
     return low_pass.cut_off(
         lambda frequency: _responses(frame, shape, np.atleast_1d(frequency)),

@@ -129,7 +129,7 @@ def turbidity_of(
     uncertainty = min(width, float(np.log(4.0)))
     is_extreme = not 0.5 < place < len(_FACTORS) - 1.5
     if is_extreme:
-        # The best factor lies beyond those that were tried.
+        # The best factor is beyond the tested range.
         uncertainty = max(uncertainty, float(np.log(2.0)))
     explained = len(directions) * freedom
     unexplained = max(lowest - explained, 0.0) / power if power > 0 else 1.0
@@ -304,7 +304,7 @@ def water_before_target(
             scan, survey, depth, paper=paper, fit=None if first is None else first[1]
         )
         first = first_choices, first_column
-        # The column turns the phase that its depth is taken from: a second pass.
+        # The column shifts the phase that determines its depth: a second pass.
         depth, path, choices = column.depth(
             scan,
             difference + np.nan_to_num(hidden) * water,
@@ -351,13 +351,13 @@ def water_before_target(
 
 #: Relative standard deviation by which water departs from its reference unseen [1].
 DEPARTURE = 0.02
-#: A phase this uncertain tells nothing [rad].
+#: Phase uncertainty beyond which a phase has no information [rad].
 _BLURRED = 0.2
 #: Phases farther off than this many standard errors are spikes [1].
 _SPIKE = 5.0
 #: Pixels that are enough, however large the scan.
 _ENOUGH = 20_000
-#: An estimate this many times its expected size widens what is expected [1].
+#: Ratio of estimate to expected size beyond which the prior is widened [1].
 _SURPRISE = 3.0
 #: A larger change of the water, surely so, is another water than that of the shots [1].
 LARGEST_CHANGE = 0.3

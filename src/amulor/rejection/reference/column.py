@@ -32,7 +32,7 @@ _CHECKS = 192
 _WORTH = 0.5
 #: Pixels that are integrated one after the other, not by a table of their own.
 _ALONE = 32
-#: Numbers that one step of the work may hold; this bounds the memory.
+#: Largest number of values per step, which limits the memory.
 _AT_ONCE = 2_000_000
 
 
@@ -216,7 +216,7 @@ def integrated(
     form = partial(water_signal, survey, modulation_frequency=frequency, paper=paper)
     open_water = form(view(survey, *beams))[:, beam]
     behind = open_water - form(view(survey, azimuth, elevation), end=depth)
-    # A receiver that sees no water has none behind the target either.
+    # A receiver without water signal has no water behind the target either.
     fraction: Complex = np.divide(
         behind, open_water, out=np.zeros_like(behind), where=open_water != 0
     )
@@ -312,7 +312,7 @@ def depth(
         medium=surroundings,
     )
     receiver = np.asarray(survey.instrument.receiver.position)
-    # One depth for all channels, from the sum of what they see of the target.
+    # A common depth for all channels, from the sum of their target signals.
     summed = np.nansum(signal, axis=1)
     detected = (np.isfinite(signal).any(axis=1) & (summed != 0)).all(axis=0)
     sigma = detection.phase_uncertainty(

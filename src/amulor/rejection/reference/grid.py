@@ -25,8 +25,8 @@ from amulor.survey.water import Water
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Largest error between the shots that a plan may leave, of the largest signal; water
-#: that is not among those tried may be missed by three times as much [1].
+#: Largest allowed interpolation error of a plan, relative to the largest signal; the
+#: error in waters outside the tested set may be three times larger [1].
 LARGEST_ERROR = 0.01
 #: Directions along each side of the scan at which it is looked for.
 _CHECKS = 33
@@ -49,7 +49,7 @@ class Plan:
     refused: str
     """Reason why the methods would refuse the shots; empty if accepted."""
     enough: tuple[int, int] | None
-    """Sufficient columns and rows of shots; None if the scan is too wide for any."""
+    """Sufficient columns and rows of shots; None if the scan is too wide."""
 
     @property
     def holds(self) -> bool:

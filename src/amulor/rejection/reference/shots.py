@@ -205,10 +205,10 @@ def _typical(instrument: Covariance) -> float:
 _REAL_DRIFT = 1e-3
 #: A larger change from the first to the last shot is another water [1].
 LARGEST_DRIFT = 0.2
-#: It must exceed that by so many of its own standard uncertainties [1].
+#: Least excess over the limit, in standard uncertainties [1].
 _SURE = 3.0
 _AXES = ("azimuth", "elevation")
-#: How far the scan may go beyond the shots: a fraction of their span, at least that
+#: Allowed extent of the scan beyond the shots: a fraction of their span, and a minimum
 #: [rad].
 _BEYOND, BEYOND_AT_LEAST = 0.1, 1e-4
 #: Directions count as one that are nearer than this fraction of the span of all [1], or
@@ -549,7 +549,7 @@ def noise_scale(scatters: list[Scatter]) -> float:
     ]
     if not valid:
         return 1.0
-    # From above, so that no direction is taken for a spike that only noise spreads.
+    # From above, so that noisy directions are not mistaken for spikes.
     square = float(
         np.median(np.concatenate([scatter[0] / scatter[1] for scatter in valid]))
     )

@@ -164,7 +164,7 @@ def fluctuation(relative: NDArray[np.float64], level: Complex) -> Covariance:
 _BEYOND = 3.0
 #: Distance from which on it is large, in parts of the signal [1].
 _LARGE = 0.02
-#: A logarithm needs a signal that stands this many standard errors off zero.
+#: Least significance of a signal for a logarithm, in standard errors.
 _SURE = 5.0
 
 
@@ -266,9 +266,9 @@ def surface_of(
         relative = relative_fluctuation(shots, level, instrument, freedom=freedom)
         total = instrument + fluctuation(relative, level)
         variance = total.in_phase + total.quadrature
-        # Channels that see nothing at all have no error either: all shots alike.
+        # Channels without any signal have no error either: all shots are equal.
         weight = np.ones(len(shots)) if variance.min() == 0 else 2 / variance
-    # Few shots tell their own scatter badly: Student's variance instead of the normal.
+    # The scatter of few shots is uncertain: Student's variance, not the normal.
     unsure = freedom / (freedom - 1)
     if model is not None:
         total, variance = total.turned(1 / model), variance / power
@@ -385,7 +385,7 @@ def noiseless(
     model: tuple[Complex, Complex] | None = None,
     degrees: list[int] | None = None,
 ) -> Complex:
-    """Interpolate shots without noise to the pixels, by a polynomial."""
+    """Interpolate noiseless shots to the pixels by a polynomial."""
     scaled = places_of(shot_direction).scaled(pixel_direction)
     result = np.empty((len(signal), len(pixel_direction)), dtype=complex)
     for k, values in enumerate(signal):

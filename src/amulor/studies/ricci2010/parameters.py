@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 from amulor import units
 
-#: How a number is known: printed in the paper's text, following from what is
-#: printed, or chosen because nothing fixes it.
+#: Source of a number: printed in the paper's text, deduced from printed numbers, or
+#: assumed because nothing determines it.
 Basis = Literal["text", "deduced", "assumed"]
 
 

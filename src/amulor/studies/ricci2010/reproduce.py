@@ -18,7 +18,7 @@ from amulor.view.style import style
 
 #: Figure 2 is a drawing of the instrument.
 FIGURES = tuple(PAPER_FIGURES)
-#: Called with what is done now and the fraction of the work done before it.
+#: Callback with the current step and the completed fraction of the work.
 Progress = Callable[[str, float], None]
 
 

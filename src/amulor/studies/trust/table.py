@@ -14,7 +14,7 @@ from amulor.studies.trust.methods import Outcome
 
 Floats = NDArray[np.float64]
 
-#: Half widths of the intervals that hold 68 and 95 of 100 normal errors [1].
+#: Half widths of the intervals with 68 and 95 of 100 normal errors [1].
 ONE, TWO = 1.0, 1.96
 #: Beyond it lie 5 of 10,000 normal errors [1].
 FAR = 3.5
@@ -114,8 +114,8 @@ def _mean(values: NDArray[np.bool_]) -> float:
     return float(values.mean()) if values.size else math.nan
 
 
-#: Scenes about which no method can be right: surfaces that share a pixel, instruments
-#: that are off by what no data show, repetitions that nobody states.
+#: Scenes without a correct answer from the data: surfaces that share a pixel,
+#: undetectable instrument errors, ambiguity without a stated interval.
 _APART = (
     "mixed 2 cm", "mixed 5 cm", "delay", "baseline", "axis", "index", "far", "far two"
 )  # fmt: skip

@@ -14,10 +14,10 @@ from amulor._compiled import numba
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-#: Sums may be taken in any order, so that they run in parallel lanes.
+#: Sums may be evaluated in any order, for vectorization.
 #:
-#: Small loops that do so are always inlined (`forceinline`). A call goes to whichever
-#: copy of a function the process has loaded first, and copies that were optimized once
+#: Small loops with such sums are always inlined (`forceinline`). A call uses the copy
+#: of a function that the process has loaded first, and copies that were optimized once
 #: or twice differ in the last bit: results would depend on whether the code had just
 #: been compiled or came from the cache.
 LANES = {"reassoc", "contract"}

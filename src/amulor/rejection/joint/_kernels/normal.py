@@ -67,7 +67,7 @@ def common(begin: int, end: int, model: WaterModel, out: Covariances) -> None:
                 out.cross[n, c, f] = xy
 
 
-#: A column that is this close to those before it says nothing of its own [1].
+#: Relative residual below which a column depends linearly on the previous ones [1].
 _DEPENDENT = 1e-12
 
 

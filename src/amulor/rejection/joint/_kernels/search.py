@@ -34,7 +34,7 @@ from amulor.rejection.joint._kernels.model import (
     workspace_of,
 )
 
-#: Local minima of the coarse likelihood that are looked at closely.
+#: Number of local minima of the coarse likelihood that are refined.
 CANDIDATES = 6
 
 
@@ -208,7 +208,7 @@ def most_outlying(
     return most, second, which
 
 
-#: Two columns that are this close to each other cannot be told apart [1].
+#: Relative determinant below which two columns are linearly dependent [1].
 _DEPENDENT = 1e-12
 
 
@@ -340,7 +340,7 @@ def _lowest(
     paths, costs = candidates.path, candidates.cost
     best, best_path, best_information = np.inf, np.nan, 0.0
     for k in range(count):
-        # What is worse by more than the coarse grid can err is not looked at.
+        # Candidates worse by more than the error of the coarse grid are skipped.
         if candidates.level[k] > best + _MARGIN + _GRID_ERROR * empty:
             break
         path, cost, information = refine(paths[k], spacing, pixel, model, work)

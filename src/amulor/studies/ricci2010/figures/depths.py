@@ -23,7 +23,7 @@ from amulor.studies.ricci2010.study import Study
 from amulor.view.style import COLOURS, new_figure, style
 
 Floats = NDArray[np.float64]
-#: Depths at which the integrand is taken.
+#: Number of depths of the integrand.
 _DEPTHS = 2501
 
 

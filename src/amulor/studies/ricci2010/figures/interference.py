@@ -76,7 +76,7 @@ def draw_amplitude(study: Study) -> Figure:
     for axis, sweep, other in zip(
         axes, study.once(shared.sweeps), small_angle, strict=True
     ):
-        # Over the mean echo, since the volts of the original are not known.
+        # Relative to the mean echo, since the original voltages are unknown.
         unit = np.abs(sweep.truth).mean()
         f, shown = sweep.frequency / 1e6, shared.shown(sweep)
         axis.plot(

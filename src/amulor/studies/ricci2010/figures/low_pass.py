@@ -21,9 +21,9 @@ from amulor.view.style import COLOURS, new_figure, style
 
 _Dashes = str | tuple[float, tuple[float, ...]]
 
-#: What "in good accordance" is taken to mean: departure of a ratio from 1.
+#: Interpretation of "in good accordance": departure of a ratio from 1.
 ACCORDANCE = 0.15
-#: How near a fit of (71) has to come to the half-power frequency.
+#: Allowed departure of a fit of eq. (71) from the half-power frequency.
 RECOVERY = 0.05
 #: The two ways to fit (71): level and cut-off free, to amplitudes; the cut-off free, to
 #: squares over the largest of them.

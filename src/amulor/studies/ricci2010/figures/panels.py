@@ -113,7 +113,7 @@ def median(surface: Relief, *, size: int = 5) -> tuple[Relief, float]:
     places = []
     spike = valid & (np.abs(surface.near - middle) > 5 * scatter)
     for place in (surface.right, surface.up):
-        # A spike stands beside its neighbours, too.
+        # A spike is also displaced to the side and upward.
         around = sliding_window_view(
             np.pad(np.where(spike, np.nan, place), half, constant_values=np.nan),
             (size, size),
@@ -206,7 +206,7 @@ def draw_surface(
     axis.set_ylabel("up [mm]", labelpad=-7, fontsize=7)
     axis.set_zlabel("nearer [mm]", labelpad=-7, fontsize=7)
     if azimuth % 180 == 90 and elevation < _EDGE_ON:
-        # The axis points at the viewer: its ticks would stand on each other.
+        # The axis points at the viewer: its ticks would overlap.
         axis.set_yticks([])
         axis.set_ylabel("")
     return axis

@@ -164,7 +164,7 @@ def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
     filled = ndimage.binary_fill_holes(disc)
     area = _pixel_areas(image, disc, distance=distance)
     step = math.sqrt(float(np.mean(area[filled])))
-    # A hole has no corners in common with what is around the disc.
+    # A hole has no corners in common with the surroundings of the disc.
     holes, number = ndimage.label(filled & ~disc)
     areas = [float(area[holes == i].sum()) for i in range(1, number + 1)]
     result = [_circle(size, step) for size in sorted(areas, reverse=True)]
@@ -193,7 +193,7 @@ def _halfway(values: Floats) -> float:
     return level
 
 
-#: Rounds after which the level halfway stands still, in practice after five.
+#: Iterations of the mid-level, which converges after about five.
 _ROUNDS = 30
 
 

@@ -185,7 +185,7 @@ def _experiment(
     recorded = cubes.without_groups(cube).isel(
         modulation_frequency=slice(None, None, len(frequency) // _JOINT_COUNT)
     )
-    # One pixel cannot tell where the receiver points; here it is known.
+    # A single pixel cannot constrain the receiver direction; here it is known.
     joint = rejection.joint(
         recorded, interval=interval, receiver_direction_uncertainty=0.0
     )

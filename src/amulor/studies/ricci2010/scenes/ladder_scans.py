@@ -101,7 +101,7 @@ class LadderScan:
             heights = uncertainties = np.full(count - 1, np.nan)
         else:
             heights = np.array([step.height for step in result])
-            # Before subtraction the image states no error, but its noise is known.
+            # Before subtraction the image has no error, but its noise is known.
             uncertainties = np.array(
                 [
                     step.random if math.isnan(step.uncertainty) else step.uncertainty

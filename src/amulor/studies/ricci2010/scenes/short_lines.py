@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Lines = dict[str, LineLight]
 
-#: Parameter that holds the turbidity of each panel.
+#: Input number with the turbidity of each panel.
 TURBIDITIES: dict[str, str] = {
     step: f"attenuation_{step}" for step in ("tap", "b", "c", "d")
 }

@@ -204,7 +204,7 @@ def _water(study: Study, *, turbidity: Turbidity) -> Water:
         scattering=(1 - fraction) * attenuation,
         second_moment=study[f"second_moment_{turbidity}"],
         split_angle=study["split_angle"],
-        # Remembered, since the small-angle form keeps a table for each one.
+        # Cached, since the small-angle model has a table for each one.
         phase_function=study.once(_PHASE_FUNCTION[turbidity]),
     )
 

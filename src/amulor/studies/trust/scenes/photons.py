@@ -30,7 +30,7 @@ Complex = NDArray[np.complex128]
 
 #: Distances of the plate, three columns of the scan for each [m].
 DISTANCES = np.array([1.6, 1.8, 2.0, 2.2, 2.5, 2.8, 3.0, 3.2])
-#: Phase functions of the water, a = 0.15 and b = 0.35 1/m where nothing else is said.
+#: Phase functions of the water, with a = 0.15 and b = 0.35 1/m by default.
 PHASE_FUNCTIONS: dict[str, Callable[[], PhaseFunction]] = {
     "petzold": lambda: petzold("HAOCE 11"),
     "fournier-forand": lambda: fournier_forand(relative_index=1.1, slope=3.5835),
