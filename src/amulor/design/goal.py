@@ -239,9 +239,9 @@ class Laser(Description):
     beam_divergence: Annotated[Angle, Field(ge=0, le=0.2)] | None = None
     """1/e half-angle of the beam [rad]."""
     quantum_efficiency: Annotated[Fraction, Field(gt=0, le=1)] | None = None
-    """Quantum efficiency at this wavelength; the detector's by default [1]."""
+    """Quantum efficiency at the laser wavelength; the detector's by default [1]."""
     water: WaterStated | None = None
-    """Base water at this wavelength; derived from the common base by default."""
+    """Base water at the laser wavelength; derived from the common base by default."""
     price: _Money = 0.0
     """Price of the laser [currency]."""
     price_per_watt: _Money = 0.0

@@ -60,7 +60,7 @@ class Shares:
     share: tuple[float, ...]
     """Fraction of the time for each frequency, sum 1 [1]."""
     error: float
-    """Total error with these fractions [m]."""
+    """Total error with the optimum fractions [m]."""
     even: float
     """Total error with equal fractions, as in a survey [m]."""
 
@@ -285,7 +285,7 @@ class Recommendation:
     bounds: tuple[Bound, ...]
     """Parameters of the best instrument that lie at a limit of the goal."""
     impossible: tuple[Shortfall, ...]
-    """Requirements to relax if no candidate meets all of them.
+    """Requirements to be relaxed if no candidate meets all.
 
     Each line alone suffices, unless it says otherwise.
     """

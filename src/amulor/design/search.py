@@ -111,7 +111,7 @@ def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, in
 def _neighbours(
     now: tuple[float, ...], frequencies: tuple[float, ...], most: int
 ) -> tuple[tuple[float, ...], ...]:
-    """Return a frequency set, and sets that differ from it in one frequency."""
+    """Return a frequency set, and sets with one frequency added, changed or removed."""
     sets = [now]
     for frequency in frequencies:
         if frequency in now:

@@ -277,7 +277,7 @@ def _plane(
 
 
 def _coverage(observation: Observation) -> float:
-    """Ratio of the solid angle of the scan to that of given pixels, at least 1."""
+    """Ratio of the scan's to the given pixels' solid angle, at least 1."""
     span: Span | None = observation.span
     geometry = observation.geometry
     if span is None or min(geometry.azimuth.shape) < 2:

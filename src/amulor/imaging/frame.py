@@ -83,7 +83,7 @@ class Frame:
         return np.array(axis)
 
     def place(self, points: ArrayLike) -> Floats:
-        """Transform points from the instrument's axes into this frame.
+        """Transform points from the instrument's axes into the frame.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class Frame:
         return np.asarray(points, dtype=float) @ self.rotation.T + self.position
 
     def turn(self, directions: ArrayLike) -> Floats:
-        """Rotate directions from the instrument's axes into this frame.
+        """Rotate directions from the instrument's axes into the frame.
 
         Parameters
         ----------

@@ -368,7 +368,7 @@ def _without_each(
 def _grouped(
     phases: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> Path:
-    """Return the best path of each pixel, excluding the outliers of that pixel."""
+    """Return the best path of each pixel, with its outliers excluded."""
     masks, group = np.unique(left_out, axis=1, return_inverse=True)
     places = np.flatnonzero(pixels)
     parts: dict[str, NDArray[Any]] = {}

@@ -177,7 +177,7 @@ def slant_range_uncertainty(
     modulation_frequency: ArrayLike,
     group_index: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the standard uncertainty of a range from that of its phase.
+    r"""Return the standard uncertainty of a range from its phase uncertainty.
 
     Parameters
     ----------

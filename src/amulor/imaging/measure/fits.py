@@ -391,7 +391,7 @@ def _named(name: str, vector: Floats) -> dict[str, float]:
 
 
 def _points(image: xr.Dataset, region: ArrayLike, *, fewest: int, shape: str) -> Points:
-    """Usable pixels of a region, thinned evenly if there are many."""
+    """Usable pixels of a region, thinned evenly if too many."""
     mask = np.asarray(region, dtype=bool)
     if mask.shape != image["slant_range"].shape:
         raise CubeError(

@@ -133,7 +133,7 @@ def section(
 def _crossed(
     triangles: NDArray[np.intp], side: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Triangle edges crossed by the section, and edge pairs of the same triangle.
+    """Triangle edges crossed by the section, and pairs of edges in a triangle.
 
     A vertex on the cut counts as beyond it, so that every crossed triangle has two.
     """

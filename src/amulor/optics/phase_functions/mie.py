@@ -175,7 +175,7 @@ class Suspension:
     angle: NDArray[np.float64]
     """Angles of the tabulated phase function and matrix, from 0 to pi [rad]."""
     value: NDArray[np.float64]
-    """Phase function at these angles, for unpolarized light [1/sr]."""
+    """Phase function at the tabulated angles, for unpolarized light [1/sr]."""
     m12: NDArray[np.float64]
     """Mueller element m12 = m21 over m11 [1]."""
     m33: NDArray[np.float64]

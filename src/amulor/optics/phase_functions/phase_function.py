@@ -114,9 +114,9 @@ class PhaseFunction:
     closed_cumulative: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = (
         field(default=None, repr=False)
     )
-    """Closed form of `cumulative`, if there is one."""
+    """Closed form of `cumulative`, if available."""
     closed_asymmetry: float | None = field(default=None, repr=False)
-    """Closed form of `asymmetry`, if there is one [1]."""
+    """Closed form of `asymmetry`, if available [1]."""
 
     def __call__(self, angle: ArrayLike) -> NDArray[np.float64]:
         """Return the phase function at scattering angles.

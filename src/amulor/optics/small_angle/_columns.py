@@ -459,7 +459,7 @@ LOOK = ("baseline", "tilt", "cross_tilt", "standoff")
 
 
 class Column(NamedTuple):
-    """Optical properties of a water column, and the instrument's view of it (SI).
+    """Optical properties of a water column, with the instrument's view (SI).
 
     Where each depth is looked at in its own way, such as the pixels of a target, what
     `LOOK` names has an element for each depth.

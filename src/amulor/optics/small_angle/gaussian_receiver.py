@@ -403,7 +403,7 @@ def _without_forward_scattering(column: Column) -> dict[str, Any]:
 
 
 def _beam_loss(column: Column) -> float:
-    """Return the peak overlap relative to that of an infinitely thin beam."""
+    """Return the peak overlap relative to an infinitely thin beam."""
     radius, angle = _widths(column)
     receiver = column.receiver_radius * column.acceptance_angle
     return (receiver / (radius * angle)) ** 2

@@ -78,7 +78,7 @@ class Column(NamedTuple):
     nearest: float
     """Depth z of the smallest distance between beam and receiver axis [m]."""
     closest: float
-    """Squared distance of the axes at that depth [m^2]."""
+    """Squared smallest distance of the axes [m^2]."""
     standoff: float
     """Equivalent water depth zeta - z of air and glass before the water [m]."""
     start: float

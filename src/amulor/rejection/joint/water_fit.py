@@ -322,7 +322,7 @@ def _responses(frame: Frame, shape: Shape, frequency: Floats) -> Floats:
 
 
 def _level(frame: Frame, shape: Shape, frequency: float) -> float:
-    """Return the ratio of the response at a frequency to that at zero [1]."""
+    """Return the water-signal amplitude relative to zero frequency [1]."""
     at_zero, response = _responses(frame, shape, np.array([0.0, frequency]))
     return float(response / at_zero)
 

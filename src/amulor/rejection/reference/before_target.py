@@ -512,7 +512,7 @@ def not_smaller_than_shots_say(
     fit: WaterFit | None = None,
     span: Span | None = None,
 ) -> tuple[Complex, WaterFit]:
-    """Return the water signal, with amplitudes raised to those of open-water shots.
+    """Return the water signal, with amplitudes no smaller than in open-water shots.
 
     Its phases, and the larger of both amplitudes [V], to know how much the water
     fluctuates. What is left of it has the error of the target with the other sign:

@@ -96,7 +96,7 @@ def judge_plan(survey: Survey) -> Plan | None:
 
 
 def _refused(scan: Scan, plan: OpenWater) -> str:
-    """Return the reason to refuse planned shots; empty if there is none."""
+    """Return the reason to refuse planned shots; empty if acceptable."""
     count = plan.columns * plan.rows * plan.repeats
     if count < FEWEST_SHOTS:
         return f"they are {count}, and {FEWEST_SHOTS} are needed to judge their scatter"

@@ -217,7 +217,7 @@ _NEAR, _MISSES = 1 / 50, 8.0
 
 
 def shots_of(scan: Observation) -> Observation:
-    """Return the open-water shots of a scan; CubeError if there are none or too few."""
+    """Return the open-water shots of a scan; CubeError if missing or too few."""
     shots = scan.shots
     if shots is None:
         raise CubeError(

@@ -190,7 +190,7 @@ def logarithms(
 
 
 def disagreement(signal: Complex, logarithm: Complex, middle: complex) -> Complex:
-    r"""Estimate the interpolation error from two surfaces through the same shots.
+    r"""Estimate the interpolation error from two surfaces fitted to the shots.
 
     What a receiver with a Gaussian field of view sees falls off as a Gaussian of the
     direction, whose logarithm is a polynomial of the second degree, and which is none

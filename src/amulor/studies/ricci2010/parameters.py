@@ -32,7 +32,7 @@ class Parameter:
     quantity: str
     """Physical quantity, a key of `amulor.units.SI_UNITS`."""
     limits: tuple[float, float] | None = None
-    """Lowest and highest value allowed by the paper's text; None if printed there."""
+    """Lowest and highest value allowed by the paper; None for a printed value."""
     shown_limits: tuple[str, str] | None = None
     """Limits as written in the file, with their units."""
 

@@ -42,7 +42,7 @@ class Study:
         return self.parameters[name].value
 
     def with_parameters(self, parameters: Mapping[str, Parameter]) -> Study:
-        """Return a study with other input numbers and the same cache."""
+        """Return a study with other input numbers and a shared cache."""
         changed = Study(parameters, quick=self.quick, rng=self.seed)
         changed._known = self._known
         return changed

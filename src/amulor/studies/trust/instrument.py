@@ -1,4 +1,4 @@
-"""Trust study of instrument errors: rows that are measured once and kept in a file."""
+"""Trust study of instrument errors: computed rows, appended to a table file."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ COUNTS = (1, 2, 4)
 
 @dataclass(frozen=True, kw_only=True, order=True)
 class Key:
-    """Conditions of a row: error, what the survey states, frequencies and method."""
+    """Conditions of a row: instrument error, survey, frequencies and method."""
 
     kind: str
     """Name of the instrument error."""
     size: float
-    """Size, as a multiple of the typical size."""
+    """Size of the error, as a multiple of the typical size."""
     count: int
     """Number of modulation frequencies."""
     state: str
-    """What the survey states: "uncalibrated", "calibrated" or "wrong"."""
+    """Kind of survey: "uncalibrated", "calibrated" or "wrong"."""
     method: str
     """Name of the rejection method."""
     seed: int = 1
@@ -37,18 +37,18 @@ class Key:
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentRow:
-    """Row of the table: its key, its scores, and the tests that failed."""
+    """Row of the table: conditions, scores, and failed tests."""
 
     key: Key
     """Conditions of the row."""
     trusted: float
-    """Trusted pixels [%]."""
+    """Percentage of trusted pixels [%]."""
     inside: float
-    """Trusted pixels whose 95 % interval contains the surface [%]."""
+    """Percentage of trusted pixels whose 95 % interval contains the surface [%]."""
     far: float
-    """Trusted pixels with errors beyond 3.5 standard uncertainties [%]."""
+    """Percentage of trusted pixels off by over 3.5 standard uncertainties [%]."""
     worst: float
-    """Largest error of a trusted pixel over its standard uncertainty [1]."""
+    """Largest ratio of error to standard uncertainty of a trusted pixel [1]."""
     mean: float
     """Mean error of the trusted pixels [mm]."""
     stated: float
@@ -56,7 +56,7 @@ class InstrumentRow:
     tests: tuple[str, ...]
     """Names of the failed tests of the instrument; "refused" for a refused scan."""
     cause: str
-    """"right" or "wrong" for a suggested cause, "none" without one."""
+    """Verdict on the suggested cause: "right", "wrong", or "none" without a cause."""
 
 
 _WIDTHS = {
@@ -232,20 +232,20 @@ _STATE_WORDS = {
 
 
 def suggestions(rows: Iterable[InstrumentRow]) -> tuple[int, int]:
-    """Return the numbers of right and of all suggested causes; perfect scans apart."""
+    """Return numbers of correct and of all suggested causes, without perfect scans."""
     causes = [row.cause for row in rows if row.key.kind != "perfect"]
     right = causes.count("right")
     return right, right + causes.count("wrong")
 
 
 def false_alarms(rows: Iterable[InstrumentRow]) -> tuple[int, int]:
-    """Return the numbers of failed and of all scans of a perfect instrument."""
+    """Return the number of false alarms, and of all scans, for a perfect instrument."""
     perfect = [row for row in rows if row.key.kind == "perfect"]
     return sum(bool(row.tests) for row in perfect), len(perfect)
 
 
 def measured(key: Key, test: Case) -> InstrumentRow:
-    """Process a test case by the method of a key, and return its row."""
+    """Process a test case by the key's method, and return its row."""
     result = outcome(key.method, test)
     figures = score(test, result)
     tests, cause = _suggested(KINDS[key.kind].causes, result)
@@ -263,7 +263,7 @@ def measured(key: Key, test: Case) -> InstrumentRow:
 
 
 def _suggested(causes: tuple[str, ...], result: Outcome) -> tuple[tuple[str, ...], str]:
-    """Return the failed tests of a result, and whether their causes are right."""
+    """Return the failed tests of a result, and the verdict on their causes."""
     from amulor.imaging.instrument_tests import instrument_tests
 
     if result.image is None:
@@ -284,7 +284,7 @@ def run(
     *,
     done: Callable[[InstrumentRow], None] | None = None,
 ) -> list[InstrumentRow]:
-    """Measure the rows that a file lacks, and append each to it at once.
+    """Compute the rows missing in a file, and append each when finished.
 
     A run that was interrupted goes on where it stopped.
     """

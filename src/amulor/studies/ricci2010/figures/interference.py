@@ -293,7 +293,7 @@ def contrast_checks(study: Study) -> list[Check]:
 
 
 def same_extrema(sweep: Sweep, value: Floats, name: str) -> Check:
-    """Check that extrema of a quantity coincide with those of the amplitude."""
+    """Check that extrema of a quantity coincide with the amplitude's extrema."""
     limit = max(1.0, sweep.period / 1e7)
     of_value, of_amplitude = (
         extrema.find(sweep.frequency, smoothed(curve))

@@ -41,7 +41,7 @@ class Outline:
     """Outline in the intensity image, with its equivalent diameter."""
 
     diameter: float
-    """Diameter of a circle with the same area [m]."""
+    """Diameter of a circle of equal area [m]."""
     uncertainty: float
     """Standard uncertainty, from pixels cut by the outline [m]."""
 

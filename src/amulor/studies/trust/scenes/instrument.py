@@ -179,7 +179,7 @@ def scale_change(degrees: float) -> Effect:
 
 
 def window(size: float, *, delay: float = 0.5e-9) -> Effect:
-    """Return a function that adds light from a window to the first channel alone."""
+    """Return a function that adds window-reflected light to the first channel only."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         turns = recorded.frequency[:, None] * delay
@@ -203,7 +203,7 @@ def offset(size: float) -> Effect:
 
 
 def growing_leakage(size: float) -> Effect:
-    """Return a function that adds leakage, which grows from zero during the scan."""
+    """Return a function that adds leakage, growing from zero during the scan."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         leak = size * recorded.echo * np.exp(2j * np.pi * 0.13)
@@ -214,7 +214,7 @@ def growing_leakage(size: float) -> Effect:
 
 
 def turned(factor: Callable[[Floats], Complex], *, channels: slice) -> Effect:
-    """Return a function that multiplies channels by a complex gain of the frequency."""
+    """Return a function that multiplies channels by a complex gain over frequency."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         gain = factor(recorded.frequency)
@@ -227,7 +227,7 @@ def turned(factor: Callable[[Floats], Complex], *, channels: slice) -> Effect:
 
 
 def reflection(size: float, *, delay: float = 10e-9) -> Effect:
-    """Return a function that adds the echo of a cable."""
+    """Return a function that adds a cable reflection of the signal."""
     return turned(
         lambda frequency: 1 + size * np.exp(2j * np.pi * frequency * delay),
         channels=slice(None),
@@ -235,12 +235,12 @@ def reflection(size: float, *, delay: float = 10e-9) -> Effect:
 
 
 def _ripple(frequency: Floats) -> Floats:
-    """Return a pattern of the frequencies, with a mean square of about 1."""
+    """Return a pattern over frequency, with a mean square of about 1."""
     return np.resize([1.0, -1.2, 0.7, -0.9, 1.1], frequency.size)
 
 
 def gain_ripple(size: float) -> Effect:
-    """Return a function that changes the gain from frequency to frequency."""
+    """Return a function that adds a gain ripple over frequency."""
     return turned(
         lambda frequency: (1 + size * _ripple(frequency)).astype(complex),
         channels=slice(None),
@@ -248,7 +248,7 @@ def gain_ripple(size: float) -> Effect:
 
 
 def phase_ripple(degrees: float) -> Effect:
-    """Return a function that changes the phase from frequency to frequency."""
+    """Return a function that adds a phase ripple over frequency."""
     return turned(
         lambda frequency: np.exp(1j * np.radians(degrees) * _ripple(frequency)),
         channels=slice(None),
@@ -321,13 +321,13 @@ class Kind:
     """Kind of instrument error, with its typical size and its cause in words."""
 
     title: str
-    """Error at its typical size."""
+    """Description of the error at its typical size."""
     of_size: Callable[[float], Effect]
-    """Effect of a multiple of the typical size."""
+    """Function that returns the effect for a multiple of the typical size."""
     causes: tuple[str, ...] = ()
-    """Words of a right suggestion of the cause; one of them is enough."""
+    """Words that identify a correct suggestion of the cause; any of them suffices."""
     is_phase: bool = True
-    """Whether a calibration of the phase shows it."""
+    """Whether a phase calibration reveals the error."""
 
 
 #: Kinds of instrument errors by name; "perfect" has none.
@@ -478,7 +478,7 @@ def with_effect(
 
 
 def case(kind: str, size: float, count: int, state: str, seed: int) -> Case:
-    """Simulate an instrument error of a size, and what a user states about it."""
+    """Simulate an instrument error of given size, with a user's survey."""
     recorded = Recorded(count, seed)
     scan, shots = KINDS[kind].of_size(size)(recorded)
     if state == "uncalibrated":

@@ -58,7 +58,7 @@ def spikes(count: int, seed: int, *, fraction: float = 0.03) -> Case:
 
 
 def particles(count: int, seed: int, *, fraction: float = 0.04) -> Case:
-    """Simulate a plate, with a bright particle in front of it in some samples.
+    """Simulate a plate, with a bright particle in front in some samples.
 
     A particle stands anywhere between 0.8 m and the plate and sends back a tenth to
     half of what the plate sends; it moves on before the next frequency is measured,
@@ -125,7 +125,7 @@ def understated_noise(count: int, seed: int, *, factor: float = 2.0) -> Case:
 
 
 def changed_water(count: int, seed: int, *, change: float = 0.05) -> Case:
-    """Simulate a plate in water whose signal exceeds that of the open-water shots."""
+    """Simulate a plate in water with a stronger signal than the open-water shots."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     signal = _measured(samples) + change * _true(samples, "water")
     return case_of(_with(samples, signal), interval=around(2.6))
