@@ -25,15 +25,21 @@ FOLDER = ROOT / "docs" / "images" / "hand-over"
 PICTURES = {
     "amphora": ("amphora.svg", (820, 1150)),
     "ladder": ("ladder_heights.svg", (1150, 820)),
-    "section": ("section.svg", (1000, 620)),
+    "section": ("section.svg", (820, 1150)),
     "deviation": ("deviation.svg", (820, 1150)),
 }
 
 
 def commands() -> list[str]:
     """Return the commands of the page that make drawings, and what they need."""
-    words = re.findall(r"^\$ amulor (.+)$", PAGE.read_text("utf-8"), flags=re.MULTILINE)
-    return [line for line in words if not line.startswith(("archive", "report"))]
+    text = re.sub(r"\\\n *", "", PAGE.read_text("utf-8"))
+    lines = re.findall(r"^\$ amulor (.+)$", text, flags=re.MULTILINE)
+    needless = "archive", "report"
+    return [
+        line
+        for line in lines
+        if not line.startswith(needless) and "--project" not in line
+    ]
 
 
 def draw(browser: str) -> None:

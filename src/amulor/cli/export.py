@@ -43,7 +43,10 @@ def export(
     axes: Literal["instrument", "z-up", "pose"] = "instrument",
     pose: Path | None = None,
     seen_from: Literal["front", "top"] = "front",
-    scale: str = "1:10",
+    scale: str | None = None,
+    exaggeration: Annotated[
+        float, Parameter(validator=validators.Number(gte=0.1, lte=100))
+    ] = 1.0,
     dpi: Annotated[float, Parameter(validator=validators.Number(gte=10, lte=2400))] = (
         300
     ),
@@ -55,6 +58,8 @@ def export(
     unit: Literal["m", "cm", "mm", "inch"] = "m",
     farthest: str | None = None,
     title: str = "",
+    project: Path | None = None,
+    sheet: str = "",
     tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -70,8 +75,8 @@ def export(
         for lines.
     product
         Kind of product, if the ending and the other options allow several. A mesh is a
-        .ply file; a section is .dxf, .svg or .csv; a deviation is a map, a table or a
-        mesh.
+        .ply file; a section is .dxf, .svg, .pdf or .csv; a deviation is a map, a table
+        or a mesh.
     good_only
         Exclude all points that have a quality flag.
     largest_uncertainty
@@ -86,7 +91,10 @@ def export(
     seen_from
         View of a drawing: from the front (elevation), or from the top (plan).
     scale
-        Scale of a drawing, such as 1:20.
+        Scale of a drawing, such as 1:20. By default the largest of 1:1, 1:2, 1:5, 1:10,
+        ... at which the object fits a sheet of A4.
+    exaggeration
+        Exaggeration of the heights of a section on paper. A DXF file has none.
     dpi
         Resolution of an orthoimage on paper, in dots per inch.
     cell
@@ -109,6 +117,11 @@ def export(
         excluded.
     title
         Title of a drawing; by default that of the range image.
+    project
+        Project file (TOML), as `amulor archive` reads it. Its section [project] fills
+        the title block of a drawing.
+    sheet
+        Number of the sheet in the title block, such as "3 of 7".
     tile_rows
         Write a cloud in tiles of this many rows, with bounded memory. Clouds of more
         than 2.1 million pixels are always written in tiles.
@@ -136,11 +149,13 @@ def export(
         options={
             "side": seen_from,
             "show": show,
-            "scale": scale_of("--scale", scale),
+            "scale": None if scale is None else scale_of("--scale", scale),
+            "exaggeration": exaggeration,
             "dots_per_inch": dpi,
             "against": against,
             "unit": unit,
             "title": title,
+            "fields": _fields(project, sheet),
         },
     )
     largest = (
@@ -148,7 +163,7 @@ def export(
         if largest_uncertainty is None
         else quantity_of("--largest-uncertainty", largest_uncertainty, "length")
     )
-    inputs = [path for path in (image, pose, against) if path is not None]
+    inputs = [path for path in (image, pose, against, project) if path is not None]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
     by_rows = product == "cloud"
     if tile_rows is not None and not (by_rows and tile_rows >= 1):
@@ -283,6 +298,16 @@ def _line_of(text: str) -> tuple[float, float, float, float]:
     if (a, b) == (c, d):
         raise UsageError(f"--line {text!r}: both ends are the same")
     return a, b, c, d
+
+
+def _fields(project: Path | None, sheet: str) -> dict[str, str]:
+    """Return the texts of the title block of a drawing."""
+    fields = {"sheet": sheet} if sheet else {}
+    if project is None:
+        return fields
+    from amulor.handover.archive import read_title_fields
+
+    return read_title_fields(project) | fields
 
 
 def _chosen(

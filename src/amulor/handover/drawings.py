@@ -8,16 +8,21 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from amulor.errors import CubeError
 from amulor.handover.order import Order, in_millimetres
 from amulor.imaging import products
 from amulor.io import drawings as formats
 from amulor.io.files import atomic_output
+from amulor.view.sheet import Sheet, fitting_scale, line_sheet
 from amulor.view.style import style
 
+Floats = NDArray[np.float64]
 Said = tuple[str, list[str]]
 _INCH = 0.0254
+#: Shortest contour line with its height beside it, on paper [m].
+_LABELLED = 0.015
 
 
 def write_section(
@@ -75,8 +80,19 @@ def write_section(
             lines=lines,
             axes=("along", plane.names[2]),
             statements=tuple(statements),
+            marks=((0.0, "A"), (_length(cut), "A'")),
+            fields=_fields(order, plane, "section A-A'"),
         )
-        _write_lines(drawing, path, order.scale, overwrite=overwrite)
+        high = float(np.ptp(cut.height)) * order.exaggeration
+        scale = order.scale or fitting_scale(_length(cut), high)
+        _write_lines(
+            drawing,
+            path,
+            scale,
+            heights=order.exaggeration,
+            key=(_thumbnail(surface, plane), np.array([cut.start, cut.end])),
+            overwrite=overwrite,
+        )
     return (
         f"section of {_length(cut):.3f} m in {pieces} "
         f"piece{'s' if pieces > 1 else ''}, standard uncertainty {median}"
@@ -122,13 +138,16 @@ def write_contours(
             overwrite=overwrite,
         )
     else:
+        scale = scale_of(order, raster.surface, raster.plane)
+        shortest = _LABELLED * scale
         drawing = formats.Drawing(
             title=f"{remarks[0]}: contours",
+            fields=_fields(order, raster.plane, "contours"),
             lines=tuple(
                 formats.Line(
                     points=line.points,
                     layer="contours",
-                    label=f"{line.level:.4g}" if len(line.points) > 20 else "",
+                    label=f"{line.level:.4g}" if _extent(line) > shortest else "",
                     elevation=line.level,
                 )
                 for line in lines
@@ -136,17 +155,26 @@ def write_contours(
             axes=raster.plane.names[:2],
             statements=tuple(statements),
         )
-        _write_lines(drawing, path, order.scale, overwrite=overwrite)
+        _write_lines(drawing, path, scale, overwrite=overwrite)
     levels = len({line.level for line in lines})
     return f"{len(lines)} contour lines at {levels} levels{doubt}"
 
 
-def cell_of(order: Order, surface: products.Surface) -> float:
+def scale_of(order: Order, surface: products.Surface, plane: products.Plane) -> float:
+    """Return the ordered scale, else the largest usual one that fits A4 [1]."""
+    if order.scale is not None:
+        return order.scale
+    used = surface.position[np.unique(surface.triangles)] @ plane.axes[:2].T
+    wide, high = (float(size) for size in np.ptp(used, axis=0))
+    return fitting_scale(wide, high)
+
+
+def cell_of(order: Order, surface: products.Surface, scale: float) -> float:
     """Return the raster cell size: as ordered, else from print or pixel spacing [m]."""
     if order.cell is not None:
         return order.cell
     if order.product == "orthoimage":
-        return order.scale * _INCH / order.dots_per_inch
+        return scale * _INCH / order.dots_per_inch
     # A round number near the spacing: 1, 2 or 5 times a power of ten.
     power = 10.0 ** np.floor(np.log10(surface.spacing))
     steps = np.array([1.0, 2.0, 5.0, 10.0]) * power
@@ -162,6 +190,44 @@ def raster_statement(raster: products.Raster) -> str:
         f"{in_millimetres(raster.uncertainty)}. Cells "
         f"{raster.cell * 1e3:.3g} mm, pixels of the scan "
         f"{raster.surface.spacing * 1e3:.3g} mm"
+    )
+
+
+#: Angle between beams and view beyond which a drawing shows surfaces edge-on [rad].
+_GRAZING = np.radians(65)
+
+
+def grazing_warning(surface: products.Surface, plane: products.Plane) -> list[str]:
+    """Return a warning if the instrument looked across the direction of the view."""
+    angle = float(np.median(np.arccos(np.abs(surface.direction @ plane.axes[2]))))
+    if angle < _GRAZING:
+        return []
+    better = "elevation (--seen-from front)"
+    if plane.side == "front":
+        better = "plan (--seen-from top)"
+    return [
+        f"Warning: the beams meet this view at {np.degrees(angle):.0f} degrees, so it "
+        f"shows surfaces edge-on, with large errors; the {better} shows what was "
+        "scanned"
+    ]
+
+
+def sheet_of(
+    raster: products.Raster,
+    order: Order,
+    scale: float,
+    title: str,
+    statements: Sequence[str],
+    *,
+    contours: Sequence[products.Contour] = (),
+) -> Sheet:
+    """Return the title block of a raster's drawing sheet."""
+    return Sheet(
+        title=title,
+        scale=scale,
+        statements=statements,
+        fields=_fields(order, raster.plane),
+        contours=contours,
     )
 
 
@@ -228,12 +294,48 @@ def save_sheet(figure: Figure, path: Path, *, overwrite: bool) -> None:
 
 
 def _write_lines(
-    drawing: formats.Drawing, path: Path, scale: float, *, overwrite: bool
+    drawing: formats.Drawing,
+    path: Path,
+    scale: float,
+    *,
+    heights: float = 1.0,
+    key: tuple[products.Raster, Floats] | None = None,
+    overwrite: bool,
 ) -> None:
+    """Write lines as a DXF file, or on a sheet as PDF or SVG."""
     if path.suffix.lower() == ".dxf":
-        formats.write_dxf(drawing, path, overwrite=overwrite)
-    else:
-        formats.write_svg(drawing, path, scale=scale, overwrite=overwrite)
+        formats.write_dxf(drawing, path, scale=scale, overwrite=overwrite)
+        return
+    content = Sheet(
+        title=drawing.title,
+        scale=scale,
+        statements=drawing.statements,
+        fields=drawing.fields,
+    )
+    figure = line_sheet(drawing, content, heights=heights, key=key)
+    save_sheet(figure, path, overwrite=overwrite)
+
+
+def _thumbnail(surface: products.Surface, plane: products.Plane) -> products.Raster:
+    """Return a coarse raster of a surface for a key plan."""
+    used = surface.position[np.unique(surface.triangles)] @ plane.axes[:2].T
+    cell = max(float(np.ptp(used, axis=0).max()) / 150, surface.spacing)
+    return products.raster(surface, plane, cell=cell)
+
+
+#: Side of a drawing in words.
+_VIEWS = {"front": "front elevation", "top": "plan"}
+
+
+def _fields(order: Order, plane: products.Plane, kind: str = "") -> dict[str, str]:
+    """Return the texts of the title block: as ordered, and the view."""
+    view = _VIEWS[plane.side]
+    return {**order.fields, "view": f"{kind}, {view}" if kind else view}
+
+
+def _extent(line: products.Contour) -> float:
+    """Return the larger side of the box around a contour line [m]."""
+    return float(np.ptp(line.points, axis=0).max())
 
 
 def _length(cut: products.Section) -> float:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -29,8 +30,8 @@ ENDINGS: dict[Product, tuple[str, ...]] = {
     "mesh": (".ply",),
     "orthoimage": (*_PICTURES, *_RASTERS),
     "dem": (*_RASTERS, ".pdf", ".svg"),
-    "contours": (".dxf", ".svg", ".csv"),
-    "section": (".dxf", ".svg", ".csv"),
+    "contours": (".dxf", ".svg", ".pdf", ".csv"),
+    "section": (".dxf", ".svg", ".pdf", ".csv"),
     "deviation": (".csv", *_RASTERS, *_PICTURES, ".ply"),
 }
 
@@ -45,8 +46,11 @@ class Order:
     """Side of view of a drawing."""
     show: Literal["amplitude", "height", "relief", "uncertainty"] = "amplitude"
     """Quantity of an orthoimage."""
-    scale: float = 10.0
-    """Scale of a drawing: meters of the object in one meter of paper [1]."""
+    scale: float | None = None
+    """Scale of a drawing: meters of the object in one meter of paper; by default the
+    largest usual scale that fits a sheet of A4 [1]."""
+    exaggeration: float = 1.0
+    """Exaggeration of the heights of a section on paper [1]."""
     dots_per_inch: float = 300.0
     """Resolution of an orthoimage on paper [dots per inch]."""
     cell: float | None = None
@@ -64,6 +68,8 @@ class Order:
     """Largest distance of a pixel from the reference; farther ones are ignored [m]."""
     title: str = ""
     """Title of the drawing; by default that of the range image."""
+    fields: Mapping[str, str] = field(default_factory=dict)
+    """Texts of the title block, by field of `amulor.view.sheet.FIELDS`."""
 
 
 def product_of(

@@ -140,7 +140,7 @@ class PageProducts:
             product=product,  # type: ignore[arg-type]
             side=side,  # type: ignore[arg-type]
             show=_one_of(request, "show", _SHOWN),  # type: ignore[arg-type]
-            scale=_number(request, "scale", 0.1, 10_000.0) or 10.0,
+            scale=_number(request, "scale", 0.1, 10_000.0),
             dots_per_inch=_number(request, "dpi", 10.0, 1200.0) or 300.0,
             **fields,
         )

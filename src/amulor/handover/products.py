@@ -20,7 +20,7 @@ from amulor.handover.order import (
 from amulor.imaging import products
 from amulor.imaging.frame import Frame
 from amulor.io import drawings as formats
-from amulor.view.sheet import Sheet, colours_of, sheet
+from amulor.view.sheet import colours_of, sheet
 
 
 def hand_over(
@@ -56,8 +56,16 @@ def hand_over(
         return drawings.write_section(
             surface, plane, path, order, (title, statements), overwrite=overwrite
         )
-    raster = products.raster(surface, plane, cell=drawings.cell_of(order, surface))
-    statements = [drawings.raster_statement(raster), *statements]
+    scale = drawings.scale_of(order, surface, plane)
+    flags = image["quality_flag"].values.ravel()[surface.pixel]
+    raster = products.raster(
+        surface,
+        plane,
+        cell=drawings.cell_of(order, surface, scale),
+        layers={"doubtful": ((flags & int(DOUBTFUL)) != 0).astype(float)},
+    )
+    warning = drawings.grazing_warning(surface, plane)
+    statements = [drawings.raster_statement(raster), *warning, *statements]
     if order.product == "contours":
         return drawings.write_contours(
             raster, path, order, (title, statements), overwrite=overwrite
@@ -73,9 +81,9 @@ def hand_over(
         formats.write_picture(
             pixels,
             path,
-            dots_per_metre=order.scale / raster.cell,
+            dots_per_metre=scale / raster.cell,
             texts={
-                "Title": f"{title}, 1:{order.scale:g}",
+                "Title": f"{title}, 1:{scale:g}",
                 "Description": "\n".join(statements),
             },
             overwrite=overwrite,
@@ -91,14 +99,15 @@ def hand_over(
         show = "height" if order.product == "dem" else order.show
         if show == "relief":
             statements.insert(0, drawings.relief_statement(raster))
-        about = Sheet(
-            title=title, scale=order.scale, statements=statements, contours=lines
+        about = drawings.sheet_of(
+            raster, order, scale, title, statements, contours=lines
         )
         drawings.save_sheet(sheet(raster, about, show=show), path, overwrite=overwrite)
     rows, columns = raster.height.shape
     return (
-        f"{columns} x {rows} cells of {raster.cell * 1e3:.3g} mm, 1:{order.scale:g}, "
+        f"{columns} x {rows} cells of {raster.cell * 1e3:.3g} mm, 1:{scale:g}, "
         f"standard uncertainty of heights {in_millimetres(raster.uncertainty)}"
+        + "".join(f"; {text[0].lower()}{text[1:]}" for text in warning)
     )
 
 

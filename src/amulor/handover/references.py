@@ -18,7 +18,7 @@ from amulor.imaging import products
 from amulor.imaging.frame import Frame
 from amulor.io import drawings as formats
 from amulor.survey.target import METRES
-from amulor.view.sheet import Sheet, sheet
+from amulor.view.sheet import sheet
 
 Floats = NDArray[np.float64]
 Said = tuple[str, list[str]]
@@ -183,10 +183,11 @@ def _write_map(
     """Write deviations as a raster map, in a GeoTIFF or on a drawing sheet."""
     surface = deviation.surface
     plane = products.plane_of(surface.frame, order.side)
+    scale = drawings.scale_of(order, surface, plane)
     raster = products.raster(
         surface,
         plane,
-        cell=drawings.cell_of(order, surface),
+        cell=drawings.cell_of(order, surface, scale),
         layers={
             "value": deviation.value,
             "sigma": deviation.uncertainty,
@@ -208,8 +209,8 @@ def _write_map(
     note = "Colored where the deviation is significant, gray elsewhere"
     if not np.isfinite(shown).any():
         shown, note = value, "No deviation is significant: what is shown is chance"
-    about = Sheet(
-        title=statements[0], scale=order.scale, statements=[note, *statements[1]]
+    about = drawings.sheet_of(
+        raster, order, scale, statements[0], [note, *statements[1]]
     )
     drawings.save_sheet(
         sheet(raster, about, show="deviation", values=shown),

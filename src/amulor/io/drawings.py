@@ -9,14 +9,12 @@ __all__ = [
     "write_dxf",
     "write_geotiff",
     "write_picture",
-    "write_svg",
     "write_table",
 ]
 
 import os
-import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
@@ -60,12 +58,19 @@ class Drawing:
     """Names of the right and the up axis."""
     statements: tuple[str, ...] = ()
     """Statements about frame, errors and provenance."""
+    marks: tuple[tuple[float, str], ...] = ()
+    """Places along the right axis with names above the frame, such as "A" at the start
+    of a section [m]."""
+    fields: Mapping[str, str] = field(default_factory=dict)
+    """Texts of the title block, by field."""
 
     @property
     def limits(self) -> tuple[float, float, float, float]:
-        """Left, right, lower and upper bound of all lines [m]."""
+        """Left, right, lower and upper bound of all lines and marks [m]."""
         points = np.concatenate([line.points for line in self.lines])
         (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
+        places = [place for place, _ in self.marks]
+        left, right = min(left, *places, right), max(right, *places, left)
         return float(left), float(right), float(low), float(high)
 
     @property
@@ -95,127 +100,25 @@ def sides(line: Line) -> Floats | None:
     return np.concatenate([line.points + across, (line.points - across)[::-1]])
 
 
-# Colors of Okabe and Ito, a layer each; sizes on paper [mm].
-_SVG_COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7")
-_MARGIN, _LETTERS, _THICK = 15.0, 2.6, 0.25
-#: Letters of a line of statements: the width of a page [1].
-_LINE = 105
-#: Longest sheet that is still printed [mm].
-_LONGEST = 5000.0
+def rounded_up(value: float) -> float:
+    """Smallest number of the series 1, 2, 5, 10, 20, ... not below a value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(s * power for s in (1, 2, 5, 10) if s * power >= value * 0.999))
 
 
-def write_svg(
-    drawing: Drawing,
-    path: str | os.PathLike[str],
-    *,
-    scale: float,
-    overwrite: bool = False,
-) -> None:
-    """Write a line drawing to an SVG file, at its scale in millimeters on paper."""
-    drawing = checked(drawing, name=str(path))
-    left, right, low, high = drawing.limits
-    to_paper = 1000.0 / scale
-    notes = [
-        line
-        for statement in (
-            f"{drawing.axes[0]} {left:.3f} to {right:.3f} m, "
-            f"{drawing.axes[1]} {low:.3f} to {high:.3f} m",
-            *drawing.statements,
-        )
-        for line in textwrap.wrap(statement, _LINE, subsequent_indent="\u2003")
-    ]
-    widest = max(map(len, (drawing.title, *notes))) * _LETTERS * 0.55
-    bar = bar_length(right - left, scale)
-    width = max((right - left) * to_paper, bar * to_paper, widest) + 2 * _MARGIN
-    written = (4 + len(notes)) * 1.5 * _LETTERS
-    height = (high - low) * to_paper + 2 * _MARGIN + written + 12
-    if max(width, height) > _LONGEST:
-        raise FormatError(
-            f"{path}: at 1:{scale:g} the sheet would be {max(width, height) / 1e3:.1f} "
-            f"m long; take a smaller scale, such as 1:{scale * 10:g}"
-        )
-
-    def placed(points: Floats) -> str:
-        x = (points[:, 0] - left) * to_paper + _MARGIN
-        y = (high - points[:, 1]) * to_paper + _MARGIN
-        return " ".join(f"{a:.3f},{b:.3f}" for a, b in zip(x, y, strict=True))
-
-    body = []
-    for line in drawing.lines:
-        outline = sides(line)
-        if outline is not None:
-            body.append(
-                f'<polygon class="uncertainty" points="{placed(outline)}" '
-                'fill="#56B4E9" fill-opacity="0.35" stroke="none"/>'
-            )
-    for number, layer in enumerate(drawing.layers):
-        colour = _SVG_COLOURS[number % len(_SVG_COLOURS)]
-        body.append(
-            f'<g id="{escape(layer)}" fill="none" stroke="{colour}" '
-            f'stroke-width="{_THICK}" stroke-linejoin="round">'
-        )
-        for line in (line for line in drawing.lines if line.layer == layer):
-            title = f"<title>{escape(line.label)}</title>" if line.label else ""
-            body.append(f'<polyline points="{placed(line.points)}">{title}</polyline>')
-        body.append("</g>")
-    below = (high - low) * to_paper + _MARGIN + 8
-    body += _scale_bar(bar, to_paper, below, scale)
-    body.append(_text(drawing.title, below + 12, bold=True))
-    body += [
-        _text(text, below + 12 + (number + 1) * 1.5 * _LETTERS)
-        for number, text in enumerate(notes)
-    ]
-    with atomic_output(Path(path), overwrite=overwrite) as temporary:
-        temporary.write_text(
-            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.3f}mm" '
-            f'height="{height:.3f}mm" viewBox="0 0 {width:.3f} {height:.3f}" '
-            'font-family="DejaVu Sans, Arial, sans-serif">\n'
-            f"<title>{escape(drawing.title)}</title>\n"
-            f'<rect width="100%" height="100%" fill="#ffffff"/>\n'
-            + "\n".join(body)
-            + "\n</svg>\n",
-            encoding="utf-8",
-        )
+def grid_step(low: float, high: float, scale: float) -> float:
+    """Distance of grid lines in a drawing to scale: 20 to 50 mm on paper [m]."""
+    step = rounded_up(0.02 * scale)
+    return step if high - low >= 4 * step else rounded_up(0.008 * scale)
 
 
-def bar_length(extent: float, scale: float) -> float:
-    """Length of a scale bar, a round number that suits the drawing [m]."""
-    longest = max(0.5 * extent, 0.02 * scale)
-    power = 10.0 ** np.floor(np.log10(longest))
-    fitting = [step * power for step in (1.0, 2.0, 5.0) if step * power <= longest]
-    return float(fitting[-1])
+def places_between(low: float, high: float, step: float) -> Floats:
+    """Multiples of a step between two bounds [m]."""
+    count = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
+    return np.asarray(np.round(step * count, 9))
 
 
-def _scale_bar(length: float, to_paper: float, y: float, scale: float) -> list[str]:
-    size = length * to_paper
-    parts = [
-        f'<rect x="{_MARGIN + n * size / 4:.3f}" y="{y:.3f}" width="{size / 4:.3f}" '
-        f'height="1.6" fill="{"#000000" if n % 2 == 0 else "#ffffff"}" '
-        f'stroke="#000000" stroke-width="0.15"/>'
-        for n in range(4)
-    ]
-    label = f"{length * 1e3:g} mm" if length < 1 else f"{length:g} m"
-    return [
-        '<g id="scale-bar">',
-        *parts,
-        f'<text x="{_MARGIN:.3f}" y="{y + 5:.3f}" font-size="{_LETTERS}">0</text>',
-        f'<text x="{_MARGIN + size:.3f}" y="{y + 5:.3f}" font-size="{_LETTERS}" '
-        f'text-anchor="middle">{label}</text>',
-        f'<text x="{_MARGIN + size / 2:.3f}" y="{y + 5:.3f}" font-size="{_LETTERS}" '
-        f'text-anchor="middle">1:{scale:g}</text>',
-        "</g>",
-    ]
-
-
-def _text(text: str, y: float, *, bold: bool = False) -> str:
-    weight = ' font-weight="bold"' if bold else ""
-    return (
-        f'<text x="{_MARGIN}" y="{y:.3f}" font-size="{_LETTERS}"{weight}>'
-        f"{escape(text)}</text>"
-    )
-
-
-#: Letters of labels and statements in the drawing [m].
+#: Height of letters on paper [m].
 _DXF_LETTERS = 0.002
 #: Colors of layers by number, after the seven plain ones of the format.
 _DXF_COLOURS = (7, 5, 1, 3, 6, 30, 4)
@@ -223,22 +126,54 @@ _METRES = 6
 
 
 def write_dxf(
-    drawing: Drawing, path: str | os.PathLike[str], *, overwrite: bool = False
+    drawing: Drawing,
+    path: str | os.PathLike[str],
+    *,
+    scale: float = 1.0,
+    overwrite: bool = False,
 ) -> None:
     """Write a line drawing to a DXF file, in meters.
 
     The format is AutoCAD 2010, with light-weight polylines and a layer for each kind of
     line. The layer "uncertainty" has the outline of the band of two standard
-    uncertainties. The layer "notes" has the statements as text below the drawing.
+    uncertainties, the layer "axes" a frame with coordinates and the names of places,
+    and the layer "notes" the statements as text below the drawing. The title block is a
+    block reference with an attribute for each field.
+
+    Parameters
+    ----------
+    drawing : Drawing
+        Lines, statements and fields of the title block.
+    path : path-like
+        File to write.
+    scale : float
+        Scale denominator for which letters are 2 mm high on paper [1].
+    overwrite : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    FormatError
+        If there is no line, or a point is not finite.
+    MissingExtraError
+        If ezdxf is not installed.
     """
     ezdxf = _ezdxf()
     drawing = checked(drawing, name=str(path))
     document = ezdxf.new("R2010", units=_METRES)
     document.header["$MEASUREMENT"] = 1
-    names = (*drawing.layers, "uncertainty", "notes")
+    names = (*drawing.layers, "uncertainty", "axes", "notes")
     for number, name in enumerate(names):
         document.layers.add(name, color=_DXF_COLOURS[number % len(_DXF_COLOURS)])
     space = document.modelspace()
+    letters = _DXF_LETTERS * scale
+
+    def write(text: str, place: tuple[float, float], layer: str) -> None:
+        entity = space.add_text(
+            " ".join(text.split()), height=letters, dxfattribs={"layer": layer}
+        )
+        entity.set_placement(place)
+
     for line in drawing.lines:
         space.add_lwpolyline(
             np.asarray(line.points, dtype=float).tolist(),
@@ -251,22 +186,62 @@ def write_dxf(
             )
         if line.label:
             middle = line.points[len(line.points) // 2]
-            text = space.add_text(
-                line.label, height=_DXF_LETTERS, dxfattribs={"layer": line.layer}
-            )
-            text.set_placement((float(middle[0]), float(middle[1])))
-    left, _, low, _ = drawing.limits
+            write(line.label, (float(middle[0]), float(middle[1])), line.layer)
+    bottom = _frame(space, drawing, scale, write)
+    left = drawing.limits[0]
     for number, statement in enumerate((drawing.title, *drawing.statements)):
-        text = space.add_text(
-            _one_line(statement), height=_DXF_LETTERS, dxfattribs={"layer": "notes"}
-        )
-        text.set_placement((left, low - (number + 3) * 1.6 * _DXF_LETTERS))
+        write(statement, (left, bottom - (number + 2) * 1.6 * letters), "notes")
+    if drawing.fields:
+        place = left, bottom - (len(drawing.statements) + 4) * 1.6 * letters
+        _title_block(document, drawing.fields, place, letters)
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
         document.saveas(temporary)
 
 
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
+def _frame(
+    space: Any,
+    drawing: Drawing,
+    scale: float,
+    write: Callable[[str, tuple[float, float], str], None],
+) -> float:
+    """Add a frame with coordinates and named places; return its lower end [m]."""
+    letters = _DXF_LETTERS * scale
+    left, right, low, high = drawing.limits
+    low, high = low - 2 * letters, high + 2 * letters
+    layer = {"layer": "axes"}
+    corners = [(left, low), (right, low), (right, high), (left, high)]
+    space.add_lwpolyline(corners, close=True, dxfattribs=layer)
+    for place in places_between(left, right, grid_step(left, right, scale)):
+        space.add_line((place, low), (place, low - letters / 2), dxfattribs=layer)
+        write(f"{place + 0.0:g}", (float(place), low - 1.8 * letters), "axes")
+    for place in places_between(low, high, grid_step(low, high, scale)):
+        space.add_line((left, place), (left - letters / 2, place), dxfattribs=layer)
+        write(f"{place + 0.0:g}", (left - 5 * letters, float(place)), "axes")
+    write(f"{drawing.axes[0]} [m]", (left, low - 3.4 * letters), "axes")
+    write(f"{drawing.axes[1]} [m]", (left - 5 * letters, high + 2.6 * letters), "axes")
+    for place, name in drawing.marks:
+        write(name, (place, high + letters), "axes")
+    return low - 4 * letters
+
+
+def _title_block(
+    document: Any, fields: Mapping[str, str], place: tuple[float, float], letters: float
+) -> None:
+    """Insert a title block, a line for each field, at a place below the drawing."""
+    block = document.blocks.new(name="TITLE_BLOCK")
+    for number, name in enumerate(fields):
+        y = -1.6 * letters * number
+        caption = block.add_text(name, height=letters)
+        caption.set_placement((0, y))
+        block.add_attdef(
+            name.upper().replace(" ", "_"), (12 * letters, y), height=letters
+        )
+    inserted = document.modelspace().add_blockref(
+        "TITLE_BLOCK", place, dxfattribs={"layer": "notes"}
+    )
+    inserted.add_auto_attribs(
+        {name.upper().replace(" ", "_"): text for name, text in fields.items()}
+    )
 
 
 def _ezdxf() -> Any:

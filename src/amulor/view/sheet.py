@@ -1,15 +1,17 @@
-"""Drawing sheets at scale: picture, grid, scale bar, title block."""
+"""Drawing sheets of rasters and lines, to scale, on ISO 216 paper."""
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -18,8 +20,16 @@ from scipy import ndimage
 
 from amulor.errors import CubeError, FormatError
 from amulor.imaging.products import Contour, Raster
+from amulor.io.drawings import (
+    Drawing,
+    grid_step,
+    places_between,
+    rounded_up,
+    sides,
+)
 from amulor.view.style import (
     BRIGHTNESS_MAP,
+    COLOURS,
     DIFFERENCE_MAP,
     DISTANCE_MAP,
     ERROR_MAP,
@@ -29,6 +39,18 @@ from amulor.view.style import (
 Floats = NDArray[np.float64]
 Shown = Literal["amplitude", "height", "relief", "uncertainty", "deviation"]
 
+#: Fields of a title block, in the order of their cells: two rows of four.
+FIELDS = (
+    "project",
+    "object",
+    "find number",
+    "sheet",
+    "author",
+    "institution",
+    "date",
+    "view",
+)
+
 #: ISO 216 sheets, short and long side [mm].
 _SHEETS = {
     "A4": (210, 297),
@@ -37,13 +59,19 @@ _SHEETS = {
     "A1": (594, 841),
     "A0": (841, 1189),
 }
-# Border of the sheet, room for numbers beside the picture, and below it [mm].
-_BORDER, _TICKS, _BLOCK = 10.0, 16.0, 52.0
+# Border of the sheet, and room for numbers beside the picture [mm].
+_BORDER, _TICKS = 10.0, 16.0
+# Rows of the title block: title, one row of fields, scale bars, or a key plan [mm].
+_TITLE, _FIELD, _BARS, _KEY = 9.0, 8.5, 16.0, 30.0
+#: Size of small letters [pt], their mean width, and the distance of two lines [mm].
+_LETTERS, _LETTER, _LINE = 7.0, 1.34, 3.1
 _INCH = 25.4
 # Color of a surface without a value to show.
 _GREY = (226, 226, 226, 255)
 #: Part of the cells that limits of colors may leave out on either side [%].
 _STRAY = 1.0
+#: Contours, and other lines over a picture.
+_OVER = "#D55E00"
 _COLOURS = {
     "amplitude": BRIGHTNESS_MAP,
     "height": DISTANCE_MAP,
@@ -55,7 +83,7 @@ _COLOURS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
-    """Title, scale, statements and contour lines of a drawing sheet."""
+    """Title block and contour lines of a drawing sheet."""
 
     title: str
     """Title."""
@@ -63,8 +91,34 @@ class Sheet:
     """Scale denominator; 20 for 1:20 [1]."""
     statements: Sequence[str]
     """Statements about frame, errors and provenance."""
+    fields: Mapping[str, str] = field(default_factory=dict)
+    """Texts of the title block by field; missing fields are left blank for a pen."""
     contours: Sequence[Contour] = ()
     """Contour lines drawn over the picture."""
+
+
+def fitting_scale(wide: float, high: float) -> float:
+    """Return the largest usual scale at which an object fits a sheet of A4.
+
+    Parameters
+    ----------
+    wide, high : float
+        Size of the object in the drawing [m].
+
+    Returns
+    -------
+    float
+        Scale denominator of the series 1, 2, 5, 10, 20, ... [1].
+
+    Examples
+    --------
+    >>> fitting_scale(0.3, 0.25)
+    2.0
+    """
+    # Upright and lying A4, with a title block of usual size.
+    room = ((168.0, 165.0), (255.0, 78.0))
+    needed = min(max(wide * 1e3 / w, high * 1e3 / h) for w, h in room)
+    return rounded_up(max(needed, 1.0))
 
 
 def colours_of(
@@ -77,7 +131,7 @@ def colours_of(
     values_shown = {
         "amplitude": raster.amplitude,
         "height": raster.height,
-        "uncertainty": raster.uncertainty,
+        "uncertainty": _of_pixels(raster),
         "deviation": values,
     }[show]
     if values_shown is None:
@@ -105,128 +159,364 @@ def colours_of(
     return pixels, (low, high), unit
 
 
+def _of_pixels(raster: Raster) -> Floats:
+    """Largest height uncertainty within one pixel of the scan around each cell [m].
+
+    Between pixels a cell is their mean, whose noise is smaller. Without the maximum,
+    the map would show the grid of pixels instead of the uncertainty.
+    """
+    size = 2 * math.ceil(raster.surface.spacing / raster.cell / 2) + 1
+    known = np.isfinite(raster.uncertainty)
+    largest = ndimage.maximum_filter(np.where(known, raster.uncertainty, 0.0), size)
+    return np.where(known, largest, np.nan)
+
+
 def sheet(
     raster: Raster, content: Sheet, *, show: Shown, values: Floats | None = None
 ) -> Figure:
     """Draw a raster on the smallest ISO sheet that fits it at its scale."""
     rows, columns = raster.height.shape
-    wide = columns * raster.cell / content.scale * 1e3
-    high = rows * raster.cell / content.scale * 1e3
-    name, width, height = _paper(wide, high, content.scale)
     pixels, limits, unit = colours_of(raster, show, values=values)
+    extent = (
+        raster.left,
+        raster.left + columns * raster.cell,
+        raster.top - rows * raster.cell,
+        raster.top,
+    )
     with style():
-        figure = Figure(figsize=(width / _INCH, height / _INCH))
-        room = height - 2 * _BORDER - _BLOCK - _TICKS
-        left = _TICKS + _BORDER + (width - 2 * _BORDER - _TICKS - wide) / 2
-        low = _BORDER + _BLOCK + _TICKS + (room - high) / 2
-        axis = figure.add_axes(
-            (left / width, low / height, wide / width, high / height)
-        )
-        extent = (
-            raster.left,
-            raster.left + columns * raster.cell,
-            raster.top - rows * raster.cell,
-            raster.top,
-        )
+        paper = _Paper(extent, content)
+        axis = paper.axis
         axis.imshow(pixels, extent=extent, interpolation="none", aspect="auto")
-        for line in content.contours:
-            axis.plot(*line.points.T, color="#D55E00", lw=0.35)
-        axis.set_xlim(extent[:2])
-        axis.set_ylim(extent[2:])
-        _grid(axis, content.scale, raster.plane.names)
-        _block(figure, (width, height), content, name, raster)
+        _contour_lines(axis, content.contours)
+        doubtful = raster.layers.get("doubtful")
+        hatched = doubtful is not None and bool((np.nan_to_num(doubtful) > 0).any())
+        if doubtful is not None and hatched:
+            axis.contourf(
+                raster.columns, raster.rows, np.nan_to_num(doubtful),
+                levels=[1e-9, 2.0], colors="none", hatches=["////"],
+            )  # fmt: skip
+        paper.grid(raster.plane.names[:2])
+        legend = [("#ffffff", "", "no surface measured")]
+        if hatched:
+            legend.append(("#ffffff", "//////", "doubtful pixels"))
+        paper.block(legend, arrow=raster.plane.names[1])
         if unit:
-            _colour_bar(figure, (width, height), show, limits, unit)
-    return figure
+            paper.colour_bar(show, limits, unit)
+    return paper.figure
 
 
-def _paper(wide: float, high: float, scale: float) -> tuple[str, float, float]:
-    """Name, width and height of the smallest ISO sheet that fits a picture [mm]."""
-    needed = wide + 2 * _BORDER + _TICKS, high + 2 * _BORDER + _TICKS + _BLOCK
+def line_sheet(
+    drawing: Drawing,
+    content: Sheet,
+    *,
+    heights: float = 1.0,
+    key: tuple[Raster, Floats] | None = None,
+) -> Figure:
+    """Draw polylines on the smallest ISO sheet that fits them at their scale.
+
+    Parameters
+    ----------
+    drawing : Drawing
+        Polylines with layers, labels and uncertainty bands.
+    content : Sheet
+        Title block.
+    heights : float
+        Exaggeration of the upward axis [1].
+    key : tuple of Raster and array_like, optional
+        View for a key plan, and the ends of the section line in it, shape (2, 2) [m].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Sheet in the size of its paper.
+    """
+    left, right, low, high = drawing.limits
+    # Room of 4 mm of paper around the lines.
+    room = 4e-3 * content.scale
+    extent = (left, right, low - room / heights, high + room / heights)
+    with style():
+        bars = _BARS if key is None else _KEY
+        paper = _Paper(extent, content, heights=heights, bars=bars)
+        axis = paper.axis
+        bands = [
+            outline for line in drawing.lines if (outline := sides(line)) is not None
+        ]
+        if bands:
+            axis.add_collection(
+                PolyCollection(
+                    bands, facecolors="#56B4E9", alpha=0.45, gid="uncertainty", lw=0
+                )
+            )
+        for number, layer in enumerate(drawing.layers):
+            lines = [line for line in drawing.lines if line.layer == layer]
+            axis.add_collection(
+                LineCollection(
+                    [line.points for line in lines],
+                    colors=("#000000", *COLOURS)[number % 8],
+                    linewidths=0.7,
+                    gid=layer,
+                )
+            )
+            for line in lines:
+                if line.label:
+                    _label(axis, line.points, line.label)
+        paper.grid(drawing.axes)
+        for place, name in drawing.marks:
+            axis.annotate(
+                name, (place, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 3),
+                textcoords="offset points", ha="center", fontsize=10, weight="bold",
+            )  # fmt: skip
+        legend = [("#56B4E9", "", "± 2 standard uncertainties")] if bands else []
+        paper.block(legend, arrow=drawing.axes[1])
+        if key is not None:
+            paper.key_plan(*key)
+    return paper.figure
+
+
+class _Paper:
+    """Figure of an ISO sheet with an axis to scale and a title block below it."""
+
+    def __init__(
+        self,
+        extent: tuple[float, float, float, float],
+        content: Sheet,
+        *,
+        heights: float = 1.0,
+        bars: float = _BARS,
+    ) -> None:
+        left, right, low, high = extent
+        self.content = content
+        wide = (right - left) / content.scale * 1e3
+        tall = (high - low) * heights / content.scale * 1e3
+        self.name, self.width, self.height, self.lines = _paper(
+            wide, tall, content, bars
+        )
+        self.bars = bars
+        self.figure = Figure(figsize=(self.width / _INCH, self.height / _INCH))
+        self.below = _BORDER + _block_height(len(self.lines), bars)
+        room = self.height - _BORDER - self.below - _TICKS
+        x = _TICKS + _BORDER + (self.width - 2 * _BORDER - _TICKS - wide) / 2
+        y = self.below + _TICKS + (room - tall) / 2
+        self.axis = self._axes(x, y, wide, tall)
+        self.axis.set_xlim(left, right)
+        self.axis.set_ylim(low, high)
+        self.heights = heights
+
+    def _axes(self, x: float, y: float, wide: float, high: float) -> Axes:
+        """Add an axis at a place of the sheet [mm]."""
+        w, h = self.width, self.height
+        return self.figure.add_axes((x / w, y / h, wide / w, high / h))
+
+    def grid(self, names: Sequence[str]) -> None:
+        """Draw grid lines with coordinates, 20 to 50 mm apart on paper."""
+        axis, scale = self.axis, self.content.scale
+        for which, factor in (("x", 1.0), ("y", self.heights)):
+            low, high = getattr(axis, f"get_{which}lim")()
+            step = grid_step(low, high, scale / factor)
+            digits = max(0, int(np.ceil(-np.log10(step))))
+            places = places_between(low, high, step)
+            getattr(axis, f"set_{which}ticks")(
+                places, [f"{place + 0.0:.{digits}f}" for place in places]
+            )
+        axis.grid(color="#56B4E9", lw=0.25, alpha=0.8)
+        axis.set_axisbelow(False)
+        axis.tick_params(labelsize=_LETTERS, length=2, width=0.3)
+        axis.tick_params(axis="y", rotation=90)
+        for label in axis.get_yticklabels():
+            label.set_verticalalignment("center")
+        axis.set_xlabel(f"{names[0]} [m]", fontsize=_LETTERS)
+        axis.set_ylabel(f"{names[1]} [m]", fontsize=_LETTERS)
+        for spine in axis.spines.values():
+            spine.set_visible(True)
+            spine.set_linewidth(0.3)
+
+    def block(self, legend: Sequence[tuple[str, str, str]], *, arrow: str) -> None:
+        """Draw the title block: title, fields, scale bar, legend and statements."""
+        content, width = self.content, self.width
+        frame = self._axes(0, 0, width, self.below)
+        frame.set_xlim(0, width)
+        frame.set_ylim(0, self.below)
+        frame.axis("off")
+        top, right = self.below, width - _BORDER
+        frame.add_patch(
+            Rectangle(
+                (_BORDER, _BORDER), right - _BORDER, top - _BORDER, fill=False, lw=0.5
+            )
+        )
+        words = textwrap.shorten(content.title, int(width / 3), placeholder=" ...")
+        bold: Any = {"fontsize": 10, "weight": "bold", "va": "center"}
+        frame.text(_BORDER + 3, top - _TITLE / 2, words, **bold)
+        exaggerated = f", heights x {self.heights:g}" if self.heights != 1 else ""
+        frame.text(
+            right - 3,
+            top - _TITLE / 2,
+            f"1:{content.scale:g} on {self.name}{exaggerated}",
+            ha="right",
+            **bold,
+        )
+        self._fields(frame, top - _TITLE)
+        y = top - _TITLE - 2 * _FIELD
+        frame.plot([_BORDER, right], [y, y], color="#000000", lw=0.3)
+        _scale_bar(frame, content.scale, (_BORDER + 6, y - 7))
+        x = _BORDER + 66.0
+        frame.annotate(
+            "", (x, y - 2.5), (x, y - 11), arrowprops={"arrowstyle": "-|>", "lw": 0.8}
+        )
+        frame.text(x, y - 11.8, arrow, fontsize=_LETTERS, ha="center", va="top")
+        for number, (colour, hatch, text) in enumerate(legend):
+            at = x + 10, y - 6.5 - 4.5 * number
+            frame.add_patch(
+                Rectangle(
+                    at,
+                    4,
+                    2.6,
+                    facecolor=colour,
+                    hatch=hatch,
+                    edgecolor="#000000",
+                    lw=0.3,
+                )
+            )
+            frame.text(at[0] + 5.5, at[1] + 1.3, text, fontsize=_LETTERS, va="center")
+        frame.text(
+            _BORDER + 3,
+            y - self.bars,
+            "\n".join(self.lines),
+            fontsize=_LETTERS,
+            va="top",
+            linespacing=_LINE / (_LETTERS * _INCH / 72),
+        )
+
+    def _fields(self, frame: Axes, top: float) -> None:
+        """Draw the fields of the title block in two rows of four cells."""
+        cell = (self.width - 2 * _BORDER) / 4
+        for number, name in enumerate(FIELDS):
+            row, column = divmod(number, 4)
+            x, y = _BORDER + column * cell, top - row * _FIELD
+            frame.add_patch(
+                Rectangle((x, y - _FIELD), cell, _FIELD, fill=False, lw=0.3)
+            )
+            frame.text(
+                x + 1.5, y - 1, name, fontsize=_LETTERS, va="top", color="#555555"
+            )
+            text = textwrap.shorten(
+                self.content.fields.get(name, ""),
+                int(cell / _LETTER) - 2,
+                placeholder=" ...",
+            )
+            frame.text(x + 1.5, y - _FIELD + 1.2, text, fontsize=_LETTERS)
+
+    def colour_bar(self, show: Shown, limits: tuple[float, float], unit: str) -> None:
+        """Draw the color scale at the right of the title block."""
+        long = 50.0
+        y = self.below - _TITLE - 2 * _FIELD - 8.5
+        axis: Any = self._axes(self.width - _BORDER - 6 - long, y, long, 2.4)
+        axis.imshow(
+            np.linspace(0, 1, 256)[None],
+            aspect="auto",
+            cmap=_COLOURS[show],
+            extent=(limits[0], limits[1], 0, 1),
+        )
+        axis.set_yticks([])
+        axis.locator_params(axis="x", nbins=4)
+        axis.tick_params(labelsize=_LETTERS, length=1.5, width=0.3, pad=1)
+        axis.set_title(
+            f"{show} [{unit}]", fontsize=_LETTERS, loc="right", pad=2, weight="normal"
+        )
+
+    def key_plan(self, raster: Raster, cut: Floats) -> None:
+        """Draw a small view with the section line at the right of the title block."""
+        rows, columns = raster.height.shape
+        size = min((_KEY - 8) / rows, 45.0 / columns)
+        wide, high = columns * size, rows * size
+        x = self.width - _BORDER - wide - 10
+        y = self.below - _TITLE - 2 * _FIELD - high - 5
+        axis = self._axes(x, y, wide, high)
+        left, top = raster.left, raster.top
+        axis.imshow(
+            _relief(raster),
+            extent=(left, left + columns * raster.cell, top - rows * raster.cell, top),
+            aspect="auto",
+        )
+        axis.plot(*cut.T, color=_OVER, lw=1.0, clip_on=False)
+        for place, name, side in zip(cut, ("A", "A'"), (-1, 1), strict=True):
+            axis.annotate(
+                name, (float(place[0]), float(place[1])), xytext=(5 * side, 0),
+                textcoords="offset points", ha="center", va="center",
+                fontsize=_LETTERS, annotation_clip=False,
+            )  # fmt: skip
+        axis.set_xticks([])
+        axis.set_yticks([])
+        axis.spines[["top", "right"]].set_visible(True)
+        axis.set_title("section line", fontsize=_LETTERS, weight="normal", pad=3)
+
+
+def _paper(
+    wide: float, high: float, content: Sheet, bars: float
+) -> tuple[str, float, float, list[str]]:
+    """Name, width, height and lines of text of the smallest sheet that fits [mm]."""
     for name, (short, long) in _SHEETS.items():
         for width, height in ((long, short), (short, long)):
-            if needed[0] <= width and needed[1] <= height:
-                return name, float(width), float(height)
+            lines = _wrapped(content.statements, width)
+            below = _block_height(len(lines), bars) + 2 * _BORDER + _TICKS
+            if wide + 2 * _BORDER + _TICKS <= width and high + below <= height:
+                return name, float(width), float(height), lines
+    scale = content.scale
+    needed = wide + 2 * _BORDER + _TICKS, high + below
     raise FormatError(
         f"at 1:{scale:g} the drawing needs {needed[0]:.0f} x {needed[1]:.0f} mm, more "
         "than an A0 sheet; take a smaller scale, such as "
-        f"1:{_rounded(scale * max(needed[0] / 1189, needed[1] / 841) * 1.05):g}"
+        f"1:{rounded_up(scale * max(needed[0] / 1189, needed[1] / 841) * 1.05):g}"
     )
 
 
-def _rounded(value: float) -> float:
-    """Smallest number of the series 1, 2, 5, 10, 20, ... not below a value."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(next(s * power for s in (1, 2, 5, 10) if s * power >= value * 0.999))
-
-
-def _grid(axis: Axes, scale: float, names: tuple[str, str, str]) -> None:
-    """Draw grid lines with coordinates, 20 to 50 mm apart on paper."""
-    step = _rounded(0.02 * scale)
-    if max(np.ptp(axis.get_xlim()), np.ptp(axis.get_ylim())) < 4 * step:
-        step = _rounded(0.008 * scale)
-    digits = max(0, int(np.ceil(-np.log10(step))))
-    for which, (low, high) in (("x", axis.get_xlim()), ("y", axis.get_ylim())):
-        places = step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step) + 1)
-        labels = [f"{place + 0.0:.{digits}f}" for place in np.round(places, 9)]
-        getattr(axis, f"set_{which}ticks")(places, labels)
-    axis.grid(color="#56B4E9", lw=0.25, alpha=0.8)
-    axis.tick_params(labelsize=6, length=2, width=0.3)
-    axis.tick_params(axis="y", rotation=90)
-    for label in axis.get_yticklabels():
-        label.set_verticalalignment("center")
-    axis.set_xlabel(f"{names[0]} [m]", fontsize=7)
-    axis.set_ylabel(f"{names[1]} [m]", fontsize=7)
-    for spine in axis.spines.values():
-        spine.set_visible(True)
-        spine.set_linewidth(0.3)
-
-
-def _block(
-    figure: Figure,
-    size: tuple[float, float],
-    content: Sheet,
-    paper: str,
-    raster: Raster,
-) -> None:
-    """Draw the title block, with the scale bar, below the picture."""
-    width, height = size
-    frame = figure.add_axes((0, 0, 1, _BLOCK / height + _BORDER / height))
-    frame.set_xlim(0, width)
-    frame.set_ylim(0, _BLOCK + _BORDER)
-    frame.axis("off")
-    frame.add_patch(
-        Rectangle(
-            (_BORDER, _BORDER), width - 2 * _BORDER, _BLOCK - 4, fill=False, lw=0.5
-        )
-    )
-    top = _BORDER + _BLOCK - 4
-    words = textwrap.shorten(content.title, 90, placeholder=" ...")
-    frame.text(_BORDER + 4, top - 6, words, fontsize=10, weight="bold", va="center")
-    frame.text(
-        width - _BORDER - 4,
-        top - 6,
-        f"1:{content.scale:g} on {paper}",
-        fontsize=10,
-        weight="bold",
-        va="center",
-        ha="right",
-    )
-    _scale_bar(frame, content.scale, (_BORDER + 6, top - 16))
-    room = width - 2 * _BORDER - 8
-    letters = int(room / 1.16)
-    lines = [
+def _wrapped(statements: Sequence[str], width: float) -> list[str]:
+    """Statements in lines that fit the title block of a sheet of a width [mm]."""
+    letters = int((width - 2 * _BORDER - 6) / _LETTER)
+    return [
         line
-        for statement in content.statements
+        for statement in statements
         for line in textwrap.wrap(statement, letters, subsequent_indent="   ")
     ]
-    size_of_text = 6.0 if len(lines) <= 9 else 6.0 * 9 / len(lines)
-    frame.text(_BORDER + 4, top - 23, "\n".join(lines), fontsize=size_of_text, va="top")
+
+
+def _block_height(lines: int, bars: float) -> float:
+    """Height of the title block for a number of lines of statements [mm]."""
+    return _TITLE + 2 * _FIELD + bars + lines * _LINE + 3
+
+
+def _contour_lines(axis: Axes, contours: Sequence[Contour]) -> None:
+    """Draw contour lines, with the height at the longest line of each level."""
+    longest: dict[float, Contour] = {}
+    for line in contours:
+        axis.plot(*line.points.T, color=_OVER, lw=0.35)
+        if len(line.points) > len(longest.get(line.level, line).points) - 1:
+            longest[line.level] = line
+    for level, line in longest.items():
+        _label(axis, line.points, f"{level:.4g}")
+
+
+def _label(axis: Axes, points: Floats, text: str) -> None:
+    """Write a text at the middle of a line, where it reads from left to right."""
+    middle = len(points) // 2
+    before, after = points[max(middle - 3, 0)], points[min(middle + 3, len(points) - 1)]
+    angle = float(np.degrees(np.arctan2(*(after - before)[::-1])))
+    axis.text(
+        float(points[middle, 0]),
+        float(points[middle, 1]),
+        text,
+        fontsize=_LETTERS,
+        ha="center",
+        va="center",
+        rotation=(angle + 90) % 180 - 90,
+        rotation_mode="anchor",
+        clip_on=True,
+        bbox={"facecolor": "#ffffff", "alpha": 0.75, "lw": 0, "pad": 0.4},
+    )
 
 
 def _scale_bar(frame: Axes, scale: float, at: tuple[float, float]) -> None:
     """Draw a scale bar in four parts, true to scale on paper."""
-    length = _rounded(0.03 * scale)
+    length = rounded_up(0.03 * scale)
     size = length / scale * 1e3
     for part in range(4):
         frame.add_patch(
@@ -237,42 +527,20 @@ def _scale_bar(frame: Axes, scale: float, at: tuple[float, float]) -> None:
                 facecolor="#000000" if part % 2 == 0 else "#ffffff",
                 edgecolor="#000000",
                 lw=0.3,
+                gid="scale-bar",
             )
         )
     unit, factor = ("mm", 1e3) if length < 1 else ("m", 1.0)
     for part in (0, 2, 4):
         text = f"{length * factor * part / 4:g}" + (f" {unit}" if part == 4 else "")
         frame.text(
-            at[0] + part * size / 4, at[1] - 1, text, fontsize=6, va="top", ha="center"
+            at[0] + part * size / 4,
+            at[1] - 1,
+            text,
+            fontsize=_LETTERS,
+            va="top",
+            ha="center",
         )
-
-
-def _colour_bar(
-    figure: Figure,
-    size: tuple[float, float],
-    show: Shown,
-    limits: tuple[float, float],
-    unit: str,
-) -> None:
-    """Draw the color scale to the right of the title block."""
-    width, height = size
-    long = 50.0
-    axis: Any = figure.add_axes(
-        (
-            (width - _BORDER - 8 - long) / width,
-            (_BORDER + _BLOCK - 4 - 16.5) / height,
-            long / width,
-            2.4 / height,
-        )
-    )
-    ramp = np.linspace(0, 1, 256)[None]
-    axis.imshow(
-        ramp, aspect="auto", cmap=_COLOURS[show], extent=(limits[0], limits[1], 0, 1)
-    )
-    axis.set_yticks([])
-    axis.locator_params(axis="x", nbins=4)
-    axis.tick_params(labelsize=6, length=1.5, width=0.3, pad=1)
-    axis.set_title(f"{show} [{unit}]", fontsize=6, loc="right", pad=2, weight="normal")
 
 
 def _relief(raster: Raster) -> NDArray[np.uint8]:

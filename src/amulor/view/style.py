@@ -43,6 +43,8 @@ SETTINGS: Any = {
     **{f"axes3d.{axis}axis.panecolor": (0.97, 0.98, 0.98, 1.0) for axis in "xyz"},
     "svg.hashsalt": "amulor",
     "svg.fonttype": "none",
+    # TrueType, which printers and editors keep as letters.
+    "pdf.fonttype": 42,
 }
 
 

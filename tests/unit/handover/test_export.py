@@ -84,7 +84,8 @@ def test_contours_of_a_slope_lie_where_it_has_their_height(tmp_path, capsys) -> 
     slope = scenes.plane((0.3, 0.0, 0.954), 1.5, own=2e-4)
     order = Order(product="contours", contours=0.01)
     hand_over(slope, tmp_path / "c.dxf", order)
-    lines = ezdxf.readfile(tmp_path / "c.dxf").modelspace().query("LWPOLYLINE")
+    lines = ezdxf.readfile(tmp_path / "c.dxf").modelspace()
+    lines = lines.query('LWPOLYLINE[layer=="contours"]')
     assert len(lines) == 4  # 0.12 m of width, sloping by 0.3 / 0.954
     for line in lines:
         level = line.dxf.elevation
@@ -339,4 +340,4 @@ def test_a_picture_has_the_stated_title_or_that_of_the_image(
     order = Order(product="orthoimage", title=stated, dots_per_inch=30)
     hand_over(ladder.assign_attrs(title=title), path, order)
     with Image.open(path) as picture:
-        assert picture.text["Title"] == f"{written}, 1:10"
+        assert picture.text["Title"] == f"{written}, 1:1"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,11 +20,8 @@ from amulor.io.drawings import (
     write_dxf,
     write_geotiff,
     write_picture,
-    write_svg,
     write_table,
 )
-
-SVG = "{http://www.w3.org/2000/svg}"
 
 
 @pytest.fixture
@@ -227,52 +225,42 @@ class TestDxf:
         with pytest.raises(MissingExtraError, match=r"amulor\[export\]"):
             write_dxf(drawing, tmp_path / "x.dxf")
 
+    def test_frame_coordinates_marks_and_title_block(self, drawing, tmp_path):
+        ezdxf = pytest.importorskip("ezdxf")
+        path = tmp_path / "section.dxf"
+        fields = {"project": "Harbour", "find number": "HB 17"}
+        marked = replace(drawing, marks=((0.0, "A"), (0.12, "A'")), fields=fields)
+        write_dxf(marked, path, scale=2)
+        document = ezdxf.readfile(path)
+        assert not document.audit().has_errors
+        space = document.modelspace()
+        (frame,) = space.query('LWPOLYLINE[layer=="axes"]')
+        corners = np.array(frame.get_points("xy"))
+        # The frame reaches from A to A', and past the lowest and the highest line.
+        assert corners[:, 0].tolist() == [0.0, 0.12, 0.12, 0.0]
+        assert corners[:, 1].min() < -1.5
+        assert corners[:, 1].max() > -1.4
+        texts = {t.dxf.text: t for t in space.query('TEXT[layer=="axes"]')}
+        # Letters of 2 mm on paper at 1:2.
+        assert {t.dxf.height for t in texts.values()} == {0.004}
+        assert texts["A'"].dxf.insert.x == pytest.approx(0.12)
+        assert texts["A"].dxf.insert.y > corners[:, 1].max()
+        ticks = [line.dxf.start.x for line in space.query('LINE[layer=="axes"]')]
+        for name in ("0.04", "0.1"):
+            assert texts[name].dxf.insert.x == pytest.approx(float(name))
+            assert min(abs(np.array(ticks) - float(name))) < 1e-12
+        assert {"along [m]", "nearer [m]", "-1.46"} <= set(texts)
+        (block,) = space.query("INSERT")
+        assert block.dxf.name == "TITLE_BLOCK"
+        assert {a.dxf.tag: a.dxf.text for a in block.attribs} == {
+            "PROJECT": "Harbour",
+            "FIND_NUMBER": "HB 17",
+        }
 
-class TestSvg:
-    @pytest.mark.parametrize("scale", [1.0, 5.0])
-    def test_millimetres_are_those_of_the_paper(self, drawing, tmp_path, scale):
-        path = tmp_path / "section.svg"
-        write_svg(drawing, path, scale=scale)
-        root = ET.parse(path).getroot()
-        assert root.get("width").endswith("mm")
-        assert root.get("viewBox").split()[2] == root.get("width")[:-2]
-        lines = root.findall(f".//{SVG}g[@id='section']/{SVG}polyline")
-        points = np.array(
-            [[float(v) for v in p.split(",")] for p in lines[0].get("points").split()]
-        )
-        found = points[2] - points[1]
-        # A step of 40 mm, upwards on paper.
-        np.testing.assert_allclose(found, [0, -40 / scale], atol=2e-3)
-        bar = root.findall(f".//{SVG}g[@id='scale-bar']/{SVG}rect")
-        length = sum(float(part.get("width")) for part in bar)
-        label = root.findall(f".//{SVG}g[@id='scale-bar']/{SVG}text")[1].text
-        assert label.endswith(" mm")
-        assert length * scale == pytest.approx(float(label[:-3]), abs=0.01)
-
-    def test_a_sheet_of_a_football_field_is_refused(self, drawing, tmp_path):
-        with pytest.raises(FormatError, match="smaller scale"):
-            write_svg(drawing, tmp_path / "x.svg", scale=0.01)
-
-    def test_nothing_to_draw_is_refused(self, drawing, tmp_path):
+    def test_nothing_to_draw_is_refused(self, tmp_path):
+        pytest.importorskip("ezdxf")
         with pytest.raises(FormatError, match="no line"):
-            write_svg(
-                Drawing(title="", lines=(), axes=("a", "b")), tmp_path / "x", scale=1
-            )
-
-
-def test_letters_are_of_a_height_that_can_be_read(drawing, tmp_path):
-    ezdxf = pytest.importorskip("ezdxf")
-    write_svg(drawing, tmp_path / "d.svg", scale=10)
-    sizes = {
-        float(text.get("font-size"))
-        for text in ET.parse(tmp_path / "d.svg").iter(f"{SVG}text")
-        if text.get("font-size")
-    }
-    assert sizes
-    assert min(sizes) > 2  # millimetres of paper
-    write_dxf(drawing, tmp_path / "d.dxf")
-    texts = ezdxf.readfile(tmp_path / "d.dxf").modelspace().query("TEXT")
-    assert {text.dxf.height for text in texts} == {0.002}  # metres
+            write_dxf(Drawing(title="", lines=(), axes=("a", "b")), tmp_path / "x.dxf")
 
 
 def test_a_table_is_read_with_its_header(tmp_path):

@@ -128,6 +128,12 @@ class About(Description):
     """Purpose of the survey."""
     copyright: _Text
     """Holder of the rights, and license."""
+    find_number: str = ""
+    """Number of the find, for title blocks of drawings."""
+    author: str = ""
+    """Author of the drawings."""
+    institution: str = ""
+    """Institution of the author."""
     notes: str = ""
     """Further notes."""
 
@@ -200,12 +206,30 @@ class Project(Description):
         return self
 
 
-def read_project(path: Path) -> Project:
-    """Read the description of a project."""
+def read_title_fields(path: Path) -> dict[str, str]:
+    """Read the texts of a drawing's title block from the description of a project."""
+    about = _described(path).project
+    days = dict.fromkeys(f"{day}" for day in (about.first_day, about.last_day))
+    return {
+        "project": about.title,
+        "object": about.monument,
+        "find number": about.find_number,
+        "author": about.author or about.operator,
+        "institution": about.institution,
+        "date": " to ".join(days),
+    }
+
+
+def _described(path: Path) -> Project:
     text = toml_file.text_of(path, error=SurveyError)
-    project = toml_file.described(
+    return toml_file.described(
         text, Project, name=str(path), what="a project", error=SurveyError
     )
+
+
+def read_project(path: Path) -> Project:
+    """Read the description of a project."""
+    project = _described(path)
     scans, wrong = [], []
     for number, scan in enumerate(project.scans):
         files = {"image": path.parent / scan.image}

@@ -233,6 +233,9 @@ def _project_fields(project: Project, rows: list[Row], points: int) -> Row:
         "point spacing [m]": f"{min(float(r['point spacing [m]']) for r in rows):.4g}",
         "total number of points": str(points),
         "software": f"amulor {cubes.provenance.software_versions()['amulor']}",
+        "find number": about.find_number,
+        "author": about.author,
+        "institution": about.institution,
         "notes": about.notes,
     }
 

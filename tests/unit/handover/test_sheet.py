@@ -1,0 +1,222 @@
+"""Sheets are true to scale, carry their title block, and have readable letters."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import exact_scenes as scenes
+import numpy as np
+import pytest
+
+from amulor import imaging
+from amulor.cli import main
+from amulor.errors import FormatError
+from amulor.handover import Order, hand_over
+from amulor.imaging import products
+from amulor.io.drawings import Drawing, Line
+from amulor.view.sheet import FIELDS, Sheet, colours_of, fitting_scale, line_sheet
+
+SVG = "{http://www.w3.org/2000/svg}"
+PROJECT = """
+[project]
+name = "Harbour"
+title = "Harbour basin"
+monument = "Amphora field"
+place = "43.07 N 10.51 E"
+first_day = 2026-05-01
+last_day = 2026-05-02
+conditions = "calm"
+scanner = "laser radar"
+serial_number = "1"
+operator = "A. Diver"
+control_data = "none"
+purpose = "record"
+copyright = "CC BY 4.0"
+find_number = "HB 17"
+institution = "Institute of Marine Archaeology"
+
+[registration]
+method = "single scan"
+
+[[scans]]
+name = "a"
+image = "a.nc"
+raw = ["raw.nc"]
+"""
+
+
+def texts_of(path: Path) -> list[ET.Element]:
+    return list(ET.parse(path).iter(f"{SVG}text"))
+
+
+def letters_of(text: ET.Element) -> float:
+    """Return the height of the letters [pt]."""
+    size = re.search(r"(?:font-size:|font:[^;]*?)\s*([\d.]+)px", text.get("style", ""))
+    assert size is not None, text.attrib
+    return float(size[1])
+
+
+@pytest.fixture
+def steps():
+    """Return a step of 40 mm that begins 20 mm from the left."""
+    points = np.array([[0.0, -1.5], [0.02, -1.5], [0.02, -1.46], [0.1, -1.46]])
+    line = Line(points=points, layer="section", band=np.full(4, 5e-4))
+    return Drawing(title="Step", lines=(line,), axes=("along", "nearer"))
+
+
+def drawn(drawing, *, scale: float, heights: float = 1.0):
+    content = Sheet(title="Step", scale=scale, statements=["a statement"] * 3)
+    return line_sheet(drawing, content, heights=heights)
+
+
+@pytest.mark.parametrize(("scale", "heights"), [(1.0, 1.0), (2.0, 1.0), (2.0, 3.0)])
+def test_lengths_on_paper_are_those_of_the_object(steps, scale, heights) -> None:
+    figure = drawn(steps, scale=scale, heights=heights)
+    axis = figure.axes[0]
+    to_paper = axis.transData + figure.dpi_scale_trans.inverted()
+    figure.draw_without_rendering()
+    before, after = to_paper.transform(steps.lines[0].points[[0, 2]]) * 25.4
+    np.testing.assert_allclose(after - before, [20 / scale, 40 * heights / scale])
+
+
+def test_names_of_the_ends_stand_above_the_frame(steps) -> None:
+    marked = replace(steps, marks=((0.0, "A"), (0.12, "A'")))
+    figure = drawn(marked, scale=1.0)
+    figure.draw_without_rendering()
+    axis = figure.axes[0]
+    assert axis.get_xlim() == (0.0, 0.12)
+    marks = {text.get_text(): text for text in axis.texts}
+    top = axis.get_window_extent().y1
+    for name in ("A", "A'"):
+        assert marks[name].get_window_extent().y0 > top
+
+
+def test_exaggerated_heights_are_stated(steps) -> None:
+    stated = [
+        t.get_text() for a in drawn(steps, scale=1, heights=2).axes for t in a.texts
+    ]
+    assert "1:1 on A4, heights x 2" in stated
+    plain = [t.get_text() for a in drawn(steps, scale=1).axes for t in a.texts]
+    assert "1:1 on A4" in plain
+
+
+def test_a_drawing_larger_than_any_paper_names_a_scale_that_fits(steps) -> None:
+    with pytest.raises(FormatError, match="smaller scale, such as 1:") as refused:
+        drawn(steps, scale=0.01)
+    scale = float(str(refused.value).rsplit(":", 1)[1])
+    drawn(steps, scale=scale)
+
+
+@pytest.mark.parametrize(
+    ("wide", "high", "scale"),
+    # A4 is 210 x 297 mm; a quarter of it is title block.
+    [(0.1, 0.1, 1), (0.16, 0.16, 1), (0.18, 0.18, 2), (0.2, 0.05, 1), (1.5, 1.2, 10)],
+)
+def test_the_scale_without_an_option_fits_a4(wide, high, scale) -> None:
+    assert fitting_scale(wide, high) == scale
+    box = np.array([[0, 0], [wide, 0], [wide, high - 8e-3 * scale]])
+    drawing = Drawing(
+        title="", lines=(Line(points=box, layer="a"),), axes=("right", "up")
+    )
+    stated = [t.get_text() for a in drawn(drawing, scale=scale).axes for t in a.texts]
+    assert f"1:{scale} on A4" in stated
+
+
+def test_the_title_block_has_the_fields_of_the_project(
+    ladder_file, tmp_path, capsys
+) -> None:
+    project = tmp_path / "project.toml"
+    project.write_text(PROJECT)
+    path = tmp_path / "s.svg"
+    words = ["--line=-6cm,0m,6cm,0m", "--project", str(project), "--sheet", "3 of 7"]
+    assert main(["export", str(ladder_file), "-o", str(path), *words]) == 0
+    texts = [text.text for text in texts_of(path)]
+    assert set(FIELDS) <= set(texts)
+    for value in (
+        "Harbour basin",
+        "Amphora field",
+        "HB 17",
+        "A. Diver",
+        "Institute of Marine Archaeology",
+        "2026-05-01 to 2026-05-02",
+        "3 of 7",
+        "section A-A', front elevation",
+    ):
+        assert value in texts, value
+    assert {"A", "A'", "section line", "1:1 on A4"} <= set(texts)
+    # Notes on a drawing are read on paper: 7 points and more.
+    assert min(letters_of(text) for text in texts_of(path)) >= 7
+
+
+def test_a_project_file_that_lacks_a_field_is_one_line(
+    ladder_file, tmp_path, capsys
+) -> None:
+    project = tmp_path / "project.toml"
+    project.write_text(PROJECT.replace('title = "Harbour basin"\n', ""))
+    words = [str(ladder_file), "-o", str(tmp_path / "o.pdf"), "--project", str(project)]
+    assert main(["export", *words]) == 1
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "project.title" in message
+    assert not (tmp_path / "o.pdf").exists()
+
+
+def test_letters_in_a_pdf_are_truetype(ladder, tmp_path) -> None:
+    path = tmp_path / "o.pdf"
+    hand_over(ladder, path, Order(product="orthoimage", dots_per_inch=60))
+    content = path.read_bytes()
+    assert b"/Type3" not in content
+    assert b"/Subtype /CIDFontType2" in content or b"/TrueType" in content
+
+
+def test_contours_state_their_heights(tmp_path) -> None:
+    slope = scenes.plane((0.3, 0.0, 0.954), 1.5, own=2e-4)
+    order = Order(product="contours", contours=0.01)
+    hand_over(slope, tmp_path / "c.svg", order)
+    texts = {text.text for text in texts_of(tmp_path / "c.svg")}
+    # 0.12 m wide, sloping by 0.3 / 0.954, about -1.57 m high.
+    assert {"-1.56", "-1.57", "-1.58"} <= texts
+
+
+def test_the_map_of_uncertainty_shows_pixels_not_their_grid() -> None:
+    wall = scenes.plane((0, 0, 1), 1.5, own=2e-4)
+    surface = products.surface(wall)
+    plane = products.plane_of(surface.frame)
+    raster = products.raster(surface, plane, cell=surface.spacing / 8)
+    # Between pixels, a mean of three has less noise: the raster has a grid.
+    inner = raster.own[8:-8, 8:-8]
+    assert np.ptp(inner) > 0.2 * inner.max()
+    _, (low, high), unit = colours_of(raster, "uncertainty")
+    largest = np.nanmax(raster.uncertainty) * 1e3
+    assert unit == "mm"
+    assert high == pytest.approx(largest, rel=0.01)
+    assert low > 0.9 * high
+
+
+def test_a_plan_of_an_upright_scan_warns(tmp_path) -> None:
+    slope = scenes.plane((0.0, -0.6, 0.8), 1.5, own=2e-4)
+    order = Order(product="dem", side="top")
+    text = hand_over(slope, tmp_path / "top.pdf", order)
+    angle = re.search(r"the beams meet this view at (\d+) degrees", text)
+    assert angle is not None
+    # Beams within 33 mrad of level, seen from above.
+    assert 87 <= int(angle[1]) <= 90
+    assert "--seen-from front" in text
+    front = hand_over(slope, tmp_path / "front.pdf", Order(product="dem"))
+    assert "beams meet" not in front
+
+
+def test_doubtful_pixels_are_hatched(ladder, tmp_path) -> None:
+    flagged = ladder.copy(deep=True)
+    hand_over(flagged, tmp_path / "a.svg", Order(product="dem"))
+    flagged["quality_flag"].values[5:9, 5:9] |= 1 << 5
+    assert imaging.leave_out(flagged, good_only=True)["slant_range"].isnull().any()
+    hand_over(flagged, tmp_path / "b.svg", Order(product="dem"))
+    legends = [
+        "doubtful pixels" in {text.text for text in texts_of(tmp_path / name)}
+        for name in ("a.svg", "b.svg")
+    ]
+    assert legends == [False, True]
