@@ -25,7 +25,7 @@ FOLDER = ROOT / "docs" / "images" / "hand-over"
 PICTURES = {
     "amphora": ("amphora.svg", (820, 1150)),
     "ladder": ("ladder_heights.svg", (1150, 820)),
-    "section": ("section.svg", (820, 1150)),
+    "section": ("section.svg", (1150, 820)),
     "deviation": ("deviation.svg", (820, 1150)),
 }
 
