@@ -15,8 +15,8 @@ from amulor.acquisition.drivers.pi_gcs import PiTargetStage
 from amulor.acquisition.drivers.scpi import ScpiLaser
 from amulor.acquisition.links.exclusive import hold
 from amulor.acquisition.links.lines import linked, open_link
-from amulor.acquisition.protocols import Laser, LockIn, TargetStage
-from amulor.acquisition.settings import Settings, TargetSettings
+from amulor.acquisition.protocols import Laser, LockIn, Shutter, TargetStage
+from amulor.acquisition.settings import Settings, ShutterSettings, TargetSettings
 from amulor.acquisition.settings.parts import LaserSettings
 from amulor.acquisition.simulated.bench import Bench
 from amulor.acquisition.simulated.devices import (
@@ -24,6 +24,7 @@ from amulor.acquisition.simulated.devices import (
     SimulatedLockIn,
     SimulatedMount,
     SimulatedScanner,
+    SimulatedShutter,
     SimulatedTargetStage,
 )
 from amulor.acquisition.simulated.scene import Scene
@@ -97,6 +98,69 @@ class LockInGate:
         """Do nothing: the link belongs to the lock-in."""
 
 
+class LockInShutter:
+    """Shutter that an auxiliary output of the lock-in moves."""
+
+    def __init__(
+        self, lock_in: _HasOutputs, settings: ShutterSettings, clock: Clock
+    ) -> None:
+        self._lock_in, self._settings, self._clock = lock_in, settings, clock
+
+    def identity(self) -> str:
+        """Return the output's number and the identity of the lock-in."""
+        return f"output {self._settings.output} of {self._lock_in.identity()}"
+
+    def shut(self) -> None:
+        """Close the shutter, and wait for its motion."""
+        self._set(self._settings.closed_voltage)
+
+    def open(self) -> None:
+        """Open the shutter, and wait for its motion."""
+        self._set(self._settings.open_voltage)
+
+    def _set(self, voltage: float) -> None:
+        there = self._lock_in.set_output(self._settings.output, voltage)
+        if abs(there - voltage) > _OFF:
+            raise InstrumentError(
+                f"output {self._settings.output} of the lock-in stands at {there:g} V "
+                f"and not at {voltage:g} V: the shutter may be in the other position; "
+                "see to its cable"
+            )
+        self._clock.sleep(self._settings.move_time)
+
+    def make_safe(self) -> None:
+        """Close the shutter."""
+        self.shut()
+
+    def close(self) -> None:
+        """Do nothing: the link belongs to the lock-in."""
+
+
+class OperatorShutter:
+    """Shutter without a motor: an operator moves it."""
+
+    def __init__(self, ask: Callable[[str], None]) -> None:
+        self._ask = ask
+
+    def identity(self) -> str:
+        """Return "operator"."""
+        return "operator"
+
+    def shut(self) -> None:
+        """Ask the operator to close the shutter."""
+        self._ask("Close the shutter in front of the detector")
+
+    def open(self) -> None:
+        """Ask the operator to open the shutter."""
+        self._ask("Open the shutter in front of the detector")
+
+    def make_safe(self) -> None:
+        """Do nothing: there is no motor."""
+
+    def close(self) -> None:
+        """Do nothing: there is no link."""
+
+
 class OperatorTargetStage:
     """Target stage without a motor: an operator moves the target."""
 
@@ -131,11 +195,15 @@ def connect(
     scene: Scene | None = None,
     part: int = 0,
     ask: Callable[[str], None] | None = None,
+    shutter_closed: bool = False,
 ) -> Devices:
-    """Connect all devices in the settings of a scan."""
+    """Connect all devices in the settings of a scan.
+
+    Simulated devices have a shutter if the settings or the scan need one.
+    """
     _refuse_target(survey, settings, ask)
     if settings.simulated:
-        devices = _simulated(survey, settings, scene, part)
+        devices = _simulated(survey, settings, scene, part, shutter_closed)
     else:
         devices = _real(settings, ask)
     try:
@@ -165,6 +233,30 @@ def _refuse_target(
         )
 
 
+def _shutter(
+    settings: Settings,
+    lock_in: LockIn,
+    clock: Clock,
+    ask: Callable[[str], None] | None,
+) -> Shutter | None:
+    part = settings.shutter
+    if part is None:
+        return None
+    if part.driver == "operator":
+        if ask is None:
+            raise InstrumentError(
+                'shutter.driver = "operator" needs somebody who moves the shutter, but '
+                "this is no terminal; run it on one, or take the part shutter out"
+            )
+        return OperatorShutter(ask)
+    if not hasattr(lock_in, "set_output"):
+        raise InstrumentError(
+            f"the lock-in {settings.lock_in.driver!r} has no outputs to move the "
+            'shutter by; set shutter.driver to "operator", or take it out'
+        )
+    return LockInShutter(cast(Any, lock_in), part, clock)
+
+
 def simulated_bench(
     survey: Survey, settings: Settings, *, scene: Scene, clock: Clock, part: int = 0
 ) -> Bench:
@@ -181,7 +273,11 @@ def simulated_bench(
 
 
 def _simulated(
-    survey: Survey, settings: Settings, scene: Scene | None, part: int
+    survey: Survey,
+    settings: Settings,
+    scene: Scene | None,
+    part: int,
+    shutter_closed: bool,
 ) -> Devices:
     if scene is None:
         raise InstrumentError(
@@ -191,7 +287,12 @@ def _simulated(
     speed = settings.simulation.speed
     clock: Clock = VirtualClock() if speed is None else RealClock(speed)
     bench = simulated_bench(survey, settings, scene=scene, clock=clock, part=part)
+    stated = settings.shutter
+    shutter: Shutter | None = None
+    if shutter_closed or (stated is not None and stated.driver == "simulated"):
+        shutter = SimulatedShutter(bench)
     return Devices(
+        shutter=shutter,
         laser=SimulatedLaser(bench),
         lock_in=SimulatedLockIn(bench),
         scanner=SimulatedScanner(bench),
@@ -224,6 +325,7 @@ def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
             launch=chosen.mount_of(settings.launch, stages),
             analyser=chosen.mount_of(settings.analyser, stages),
             target=_target(settings.target, stages, ask),
+            shutter=_shutter(settings, lock_in, clock, ask),
             clock=clock,
             release=locks.close,
         )

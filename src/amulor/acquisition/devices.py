@@ -16,6 +16,7 @@ from amulor.acquisition.protocols import (
     LockIn,
     RotationMount,
     Scanner,
+    Shutter,
     Source,
     TargetStage,
 )
@@ -48,6 +49,8 @@ class Devices:
     """Clock of the devices."""
     source: Source | None = None
     """Generator that modulates the laser; None if the lock-in modulates it."""
+    shutter: Shutter | None = None
+    """Shutter in front of the detector; None without one."""
     release: Callable[[], None] = lambda: None
     """Function that unlocks the devices for other scans, once they are closed."""
 
@@ -60,6 +63,7 @@ class Devices:
             "target",
             "launch",
             "analyser",
+            "shutter",
             "lock_in",
         ):
             device = getattr(self, name)

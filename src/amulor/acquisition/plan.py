@@ -21,14 +21,14 @@ from amulor.survey import Survey
 from amulor.survey.directions import open_water_directions, scan_directions
 
 #: Kinds of samples.
-SCAN, OPEN_WATER, DARK = "scan", "open_water", "dark"
+SCAN, OPEN_WATER, DARK, SHUTTER = "scan", "open_water", "dark", "shutter"
 
 
 class Key(NamedTuple):
     """Unique key of a sample of a scan."""
 
     kind: str
-    """Kind of the sample: scan, open_water or dark."""
+    """Kind of the sample: scan, open_water, dark or shutter."""
     row: int
     """Row of the scan, or of the open-water grid [1]."""
     column: int
@@ -160,14 +160,18 @@ def extra_reference(
     dark = procedure.references * procedure.dark_readings
     first = 0 if plan is None else plan.repeats
     for comb in combs(survey, procedure):
-        yield from _dark(
+        yield from _at_rest(
             survey,
             comb,
+            DARK,
             range(
                 dark + number * procedure.dark_readings,
                 dark + (number + 1) * procedure.dark_readings,
             ),
         )
+    block = procedure.references + number
+    for comb in combs(survey, procedure):
+        yield from _at_rest(survey, comb, SHUTTER, _shutter_repeats(procedure, block))
     for comb in combs(survey, procedure):
         yield from _open_water(survey, comb, range(first + number, first + number + 1))
 
@@ -188,11 +192,16 @@ def retakes(
 def reference_block(
     survey: Survey, procedure: Procedure, *, block: int
 ) -> Iterator[Step]:
-    """Yield the dwells of one reference block: dark readings and open-water shots."""
+    """Yield the dwells of one reference block.
+
+    Dark readings, readings with the laser on and the shutter closed, open-water shots.
+    """
     for comb in combs(survey, procedure):
         first = block * procedure.dark_readings
         repeats = range(first, first + procedure.dark_readings)
-        yield from _dark(survey, comb, repeats)
+        yield from _at_rest(survey, comb, DARK, repeats)
+    for comb in combs(survey, procedure):
+        yield from _at_rest(survey, comb, SHUTTER, _shutter_repeats(procedure, block))
     plan = survey.scan.open_water
     for comb in combs(survey, procedure):
         total = 0 if plan is None else plan.repeats
@@ -233,7 +242,8 @@ def count(survey: Survey, procedure: Procedure) -> int:
     """Return the number of samples of a scan, including references [1]."""
     plan = survey.scan.open_water
     shots = 0 if plan is None else plan.rows * plan.columns * plan.repeats
-    dark = procedure.references * procedure.dark_readings
+    at_rest = procedure.dark_readings + (procedure.shutter_readings or 0)
+    dark = procedure.references * at_rest
     pixels = survey.scan.rows * survey.scan.columns
     return len(channels(survey)) * (pixels + shots + dark)
 
@@ -270,10 +280,15 @@ def _row(
         yield comb.step(SCAN, (row, column), 0, where)
 
 
-def _dark(survey: Survey, comb: Comb, repeats: range) -> Iterator[Step]:
+def _shutter_repeats(procedure: Procedure, block: int) -> range:
+    readings = procedure.shutter_readings or 0
+    return range(block * readings, (block + 1) * readings)
+
+
+def _at_rest(survey: Survey, comb: Comb, kind: str, repeats: range) -> Iterator[Step]:
     for repeat in repeats:
         where = (survey.scan.azimuth, survey.scan.elevation)
-        yield comb.step(DARK, (0, 0), repeat, where)
+        yield comb.step(kind, (0, 0), repeat, where)
 
 
 def _open_water(survey: Survey, comb: Comb, repeats: range) -> Iterator[Step]:

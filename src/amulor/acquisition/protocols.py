@@ -236,6 +236,16 @@ class Laser(Device, Protocol):
         """Switch the laser off."""
 
 
+class Shutter(Device, Protocol):
+    """Shutter in front of the detector, closed in its safe state."""
+
+    def shut(self) -> None:
+        """Close the shutter: no light from the water reaches the detector."""
+
+    def open(self) -> None:
+        """Open the shutter."""
+
+
 class TargetStage(Device, Protocol):
     """Stage that takes the target out of the beam for open-water references."""
 

@@ -25,7 +25,7 @@ from amulor.acquisition.plan import Key, Step
 from amulor.acquisition.sampler import SPOILED, Sampler
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.scene import Scene
-from amulor.errors import AmulorError
+from amulor.errors import AmulorError, InstrumentError
 from amulor.io.files import atomic_output, make_folder
 from amulor.optics.polarization import stokes
 from amulor.survey import Survey
@@ -218,6 +218,7 @@ def acquire(
     progress: Callable[[Progress], None] = lambda now: None,
     acknowledged: Callable[[Key], None] = lambda key: None,
     ask: Callable[[str], None] | None = None,
+    shutter_closed: bool = False,
 ) -> Outcome:
     """Acquire a scan, or resume one, and write it to the journal of a folder.
 
@@ -248,6 +249,10 @@ def acquire(
         Function called with the key of each sample once it survives a loss of power.
     ask : callable, optional
         Function that shows a request to an operator and returns when it is fulfilled.
+    shutter_closed : bool
+        Whether the shutter in front of the detector is closed during the whole scan, so
+        that its samples are the leakage with the laser on. A shutter without a driver
+        is closed by hand before. A resumed scan continues as it began.
 
     Returns
     -------
@@ -289,19 +294,35 @@ def acquire(
         "survey": survey.to_toml(),
         "survey_digest": cube.digest(survey.to_toml()),
     }
+    if shutter_closed:
+        start["shutter"] = "closed"
     with contextlib.ExitStack() as stack:
         # The folder is locked first: a running scan of this folder uses the devices,
         # and a refused scan must not switch off its laser.
         if resume:
             journal = stack.enter_context(Journal.resume(folder, meta=start))
             part = len(journal.segments())
+            began_closed = journal.meta().get("shutter") == "closed"
+            if shutter_closed and not began_closed:
+                raise InstrumentError(
+                    "the scan began with an open shutter and cannot go on with a "
+                    "closed one; record the leakage in another folder"
+                )
+            shutter_closed = began_closed
         else:
             make_folder(folder)
             claim = Journal.claim(folder)
             stack.callback(claim.close)
             part = 0
         if devices is None:
-            devices = connect(survey, settings, scene=scene, part=part, ask=ask)
+            devices = connect(
+                survey,
+                settings,
+                scene=scene,
+                part=part,
+                ask=ask,
+                shutter_closed=shutter_closed,
+            )
             stack.callback(devices.close)
         with _left_safe(devices):
             identities = devices.identities()
@@ -318,7 +339,14 @@ def acquire(
                 stack.enter_context(journal)
             _keep_copies(journal)
             refuse_beyond_reach(survey, settings, devices)
-            run = _Run(survey, settings, devices, journal, retake=retake_flagged)
+            run = _Run(
+                survey,
+                settings,
+                devices,
+                journal,
+                retake=retake_flagged,
+                shutter_closed=shutter_closed,
+            )
             return run.go(control or _Unattended(), progress, acknowledged)
 
 
@@ -357,10 +385,13 @@ class _Run:
         journal: Journal,
         *,
         retake: bool,
+        shutter_closed: bool,
     ) -> None:
         self._survey, self._settings = survey, settings
         self._devices, self._journal = devices, journal
-        self._sampler = Sampler(survey, settings, devices)
+        self._sampler = Sampler(
+            survey, settings, devices, shutter_closed=shutter_closed
+        )
         self._done = journal.keys()
         self._retakes = [*self._to_be_retaken()] if retake else []
         self._flagged = 0

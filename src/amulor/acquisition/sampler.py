@@ -12,7 +12,7 @@ from typing import cast
 from amulor.acquisition.devices import Devices
 from amulor.acquisition.dwell import Dwell, DwellReader, refuse_lacking
 from amulor.acquisition.journal.record import Record
-from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Step
+from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, SHUTTER, Step
 from amulor.acquisition.protocols import CombLockIn, Overload
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.sweep import SweepReader, Swept
@@ -98,7 +98,16 @@ _FREQUENCY_TOLERANCE = 1e-3
 class Sampler:
     """Acquisition of samples, with a memory of the present device settings."""
 
-    def __init__(self, survey: Survey, settings: Settings, devices: Devices) -> None:
+    def __init__(
+        self,
+        survey: Survey,
+        settings: Settings,
+        devices: Devices,
+        *,
+        shutter_closed: bool = False,
+    ) -> None:
+        #: Whether the shutter is closed in every sample.
+        self._shutter_closed = shutter_closed
         self._settings = settings
         self._procedure = settings.procedure
         self._devices = devices
@@ -137,6 +146,7 @@ class Sampler:
         self._polarization: str | None = None
         self._laser: bool | None = None
         self._target_is_in: bool | None = None
+        self._shutter_is_closed: bool | None = None
 
     def take(self, step: Step, *, elapsed: float, segment: int) -> list[Record]:
         """Acquire one dwell: configure, settle, read, auto-range, flag problems."""
@@ -232,7 +242,9 @@ class Sampler:
         if step.key.kind == DARK:
             if not flags & SampleFlag.OVERLOAD:
                 self._dark_level.add(step.key.polarization, means)
-        elif self._dark_level.is_dark(step.key.polarization, means):
+        elif not self._closed_for(step) and self._dark_level.is_dark(
+            step.key.polarization, means
+        ):
             flags |= SampleFlag.NO_LIGHT
         self._count_overloads(flags)
         laser_readings: dict[str, float] = getattr(
@@ -273,6 +285,8 @@ class Sampler:
         if step.key.polarization != self._polarization:
             self._set_polarization(step.key.polarization)
         self._move_target(step.key.kind)
+        if step.key.kind != DARK:
+            self._move_shutter(self._closed_for(step))
         self._switch_laser(step.key.kind != DARK)
 
     def _set_frequencies(self, frequencies: tuple[float, ...]) -> None:
@@ -347,9 +361,29 @@ class Sampler:
         self._laser = on
         self._new = True
 
+    def _closed_for(self, step: Step) -> bool:
+        """Return whether the shutter is closed in a dwell."""
+        return self._shutter_closed or step.key.kind == SHUTTER
+
+    def _move_shutter(self, closed: bool) -> None:
+        shutter, stated = self._devices.shutter, self._settings.shutter
+        if shutter is None or closed == self._shutter_is_closed:
+            return
+        if stated is not None and stated.driver == "operator":
+            # The operator will reach into the beam.
+            self._switch_laser(False)
+        if closed:
+            shutter.shut()
+        else:
+            shutter.open()
+        self._shutter_is_closed = closed
+        self._new = True
+
     def _move_target(self, kind: str) -> None:
         target = self._devices.target
-        if target is None or kind == DARK or (kind == SCAN) == self._target_is_in:
+        if target is None or kind in (DARK, SHUTTER):
+            return
+        if (kind == SCAN) == self._target_is_in:
             return
         timeout = self._settings.target.move_timeout
         if self._settings.target.driver == "operator":

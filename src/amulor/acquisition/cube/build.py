@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.acquisition import plan
+from amulor.acquisition.cube.calibrate import shutter_leakage
 from amulor.acquisition.cube.calibration import (
     UNCALIBRATED,
     Calibration,
@@ -43,6 +44,8 @@ from amulor.survey.view import geometry_attributes
 
 #: File name of the cube in the folder of its scan.
 CUBE_NAME = "cube.nc"
+#: Resolution of the outputs of a lock-in over their full scale: 20 bits [1].
+_RESOLUTION = 1e-6
 #: Largest number of messages on damaged rows; for more rows, their number is stated.
 _MOST_LINES = 20
 #: Difference of scan and open water that shows a target, in standard errors [1].
@@ -205,12 +208,15 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     # Samples without light measure neither water nor target; the journal keeps them.
     scan["signal"][scan["flags"] & SampleFlag.NO_LIGHT != 0] = MISSING
     dark = dark_output(survey, journal)
+    closed = meta.get("shutter") == "closed"
     frequency = read_back_frequencies(scan, survey)
     scan["signal"][...] -= dark[0][:, :, None, None]
     measured = cubes.build(
         "samples",
         {
-            **_outputs(scan, dark, survey, procedure_of(journal)),
+            **_outputs(
+                scan, dark, survey, procedure_of(journal), shutter_closed=closed
+            ),
             "saturated": (scan["flags"] & SampleFlag.OVERLOAD != 0).astype(np.int8),
         },
         {
@@ -222,10 +228,18 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
         geometry=geometry_attributes(survey),
         attributes=_attributes(journal, meta, survey, dark),
     )
-    shots = _open_water(survey, journal, dark)
+    shots = _open_water(survey, journal, dark, shutter_closed=closed)
     if shots is not None:
         measured = cubes.attach(measured, shots, "open_water")
     measured = measured.assign(_user_variables(scan))
+    if closed:
+        measured = measured.assign_attrs(shutter="closed")
+    else:
+        leakage = shutter_leakage(survey, journal, dark, frequency)
+        if leakage:
+            # The newest reading replaces an earlier one.
+            rest = calibration or Calibration(leakage=leakage)
+            calibration = rest.model_copy(update={"leakage": leakage})
     if calibration is not None:
         measured = calibrated(measured, calibration)
     return cubes.note(measured, "acquire")
@@ -247,10 +261,18 @@ def _outputs(
     dark: tuple[NDArray[np.complex128], Floats],
     survey: Survey,
     procedure: Procedure,
+    *,
+    shutter_closed: bool,
 ) -> dict[str, NDArray[Any]]:
     signal = samples["signal"]
     counting = counting_variance(samples, survey, procedure)
     counting = counting + dark[1][:, :, None, None]
+    if shutter_closed:
+        # Without light, the noise is that of detector and electronics, which the survey
+        # need not state.
+        floor = (_RESOLUTION * np.nan_to_num(samples["full_scale"])) ** 2
+        scatter = np.nanvar(signal, axis=(2, 3), keepdims=True) / 2
+        counting = np.maximum(counting, np.maximum(scatter, floor))
     in_phase, quadrature, covariance = detection.phase_floor_covariance(
         signal, phase_floor=survey.instrument.lock_in.phase_floor
     )
@@ -288,6 +310,8 @@ def _open_water(
     survey: Survey,
     journal: Journal,
     dark: tuple[NDArray[np.complex128], Floats],
+    *,
+    shutter_closed: bool,
 ) -> xr.Dataset | None:
     recorded = [*journal.samples(plan.OPEN_WATER)]
     if not recorded:
@@ -308,7 +332,7 @@ def _open_water(
     outputs = {
         name: values[:, :, 0, :]
         for name, values in _outputs(
-            samples, dark, survey, procedure_of(journal)
+            samples, dark, survey, procedure_of(journal), shutter_closed=shutter_closed
         ).items()
     }
     where = {

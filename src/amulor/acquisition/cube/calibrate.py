@@ -12,15 +12,20 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor import cube as cubes
+from amulor.acquisition import plan
 from amulor.acquisition.cube.calibration import (
     Calibration,
     FrequencyCalibration,
     Leakage,
     phase_correction,
 )
+from amulor.acquisition.cube.samples import Samples, counting_variance, procedure_of
+from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.sampler import SampleFlag
 from amulor.errors import CubeError
 from amulor.optics import detection, rays
 from amulor.rejection.observation import Observation
+from amulor.survey import Survey
 from amulor.survey.properties import group_index_uncertainty
 
 Floats = NDArray[np.float64]
@@ -155,26 +160,73 @@ def _date(cube: xr.Dataset) -> datetime.date | None:
     return None if start is None else datetime.datetime.fromisoformat(start).date()
 
 
-def _mean_output(samples: xr.Dataset) -> tuple[Complex, Floats]:
-    """Return the mean output of each channel and its standard error [V].
+def shutter_leakage(
+    survey: Survey,
+    journal: Journal,
+    dark: tuple[Complex, Floats],
+    frequency: Floats,
+) -> tuple[Leakage, ...]:
+    """Return the leakage that a scan read with its shutter closed; empty if none.
 
-    The error is that of the scatter or of the stated uncertainties, whichever is
-    larger, for each of the two outputs.
+    The readings before, during and after the scan are averaged.
     """
+    recorded = [*journal.samples(plan.SHUTTER)]
+    if not recorded:
+        return ()
+    procedure = procedure_of(journal)
+    readings = procedure.shutter_readings or 1
+    blocks = sorted({key.repeat // readings for key, _ in recorded})
+    number = {block: at for at, block in enumerate(blocks)}
+    samples = Samples(survey, len(blocks), readings)
+    for key, record in recorded:
+        if not record.flags & SampleFlag.OVERLOAD:
+            block, reading = divmod(key.repeat, readings)
+            samples.put(key, record, number[block], reading)
+    samples["signal"][...] -= dark[0][:, :, None, None]
+    variance = counting_variance(samples, survey, procedure)
+    # A block that an interruption cut short has not all channels.
+    whole = np.isfinite(samples["signal"]).any(axis=3).all(axis=(0, 1))
+    # The dark output is common to all blocks.
+    results = [
+        _mean_of(samples["signal"][:, :, at], variance[:, :, at])
+        for at in np.flatnonzero(whole)
+    ]
+    if not results:
+        return ()
+    results = [(mean, np.sqrt(error**2 + dark[1])) for mean, error in results]
+    return mean_leakage(
+        {"scan": results, "open_water": results},
+        frequencies=frequency,
+        channels=survey.instrument.polarizations,
+    )
+
+
+def _mean_output(samples: xr.Dataset) -> tuple[Complex, Floats]:
+    """Return the mean output of each channel and its standard error [V]."""
     signal = samples.amulor.signal.values
+    errors = Observation(cube=samples).covariance
     flat = signal.reshape(*signal.shape[:2], -1)
-    count = np.isfinite(flat).sum(axis=2)
-    if not count.all():
+    if not np.isfinite(flat).any(axis=2).all():
         raise CubeError(
             "a channel has no sample with the shutter closed; record it with: amulor "
             "acquire --shutter-closed"
         )
-    mean = np.nansum(flat, axis=2) / count
-    scatter = np.nansum(np.abs(flat - mean[..., None]) ** 2, axis=2) / 2
-    scatter = scatter / np.maximum(count - 1, 1)
-    errors = Observation(cube=samples).covariance
-    stated = ((errors.in_phase + errors.quadrature) / 2).reshape(flat.shape)
-    stated = np.nansum(np.where(np.isfinite(flat), stated, 0.0), axis=2) / count
+    variance = ((errors.in_phase + errors.quadrature) / 2).reshape(flat.shape)
+    return _mean_of(flat, variance)
+
+
+def _mean_of(signal: Complex, variance: Floats) -> tuple[Complex, Floats]:
+    """Return the mean of readings and its standard error, over the last axis [V].
+
+    The error is that of the scatter or of the stated variances of an output, whichever
+    is larger.
+    """
+    valid = np.isfinite(signal)
+    count = np.maximum(valid.sum(axis=-1), 1)
+    mean = np.where(valid, signal, 0).sum(axis=-1) / count
+    off = np.where(valid, np.abs(signal - mean[..., None]) ** 2, 0.0)
+    scatter = off.sum(axis=-1) / 2 / np.maximum(count - 1, 1)
+    stated = np.where(valid, variance, 0.0).sum(axis=-1) / count
     return mean, np.sqrt(np.maximum(scatter, stated) / count)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from amulor.acquisition.journal.record import OPTIONAL, QUANTITIES, WHOLE, Record
-from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Key
+from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, SHUTTER, Key
 from amulor.errors import FormatError, InstrumentError, SurveyError
 from amulor.survey import Survey
 
@@ -82,7 +82,7 @@ class RowCheck:
         self._columns = tuple(columns)
         self._frequencies: tuple[float, ...] | None = None
         self._pairs: tuple[str, ...] = ()
-        self._grids: dict[str, tuple[int, int]] = {DARK: (1, 1)}
+        self._grids: dict[str, tuple[int, int]] = {DARK: (1, 1), SHUTTER: (1, 1)}
         if survey is not None:
             plan = survey.scan.open_water
             self._frequencies = tuple(survey.instrument.modulation_frequencies)
@@ -129,7 +129,7 @@ class RowCheck:
         return None
 
     def _not_planned(self, row: Mapping[str, Any]) -> str | None:
-        if row["kind"] not in (SCAN, OPEN_WATER, DARK):
+        if row["kind"] not in (SCAN, OPEN_WATER, DARK, SHUTTER):
             return f"there is no kind of sample {row['kind']!r}"
         if self._frequencies is None:
             return None

@@ -5,6 +5,7 @@ from amulor.acquisition.settings.devices_file import (
     Procedure,
     ScannerSettings,
     Settings,
+    ShutterSettings,
     SimulationSettings,
     TargetSettings,
 )
@@ -23,6 +24,7 @@ __all__ = [
     "Procedure",
     "ScannerSettings",
     "Settings",
+    "ShutterSettings",
     "SimulationSettings",
     "SourceSettings",
     "TargetSettings",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -144,6 +144,26 @@ class TargetSettings(Linked):
         return self
 
 
+class ShutterSettings(Description):
+    """Shutter in front of the detector, for readings of the leakage with the laser on.
+
+    The readings are part of each reference measurement of a scan, and amulor subtracts
+    their mean.
+    """
+
+    driver: Literal["simulated", "lock_in_output", "operator"] = "simulated"
+    """Driver: simulated, lock_in_output (an auxiliary output of the lock-in moves the
+    shutter), or operator (who moves it on request, at a terminal)."""
+    output: Annotated[int, Field(ge=1, le=4)] = 2
+    """Number of the auxiliary output, counted from 1 [1]."""
+    closed_voltage: Annotated[Voltage, Field(ge=-10, le=10)] = 0.0
+    """Voltage that closes the shutter [V]."""
+    open_voltage: Annotated[Voltage, Field(ge=-10, le=10)] = 5.0
+    """Voltage that opens the shutter [V]."""
+    move_time: Annotated[Time, Field(ge=0, le=60)] = 0.1
+    """Wait after the shutter was moved [s]."""
+
+
 class Procedure(Description):
     """Acquisition procedure: settling, readings, references, tolerances."""
 
@@ -180,6 +200,9 @@ class Procedure(Description):
     evenly from before the scan to after it; the repeats are divided among them [1]."""
     dark_readings: Annotated[int, Field(ge=0, le=100_000)] = 5
     """Samples with the laser off, per channel, at each reference measurement [1]."""
+    shutter_readings: Annotated[int, Field(ge=0, le=100_000)] | None = None
+    """Samples with the laser on and the shutter closed, per channel, at each reference
+    measurement; 5 if the devices file has a shutter, else none [1]."""
     attempts: Annotated[int, Field(ge=1, le=100)] = 3
     """Number of attempts for a sample after loss of the reference [1]."""
     patience: Annotated[int, Field(ge=1, le=1_000_000)] = 50
@@ -223,6 +246,9 @@ class SimulationSettings(Description):
     """Delay of the signal path, for the calibration of phase zero [s]."""
     pickup: Annotated[Voltage, Field(ge=-100, le=100)] = 0.0
     """In-phase output without light, for dark readings [V]."""
+    leakage: Annotated[Voltage, Field(ge=-100, le=100)] = 0.0
+    """In-phase output by crosstalk while the laser is on, also with a closed shutter
+    [V]."""
     phase_drift: Annotated[Angle, Field(ge=-1e3, le=1e3)] = 0.0
     """Drift of the phase in one second [rad]."""
     phase_walk: Annotated[Angle, Field(ge=-10, le=10)] = 0.0
@@ -267,6 +293,8 @@ class Settings(Description):
     """Laser."""
     target: TargetSettings = TargetSettings()
     """Target stage."""
+    shutter: ShutterSettings | None = None
+    """Shutter in front of the detector; none if left out."""
     digitiser: DigitiserSettings = DigitiserSettings()
     """Digitizer that replaces the lock-in."""
     source: SourceSettings = SourceSettings()
@@ -275,6 +303,35 @@ class Settings(Description):
     """Acquisition procedure."""
     simulation: SimulationSettings = SimulationSettings()
     """Errors and faults of embedded simulated devices."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _a_shutter_is_used(cls, content: Any) -> Any:
+        if not isinstance(content, dict) or content.get("shutter") is None:
+            return content
+        procedure = content.get("procedure", {})
+        if isinstance(procedure, Procedure):
+            procedure = procedure.model_dump(exclude_none=True)
+        if not isinstance(procedure, dict):
+            return content
+        return {**content, "procedure": {"shutter_readings": 5, **procedure}}
+
+    @model_validator(mode="after")
+    def _shutter_is_there(self) -> Self:
+        need(self.shutter is not None or not self.procedure.shutter_readings, "shutter")
+        if self.shutter is None or self.shutter.driver != "lock_in_output":
+            return self
+        used = [self.shutter.output]
+        if self.laser.driver == "lock_in_output":
+            used.append(self.laser.output)
+        last = _OUTPUTS.get(self.lock_in.driver, 4)
+        if len({*used}) < len(used) or self.shutter.output > last:
+            raise ValueError(
+                "laser and shutter need outputs of their own among 1 to "
+                f"{last} of the lock-in, stated is shutter.output = "
+                f"{self.shutter.output}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _simulated_devices_stay_among_themselves(self) -> Self:
@@ -286,6 +343,8 @@ class Settings(Description):
             "laser": self.laser.driver,
             "target": self.target.driver,
         }
+        if self.shutter is not None:
+            drivers["shutter"] = self.shutter.driver
         simulated = [name for name, driver in drivers.items() if driver == "simulated"]
         real = [name for name, driver in drivers.items() if driver not in _ANYWHERE]
         if simulated and real:

@@ -142,6 +142,7 @@ class Bench:
         self.faults = Faults.parse(settings.faults)
         self.readings = 0
         self.laser_on = False
+        self.shutter_closed = False
         self._blocked = False
         self._settings = settings
         self._rng = np.random.default_rng(settings.seed)
@@ -182,6 +183,13 @@ class Bench:
         with self._lock:
             self._advance()
             self.laser_on = on
+            self._renew()
+
+    def set_shutter(self, *, closed: bool) -> None:
+        """Close or open the shutter in front of the detector."""
+        with self._lock:
+            self._advance()
+            self.shutter_closed = closed
             self._renew()
 
     def set_time_constant(self, time_constant: float) -> None:
@@ -483,7 +491,8 @@ class Bench:
     def _renew(self) -> None:
         """Compute filter inputs, mean output and noise for the present direction."""
         rate = 0.0
-        lit = self.laser_on and not self._blocked
+        bright = self.laser_on and not self._blocked
+        lit = bright and not self.shutter_closed
         if lit:
             out = abs(self._place["target"]) > _OUT
             pair = self._polarization()
@@ -492,7 +501,8 @@ class Bench:
             # The water fluctuates equally at all frequencies.
             change = max(1 + drift, 0.0) * (1 + self._fluctuation())
         for number, tone in enumerate(self._tones):
-            tone.input = 0j
+            leakage = complex(self._settings.leakage if bright else 0.0)
+            tone.input = leakage
             if not lit:
                 continue
             places = tone.open_water if out else tone.scan
@@ -502,13 +512,14 @@ class Bench:
             light, index = places.light, (tone.channel, pair, place)
             level = complex(light.target[index] + change * light.water[index])
             phase = self._phase_error(abs(level), tone.frequency)
-            tone.input = level * cmath.exp(1j * phase)
+            tone.input = level * cmath.exp(1j * phase) + leakage
             if number == 0:  # mean light of all frequencies
                 rate = float(
                     light.target_rate[index]
                     + max(change, 0.0) * light.water_rate[index]
                 )
-        rate += float(self._daylight[self._polarization()])
+        if not self.shutter_closed:
+            rate += float(self._daylight[self._polarization()])
         detector = self.survey.instrument.detector
         volt = detector.volt_per_photoelectron_rate
         self._mean = volt * (rate + detector.dark_rate)

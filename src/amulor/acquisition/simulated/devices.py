@@ -265,6 +265,27 @@ class SimulatedLaser(_Simulated):
         self.off()
 
 
+class SimulatedShutter(_Simulated):
+    """Simulated shutter on a simulated bench."""
+
+    _kind = "shutter"
+
+    def shut(self) -> None:
+        """Close the shutter."""
+        self.log.append("shut")
+        self.bench.set_shutter(closed=True)
+
+    def open(self) -> None:
+        """Open the shutter."""
+        self.log.append("open")
+        self.bench.set_shutter(closed=False)
+
+    def make_safe(self) -> None:
+        """Close the shutter."""
+        self.bench.set_shutter(closed=True)
+        super().make_safe()
+
+
 class SimulatedTargetStage(_Simulated):
     """Simulated target stage on a simulated bench."""
 

@@ -233,6 +233,7 @@ class Progress:
             plan.SCAN: 1,
             plan.OPEN_WATER: 0 if water is None else water.repeats,
             plan.DARK: procedure.references * procedure.dark_readings,
+            plan.SHUTTER: procedure.references * (procedure.shutter_readings or 0),
         }
         instrument = survey.instrument
         self._frequency = {
@@ -286,6 +287,8 @@ class Progress:
         channel = (key.frequency, key.polarization)
         if key.kind == plan.DARK:
             self._dark.setdefault(channel, []).append(signal)
+        elif key.kind == plan.SHUTTER:
+            pass  # counted above
         elif key.kind == plan.OPEN_WATER:
             place = (*channel, key.row, key.column)
             self._shots.setdefault(place, {})[key.repeat] = (signal, record.elapsed)
