@@ -60,9 +60,13 @@ COMMANDS = {
         "devices:simulate",
         "Serve simulated devices on the network until Ctrl-C.",
     ),
-    "devices calibrate": (
-        "devices:calibrate",
-        "Calibrate the zero of the phase with a plate at a known distance.",
+    "calibrate leakage": (
+        "calibrate:leakage",
+        "Measure leakage with a closed shutter; without cubes, print the steps.",
+    ),
+    "calibrate plate": (
+        "calibrate:plate",
+        "Measure phase zero with plates at distances; without cubes, print the steps.",
     ),
     "import transients": (
         "transients:transients",
@@ -126,7 +130,8 @@ COMMANDS = {
 #: Commands by the task of the user, in the order of `amulor --help`.
 TOPICS = {
     "measure": (
-        "devices calibrate", "acquire", "watch", "recover", "devices simulate",
+        "calibrate leakage", "calibrate plate", "acquire", "watch", "recover",
+        "devices simulate",
         "import transients", "import recordings",
     ),
     "simulate": (
@@ -145,9 +150,14 @@ TOPICS = {
 }  # fmt: skip
 #: An example of each command, and the usual next one.
 EXAMPLES = {
-    "devices calibrate": (
-        'amulor devices calibrate plate.nc --distance "1.5 m" -o calibration.toml',
-        "amulor acquire",
+    "calibrate leakage": (
+        "amulor calibrate leakage closed/cube.nc -o leakage.toml",
+        "amulor recover",
+    ),
+    "calibrate plate": (
+        'amulor calibrate plate plate.nc --distance "1.5 m" '
+        '--distance-uncertainty "1 mm" -o calibration.toml',
+        "amulor recover",
     ),
     "acquire": (
         "amulor acquire tank.toml --devices devices.toml -o scan",
@@ -218,11 +228,14 @@ EXAMPLES = {
     "reproduce ricci2010": ("amulor reproduce ricci2010 --quick", ""),
     "warm-up": ("amulor warm-up", ""),
 }
+#: Earlier names of commands, which are not in the help.
+_ALIASES = {"devices calibrate": "calibrate plate"}
 _GROUPS = {
     "survey": "Check survey files, and write those of published instruments.",
     "site": "Register many scans in one frame, and compare visits.",
     "import": "Import data of other instruments.",
-    "devices": "Calibrate and simulate instruments.",
+    "calibrate": "Calibrate an instrument at the bench.",
+    "devices": "Simulate instruments.",
     "reproduce": "Redraw and check published figures.",
     "water": "Optical constants of pure water, and the fit of measured water.",
 }
@@ -342,6 +355,10 @@ def _run(words: list[str]) -> int:
         )
         # The text is that of the function, which is not imported for the list.
         place.command(f"amulor.cli.{target}", name=command_name, help=_help_of(name))
+    for name, command in _ALIASES.items():
+        first, _, subcommand = name.partition(" ")
+        function = f"amulor.cli.{COMMANDS[command][0]}"
+        groups[first].command(function, name=subcommand, show=False)
     try:
         with _ended_in_order():
             app(

@@ -28,6 +28,7 @@ def acquire(
     resume: Annotated[bool, Parameter(negative="")] = False,
     retake_flagged: Annotated[bool, Parameter(negative="")] = False,
     calibration: Path | None = None,
+    shutter_closed: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -50,8 +51,11 @@ def acquire(
         With --resume: acquire overloaded samples and samples with a wrong position once
         more, after the missing ones. The cube gets the last take of each sample.
     calibration
-        Calibration file (TOML), from "amulor devices calibrate". With --resume the
-        default is the calibration in cube.nc, if there is one.
+        Calibration file (TOML), from "amulor calibrate". With --resume the default is
+        the calibration in cube.nc, if there is one.
+    shutter_closed
+        Measure the leakage: the laser is on, and the shutter in front of the detector
+        is closed during the whole scan. A shutter without a driver is closed by hand.
     overwrite
         Replace an existing cube.nc, and its calibration. An existing scan is never
         replaced.
@@ -69,6 +73,10 @@ def acquire(
 
     if retake_flagged and not resume:
         raise UsageError("--retake-flagged needs a scan to go on with: --resume")
+    if shutter_closed and calibration is not None:
+        raise UsageError(
+            "--shutter-closed measures the leakage; leave --calibration out"
+        )
     # A scan that is resumed may have the cube of its first part beside it.
     replace = overwrite or resume
     if output.is_dir() and not (output / FILE_NAME).exists():
@@ -92,6 +100,7 @@ def acquire(
                 control=control,
                 progress=screen.show,
                 ask=screen.request if sys.stdin.isatty() else None,
+                shutter_closed=shutter_closed,
             )
     except KeyboardInterrupt as interrupt:
         for note in getattr(interrupt, "__notes__", ()):
@@ -99,6 +108,7 @@ def acquire(
         if (output / FILE_NAME).exists():
             print(f"{output}: go on with: {resume_command(output)}", file=sys.stderr)
         raise
+    closed = False
     summary: dict[str, Any] = {
         "finished": outcome.finished,
         "done": outcome.done,
@@ -111,7 +121,9 @@ def acquire(
             output, calibration=delays, overwrite=replace, told=_told
         )
         summary["cube"] = str(path)
-        if shows_no_target(io.read_cube(path)):
+        cube = io.read_cube(path)
+        closed = cube.attrs.get("shutter") == "closed"
+        if not closed and shows_no_target(cube):
             _told(
                 f"{path}: no sample differs from the open-water shots by more than 5 "
                 "standard errors: the target was not in the beam, its echo is too "
@@ -125,7 +137,11 @@ def acquire(
             f"{summary['cube']}: {outcome.done} samples, {outcome.flagged} flagged in "
             "this run"
         )
-        print_next(f"amulor reject {summary['cube']} --method auto -o target.nc")
+        print_next(
+            f"amulor calibrate leakage {summary['cube']} -o leakage.toml"
+            if closed
+            else f"amulor reject {summary['cube']} --method auto -o target.nc"
+        )
     else:
         print(
             f"{output}: {outcome.done} of {outcome.total} samples; go on with: "
@@ -178,7 +194,7 @@ def recover(
     output
         File to write (netCDF); by default cube.nc in the folder.
     calibration
-        Calibration file (TOML), from "amulor devices calibrate".
+        Calibration file (TOML), from "amulor calibrate".
     overwrite
         Replace an existing file.
     """

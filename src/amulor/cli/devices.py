@@ -1,4 +1,4 @@
-"""`amulor devices`: simulated devices for a rehearsal, and calibration."""
+"""`amulor devices`: simulated devices for a rehearsal."""
 
 from __future__ import annotations
 
@@ -104,45 +104,6 @@ def simulate(
     except OSError as error:
         reason = error.strerror or error
         raise InstrumentError(f"cannot serve at {host}: {reason}") from None
-
-
-def calibrate(
-    cubes: tuple[Path, ...],
-    /,
-    *,
-    distance: str,
-    output: Annotated[Path, Parameter(alias="-o")],
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
-) -> None:
-    """Calibrate the zero of the phase with a plate at a known distance.
-
-    Parameters
-    ----------
-    cubes
-        Target signals of a plate (netCDF), from "amulor reject". Several cubes,
-        recorded through different density filters, calibrate the phase against the
-        amplitude, too.
-    distance
-        Forward coordinate of the plate, such as "1.5 m".
-    output
-        Calibration file to write (TOML).
-    overwrite
-        Replace an existing file.
-    """
-    from amulor import acquisition, io
-    from amulor.cli._arguments import quantity_of, refusing
-    from amulor.io.files import atomic_output
-
-    length = quantity_of("--distance", distance, "length")
-    io.check_output(output, overwrite=overwrite, inputs=cubes)
-    plates = [io.read_cube(path) for path in cubes]
-    with refusing():
-        calibration = acquisition.from_plates(plates, distance=length)
-    with atomic_output(output, overwrite=overwrite) as temporary:
-        temporary.write_text(calibration.to_toml(), encoding="utf-8")
-    for entry in calibration.frequencies:
-        phases = ", ".join(f"{phase:+.4f}" for phase in entry.phases)
-        print(f"{output}: {entry.modulation_frequency / 1e6:g} MHz: {phases} rad")
 
 
 def _wait_for_the_end() -> None:

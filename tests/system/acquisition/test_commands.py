@@ -39,7 +39,7 @@ WRONG_USE = (
     ("devices simulate tank.toml -o d.toml --speed 0", "speed must be above 0"),
     ("devices simulate tank.toml -o d.toml --stage-port 70000", "ports must be"),
     ("devices simulate tank.toml -o d.toml --fault fire@3", "--fault fire@3: "),
-    ("devices calibrate scan/cube.nc --distance 1500 -o c.toml", "without a unit"),
+    ("calibrate plate scan/cube.nc --distance 1500 -o c.toml", "without a unit"),
 )
 
 

@@ -20,6 +20,7 @@ from amulor.cube import tiles
 from amulor.studies.ladder import survey_text
 
 RECORDINGS = ["import", "recordings", "none.csv"]
+PLATE = ["calibrate", "plate", "a.nc", "--distance", "1 m", "-o", "x.toml"]
 TRANSIENTS = ["import", "transients", "none.npz", "--frequency", "9MHz", "-o", "b.nc"]
 UNMIX = ["reject", "none.nc", "--method", "polarization", "-o", "b.nc"]
 COLUMN = ["reject", "none.nc", "--method", "open-water", "-o", "b.nc"]
@@ -303,7 +304,14 @@ def test_a_plan_without_open_water_is_noted(
         ["info"],
         ["info", "a.nc", "b.nc"],
         ["report", "-o", "x.html"],
-        ["devices", "calibrate", "--distance", "1 m", "-o", "x.toml"],
+        ["calibrate", "plate", "a.nc", "-o", "x.toml"],
+        ["calibrate", "plate", "a.nc", "--distance", "1 m"],
+        ["calibrate", "plate", "a.nc", "--distance", "1", "-o", "x.toml"],
+        [*PLATE, "--densities", "0;1"],
+        [*PLATE, "--densities", "-1"],
+        ["calibrate", "leakage", "a.nc"],
+        ["calibrate", "leakage", "a.nc", "-o", "x.png"],
+        ["acquire", "a.toml", "-o", "b", "--shutter-closed", "--calibration", "c"],
         ["devices", "simulate", "a.toml", "-o", "b.toml", "--lock-in", "mine"],
         ["water", "--wavelength", "405nm", "--temperature", "warm", "--salinity", "0"],
         ["reproduce", "ricci2010", "--figure", "one"],
@@ -368,6 +376,8 @@ def test_wrong_use_ends_with_2_and_one_line(words: list[str], capsys) -> None:
         ["acquire", "none.toml", "-o", "scan"],
         ["recover", "none"],
         ["devices", "simulate", "none.toml", "-o", "b.toml"],
+        ["calibrate", "leakage", "none.nc", "-o", "b.toml"],
+        ["calibrate", "plate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
         ["devices", "calibrate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
         TRANSIENTS,
         [*RECORDINGS, "--survey", "none.toml", "--columns", "none.toml", "-o", "b.nc"],

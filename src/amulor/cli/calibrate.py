@@ -1,0 +1,251 @@
+"""`amulor calibrate`: leakage and phases of an instrument, measured at a bench."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from amulor.cli._arguments import UsageError, check_ending, check_inputs
+from amulor.cli._output import print_json, print_next, print_table
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from amulor.acquisition import Calibration
+
+_LEAKAGE_STEPS = """\
+Leakage is the output with the laser on and no light from the water.
+  1. Switch the instrument on, and wait until it is as warm as in a scan.
+  2. Close the shutter in front of the detector, or put the cap on. Leave the laser on.
+  3. amulor acquire tank.toml --devices devices.toml -o closed-1 --shutter-closed
+  4. Open the shutter, and acquire the scan.
+  5. Close the shutter, and repeat step 3 with -o closed-2.
+  6. amulor calibrate leakage closed-1/cube.nc closed-2/cube.nc -o leakage.toml
+  7. amulor recover scan --calibration leakage.toml --overwrite
+If the devices file has a section [shutter], acquire takes these readings itself."""
+_PLATE_STEPS = """\
+A plate at known distances shows the phase zero at each modulation frequency.
+  1. Measure the leakage first: amulor calibrate leakage
+  2. Put a plate at right angles to the beam. It fills the middle half of the scan.
+     Measure its distance along the beam, and the uncertainty of this distance.
+  3. amulor acquire plate.toml --devices devices.toml -o plate-1 \\
+         --calibration leakage.toml
+  4. amulor reject plate-1/cube.nc --method open-water -o plate-1.nc
+  5. Repeat steps 3 and 4 at other distances. They show the error by frequency and
+     the group index.
+  6. At one distance, repeat steps 3 and 4 through at least three neutral filters in
+     front of the detector. They show the dependence of the phase on the amplitude.
+  7. amulor calibrate plate plate-1.nc plate-2.nc --distance "1.5 m, 2.5 m" \\
+         --distance-uncertainty "1 mm" -o calibration.toml
+     With filters, add the optical density of each cube: --densities 0,0.5,1,1.5
+  8. amulor recover scan --calibration calibration.toml --overwrite"""
+
+
+def leakage(
+    *cubes: Path,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    calibration: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Measure leakage with a closed shutter; without cubes, print the steps.
+
+    Parameters
+    ----------
+    cubes
+        Cubes (netCDF) of "amulor acquire --shutter-closed", in the order of recording.
+    output
+        Calibration file to write (TOML). Its plot is written beside it (PNG).
+    calibration
+        Calibration file whose phases are copied to the output (TOML).
+    overwrite
+        Replace existing files.
+    json
+        Print the result as JSON.
+    """
+    if not cubes:
+        print(_LEAKAGE_STEPS)
+        return
+    from amulor import acquisition
+
+    def measure(recordings: Sequence[xr.Dataset]) -> Calibration:
+        result = acquisition.from_shutter(recordings)
+        if calibration is None:
+            return result
+        earlier = acquisition.Calibration.from_toml(calibration)
+        return earlier.model_copy(
+            update={"leakage": result.leakage, "date": result.date}
+        )
+
+    _measure(
+        cubes, output, measure, further=calibration, overwrite=overwrite, json=json
+    )
+
+
+def plate(
+    *cubes: Path,
+    distance: str | None = None,
+    distance_uncertainty: str | None = None,
+    densities: str | None = None,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Measure phase zero with plates at distances; without cubes, print the steps.
+
+    Parameters
+    ----------
+    cubes
+        Target signals of a plate, from "amulor reject" (netCDF). They differ by the
+        distance of the plate or by the density of a neutral filter.
+    distance
+        Forward coordinate of the plate: one for all cubes, such as "1.5 m", or one for
+        each in their order, such as "1.5 m, 2.5 m".
+    distance_uncertainty
+        Standard uncertainty of each distance, such as "1 mm".
+    densities
+        Optical density of the filter of each cube, such as "0,0.5,1,1.5".
+    output
+        Calibration file to write (TOML). Its plot is written beside it (PNG).
+    overwrite
+        Replace existing files.
+    json
+        Print the result as JSON.
+    """
+    if not cubes:
+        print(_PLATE_STEPS)
+        return
+    from amulor import acquisition
+    from amulor.cli._arguments import quantity_of
+
+    if distance is None:
+        raise UsageError('--distance is missing; state it, such as --distance "1.5 m"')
+    lengths = [
+        quantity_of("--distance", text, "length") for text in distance.split(",")
+    ]
+    uncertainty = (
+        None
+        if distance_uncertainty is None
+        else quantity_of("--distance-uncertainty", distance_uncertainty, "length")
+    )
+    values = None if densities is None else _numbers("--densities", densities)
+
+    def measure(plates: Sequence[xr.Dataset]) -> Calibration:
+        return acquisition.from_plates(
+            plates,
+            distance=lengths[0] if len(lengths) == 1 else lengths,
+            distance_uncertainty=uncertainty,
+            densities=values,
+        )
+
+    _measure(cubes, output, measure, overwrite=overwrite, json=json)
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise UsageError(
+            f"{option} {text}: needed are numbers with commas, such as 0,0.5,1"
+        ) from None
+    if not all(0 <= value <= 10 for value in values):
+        raise UsageError(f"{option} {text}: optical densities are from 0 to 10")
+    return values
+
+
+def _measure(
+    cubes: Sequence[Path],
+    output: Path | None,
+    measure: Callable[[Sequence[xr.Dataset]], Calibration],
+    *,
+    further: Path | None = None,
+    overwrite: bool,
+    json: bool,
+) -> None:
+    """Read cubes, calibrate, write file and plot, print the result."""
+    if output is None:
+        raise UsageError("--output is missing; state a file, such as -o leakage.toml")
+    check_ending("--output", output, [".toml"])
+    check_inputs(*cubes, further)
+
+    from amulor import cube as package
+    from amulor import io
+    from amulor.cli._arguments import refusing
+    from amulor.io.files import atomic_output
+    from amulor.view.calibration import write_calibration
+
+    picture = output.with_suffix(".png")
+    inputs = [*cubes, *([] if further is None else [further])]
+    for path in (output, picture):
+        io.check_output(path, overwrite=overwrite, inputs=inputs)
+    with refusing():
+        result = measure([io.read_cube(path) for path in cubes])
+    digests = tuple(package.digest(path) for path in inputs)
+    result = result.model_copy(update={"inputs": digests})
+    with atomic_output(output, overwrite=overwrite) as temporary:
+        temporary.write_text(result.to_toml(), encoding="utf-8")
+    write_calibration(picture, result, overwrite=overwrite)
+    if json:
+        print_json(
+            {"output": output, "digest": package.digest(output), "plot": picture}
+            | result.model_dump(mode="python")
+            | {"date": None if result.date is None else result.date.isoformat()}
+        )
+        return
+    day = "" if result.date is None else f"measured on {result.date}, "
+    print(f"{output}: {day}{package.digest(output)}")
+    print(f"{picture}: plot")
+    _print_leakage(result)
+    _print_phases(result)
+    print_next(f"amulor recover scan --calibration {output} --overwrite")
+
+
+def _print_leakage(calibration: Calibration) -> None:
+    if not calibration.leakage:
+        return
+    rows = [
+        [
+            f"{leak.modulation_frequency / 1e6:g} MHz {leak.polarization}",
+            f"{1e6 * math.hypot(*leak.scan):.3g}",
+            f"{1e6 * leak.scan_uncertainty:.2g}",
+            f"{1e6 * math.hypot(*leak.open_water):.3g}",
+            f"{1e6 * leak.open_water_uncertainty:.2g}",
+            "" if leak.change is None else f"{1e6 * leak.change:.2g}",
+        ]
+        for leak in calibration.leakage
+    ]
+    header = ["", "scan", "u(scan)", "references", "u(references)", "change"]
+    print_table("Leakage [uV]", header, rows)
+
+
+def _print_phases(calibration: Calibration) -> None:
+    if not calibration.frequencies:
+        return
+    rows = []
+    for entry in calibration.frequencies:
+        errors = entry.phase_uncertainties or (math.nan,) * len(entry.phases)
+        for amplitude, phase, error in zip(
+            entry.amplitudes, entry.phases, errors, strict=True
+        ):
+            rows.append(
+                [
+                    f"{entry.modulation_frequency / 1e6:g} MHz",
+                    f"{1e3 * amplitude:.3g}",
+                    f"{phase:+.4f}",
+                    f"{error:.4f}",
+                ]
+            )
+    print_table("Phase zero [rad]", ["", "at [mV]", "phase", "u(phase)"], rows)
+    delay = calibration.delay_uncertainty
+    if delay is None:
+        print("uncertainty of the delay unknown: state --distance-uncertainty")
+    else:
+        print(f"uncertainty of the delay: {1e12 * delay:.2g} ps")
+    index, of_index = calibration.group_index, calibration.group_index_uncertainty
+    if index is not None:
+        known = "" if of_index is None else f" +- {of_index:.2g}"
+        print(f"group index by the distances: {index:.4f}{known} (not applied)")

@@ -1,0 +1,103 @@
+"""Figure of a calibration: leakage, phase by frequency, phase by amplitude."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from amulor.acquisition import Calibration
+from amulor.io.files import atomic_output
+from amulor.view.style import new_figure, style
+
+
+def write_calibration(
+    path: Path, calibration: Calibration, *, overwrite: bool = False
+) -> None:
+    """Write the figure of a calibration as PNG."""
+    with style(), atomic_output(path, overwrite=overwrite) as temporary:
+        draw(calibration).savefig(temporary, format="png", dpi=160)
+
+
+def draw(calibration: Calibration) -> Figure:
+    """Draw leakage and phases with their standard uncertainties."""
+    panels = []
+    if calibration.leakage:
+        panels.append(_leakage)
+    if calibration.frequencies:
+        panels.append(_by_frequency)
+        if any(len(entry.phases) > 1 for entry in calibration.frequencies):
+            panels.append(_by_amplitude)
+    with style():
+        figure = new_figure(3.2 * len(panels), 2.6)
+        axes = figure.subplots(1, len(panels), squeeze=False)[0]
+        for panel, axis in zip(panels, axes, strict=True):
+            panel(axis, calibration)
+            axis.grid(True)
+    return figure
+
+
+def _leakage(axis: Axes, calibration: Calibration) -> None:
+    channels = list(dict.fromkeys(leak.polarization for leak in calibration.leakage))
+    for channel in channels:
+        leaks = [leak for leak in calibration.leakage if leak.polarization == channel]
+        frequency = [1e-6 * leak.modulation_frequency for leak in leaks]
+        axis.errorbar(
+            frequency,
+            [1e6 * np.hypot(*leak.scan) for leak in leaks],
+            yerr=[1e6 * leak.scan_uncertainty for leak in leaks],
+            marker="o",
+            markersize=3,
+            capsize=2,
+            label=channel,
+        )
+    axis.set_title("Leakage in the scan")
+    axis.set_xlabel("modulation frequency [MHz]")
+    axis.set_ylabel("amplitude [uV]")
+    axis.set_ylim(bottom=0)
+    axis.legend()
+
+
+def _by_frequency(axis: Axes, calibration: Calibration) -> None:
+    entries = calibration.frequencies
+    frequency = np.array([entry.modulation_frequency for entry in entries])
+    # Each phase is that of the strongest signal, without whole turns.
+    phase = np.unwrap([entry.phases[-1] for entry in entries])
+    error = [
+        entry.phase_uncertainties[-1] if entry.phase_uncertainties else 0.0
+        for entry in entries
+    ]
+    slope = float(phase @ frequency / (frequency @ frequency))
+    axis.errorbar(
+        1e-6 * frequency,
+        1e3 * (phase - slope * frequency),
+        yerr=1e3 * np.array(error),
+        marker="o",
+        markersize=3,
+        capsize=2,
+    )
+    axis.set_title(f"Phase without a delay of {1e9 * slope / (2 * np.pi):.3f} ns")
+    axis.set_xlabel("modulation frequency [MHz]")
+    axis.set_ylabel("phase [mrad]")
+
+
+def _by_amplitude(axis: Axes, calibration: Calibration) -> None:
+    for entry in calibration.frequencies:
+        phases = np.array(entry.phases)
+        errors = np.array(entry.phase_uncertainties or np.zeros(phases.size))
+        axis.errorbar(
+            1e3 * np.array(entry.amplitudes),
+            1e3 * (phases - phases[-1]),
+            yerr=1e3 * errors,
+            marker="o",
+            markersize=3,
+            capsize=2,
+            label=f"{entry.modulation_frequency / 1e6:g} MHz",
+        )
+    axis.set_xscale("log")
+    axis.set_title("Phase against amplitude")
+    axis.set_xlabel("amplitude [mV]")
+    axis.set_ylabel("phase over that of the strongest [mrad]")
+    axis.legend()
