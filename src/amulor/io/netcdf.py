@@ -389,9 +389,8 @@ def _text(value: str) -> Any:
 
 def _decoded(content: bytes, path: Path) -> xr.Dataset:
     import h5netcdf
-    import h5py
 
-    with h5py.File(io.BytesIO(content), "r") as storage:
+    with indexed_file(content) as storage:
         # All variables, because h5netcdf fails badly at a damaged one.
         if "amulor_schema_version" not in dict(storage.attrs):
             raise FormatError(
@@ -407,6 +406,25 @@ def _decoded(content: bytes, path: Path) -> xr.Dataset:
                     _check_fits(part, cube, path=path, group=group)
                     cube = cubes.attach(cube, part, group)
     return cubes.without_unknown_errors(_with_present_names(cube))
+
+
+def indexed_file(content: bytes) -> Any:
+    """Open the bytes of an HDF5 file, in which each path is looked up once."""
+    import h5py
+
+    class IndexedFile(h5py.File):  # type: ignore[misc]
+        """HDF5 file; h5netcdf looks a path up for every property of a variable."""
+
+        def __getitem__(self, name: Any) -> Any:
+            """Object at a path, or of a reference."""
+            if not isinstance(name, str):
+                return super().__getitem__(name)
+            if name not in objects:
+                objects[name] = super().__getitem__(name)
+            return objects[name]
+
+    objects: dict[str, Any] = {}
+    return IndexedFile(io.BytesIO(content), "r")
 
 
 def _check_size(storage: Any, path: Path) -> None:

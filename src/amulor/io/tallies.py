@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from amulor.io.netcdf import (
     _encoded,
     _opened,
     _reason,
+    indexed_file,
 )
 
 if TYPE_CHECKING:
@@ -198,9 +198,8 @@ def read_tally(path: str | os.PathLike[str]) -> Tally:
 def _loaded(content: bytes, path: Path) -> xr.Dataset:
     """Contents of a tally file as a dataset."""
     import h5netcdf
-    import h5py
 
-    with h5py.File(io.BytesIO(content), "r") as storage:
+    with indexed_file(content) as storage:
         version = dict(storage.attrs).get("amulor_tally_version")
         if version is None:
             raise FormatError(
