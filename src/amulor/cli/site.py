@@ -98,6 +98,7 @@ def register(
     from amulor.errors import CubeError
     from amulor.site import Site
     from amulor.site.registration import register as room
+    from amulor.site.registration.reliability import observation_groups
     from amulor.site.registration.result import write_registration
 
     require("site", purpose="registration")
@@ -129,6 +130,9 @@ def register(
                 "contradictions": [vars(entry) for entry in result.contradictions],
                 "patterns": [vars(test) for test in result.patterns],
                 "reliability": [vars(line) for line in result.reliability],
+                "network": [
+                    vars(group) for group in observation_groups(result.reliability)
+                ],
                 "remarks": result.remarks,
                 "settled": result.settled,
             }

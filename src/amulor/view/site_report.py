@@ -12,8 +12,14 @@ from numpy.typing import NDArray
 
 from amulor.site.change.distances import Change, Region
 from amulor.site.change.moved import Motion
-from amulor.site.description import Site
+from amulor.site.description import ScaleBar, Site
 from amulor.site.merging.cloud import Merged
+from amulor.site.registration.reliability import (
+    ObservationGroup,
+    Reliability,
+    group_of,
+    observation_groups,
+)
 from amulor.site.registration.result import Registration, relative_covariance
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report
 from amulor.view.style import (
@@ -57,6 +63,7 @@ def write(
             _poses(site, registration),
             *_warnings(registration),
             _pairs(registration),
+            *_network(site, registration),
             Heading("Points"),
             Picture(
                 errors(cloud),
@@ -119,6 +126,66 @@ def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
     axes.set_aspect("equal")
     axes.set_xlabel("east [m]")
     axes.set_ylabel("north [m]")
+    return figure
+
+
+def ellipses(site: Site, registration: Registration) -> Figure:
+    """Draw the error ellipses of scans and targets in plan and in profile."""
+    places = {
+        scan.name: (
+            registration.poses[scan.name].position,
+            registration.covariance_of(f"pose {scan.name}")[:3, :3],
+            COLOURS[0],
+        )
+        for scan in site.scan
+    }
+    for name, point in registration.points.items():
+        places[name] = (point, registration.covariance_of(f"point {name}"), COLOURS[1])
+    at = np.array([place for place, _, _ in places.values()])
+    extent = max(float(np.ptp(at, axis=0).max()), 0.1)
+    largest = max(
+        float(np.sqrt(max(np.linalg.eigvalsh(spread)[-1], 0.0)))
+        for _, spread, _ in places.values()
+    )
+    # A round number, so that the largest ellipse is about a tenth of the site.
+    factor = 0.05 * extent / max(largest, 1e-9)
+    power = 10.0 ** np.floor(np.log10(factor))
+    factor = max(step for step in (1, 2, 5) if step * power <= factor) * power
+    figure = new_figure(7.0, 7.0)
+    panels = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1))
+    for axes, height, label, title in zip(
+        panels, (1, 2), ("north [m]", "up [m]"), ("Plan", "Profile"), strict=True
+    ):
+        columns = (0, height)
+        for name, (place, spread, colour) in places.items():
+            values, vectors = np.linalg.eigh(spread[np.ix_(columns, columns)])
+            center = (float(place[0]), float(place[height]))
+            axes.plot(*center, ".", color=colour, markersize=3)
+            axes.annotate(name, center, xytext=(4, 4), textcoords="offset points")
+            axes.add_patch(
+                Ellipse(
+                    center,
+                    *(2 * factor * np.sqrt(np.maximum(values[::-1], 0))),
+                    angle=float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))),
+                    fill=False,
+                    edgecolor=colour,
+                )
+            )
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(0.15)
+        axes.set_ylabel(label)
+        axes.set_title(title)
+        axes.grid(visible=True)
+    panels[1].set_xlabel("east [m]")
+    bar = 10.0 ** np.floor(np.log10(max(largest, 1e-9)))
+    panels[0].plot([], [], color=COLOURS[0], label="scans")
+    if registration.points:
+        panels[0].plot([], [], color=COLOURS[1], label="targets")
+    panels[0].legend(
+        loc="upper right",
+        title=f"axes {factor:g} times enlarged:\n"
+        f"{bar * factor:.3g} m stand for {bar * 1e3:g} mm",
+    )
     return figure
 
 
@@ -295,6 +362,111 @@ def _pairs(registration: Registration) -> Table:
         "together are other objects and do not count. A flat sea bed holds three "
         "directions of six.",
     )
+
+
+#: Factor and name of the unit in which values of a kind are shown.
+_SHOWN_AS = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "1": (1.0, "1")}
+
+
+def _network(site: Site, registration: Registration) -> list[Part]:
+    """Return the network report: ellipses, groups and values with their reliability."""
+    groups = observation_groups(registration.reliability)
+    if not groups:
+        return []
+    rows = []
+    for group in groups:
+        factor, unit = _SHOWN_AS[group.unit]
+        mark = "!" if abs(group.largest_score) > group.limit else ""
+        rows.append(
+            [
+                group.group,
+                f"{group.count}",
+                f"{group.unchecked}",
+                f"{group.redundancy:.2f}",
+                f"{mark}{group.largest_score:+.2f} of {group.limit:.2f}",
+                group.largest_of,
+                _scaled(group.detectable, factor) + (f" {unit}" if unit != "1" else ""),
+                _scaled(group.external, 1e3),
+            ]
+        )
+    parts: list[Part] = [
+        Heading("Network"),
+        Picture(
+            ellipses(site, registration),
+            "Standard error ellipses (k = 1) in the frame of the site: in plan above, "
+            "in the plane of east and up below.",
+        ),
+        Table(
+            [
+                "observations", "values", "unchecked", "mean redundancy",
+                "largest w and its limit", "of", "detectable",
+                "external reliability [mm]",
+            ],
+            rows,
+            "Reliability by group, after W. Baarda. The redundancy number is the part "
+            "of an error that appears in the residual. The standardized residual w "
+            "exceeds its limit by chance in one of 1,000 networks. An error is "
+            "detectable with a power of 80 %, at a false-alarm rate of 1 in 1,000. "
+            "External reliability is the largest shift of a scan by such an error. "
+            "The table contains the largest values of each group.",
+        ),
+    ]  # fmt: skip
+    for group in groups:
+        lines = [
+            line for line in registration.reliability
+            if group_of(line)[0] == group.group
+        ]  # fmt: skip
+        parts.append(_observations(site, group, lines))
+    return parts
+
+
+def _observations(
+    site: Site, group: ObservationGroup, lines: Sequence[Reliability]
+) -> Table:
+    """Return the table of all values of a group, with their residuals."""
+    factor, unit = _SHOWN_AS[group.unit]
+    in_unit = f" [{unit}]" if unit != "1" else ""
+    lengths = {
+        f"bar {' '.join(item.ends)}": item.length
+        for item in site.target
+        if isinstance(item, ScaleBar)
+    }
+    bars = group.group == "scale bars"
+    rows = []
+    for line in lines:
+        name = line.observation.partition(" ")[2]
+        row = [name] if bars or not line.part else [name, line.part]
+        if bars:
+            row.append(f"{lengths.get(line.observation, float('nan')):.4f}")
+        mark = "!" if abs(line.score) > group.limit else ""
+        rows.append(
+            [
+                *row,
+                _scaled(line.uncertainty, factor),
+                f"{line.residual * factor:+.3f}",
+                f"{line.redundancy:.2f}",
+                f"{mark}{line.score:+.2f}" if line.detectable is not None else "-",
+                _scaled(line.detectable, factor),
+                _scaled(line.external, 1e3),
+                line.external_scan or "-",
+            ]
+        )
+    first = {"scale bars": ["bar", "length [m]"], "shared errors": ["error"]}
+    return Table(
+        [
+            *first.get(group.group, ["observation", "component"]),
+            f"stated u{in_unit}", f"residual{in_unit}", "redundancy", "w",
+            f"detectable{in_unit}", "external [mm]", "of scan",
+        ],
+        rows,
+        f"{group.group.capitalize()}: adjusted minus stated value, and reliability. A "
+        "dash marks values that no other observation checks.",
+    )  # fmt: skip
+
+
+def _scaled(value: float | None, factor: float) -> str:
+    """Return a value in another unit as text; a dash for no value."""
+    return "-" if value is None else f"{value * factor:.2f}"
 
 
 def _scans(site: Site, cloud: Merged) -> Table:

@@ -12,6 +12,8 @@ import pytest
 import underwater_sites as oracle
 from drawn_sites import DrawnSite, one_visit, written
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from amulor import cli
 from amulor.site.registration.pair import compared
@@ -306,3 +308,24 @@ def test_the_rows_of_a_plane_do_not_seem_to_drift() -> None:
     assert len(scores) == 20
     # Of 20 standard normal numbers, four standard errors of the mean are 0.9.
     assert abs(np.mean(scores)) < 0.7
+
+
+@pytest.mark.parametrize("seed", [2, pytest.param(6, marks=pytest.mark.slow)])
+def test_a_large_but_not_significant_delay_widens_the_covariance(seed: int) -> None:
+    drawn = one_visit(
+        "amphorae", seed, rows=42, position=0.02, angle=0.02,
+        spoiled={"a2": lambda distance: distance + 0.02},
+    )  # fmt: skip
+    found = registered(drawn)
+    assert found.contradictions == ()
+    pose, true = found.poses["a2"], drawn.stations["a2"]
+    turn = Rotation.from_matrix(pose.rotation @ true.matrix.T).as_rotvec()
+    off = np.concatenate([pose.position - true.place, turn])
+    # Chi-square of six degrees of freedom, 93 and 68 of each without the delay in the
+    # covariance.
+    assert off @ np.linalg.solve(found.covariance_of("pose a2"), off) < chi2.isf(
+        1e-3, 6
+    )
+    # The scan by itself is not good to a part of what the delay moves.
+    sigma = np.sqrt(np.trace(found.covariance_of("pose a2")[:3, :3]))
+    assert sigma > 0.3 * np.linalg.norm(off[:3])

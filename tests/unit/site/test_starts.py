@@ -145,9 +145,53 @@ def test_a_visit_in_another_height_datum_is_named_and_not_compared(
     assert float(lies[1]) == pytest.approx(6.2, abs=0.2)
     registration = register(other, surfaces=drawn.surfaces, images=drawn.images)
     assert any("no surface and no target" in line for line in registration.remarks)
+    (other_datum,) = registration.contradictions
+    assert other_datum.error == "datum"
+    assert (other_datum.scan, *other_datum.peers) == ("b1", "b2", "b3")
+    assert other_datum.shift == pytest.approx(6.2, abs=0.2)
     cloud = merge(other, registration, drawn.surfaces, drawn.images)
     with pytest.raises(CubeError, match="see no surface together"):
         change(other, registration, drawn.surfaces, cloud)
+
+
+def test_scans_of_a_visit_in_another_height_datum_are_named() -> None:
+    drawn = one_visit("bed", 5, rows=36)
+    scans = []
+    for scan in drawn.site.scan:
+        start = scan.start
+        assert start is not None
+        if scan.name in ("a3", "a4"):
+            east, north, height = start.position
+            update = {"position": (east, north, height + 6.2)}
+            scan = scan.model_copy(update={"start": start.model_copy(update=update)})
+        scans.append(scan)
+    other = drawn.site.model_copy(update={"scan": tuple(scans)})
+    registration = register(other, surfaces=drawn.surfaces, images=drawn.images)
+    (line,) = registration.contradictions
+    assert (line.scan, line.peers, line.error) == ("a3", ("a4",), "datum")
+    # Start poses are off by 5 cm and 52 mrad over 2.5 m.
+    assert line.shift == pytest.approx(6.2, abs=0.2)
+    assert "6." in line.sentence
+    assert "above the other scans" in line.sentence
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("bed", 11), pytest.param("plane", 16, marks=pytest.mark.slow)]
+)
+def test_start_poses_worse_than_stated_are_not_called_another_convention(
+    kind: str, seed: int
+) -> None:
+    # Wrong by 0.3 m and 10 degrees, but stated to a fifth: by chance, heights counted
+    # downwards would bring 25 % more of the points onto other scans.
+    poor = one_visit(
+        kind, seed, position=0.3, angle=np.radians(10),
+        stated=(0.06, np.radians(2)), rows=30,
+    )  # fmt: skip
+    (line,) = start_findings(poor.site, clouds(poor)).mistakes
+    assert line.endswith("state the uncertainty of these start poses as large as it is")
+    registration = register(poor.site, surfaces=poor.surfaces, images=poor.images)
+    assert line in registration.remarks
+    assert registration.contradictions
 
 
 def test_the_check_of_a_site_ends_with_the_line(

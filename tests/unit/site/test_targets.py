@@ -267,5 +267,10 @@ def test_control_points_and_a_scale_bar_place_a_scan_within_what_is_stated() -> 
     # The size is that of a draw, whose targets lay some millimetres elsewhere.
     assert abs(by_name["control B", "north"].score) == pytest.approx(4.132, rel=0.06)
     assert by_name["control B", "north"].residual < 0
+    # All other values are exact, so what the error changes of the pose is its shift.
+    assert line.external_scan == "s"
+    assert line.external == pytest.approx(
+        np.linalg.norm(state.poses["s"].position - pose.position), rel=0.06
+    )
     # The bar tells the index better than it was known.
     assert max(scales) < 0.3

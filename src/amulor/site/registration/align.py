@@ -90,6 +90,8 @@ class Alignment:
     """Tests for systematic errors over rows, columns, range and angle of incidence."""
     undetected: dict[str, Undetected]
     """Largest change of each pose by a systematic error that no test detects."""
+    suspected: Floats
+    """Covariance of all unknowns by large but not significant systematic errors."""
 
 
 def align(
@@ -159,7 +161,7 @@ def align(
     same = [
         visits is None or visits[pair.source] == visits[pair.target] for pair in pairs
     ]
-    patterns, undetected = pattern_tests(
+    patterns, undetected, suspected = pattern_tests(
         state,
         [pair for pair, alike in zip(pairs, same, strict=True) if alike],
         ties,
@@ -181,6 +183,7 @@ def align(
         settled=settled,
         patterns=patterns,
         undetected=undetected,
+        suspected=suspected,
     )
 
 

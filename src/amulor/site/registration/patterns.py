@@ -50,6 +50,9 @@ PATTERNS = {
 _WINDOW = 15
 #: Chance of a false alarm in a site [1].
 _CHANCE = 1e-3
+#: Least score of a suspected error; by chance the strongest of a site is 2.1 on average
+#: over 28 tests [1].
+_SUSPECTED = 2.5
 #: Least part of excluded points and least misfit, over that of other pairs, in each
 #: pair of a scan that fits none [1]; sites without an error of a scan have 0 and 1.
 _MOVED, _MISFIT = 0.1, 1.2
@@ -139,10 +142,11 @@ def pattern_tests(
     surfaces: Mapping[str, ScanSurface],
     *,
     free: int,
-) -> tuple[tuple[PatternTest, ...], dict[str, Undetected]]:
+) -> tuple[tuple[PatternTest, ...], dict[str, Undetected], Floats]:
     """Test each scan for each kind of systematic range error.
 
-    The second value is the largest change of each pose by an undetected error.
+    The second value is the largest change of each pose by an undetected error, the
+    third is the covariance of all unknowns by suspected errors.
     """
     layout = Layout(state, ties.fixed)
     projection, _ = projector(state, pairs, trust, layout, free)
@@ -167,7 +171,30 @@ def pattern_tests(
             )  # fmt: skip
             tests += of_scan
             changes += changes_of_scan
-    return tuple(tests), _undetected(state, layout, tests, changes)
+    return (
+        tuple(tests),
+        _undetected(state, layout, tests, changes),
+        _suspected(tests, changes, len(base.gradient)),
+    )
+
+
+def _suspected(
+    tests: Sequence[PatternTest], changes: Sequence[Floats], count: int
+) -> Floats:
+    """Return the covariance of all unknowns by suspected errors of one scan.
+
+    These are the range errors of the scan with the strongest test whose estimated size
+    is large but not significant. Each counts with this size as its standard error.
+    """
+    spread = np.zeros((count, count))
+    if not tests:
+        return spread
+    scan = max(tests, key=lambda test: abs(test.score)).scan
+    for test, change in zip(tests, changes, strict=True):
+        if test.scan == scan and abs(test.score) > _SUSPECTED:
+            step = change * test.size / test.detectable
+            spread += np.outer(step, step)
+    return spread
 
 
 def _undetected(

@@ -40,7 +40,11 @@ from amulor.site.registration.result import (
     relative_covariance,
 )
 from amulor.site.registration.sight import pairs_seen_through
-from amulor.site.registration.starts import start_findings
+from amulor.site.registration.starts import (
+    height_above,
+    part_met,
+    start_findings,
+)
 from amulor.site.registration.surface import ScanSurface, scan_surface, shared_errors
 
 Floats = NDArray[np.float64]
@@ -52,6 +56,12 @@ _NO_BETTER = 0.5
 #: A start pose alone suffices if points are displaced by less than this fraction of
 #: their spacing [1].
 _ENOUGH = 0.5
+#: Least part of points that meet other scans at another height, for another datum [1].
+_DATUM = 0.5
+#: Number of points of a scan that test its height [1].
+_SOME = 3000
+#: Differences of heights below this distance are not tested [m].
+_LEAST_HEIGHT = 0.02
 
 
 def surfaces_of(site: Site) -> tuple[dict[str, ScanSurface], dict[str, xr.Dataset]]:
@@ -107,8 +117,43 @@ def register(
     findings = start_findings(
         site, {name: item.position[item.usable] for name, item in surfaces.items()}
     )
-    if findings.mistakes:
+    if not findings.mistakes:
+        return _registered(site, surfaces, images, findings.remarks)
+    corrected = site.model_copy(
+        update={
+            "scan": tuple(
+                scan.model_copy(
+                    update={"start": findings.corrected.get(scan.name, scan.start)}
+                )
+                for scan in site.scan
+            )
+        }
+    )
+    # By chance more points of wrong start poses may meet under another convention. Only
+    # a registration shows whether these start poses are then as good as stated.
+    if _fits(corrected, surfaces, images) and not _fits(site, surfaces, images):
         raise CubeError("\n".join(findings.mistakes))
+    return _registered(site, surfaces, images, (*findings.mistakes, *findings.remarks))
+
+
+def _fits(
+    site: Site, surfaces: Mapping[str, ScanSurface], images: Mapping[str, xr.Dataset]
+) -> bool:
+    """Whether all scans of a site register together without a contradiction."""
+    try:
+        result = _registered(site, surfaces, images, ())
+    except CubeError:
+        return False
+    return not result.contradictions and not result.remarks
+
+
+def _registered(
+    site: Site,
+    surfaces: Mapping[str, ScanSurface],
+    images: Mapping[str, xr.Dataset],
+    remarks: tuple[str, ...],
+) -> Registration:
+    """Register all scans of a site, whose start poses are read as stated."""
     centres, surfaces = _centres(site, surfaces, images)
     start = {}
     for scan in site.scan:
@@ -140,7 +185,7 @@ def register(
             guess=guess,
             visits={scan.name: scan.epoch for scan in site.scan},
         )
-    return _result(site, alignment, ties, findings.remarks, surfaces)
+    return _result(site, alignment, ties, remarks, surfaces)
 
 
 def _centres(
@@ -242,7 +287,7 @@ def _result(
         points=alignment.state.points,
         errors=alignment.state.errors,
         places=places,
-        covariance=alignment.covariance,
+        covariance=alignment.covariance + alignment.suspected,
         pairs=tuple(pairs),
         disagreements=tuple(
             {**vars(pair_record), "scans": list(pair_record.scans)}
@@ -263,7 +308,13 @@ def _result(
     return replace(
         result,
         weaknesses=_weak_directions(result, ties, surfaces),
-        contradictions=_worst_first((*result.contradictions, *seen_through)),
+        contradictions=_worst_first(
+            (
+                *result.contradictions,
+                *seen_through,
+                *_other_datums(site, result, ties, surfaces),
+            )
+        ),
     )
 
 
@@ -380,16 +431,87 @@ def _seen_through(
         )  # fmt: skip
 
 
+def _other_datums(
+    site: Site,
+    result: Registration,
+    ties: Ties,
+    surfaces: Mapping[str, ScanSurface],
+) -> Iterator[Contradiction]:
+    """Yield a contradiction for scans that fit the others only at another height.
+
+    Nothing ties them to the others, and the difference is beyond what is stated.
+    """
+    tied = _tied([(pair["source"], pair["target"]) for pair in result.pairs], ties)
+    groups = _groups([scan.name for scan in site.scan], tied)
+    # Of two groups of equal size the less accurate is named.
+    main = min(
+        groups,
+        key=lambda names: (-len(names), _group_error(names, ties, surfaces)),
+    )
+    for group in groups:
+        if group is main:
+            continue
+        points, others = (
+            np.concatenate([_some_placed(result, surfaces[name]) for name in names])
+            for names in (group, main)
+        )
+        height = height_above(points, others)
+        if height is None:
+            continue
+        off = height[0]
+        share = part_met(points - np.array([0.0, 0.0, off]), others)
+        sigma = math.hypot(
+            _group_error(group, ties, surfaces), _group_error(main, ties, surfaces)
+        )
+        score = off / max(sigma, _LEAST_HEIGHT)
+        if share > _DATUM and abs(score) > norm.isf(_CHANCE / 2):
+            yield Contradiction(
+                scan=group[0], error="datum", shift=off, turn=0.0, stated_shift=sigma,
+                stated_turn=0.0, score=score**2, peers=tuple(group[1:]), share=share,
+            )  # fmt: skip
+
+
+def _group_error(
+    names: list[str], ties: Ties, surfaces: Mapping[str, ScanSurface]
+) -> float:
+    """Return the standard uncertainty of a group's height by its best start pose [m].
+
+    Without start poses, only the group itself defines its height.
+    """
+    errors = []
+    for name in names:
+        if name in ties.start:
+            covariance = ties.start[name].covariance
+            away = float(np.nanmedian(surfaces[name].distance))
+            tilt = max(covariance[3, 3], covariance[4, 4])
+            errors.append(math.sqrt(covariance[2, 2] + away**2 * tilt))
+    return min(errors, default=0.0)
+
+
+def _some_placed(result: Registration, surface: ScanSurface) -> Floats:
+    """Return some points of a scan, placed in the site."""
+    points = surface.position[surface.usable]
+    step = max(len(points) // _SOME, 1)
+    return result.poses[surface.name].place(points[::step])
+
+
+def _tied(pairs: list[tuple[str, str]], ties: Ties) -> list[tuple[str, str]]:
+    """Return the pairs of scans with a common surface or target."""
+    return [
+        *pairs,
+        *(
+            (first.scan, second.scan)
+            for first in ties.centres
+            for second in ties.centres
+            if first.target == second.target
+        ),
+    ]
+
+
 def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:
     """Yield a message for each visit or group of scans not connected to the others."""
     visit = {scan.name: scan.epoch for scan in site.scan}
-    tied = [(pair.source, pair.target) for pair in alignment.pairs]
-    tied += [
-        (first.scan, second.scan)
-        for first in ties.centres
-        for second in ties.centres
-        if first.target == second.target
-    ]
+    tied = _tied([(pair.source, pair.target) for pair in alignment.pairs], ties)
     met = {visit[a] for a, b in tied if visit[a] != visit[b]}
     met |= {visit[b] for a, b in tied if visit[a] != visit[b]}
     for epoch in site.epoch if len(site.epoch) > 1 else ():

@@ -5,12 +5,13 @@ covariance of residuals :math:`Q = K - J C J^T` of an adjustment with the covari
 redundancy numbers are the diagonal of :math:`Q P`, the standardized residual is
 :math:`w_i = (P v)_i / \sqrt{(P Q P)_{ii}}`, and the minimal detectable error is
 :math:`\delta_0 / \sqrt{(P Q P)_{ii}}` (Baarda, A testing procedure for use in geodetic
-networks, 1968).
+networks, 1968). An error of that size changes the unknowns by :math:`C J^T P e_i` times
+the size (external reliability).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,8 +29,9 @@ def non_centrality(chance: float) -> float:
     return float(norm.isf(chance / 2) + norm.isf(1 - 0.8))
 
 
-#: Non-centrality at a chance of 1e-3 of a false alarm [1].
-_NON_CENTRALITY = non_centrality(1e-3)
+#: Chance of a false alarm [1], and the non-centrality at this chance [1].
+_CHANCE = 1e-3
+_NON_CENTRALITY = non_centrality(_CHANCE)
 #: Smallest redundancy of an observation that other observations check [1].
 _UNCHECKED = 1e-3
 _SHIFTS = ("east", "north", "up")
@@ -56,6 +58,106 @@ class Reliability:
     detectable: float | None
     """Minimal detectable error; None if no other observation checks the value [m, rad,
     1]."""
+    external: float | None = None
+    """Largest change of a scan's position by an error of this size (external
+    reliability); None if no other observation checks the value [m]."""
+    external_scan: str = ""
+    """Scan whose position changes most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationGroup:
+    """Reliability of all values of one kind."""
+
+    group: str
+    """Kind of the values, such as "start positions" or "scale bars"."""
+    unit: str
+    """Unit of the values: m, rad, or 1."""
+    count: int
+    """Number of values [1]."""
+    unchecked: int
+    """Number of values that no other observation checks [1]."""
+    redundancy: float
+    """Mean redundancy number, 0 to 1 [1]."""
+    largest_score: float
+    """Standardized residual with the largest amount [1]."""
+    limit: float
+    """Largest amount expected by chance in one of 1,000 networks [1]."""
+    largest_of: str
+    """Observation with this residual."""
+    detectable: float | None
+    """Largest minimal detectable error; None if no value is checked [m, rad, 1]."""
+    external: float | None
+    """Largest change of a scan's position by an undetected error; None if no value is
+    checked [m]."""
+
+
+#: Kinds of observations by the first word of their name: group, and group of angles.
+_GROUPS = {
+    "start": ("start positions", "start attitudes"),
+    "target": ("targets in scans", ""),
+    "control": ("control points", ""),
+    "bar": ("scale bars", ""),
+    "error": ("shared errors", ""),
+}
+
+
+def group_of(line: Reliability) -> tuple[str, str]:
+    """Return the group of an observation and the unit of its values."""
+    kind = line.observation.partition(" ")[0]
+    lengths, angles = _GROUPS[kind]
+    if line.part in _TURNS:
+        return angles, "rad"
+    return lengths, "1" if kind == "error" else "m"
+
+
+def observation_groups(lines: Sequence[Reliability]) -> tuple[ObservationGroup, ...]:
+    """Return the reliability of start poses, targets and other groups as a whole.
+
+    Examples
+    --------
+    >>> from amulor.site.registration.reliability import Reliability
+    >>> bar = Reliability(
+    ...     observation="bar A B", part="length", residual=1e-3, uncertainty=5e-4,
+    ...     redundancy=0.8, score=2.2, detectable=2.3e-3, external=4e-4,
+    ... )
+    >>> group, = observation_groups([bar])
+    >>> group.group, group.unchecked, group.largest_of
+    ('scale bars', 0, 'bar A B, length')
+    """
+    groups: dict[tuple[str, str], list[Reliability]] = {}
+    for line in lines:
+        groups.setdefault(group_of(line), []).append(line)
+    limit = float(norm.isf(_CHANCE / 2 / max(len(lines), 1)))
+    summaries = []
+    for (name, unit), members in groups.items():
+        worst = max(members, key=lambda line: abs(line.score))
+        checked = [line for line in members if line.detectable is not None]
+        summaries.append(
+            ObservationGroup(
+                group=name,
+                unit=unit,
+                count=len(members),
+                unchecked=len(members) - len(checked),
+                redundancy=float(np.mean([line.redundancy for line in members])),
+                largest_score=worst.score,
+                limit=limit,
+                largest_of=f"{worst.observation}, {worst.part}".rstrip(", "),
+                detectable=max(
+                    (
+                        line.detectable
+                        for line in checked
+                        if line.detectable is not None
+                    ),
+                    default=None,
+                ),
+                external=max(
+                    (line.external for line in checked if line.external is not None),
+                    default=None,
+                ),
+            )
+        )
+    return tuple(summaries)
 
 
 def reliabilities(
@@ -75,6 +177,11 @@ def reliabilities(
         for number, part in enumerate(parts):
             checked = redundancy[number] > _UNCHECKED and information[number] > 0
             root = float(np.sqrt(information[number])) if checked else np.inf
+            detectable = _NON_CENTRALITY / root if checked else None
+            scan, external = "", None
+            if detectable is not None:
+                change = covariance[:, at] @ design.T @ weight[:, number] * detectable
+                scan, external = _largest_shift(change, layout)
             lines.append(
                 Reliability(
                     observation=name,
@@ -83,10 +190,23 @@ def reliabilities(
                     uncertainty=float(np.sqrt(prior[number, number])),
                     redundancy=float(redundancy[number]),
                     score=float((weight @ residual)[number]) / root,
-                    detectable=_NON_CENTRALITY / root if checked else None,
+                    detectable=detectable,
+                    external=external,
+                    external_scan=scan,
                 )
             )
     return tuple(lines)
+
+
+def _largest_shift(change: Floats, layout: Layout) -> tuple[str, float]:
+    """Return the scan whose position changes most, and its shift [m]."""
+    shifts = {
+        name: float(np.linalg.norm(change[at][:3]))
+        for (kind, name), at in layout.at.items()
+        if kind == "pose"
+    }
+    scan = max(shifts, key=lambda name: shifts[name], default="")
+    return scan, shifts.get(scan, 0.0)
 
 
 def _observations(

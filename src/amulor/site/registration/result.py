@@ -15,7 +15,7 @@ from amulor.errors import FormatError
 from amulor.io.files import atomic_output
 from amulor.site.registration.patterns import PATTERNS, PatternTest, Undetected
 from amulor.site.registration.pose import ScanPose, cross_matrix
-from amulor.site.registration.reliability import Reliability
+from amulor.site.registration.reliability import Reliability, observation_groups
 
 Floats = NDArray[np.float64]
 
@@ -45,10 +45,11 @@ class Contradiction:
     error: str
     """Key of the shared error, of a pattern of a scan, or of a control point or scale
     bar; "surface" if a scan fits no other; "sight" if scans look through each other's
-    surface; empty for a start pose."""
+    surface; "datum" if scans fit the others at another height; empty for a start
+    pose."""
     shift: float
-    """Distance of the adjusted position from the start pose, size of a pattern, or
-    distance of points in front of a surface [m]."""
+    """Distance of the adjusted position from the start pose, size of a pattern,
+    distance of points in front of a surface, or height above other scans [m]."""
     turn: float
     """Angle of the adjusted attitude from the start pose [rad]."""
     stated_shift: float
@@ -60,9 +61,11 @@ class Contradiction:
     score: float
     """Chi-square against the stated uncertainty, over its degrees of freedom [1]."""
     peers: tuple[str, ...] = ()
-    """Other scans of the contradicting pairs, for "sight"."""
+    """Other scans of the contradicting pairs, for "sight"; further scans with the same
+    datum, for "datum"."""
     share: float = 0.0
-    """Largest part of points in front of another scan's surface, for "sight" [1]."""
+    """Largest part of points in front of another scan's surface, for "sight"; part of
+    points that meet other scans at their height, for "datum" [1]."""
 
     @property
     def sentence(self) -> str:
@@ -82,6 +85,18 @@ class Contradiction:
                 f"by {self.shift * 1e3:.0f} mm in the median; its pose is wrong, or "
                 "something moved between the scans; check [scan.start] of this scan "
                 "first, add targets, or scan once more"
+            )
+        if self.error == "datum":
+            where, change = (
+                ("above", "lower") if self.shift > 0 else ("below", "higher")
+            )
+            return (
+                f"scan {', '.join((repr(self.scan), *map(repr, self.peers)))}: "
+                f"{abs(self.shift):.2f} m {where} the other scans, stated to "
+                f"{self.stated_shift:.3f} m, and tied to them by no surface; "
+                f"{self.share:.0%} of the points meet the others if {change} by that; "
+                "check the heights and angles of [scan.start] and their datum, or tie "
+                "both surfaces by targets"
             )
         if self.error and self.scan:
             return (
@@ -198,6 +213,20 @@ def plan_ellipse(covariance: Floats) -> dict[str, float]:
     }
 
 
+def profile_ellipse(covariance: Floats) -> dict[str, float]:
+    """Return the standard error ellipse of a position in the plane of east and up.
+
+    The elevation is that of the long axis, from east upwards.
+    """
+    values, axes = np.linalg.eigh(covariance[np.ix_((0, 2), (0, 2))])
+    east, up = axes[:, 1]
+    return {
+        "long_m": float(np.sqrt(max(values[1], 0.0))),
+        "short_m": float(np.sqrt(max(values[0], 0.0))),
+        "elevation_rad": float(np.arctan2(up, east) % np.pi),
+    }
+
+
 def write_registration(
     result: Registration, path: str | Path, *, overwrite: bool = False
 ) -> None:
@@ -220,6 +249,9 @@ def write_registration(
                     np.diag(result.covariance_of(f"pose {name}"))
                 ).tolist(),
                 "plan_ellipse": plan_ellipse(result.covariance_of(f"pose {name}")),
+                "profile_ellipse": profile_ellipse(
+                    result.covariance_of(f"pose {name}")
+                ),
             }
             for name, pose in result.poses.items()
         },
@@ -234,6 +266,7 @@ def write_registration(
         "undetected": {name: vars(item) for name, item in result.undetected.items()},
         "patterns": [vars(test) for test in result.patterns],
         "reliability": [vars(line) for line in result.reliability],
+        "network": [vars(group) for group in observation_groups(result.reliability)],
         "places": result.places,
         "covariance": result.covariance.tolist(),
     }

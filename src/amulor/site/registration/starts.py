@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,8 @@ class StartFindings:
     """Start poses that give a larger overlap under another convention."""
     remarks: tuple[str, ...]
     """Visits and scans that do not overlap with any other."""
+    corrected: dict[str, StartPose] = field(default_factory=dict)
+    """Start poses by scan under the convention that `mistakes` names first."""
 
 
 def _swapped_up(start: StartPose) -> dict[str, object]:
@@ -132,12 +134,13 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
     if len(visits) > 1:
         groups = {"all visits": list(starts)} | groups
     named: set[str] = set()
+    corrected: dict[str, StartPose] = {}
     for group, scans in groups.items():
         if named:
             break
         agreement = _agreement(visits, scans, placed, gates)
         gains: dict[str, float] = {}
-        for reading, changed in _READINGS:
+        for text, changed in _READINGS:
             try:
                 moved = {
                     name: _placed(starts[name], samples[name], changed(starts[name]))
@@ -145,7 +148,7 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
                 }
             except ValidationError:  # such as a pitch beyond upright
                 continue
-            gains[reading] = _agreement(visits, scans, placed | moved, gates)
+            gains[text] = _agreement(visits, scans, placed | moved, gates)
         best = max(gains.values(), default=0.0)
         if best <= agreement + _BETTER:
             continue
@@ -167,11 +170,17 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
                 key=lambda text: -gains[text],
             )
             named |= set(scans)
+            reading = dict(_READINGS)[words[0]]
+            corrected |= {
+                name: starts[name].model_copy(update=reading(starts[name]))
+                for name in scans
+            }
             mistakes.append(
                 f"{group}: start poses of {', '.join(scans)} bring {agreement:.0%} of "
                 f"their points onto other scans, and {best:.0%} if "
                 + " (or: ".join(words)
                 + ")" * (len(words) - 1)
+                + "; or state the uncertainty of these start poses as large as it is"
             )
     for name in worse[:1] if len(visits) == 2 else worse:
         scans = visits[name]
@@ -191,7 +200,9 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
                 f"scan {name!r} meets no other scan at its start pose; check "
                 "[scan.start]"
             )
-    return StartFindings(mistakes=tuple(mistakes), remarks=tuple(remarks))
+    return StartFindings(
+        mistakes=tuple(mistakes), remarks=tuple(remarks), corrected=corrected
+    )
 
 
 def _placed(
@@ -275,16 +286,36 @@ def _height_in_words(
     scans: list[str], others: list[str], placed: Mapping[str, cKDTree]
 ) -> str:
     """Return the height of scans above overlapping others, as text."""
+    height = height_above(
+        *(
+            np.concatenate([placed[name].data for name in names])
+            for names in (scans, others)
+        )
+    )
+    if height is None:
+        return "; check [scan.start], or scan what both visits see"
+    middle, cells = height
+    where = "above" if middle > 0 else "below"
+    return (
+        f": it lies {abs(middle):.2f} m {where} the others in {cells} common cells "
+        "of the plan; state all heights in one datum"
+    )
+
+
+def height_above(points: Floats, others: Floats) -> tuple[float, int] | None:
+    """Return the height of points above others [m], and the number of cells compared.
+
+    None if too few cells of the plan are common, or the height is not uniform.
+    """
     heights = []
-    for names in (scans, others):
-        points = np.concatenate([placed[name].data for name in names])
+    for part in (points, others):
         cells, group = np.unique(
-            np.floor(points[:, :2] / _CELL).astype(int), axis=0, return_inverse=True
+            np.floor(part[:, :2] / _CELL).astype(int), axis=0, return_inverse=True
         )
         group = group.ravel()
         heights.append(
             {
-                tuple(cell): float(np.median(points[group == number, 2]))
+                tuple(cell): float(np.median(part[group == number, 2]))
                 for number, cell in enumerate(cells)
                 if int((group == number).sum()) >= 5
             }
@@ -292,12 +323,14 @@ def _height_in_words(
     common = heights[0].keys() & heights[1].keys()
     off = np.array([heights[0][cell] - heights[1][cell] for cell in common])
     if len(off) < _CELLS:
-        return "; check [scan.start], or scan what both visits see"
+        return None
     middle = float(np.median(off))
     if float(np.median(np.abs(off - middle))) > 0.2 * abs(middle):
-        return "; check [scan.start], or scan what both visits see"
-    where = "above" if middle > 0 else "below"
-    return (
-        f": it lies {abs(middle):.2f} m {where} the others in {len(off)} common cells "
-        "of the plan; state all heights in one datum"
-    )
+        return None
+    return middle, len(off)
+
+
+def part_met(points: Floats, others: Floats) -> float:
+    """Return the fraction of points that lie near other points [1]."""
+    away = cKDTree(others).query(points, distance_upper_bound=_MOST)[0]
+    return float(np.isfinite(away).mean())
