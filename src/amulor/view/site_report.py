@@ -151,8 +151,11 @@ def ellipses(site: Site, registration: Registration) -> Figure:
     factor = 0.05 * extent / max(largest, 1e-9)
     power = 10.0 ** np.floor(np.log10(factor))
     factor = max(step for step in (1, 2, 5) if step * power <= factor) * power
-    figure = new_figure(7.0, 7.0)
-    panels = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1))
+    pad = 0.12 * extent
+    low, high = at.min(axis=0) - pad, at.max(axis=0) + pad
+    wide, *spans = high - low
+    figure = new_figure(7.0, float(np.clip(6.2 * sum(spans) / wide + 1.3, 3.0, 11.0)))
+    panels = figure.subplots(2, 1, height_ratios=spans)
     for axes, height, label, title in zip(
         panels, (1, 2), ("north [m]", "up [m]"), ("Plan", "Profile"), strict=True
     ):
@@ -171,20 +174,22 @@ def ellipses(site: Site, registration: Registration) -> Figure:
                     edgecolor=colour,
                 )
             )
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.margins(0.15)
+        axes.set_aspect("equal")
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[height], high[height])
         axes.set_ylabel(label)
         axes.set_title(title)
         axes.grid(visible=True)
     panels[1].set_xlabel("east [m]")
-    bar = 10.0 ** np.floor(np.log10(max(largest, 1e-9)))
     panels[0].plot([], [], color=COLOURS[0], label="scans")
     if registration.points:
         panels[0].plot([], [], color=COLOURS[1], label="targets")
-    panels[0].legend(
-        loc="upper right",
-        title=f"axes {factor:g} times enlarged:\n"
-        f"{bar * factor:.3g} m stand for {bar * 1e3:g} mm",
+    size = 10.0 ** np.floor(np.log10(max(largest, 1e-9)))
+    figure.legend(
+        loc="outside lower center",
+        ncols=2,
+        title=f"Ellipses enlarged {factor:g} times: {size * factor:.3g} m on the axes "
+        f"for {size * 1e3:g} mm",
     )
     return figure
 

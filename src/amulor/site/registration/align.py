@@ -73,6 +73,8 @@ class Alignment:
     """Estimated poses, target positions and shared errors."""
     covariance: Floats
     """Covariance of all unknowns, in the order of `layout`."""
+    inverse: Floats
+    """Inverse of the normal matrix, in the same order."""
     layout: Layout
     """Positions of the unknowns in the covariance."""
     pairs: tuple[Pair, ...]
@@ -169,12 +171,13 @@ def align(
         surfaces,
         free=free if all(same) else 0,
     )
-    covariance, layout = network.covariance(
+    covariance, inverse, layout = network.covariance_and_inverse(
         state, pairs, ties, trust, surfaces, free=free
     )
     return Alignment(
         state=state,
         covariance=covariance,
+        inverse=inverse,
         layout=layout,
         pairs=tuple(pairs),
         trust=tuple(trust),

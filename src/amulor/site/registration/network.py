@@ -211,6 +211,22 @@ def covariance(
     patch and pair that uses the pixel. Noise shared by neighbors is thus not averaged
     out.
     """
+    spread, _, layout = covariance_and_inverse(
+        state, pairs, ties, trust, surfaces, free=free
+    )
+    return spread, layout
+
+
+def covariance_and_inverse(
+    state: State,
+    pairs: Sequence[Pair],
+    ties: Ties,
+    trust: Sequence[float],
+    surfaces: Mapping[str, ScanSurface],
+    *,
+    free: int = 0,
+) -> tuple[Floats, Floats, Layout]:
+    """Return the covariance, and the inverse of the normal matrix, of all estimates."""
     layout = Layout(state, ties.fixed)
     projection, _ = projector(state, pairs, trust, layout, free)
     system = system_of(state, pairs, ties, trust, layout, projection)
@@ -218,9 +234,9 @@ def covariance(
     for name, surface in surfaces.items():
         noise += _noise_variance(name, surface, state, pairs, trust, layout)
     variance = system.scatter + projection.T @ noise @ projection
-    half = np.linalg.solve(system.matrix, variance)
-    spread = np.linalg.solve(system.matrix, half.T)
-    return (spread + spread.T) / 2, layout
+    inverse = np.asarray(np.linalg.inv(system.matrix), dtype=float)
+    spread = inverse @ variance @ inverse.T
+    return (spread + spread.T) / 2, inverse, layout
 
 
 def system_of(

@@ -32,7 +32,7 @@ from amulor.site.registration.pose import (
     start_covariance,
     start_pose,
 )
-from amulor.site.registration.reliability import reliabilities
+from amulor.site.registration.reliability import Reliability, reliabilities
 from amulor.site.registration.result import (
     Contradiction,
     Registration,
@@ -281,6 +281,10 @@ def _result(
                 "moved_pixels": pair.moved.tolist(),
             }
         )
+    reliability = reliabilities(
+        alignment.state, alignment.covariance, alignment.layout, ties,
+        inverse=alignment.inverse,
+    )  # fmt: skip
     result = Registration(
         site=site.name,
         poses=alignment.state.poses,
@@ -294,15 +298,13 @@ def _result(
             for pair_record in alignment.disagreements
         ),
         weaknesses=(),
-        contradictions=_contradictions(site, alignment, ties),
+        contradictions=_contradictions(site, alignment, ties, reliability),
         remarks=(*remarks, *_untied(site, alignment, ties)),
         settled=alignment.settled,
         fixed=ties.fixed or "",
         patterns=alignment.patterns,
         undetected=alignment.undetected,
-        reliability=reliabilities(
-            alignment.state, alignment.covariance, alignment.layout, ties
-        ),
+        reliability=reliability,
     )
     seen_through = _seen_through(site, result, ties, surfaces)
     return replace(
@@ -319,7 +321,10 @@ def _result(
 
 
 def _contradictions(
-    site: Site, alignment: Alignment, ties: Ties
+    site: Site,
+    alignment: Alignment,
+    ties: Ties,
+    reliability: tuple[Reliability, ...],
 ) -> tuple[Contradiction, ...]:
     """Return all contradictions between observations, worst first."""
     contradicting = []
@@ -352,9 +357,7 @@ def _contradictions(
                     stated_turn=0.0, score=value**2,
                 )
             )  # fmt: skip
-    for line in reliabilities(
-        alignment.state, alignment.covariance, alignment.layout, ties
-    ):
+    for line in reliability:
         kind = line.observation.partition(" ")[0]
         if kind in ("control", "bar") and abs(line.score) > norm.isf(_CHANCE / 2):
             contradicting.append(

@@ -1,12 +1,13 @@
 r"""Reliability of start poses, targets, control points and scale bars (W. Baarda).
 
-With the residual v of an observation, its covariance K, :math:`P = K^{-1}` and the
-covariance of residuals :math:`Q = K - J C J^T` of an adjustment with the covariance C:
-redundancy numbers are the diagonal of :math:`Q P`, the standardized residual is
-:math:`w_i = (P v)_i / \sqrt{(P Q P)_{ii}}`, and the minimal detectable error is
-:math:`\delta_0 / \sqrt{(P Q P)_{ii}}` (Baarda, A testing procedure for use in geodetic
-networks, 1968). An error of that size changes the unknowns by :math:`C J^T P e_i` times
-the size (external reliability).
+With the residual v of an observation, its covariance K, :math:`P = K^{-1}`, the inverse
+normal matrix N and the covariance C of the unknowns, the residuals have the covariance
+:math:`Q = K - 2 J N J^T + J C J^T`. This is :math:`K - J C J^T` if N and C are equal.
+Redundancy numbers are the diagonal of :math:`R = 1 - J N J^T P`. The standardized
+residual is :math:`w_i = (P v)_i / \sqrt{(P Q P)_{ii}}`, and the minimal detectable
+error is :math:`\delta_0 \sqrt{(P Q P)_{ii}} / (P R)_{ii}` (Baarda, A testing procedure
+for use in geodetic networks, 1968). An error of that size changes the unknowns by
+:math:`N J^T P e_i` times the size (external reliability).
 """
 
 from __future__ import annotations
@@ -161,26 +162,41 @@ def observation_groups(lines: Sequence[Reliability]) -> tuple[ObservationGroup, 
 
 
 def reliabilities(
-    state: State, covariance: Floats, layout: Layout, ties: Ties
+    state: State,
+    covariance: Floats,
+    layout: Layout,
+    ties: Ties,
+    *,
+    inverse: Floats | None = None,
 ) -> tuple[Reliability, ...]:
-    """Return the reliability of start poses, targets, control points and scale bars."""
+    """Return the reliability of start poses, targets, control points and scale bars.
+
+    `inverse` is that of the normal matrix. It differs from the covariance if surfaces
+    contribute; without surfaces it is the covariance.
+    """
+    inverse = covariance if inverse is None else inverse
     lines: list[Reliability] = []
     for name, parts, residual, prior, columns, rows in _observations(
         state, layout, ties
     ):
         free = columns >= 0
         at, design = columns[free], rows[:, free]
-        spread = prior - design @ covariance[np.ix_(at, at)] @ design.T
         weight = np.linalg.inv(prior)
-        redundancy = np.clip(np.diag(spread @ weight), 0.0, 1.0)
+        # Part of an error that appears in the adjusted value.
+        absorbed = design @ inverse[np.ix_(at, at)] @ design.T
+        adjusted = design @ covariance[np.ix_(at, at)] @ design.T
+        spread = prior - absorbed - absorbed.T + adjusted
+        redundancy = np.clip(1 - np.diag(absorbed @ weight), 0.0, 1.0)
         information = np.diag(weight @ spread @ weight)
+        effect = np.diag(weight - weight @ absorbed @ weight)
         for number, part in enumerate(parts):
             checked = redundancy[number] > _UNCHECKED and information[number] > 0
             root = float(np.sqrt(information[number])) if checked else np.inf
-            detectable = _NON_CENTRALITY / root if checked else None
+            detectable = None
             scan, external = "", None
-            if detectable is not None:
-                change = covariance[:, at] @ design.T @ weight[:, number] * detectable
+            if checked:
+                detectable = _NON_CENTRALITY * root / float(effect[number])
+                change = inverse[:, at] @ design.T @ weight[:, number] * detectable
                 scan, external = _largest_shift(change, layout)
             lines.append(
                 Reliability(
