@@ -309,7 +309,10 @@ def _result(
     seen_through = _seen_through(site, result, ties, surfaces)
     return replace(
         result,
-        weaknesses=_weak_directions(result, ties, surfaces),
+        # Suspected errors do not make a direction weak.
+        weaknesses=_weak_directions(
+            replace(result, covariance=alignment.covariance), ties, surfaces
+        ),
         contradictions=_worst_first(
             (
                 *result.contradictions,
