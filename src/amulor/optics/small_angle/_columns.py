@@ -59,6 +59,14 @@ class Table(NamedTuple):
     fraction: float
     cells: Array
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both are the same table; its values are not compared."""
+        return self is other
+
+    def __hash__(self) -> int:
+        """Hash of the identity, for caches."""
+        return id(self)
+
 
 def table(phase_function: PhaseFunction, split_angle: float) -> Table:
     """Return the transform table of a phase function, cached if hashable."""
@@ -270,8 +278,8 @@ def panels(
             limits.append(min(limits[-1] + width, end))
         inside = [depth for depth in breaks if start < depth < limits[-1]]
         start = limits[-1]
-        limits_inside = np.unique(limits + inside)
-        waiting = np.stack([limits_inside[:-1], limits_inside[1:]], axis=1)
+        limits_inside = np.array(sorted({*limits, *inside}))
+        waiting = np.array([limits_inside[:-1], limits_inside[1:]]).T
         while waiting.size:
             half = (waiting[:, 1] - waiting[:, 0]) / 2
             depth = waiting[:, :1] + half[:, None] * (node + 1)
@@ -284,10 +292,12 @@ def panels(
             edges = np.concatenate([edges, waiting[done]])
             values = np.concatenate([values, samples[done]])
             total += max(part[done].sum(), 0.0)
+            if done.all():
+                break
             low, high = waiting[~done].T
             middle = (low + high) / 2
             waiting = np.concatenate(
-                [np.stack([low, middle], 1), np.stack([middle, high], 1)]
+                [np.array([low, middle]).T, np.array([middle, high]).T]
             )
             if len(waiting) > _MOST_PANELS:
                 raise ArithmeticError(
@@ -490,8 +500,11 @@ class Column(NamedTuple):
 
 def looks(depth: Array, column: Column) -> Array:
     """Return depth and view as rows of an array, for the compiled loops."""
-    view = (getattr(column, name) for name in LOOK)
-    return np.stack(np.broadcast_arrays(depth, *view), axis=1)
+    rows = np.empty((depth.size, 1 + len(LOOK)))
+    rows[:, 0] = depth
+    for place, name in enumerate(LOOK, 1):
+        rows[:, place] = getattr(column, name)
+    return rows
 
 
 def overlap_of(

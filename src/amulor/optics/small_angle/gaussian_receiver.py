@@ -7,7 +7,7 @@ of the forward peak.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -467,10 +467,12 @@ def _plain(phase_per_depth: Array, column: Column) -> NDArray[np.complex128]:
     )
 
 
+@lru_cache(maxsize=2048)
 def _panels(
     column: Column, spread: Table, *, partial_sum: float
 ) -> tuple[Array, Array]:
     """Return edges of depth panels, and the scattered light at their nodes [sr]."""
+    # Cached: steps of a scan, and methods side by side, compute the same columns again.
     radius, angle = _widths(column)
     loss, peak = column.loss(spread), _peak(column)
     step = min(0.3 * (radius / angle + column.baseline), 1 / (loss + column.scattering))
