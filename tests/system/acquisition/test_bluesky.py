@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.clock import RealClock, VirtualClock
@@ -19,7 +20,7 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.devices import SimulatedTargetStage
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 
 bluesky = pytest.importorskip("bluesky", reason="pip install 'amulor[bluesky]'")
 pytest.importorskip("ophyd_async", reason="pip install 'amulor[bluesky]'")

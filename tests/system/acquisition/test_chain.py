@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from shared_light import scene_light
 
 from amulor import acquisition, imaging, rejection
 from amulor.acquisition.journal.journal import Journal
@@ -20,7 +21,7 @@ from amulor.acquisition.settings import Settings
 from amulor.cli import main
 from amulor.cube import UNUSABLE
 from amulor.io import read_cube
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 #: Columns, rows and repeats of the open-water shots.

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.rehearsal import Rehearsal, rehearse
 from amulor.acquisition.settings import Settings
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 # What these packages do when they are imported is not ours to judge.

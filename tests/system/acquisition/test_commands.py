@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from shared_light import scene_light
 
 from amulor import acquisition, io
 from amulor.acquisition import plan
@@ -28,7 +29,6 @@ from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.cli import acquire, main
-from amulor.simulation import scene_light
 from amulor.survey import Survey
 from amulor.view.page.live import Live
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from shared_light import scene_light
 
 from amulor import acquisition, io
 from amulor.acquisition import plan
@@ -23,7 +24,7 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings
 from amulor.cli import main
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 RUN = [sys.executable, "-m", "amulor"]

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from driven_devices import devices_of
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition import plan
@@ -32,7 +33,6 @@ from amulor.acquisition.plan import SCAN, Key
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.scene import SceneLight
 from amulor.errors import AmulorError
-from amulor.simulation import scene_light
 from amulor.survey import Survey
 
 RECORD = Record(

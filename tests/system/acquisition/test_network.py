@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.typing import NDArray
+from shared_light import scene_light
 
 from amulor import acquisition, imaging, io, rejection
 from amulor.acquisition.journal.journal import Journal
@@ -15,7 +16,7 @@ from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 

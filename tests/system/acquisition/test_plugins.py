@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
@@ -24,7 +25,7 @@ from amulor.acquisition.settings.parts import LaserSettings, SourceSettings
 from amulor.acquisition.simulated.bench import SCAN_SPEED, Bench
 from amulor.acquisition.simulated.devices import SimulatedLaserDriver
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 
 PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "add-an-instrument.md"
 TURN = 0.0349

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition, imaging, rejection
 from amulor.acquisition import plan
@@ -20,7 +21,7 @@ from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.cube import UNUSABLE
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 #: The interlock opens at this reading, for as many of them as dark readings follow.

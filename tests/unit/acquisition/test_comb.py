@@ -7,6 +7,7 @@ import itertools
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition import plan
@@ -24,7 +25,7 @@ from amulor.acquisition.simulated.devices import (
 )
 from amulor.acquisition.simulated.zurich import SimulatedUhfli
 from amulor.errors import InstrumentError, SurveyError
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 light = functools.cache(scene_light)

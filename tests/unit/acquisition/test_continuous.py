@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from driven_devices import wired_sr865a
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.bluesky import ScanDevice
@@ -18,7 +19,6 @@ from amulor.acquisition.plan import SCAN, steps, strips
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.errors import InstrumentError, SurveyError
-from amulor.simulation import scene_light
 from amulor.survey import Survey
 
 CONTINUOUS = {

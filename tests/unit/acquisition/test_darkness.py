@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.connect import connect
@@ -11,7 +12,6 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN
 from amulor.acquisition.sampler import DarkLevel, SampleFlag
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light
 
 
 def test_light_is_told_from_darkness_by_the_spread_of_dark_readings() -> None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as settings_of_hypothesis
 from hypothesis import strategies as st
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
@@ -29,7 +30,7 @@ from amulor.acquisition.simulated.devices import (
     SimulatedTargetStage,
 )
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 light = functools.cache(scene_light)

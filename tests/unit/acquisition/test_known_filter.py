@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.connect import connect
@@ -11,7 +12,7 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.uncertainty import filtered_input, input_variance_ratio
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 KNOWN = {"procedure": {"output_filter": "known", "dark_readings": 2}}

@@ -6,11 +6,11 @@ import dataclasses
 import math
 
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.connect import connect
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light
 
 
 class Limited:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition import plan
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.sampler import SampleFlag
-from amulor.simulation import scene_light
 
 
 def test_spoiled_samples_are_taken_again_on_request_only(

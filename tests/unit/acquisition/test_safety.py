@@ -6,6 +6,7 @@ import dataclasses
 import os
 
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition import plan, run
@@ -13,7 +14,6 @@ from amulor.acquisition.connect import OperatorTargetStage, connect
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.errors import FormatError, InstrumentError, SurveyError
-from amulor.simulation import scene_light
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.connect import connect
@@ -12,7 +13,7 @@ from amulor.acquisition.plan import SCAN
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 JUDGED = {"settled_by": "samples", "dark_readings": 2}

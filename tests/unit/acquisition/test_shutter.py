@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition import plan
@@ -14,7 +15,6 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings, ShutterSettings
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light
 from amulor.survey import Survey
 
 #: Crosstalk of the bench, in phase [V].

@@ -31,7 +31,7 @@ def test_open_water_leaves_the_target_and_names_what_is_left(
     plate: Survey, samples: xr.Dataset
 ) -> None:
     square = []
-    for seed in range(21, 27):
+    for seed in range(21, 24):
         cube = samples if seed == 21 else simulate(plate, rng=seed)
         found = rejection.open_water(cube, put_back=False)
         cubes.check(found, "target_signal")

@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 
 from amulor import io, rejection
+from amulor.cli import main
 from amulor.cube import tiles
 from amulor.errors import CubeError
 from amulor.simulation import simulate
@@ -185,15 +186,14 @@ def test_the_method_of_another_package_runs_everywhere(
 
 
 def test_an_option_that_a_method_does_not_use_is_refused(
-    samples: xr.Dataset, tmp_path: Path
+    samples: xr.Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scan = tmp_path / "samples.nc"
     io.write_cube(samples, scan)
     words = ["reject", str(scan), "-o", str(tmp_path / "target.nc")]
-    done = amulor(
-        tmp_path, *words, "--method", "frequency", "--column-uncertainty", "20 %"
-    )
-    assert done.returncode == 2
-    assert "frequency does not use --column-uncertainty" in done.stderr
-    assert "it uses --frequency, --nearest, --farthest" in done.stderr
+    words += ["--method", "frequency", "--column-uncertainty", "20 %"]
+    assert main(words) == 2
+    message = capsys.readouterr().err
+    assert "frequency does not use --column-uncertainty" in message
+    assert "it uses --frequency, --nearest, --farthest" in message
     assert not (tmp_path / "target.nc").exists()

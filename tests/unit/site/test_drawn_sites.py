@@ -103,6 +103,7 @@ def test_a_start_far_beyond_its_stated_error_is_named() -> None:
     assert moved.wrong(found)["a3"][0] < 0.02
 
 
+@pytest.mark.slow
 def test_a_delay_that_nobody_stated_is_named() -> None:
     drawn = one_visit(
         "bed", 4, position=0.01, angle=0.005, rows=48,
@@ -296,6 +297,7 @@ def test_scores_of_patterns_are_standard_normal_and_sizes_are_detectable(
     assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.4)
 
 
+@pytest.mark.slow
 def test_the_rows_of_a_plane_do_not_seem_to_drift() -> None:
     # Patterns at the places of noisy points hang together with the noise: then the mean
     # of these scores is -1, of four scans in 11 sites.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,8 +19,9 @@ NOISE = oracle.Noise(own=1e-3, delay=1e-5, index=1e-6, reference=1e-5)
 PLATEAU = 0.16**2
 
 
-def bumped(height: float, seed: int = 1) -> tuple[DrawnSite, Merged]:
-    rng = np.random.default_rng(seed)
+@cache
+def bumped(height: float) -> tuple[DrawnSite, Merged]:
+    rng = np.random.default_rng(1)
     before = oracle.bed(rng, high=(0.03, 0.08))
     after = replace(before, bump=height, middle=(0.1, 0.05))
     drawn = two_visits(before, after, rng, rows=70, noise=NOISE)

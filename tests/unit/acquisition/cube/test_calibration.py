@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from shared_light import scene_light
 
 from amulor import acquisition, imaging, io, rejection
 from amulor.acquisition.cube.calibrate import from_plates
@@ -19,7 +20,6 @@ from amulor.acquisition.cube.calibration import (
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.settings import Settings
 from amulor.errors import CubeError, FormatError
-from amulor.simulation import scene_light
 from amulor.survey import OpenWater, Survey
 
 TABLE = Calibration(

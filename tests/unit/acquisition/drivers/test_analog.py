@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.connect import connect
@@ -28,7 +29,6 @@ from amulor.acquisition.settings import Settings
 from amulor.acquisition.settings.parts import AnalogSettings, MirrorSettings
 from amulor.acquisition.simulated.bench import SCAN_SPEED
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light
 
 PAGE = Path(__file__).parents[4] / "docs" / "how-to" / "add-an-instrument.md"
 VOLTS = np.linspace(-4, 4, 9)

@@ -8,6 +8,7 @@ import threading
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
@@ -20,7 +21,6 @@ from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import ScannerSettings, Settings
 from amulor.acquisition.simulated.pelco_head import SPEED, SimulatedPelcoHead
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light
 
 HEAD = {"driver": "pelco_d", "address": "tcp://10.0.0.5:4001"}
 

@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
@@ -18,7 +19,7 @@ from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.sr865a import SimulatedSr865a
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 light = functools.cache(scene_light)

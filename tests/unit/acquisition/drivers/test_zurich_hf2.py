@@ -13,6 +13,7 @@ import re
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
@@ -27,7 +28,7 @@ from amulor.acquisition.simulated.devices import (
     SimulatedTargetStage,
 )
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 
 toolkit = pytest.importorskip("zhinst.toolkit", reason="pip install 'amulor[zi]'")
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from journal_damage import copied, damage
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.journal import file as journal_file
@@ -24,7 +25,6 @@ from amulor.acquisition.journal.rows import checksum
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings
 from amulor.errors import AmulorError, FormatError
-from amulor.simulation import scene_light
 from amulor.survey import Survey
 
 #: What a sample consists of in the cube, and what all of them make together.

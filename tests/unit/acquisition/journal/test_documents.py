@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition import plan
 from amulor.acquisition.journal.documents import documents
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.settings import Settings
-from amulor.simulation import scene_light
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import threading
 import time
 
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.connect import connect
@@ -13,7 +14,6 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import Key
 from amulor.acquisition.settings import Settings
 from amulor.errors import AmulorError, FormatError
-from amulor.simulation import scene_light
 
 MAIN = threading.main_thread().name
 

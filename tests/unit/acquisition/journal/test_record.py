@@ -9,13 +9,13 @@ import sys
 
 import numpy as np
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.journal.file import FILE_NAME
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light
 
 #: Adds a quantity to the table and to what the simulated laser measures, nothing else.
 ADDED = """

@@ -7,13 +7,13 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.connect import connect
 from amulor.acquisition.links import exclusive
 from amulor.acquisition.rehearsal import rehearse
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light
 
 
 @pytest.fixture(autouse=True)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from shared_light import scene_light
 
 from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.connect import connect, open_link, simulated_bench
@@ -18,7 +19,6 @@ from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.pi import SimulatedPiController
 from amulor.errors import InstrumentError, MissingExtraError
-from amulor.simulation import scene_light
 
 
 class Echo:

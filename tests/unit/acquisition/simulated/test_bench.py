@@ -7,13 +7,14 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from shared_light import scene_light
 
 from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.connect import simulated_bench
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.bench import LOCK_TIME, SCAN_SPEED, Bench
 from amulor.acquisition.uncertainty import reading_variance, variance_ratio
-from amulor.simulation import scene_light, simulate
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 QUIET = {"launch": {"V": 0.0, "H": 1.5}, "analyser": {"V": 0.0, "H": 1.5}}

@@ -5,13 +5,13 @@ from __future__ import annotations
 import socket
 
 import pytest
+from shared_light import scene_light
 
 from amulor.acquisition.connect import simulated_bench
 from amulor.acquisition.links.tcp import DeviceServer
 from amulor.acquisition.simulated.pi import SimulatedPiController
 from amulor.acquisition.simulated.sr865a import SimulatedSr865a
 from amulor.acquisition.simulated.stanford import SimulatedSr844
-from amulor.simulation import scene_light
 
 
 @pytest.fixture
