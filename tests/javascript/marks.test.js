@@ -10,12 +10,17 @@ const STYLE = readFileSync(
   new URL("../../src/amulor/view/page/static/page.css", import.meta.url),
   "utf-8",
 );
-const THEMES = [":root {", ':root[data-theme="dark"] {'].map((head) => {
-  const block = STYLE.slice(STYLE.indexOf(head), STYLE.indexOf("}", STYLE.indexOf(head)));
-  return Object.fromEntries(
-    [...block.matchAll(/--([\w-]+): (#[0-9a-f]{6})/g)].map((found) => [found[1], bytes(found[2])]),
-  );
-});
+const THEMES = [":root {", ':root[data-theme="dark"] {', ':root[data-theme="contrast"] {'].map(
+  (head) => {
+    const block = STYLE.slice(STYLE.indexOf(head), STYLE.indexOf("}", STYLE.indexOf(head)));
+    return Object.fromEntries(
+      [...block.matchAll(/--([\w-]+): (#[0-9a-f]{6})/g)].map((found) => [
+        found[1],
+        bytes(found[2]),
+      ]),
+    );
+  },
+);
 
 function bytes(hex) {
   return [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
@@ -77,4 +82,14 @@ test("the marking color is none that data have", () => {
     );
     assert.ok(least > 30, `${least}`);
   }
+});
+
+test("text of the high-contrast theme has a contrast above 7, as WCAG 2 asks for level AAA", () => {
+  const theme = THEMES[2];
+  for (const text of [theme.ink, theme.soft, theme.accent, theme.warn])
+    for (const behind of [theme.card, theme.ground, theme.stage, theme["accent-soft"]])
+      assert.ok(contrast(text, behind) > 7, `${text} on ${behind}`);
+  assert.ok(contrast(theme.warn, theme["warn-soft"]) > 7);
+  // Frames of fields and panels have 4.5.
+  assert.ok(contrast(theme.line, theme.card) > 4.5);
 });

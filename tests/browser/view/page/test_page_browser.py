@@ -195,6 +195,18 @@ def test_keys_switch_and_themes_work(
         shown.keyboard.press("ArrowDown")
         shown.keyboard.press("ArrowRight")
         assert shown.evaluate("amulor.cursor") == [before[0] + 1, before[1] + 1]
+        # High contrast follows dark and lasts over a reload.
+        name = "document.documentElement.dataset.theme"
+        shown.keyboard.press("d")
+        assert shown.evaluate(name) == "contrast"
+        settled(shown)
+        corner = drawn(shown, "map")[0, 0, :3].tolist()
+        assert corner == [255, 255, 255]
+        words = shown.get_attribute("#theme", "aria-label")
+        assert words == "Theme: high contrast. Next: light (D)"
+        shown.reload()
+        shown.wait_for_selector("html[data-complete=yes]")
+        assert shown.evaluate(name) == "contrast"
         for key, name in (("2", "amplitude"), ("3", "uncertainty"), ("1", "range")):
             shown.keyboard.press(key)
             until(shown, f"amulor.layerName === '{name}'")

@@ -5,8 +5,9 @@ import { $, inkOf, made, ratioOf } from "./dom.js";
 import { ErrorMap, hatch, LIMITS, placeIn } from "./error_map.js";
 import { fitted } from "./map.js";
 import { failed, say } from "./panel.js";
-import { download, themed } from "./picture.js";
+import { download } from "./picture.js";
 import { short } from "./text.js";
+import { firstTheme, nextTheme, themed } from "./theme.js";
 
 /** Number of steps of a slider. */
 const STEPS = 200;
@@ -266,7 +267,7 @@ async function save() {
 }
 
 function toggle() {
-  colours = themed(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  colours = nextTheme();
   draw();
 }
 
@@ -301,7 +302,7 @@ function wired() {
 }
 
 async function main() {
-  colours = themed(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  colours = themed(firstTheme());
   state.scene = await (await ask("scene")).json();
   const { scene } = state;
   document.title = `${scene.title} · amulor design`;

@@ -5,8 +5,9 @@ import { $, made } from "./dom.js";
 import { addressLimits, LimitFields, limitsFrom, limitsOfAddress, limitsText } from "./limits.js";
 import { colourBar } from "./map.js";
 import { failed, listMeasurements } from "./panel.js";
-import { download, pictureOf, png, themed } from "./picture.js";
+import { download, pictureOf, png } from "./picture.js";
 import { MeasurementRecord, wireRecord } from "./record.js";
+import { firstTheme, nextTheme, themed } from "./theme.js";
 
 const ARROWS = {
   ArrowLeft: [-1, 0],
@@ -60,15 +61,19 @@ export class Page {
     });
   }
 
-  /** Apply the colors of a theme; by default the one that the system prefers. */
-  theme(name = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light") {
-    this.colours = themed(name);
-    this.#on.themed?.(this.colours);
-    this.redraw();
+  /** Apply the colors of the first theme. */
+  theme() {
+    this.#themed(themed(firstTheme()));
   }
 
   otherTheme() {
-    this.theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+    this.#themed(nextTheme());
+  }
+
+  #themed(colours) {
+    this.colours = colours;
+    this.#on.themed?.(colours);
+    this.redraw();
   }
 
   hint(text, wrong = false) {

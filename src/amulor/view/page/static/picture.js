@@ -75,26 +75,3 @@ export function download(name, blob) {
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
-
-/** Return the colors of the page for drawings. */
-export function themed(name) {
-  document.documentElement.dataset.theme = name;
-  const style = getComputedStyle(document.documentElement);
-  const get = (key) => style.getPropertyValue(`--${key}`).trim();
-  const rgb = (text) => [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16) / 255);
-  return {
-    ink: get("ink"),
-    soft: get("soft"),
-    line: get("line"),
-    accent: get("accent"),
-    band: get("band"),
-    mark: get("mark"),
-    under: get("under"),
-    plate: get("card"),
-    stage: get("stage"),
-    chosen: get("chosen"),
-    font: getComputedStyle(document.body).fontFamily || "sans-serif",
-    ground: rgb(get("stage")),
-    missing: name === "dark" ? [0.2, 0.25, 0.28] : [0.8, 0.83, 0.85],
-  };
-}

@@ -328,7 +328,8 @@ export function drawHistogram(canvas, state, colours) {
     view.ctx.fillStyle = `rgb(${table[at]},${table[at + 1]},${table[at + 2]})`;
     view.ctx.fillRect(left, top, Math.max(right - left - 0.6, 0.6), frame.box.bottom - top);
     view.ctx.strokeStyle = colours.line;
-    if (counts[k])
+    // Outlines of narrow bars would hide their colors.
+    if (counts[k] && right - left > 5)
       view.ctx.strokeRect(left, top, Math.max(right - left - 0.6, 0.6), frame.box.bottom - top);
   }
   const beside = [under && `${under} below`, over && `${over} above`].filter(Boolean).join(", ");
