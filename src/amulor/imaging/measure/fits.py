@@ -446,15 +446,18 @@ def _fitted(
     inverse = np.linalg.inv(normal)
     change = _along(residuals, solution.x, points) * (scale / sigma)
     kinds, count = change.shape
-    spread = np.zeros((kinds * count, count))
-    for at in range(kinds):
-        spread[at * count + np.arange(count), np.arange(count)] = change[at]
-    gain = inverse @ jacobian.T @ spread
-    left_over = spread - jacobian @ gain
+    by_kind = jacobian.reshape(kinds, count, -1)
+    gain = inverse @ np.einsum("knp,kn->pn", by_kind, change)
     # If the range errors are unknown, the misfit is relative to the noise.
     covariance_known = np.isfinite(points.covariance).all()
     scatter = points.covariance if covariance_known else np.diag(points.noise)
-    expected = float(np.einsum("ij,jk,ik->", left_over, scatter, left_over))
+    # The trace of (S - J G) C (S - J G)^T, without matrices over all pairs of pixels.
+    along = gain @ scatter
+    expected = float(
+        (change**2).sum(axis=0) @ scatter.diagonal()
+        - 2 * np.einsum("knp,kn,pn->", by_kind, change, along, optimize=True)
+        + np.trace(along @ gain.T @ normal)
+    )
     squares = float(2 * solution.cost)
     freedom = max(kinds * count - len(solution.x), 1)
     misfit = squares / expected if expected > 0 else 1.0
