@@ -20,6 +20,8 @@ test("an uncertainty has two digits, and the value as many places", () => {
   assert.equal(withError(-0.02, 0.001, "m"), "−20.0 ± 1.0 mm");
   assert.equal(withError(Math.PI / 2, Math.PI / 180, "rad"), "(90.0 ± 1.0)°");
   assert.equal(withError(0.0004, 0.00002, "m2"), "400 ± 20 mm²");
+  assert.equal(withError(3.42e-3, 0.13e-3, "m3"), "3.42 ± 0.13 dm³");
+  assert.equal(withError(19.4e-6, 1.8e-6, "m3"), "19.4 ± 1.8 cm³");
   assert.equal(withError(0.912, 0.034, "1"), "0.912 ± 0.034");
 });
 

@@ -13,6 +13,7 @@ from amulor.imaging.measure.figures import (
 )
 from amulor.imaging.measure.fits import Fit, circle, cylinder, plane, sphere
 from amulor.imaging.measure.points import Points, points_of, reference_basis
+from amulor.imaging.measure.volumes import volume
 
 __all__ = [
     "Check",
@@ -32,6 +33,7 @@ __all__ = [
     "read_checks",
     "reference_basis",
     "sphere",
+    "volume",
 ]
 
 

@@ -39,7 +39,7 @@ class Measurement:
     random: float
     """Part of the uncertainty from the noise of single pixels."""
     unit: str
-    """Unit: m, m2 or rad."""
+    """Unit: m, m2, m3 or rad."""
     pixels: int
     """Number of pixels used [1]."""
 

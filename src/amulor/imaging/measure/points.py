@@ -84,14 +84,23 @@ def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
     mask = np.zeros(shape, dtype=bool)
     mask.flat[numbers] = True
     matrix = covariance(image, mask)[np.ix_(place, place)]
-    beam = geometry_of(_only(image, row, column)).beam
-    travelled = ranges - beam.length_before[0]
+    position, direction = rays_of(image, row, column, ranges)
     return Points(
-        position=beam.entry[0] + travelled[:, None] * beam.direction[0],
-        direction=beam.direction[0],
+        position=position,
+        direction=direction,
         covariance=matrix,
         noise=own_variance(image)[row, column],
     )
+
+
+def rays_of(
+    image: xr.Dataset, row: Numbers, column: Numbers, ranges: Floats
+) -> tuple[Floats, Floats]:
+    """Points at given ranges along the beams of pixels, and their beam directions."""
+    beam = geometry_of(_only(image, row, column)).beam
+    travelled = ranges - beam.length_before[0]
+    direction = np.asarray(beam.direction[0])
+    return beam.entry[0] + travelled[:, None] * direction, direction
 
 
 def _only(image: xr.Dataset, row: Numbers, column: Numbers) -> xr.Dataset:

@@ -44,6 +44,8 @@ class Products(Protocol):
 _OFF_SURFACE = QualityFlag.MIXED | QualityFlag.OUTLIER
 _MOST_PICKS = 200
 _LARGEST_REACH = 20
+#: Pixels of a volume, which are thinned evenly beyond [1].
+_MOST_OF_VOLUME = 250_000
 
 _FITS: dict[str, Callable[..., measure.Fit]] = {
     "plane": measure.plane,
@@ -60,7 +62,9 @@ def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
     kind = str(request.get("kind", ""))
     channel = str(request.get("channel", recording.channels[0]))
     picture = recording.channel(channel).shown
-    if kind in _FITS and "region" in request:
+    if kind == "volume":
+        result = _volume(picture, request)
+    elif kind in _FITS and "region" in request:
         result = _fit(picture, kind, _region(picture, request["region"]))
     elif kind in (*_FIGURES, *_FITS, "area"):
         pixels = _pixels(picture, request.get("pixels"))
@@ -71,7 +75,7 @@ def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
     else:
         raise CubeError(
             f"{kind[:40]!r} cannot be measured, only "
-            f"{', '.join([*_FIGURES, 'area', *_FITS])}"
+            f"{', '.join([*_FIGURES, 'area', *_FITS, 'volume'])}"
         )
     return {
         "kind": kind,
@@ -115,6 +119,51 @@ def _figure(
     }
 
 
+def _volume(picture: Picture, request: dict[str, Any]) -> dict[str, Any]:
+    """Volume between a rectangle of the surface and the plane of another one."""
+    parts = [
+        _region(picture, request.get("region"), most=_MOST_OF_VOLUME),
+        _region(picture, request.get("base")),
+    ]
+    image = picture.around(
+        sorted({row for part in parts for row, _ in part}),
+        sorted({column for part in parts for _, column in part}),
+    )
+    masks = np.zeros((2, *image["slant_range"].shape), dtype=bool)
+    for mask, part in zip(masks, parts, strict=True):
+        mask[tuple(np.transpose([picture.place(*pixel) for pixel in part]))] = True
+    off = (image["quality_flag"].values & _OFF_SURFACE) != 0
+    figure = measure.volume(image, masks[0], base=masks[1] & ~off)
+    line = {
+        "label": "volume",
+        "value": figure.value,
+        "uncertainty": _or_none(figure.uncertainty),
+        "unit": figure.unit,
+    }
+    return {
+        "lines": [line],
+        "random": _or_none(figure.random),
+        "pixels": figure.pixels,
+    }
+
+
+def _flatness(fit: measure.Fit) -> dict[str, Any]:
+    """Root mean square departure of a surface from its plane, without the noise."""
+    noise = fit.residual**2 / max(fit.misfit, 1e-12)
+    excess = max(fit.residual**2 - noise, 0.0)
+    # The variance of a mean square of normal errors.
+    error = noise * math.sqrt(2 / max(fit.pixels - 3, 1))
+    value = math.sqrt(excess)
+    return {
+        "label": "flatness",
+        "value": value,
+        "uncertainty": min(error / (2 * value), math.sqrt(error))
+        if value > 0
+        else math.sqrt(error),
+        "unit": "m",
+    }
+
+
 def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str, Any]:
     image = picture.around(
         sorted({row for row, _ in pixels}), sorted({column for _, column in pixels})
@@ -136,8 +185,9 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
         }
         for name, value in fit.values.items()
     ]
-    if kind == "plane":  # people state how much it leans before where it is
+    if kind == "plane":  # people state how much it leans and bends before where it is
         lines.sort(key=lambda line: line["label"] != "tilt")
+        lines.insert(1, _flatness(fit))
     else:  # and diameters
         radius = lines[0] if lines[0]["label"] == "radius" else None
         if radius is not None:
@@ -162,7 +212,9 @@ def _or_none(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def _region(picture: Picture, corners: Any) -> list[tuple[int, int]]:
+def _region(
+    picture: Picture, corners: Any, *, most: int = 1500
+) -> list[tuple[int, int]]:
     """Pixels in a rectangle, evenly thinned if they are many."""
     if not isinstance(corners, list) or len(corners) != 4:
         raise CubeError(
@@ -174,7 +226,7 @@ def _region(picture: Picture, corners: Any) -> list[tuple[int, int]]:
     ]
     rows = np.arange(min(ends[0], ends[2]), max(ends[0], ends[2]) + 1)
     columns = np.arange(min(ends[1], ends[3]), max(ends[1], ends[3]) + 1)
-    step = max(1, math.ceil(math.sqrt(rows.size * columns.size / 1500)))
+    step = max(1, math.ceil(math.sqrt(rows.size * columns.size / most)))
     return [(int(r), int(c)) for r in rows[::step] for c in columns[::step]]
 
 

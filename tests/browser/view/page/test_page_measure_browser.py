@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -210,3 +211,57 @@ def test_with_the_water_left_in_no_number_has_an_interval(
     text = shown.evaluate("import('page/tools.js').then(m => m.asText(amulor))")
     assert "±" not in text
     assert one.errors == []
+
+
+def test_a_volume_over_a_plane_by_keyboard(
+    tab: Callable[..., Any], steps: page.Recording
+) -> None:
+    one = tab()
+    with page.background(steps) as address:
+        shown = one.open(address)
+
+        def rectangle(kind: str, last: tuple[int, int], first: tuple[int, int]) -> None:
+            """Set two corners by arrow keys and Enter."""
+            count = shown.evaluate("amulor.measurements.length")
+            shown.focus(f"#tools button[data-kind={kind}]")
+            shown.keyboard.press("Enter")
+            shown.focus("#map")
+            for corner in (first, last):
+                now = shown.evaluate("amulor.cursor")
+                for at, keys in ((0, ("Up", "Down")), (1, ("Left", "Right"))):
+                    for _ in range(abs(corner[at] - now[at])):
+                        shown.keyboard.press(f"Arrow{keys[corner[at] > now[at]]}")
+                assert shown.evaluate("amulor.cursor") == list(corner)
+                shown.keyboard.press("Enter")
+            shown.wait_for_selector(f"#measurements li:nth-child({count + 1})")
+
+        # Without a plane there is nothing over which the volume is one.
+        shown.click("#tools button[data-kind=volume]")
+        drag(shown, (2, 8), (20, 34))
+        shown.wait_for_selector("#hint.wrong")
+        assert "Fit a plane to the ground first" in shown.inner_text("#hint")
+        shown.click("#tools button[data-kind=volume]")
+        rectangle("plane", (20, 36), (3, 26))
+        assert shown.evaluate("amulor.measurements[0].region") == [3, 26, 20, 36]
+        head = shown.inner_text("#measurements li:first-child .value")
+        # The wall is a plane across the view.
+        assert "tilt" in head
+        assert "flatness" in head
+        rectangle("volume", (2, 8), (20, 34))
+        found = shown.evaluate("amulor.measurements[1]")
+        assert found["region"] == [2, 8, 20, 34]
+        line = found["found"]["lines"][0]
+        # The board, 60 mm before the wall, and its shadow: beams between two planes.
+        # Its edge is straight ahead; columns and rows are 8 / 39 and 4.8 / 23 deg.
+        wide = math.tan(math.radians(11.5 * 8 / 39))
+        tall = math.tan(math.radians(9.5 * 4.8 / 23)) + math.tan(
+            math.radians(8.5 * 4.8 / 23)
+        )
+        true = wide * tall * (1.5**3 - 1.44**3) / 3
+        assert line["unit"] == "m3"
+        assert line["value"] == pytest.approx(true, rel=0.05)
+        assert abs(line["value"] - true) < 2 * line["uncertainty"]
+        entry = shown.inner_text("#measurements li:nth-child(2)")
+        assert " ± " in entry
+        assert "cm³" in entry
+        assert one.errors == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -17,9 +18,10 @@ from amulor import imaging, io
 from amulor.cli import main
 from amulor.cube import QualityFlag, schema
 from amulor.errors import CubeError
+from amulor.imaging import measure
 from amulor.imaging.observation import geometry_of
 from amulor.view import page
-from amulor.view.page import pictures
+from amulor.view.page import measuring, pictures
 from amulor.view.page import recording as recordings
 from amulor.view.page.layers import packed, unpacked
 from amulor.view.page.saved import static_files
@@ -145,6 +147,7 @@ def test_the_server_measures_what_the_library_measures(
         ({"kind": "height", "pixels": [[0, 0], [1, 1]], "axis": [0, 0]}, "an axis"),
         ({"kind": "height", "pixels": [[0, 0], [1, 1]], "axis": [0, 0, 0]}, "length"),
         ({"kind": "area", "pixels": [[0, 0], [1, 1]]}, "at least 3 corners"),
+        ({"kind": "volume", "region": [0, 0, 5, 5]}, "a region has"),
         ({"kind": "plane", "region": [0, 0, 0]}, "a region has"),
         ({"kind": "sphere", "region": [0, 0, 1, 1]}, "at least 5 usable"),
         ({"kind": "distance", "channel": "RR", "pixels": [[0, 0]]}, "no channel 'RR'"),
@@ -211,6 +214,25 @@ def test_a_page_is_saved_with_at_most_500_measurements(
     )
     assert taken.status_code == 200
     assert len(re.findall(r'"kind": ?"own"', taken.text)) == 500
+
+
+def test_flatness_is_the_departure_without_the_noise() -> None:
+    # Noise of 3 mm and a surface off its plane by 4 mm leave residuals of 5 mm.
+    fit = measure.Fit(
+        kind="plane",
+        values={},
+        uncertainties={},
+        residual=5e-3,
+        misfit=25 / 9,
+        pixels=203,
+    )
+    line = measuring._flatness(fit)
+    assert line["value"] == pytest.approx(4e-3)
+    # A mean of 200 squares has the relative standard error of a tenth.
+    assert line["uncertainty"] == pytest.approx(0.1 * 9e-6 / (2 * 4e-3))
+    flat = measuring._flatness(dataclasses.replace(fit, residual=2e-3, misfit=0.9))
+    assert flat["value"] == 0
+    assert flat["uncertainty"] == pytest.approx(np.sqrt(0.1 * 4e-6 / 0.9))
 
 
 def test_a_page_is_saved_with_typed_limits(client: TestClient) -> None:

@@ -29,6 +29,7 @@ const state = {
   tool: null,
   picks: /** @type {Pixel[]} */ ([]),
   region: /** @type {number[] | null} */ (null),
+  corner: /** @type {Pixel | null} */ (null),
   section: /** @type {Pixel[] | null} */ (null),
   measurements: /** @type {any[]} */ ([]),
   chosen: null,
@@ -485,19 +486,13 @@ function dragged(phase, start, event, view) {
   const line = state.profileKind === "section" && state.drawing;
   if (!(tool?.region || line)) return false;
   const [one, other] = [view.pixel(state.scene, start, true), view.pixel(state.scene, event, true)];
+  spanned(one, other);
   if (line) {
-    state.section = [one, other];
     if (phase === "end") state.drawing = false;
     page.dragsOn("map", state.drawing);
   } else {
-    state.region = [
-      Math.min(one[0], other[0]),
-      Math.min(one[1], other[1]),
-      Math.max(one[0], other[0]),
-      Math.max(one[1], other[1]),
-    ];
     if (phase === "end") {
-      const [r0, c0, r1, c1] = state.region;
+      const [r0, c0, r1, c1] = /** @type {number[]} */ (state.region);
       if (r1 > r0 || c1 > c0) finish();
       else state.region = null;
     }
@@ -506,12 +501,39 @@ function dragged(phase, start, event, view) {
   return true;
 }
 
+/** Span the line of a section or the rectangle of a fit between two pixels. */
+function spanned(one, other) {
+  if (state.profileKind === "section" && state.drawing) state.section = [one, other];
+  else
+    state.region = [
+      Math.min(one[0], other[0]),
+      Math.min(one[1], other[1]),
+      Math.max(one[0], other[0]),
+      Math.max(one[1], other[1]),
+    ];
+}
+
+/** Set the first end of a line or rectangle by keyboard, or finish it at the second end. */
+function cornered(pixel) {
+  if (!state.corner) {
+    state.corner = pixel;
+    page.hint("First end set. Move with the arrow keys; Enter sets the other end.");
+    return;
+  }
+  spanned(state.corner, pixel);
+  state.corner = null;
+  if (state.drawing) {
+    state.drawing = false;
+    page.dragsOn("map", false);
+  } else finish();
+}
+
 function profileAlong(kind) {
   state.profileKind = kind;
   state.drawing = kind === "section";
   for (const button of $("profile-kind").children)
     button.setAttribute("aria-pressed", String(button.dataset.kind === kind));
-  if (state.drawing) page.hint("Drag a line over the map.");
+  if (state.drawing) page.hint("Drag a line over the map, or set its ends with Enter.");
   page.dragsOn("map", state.drawing);
   page.redraw();
 }
@@ -611,8 +633,10 @@ function pointsOrSurface() {
 
 /** Finish a measurement that has enough points, or else pick the pixel under the pointer. */
 function entered() {
-  const least = page.tool()?.least;
-  if (least && state.picks.length >= least) finish();
+  const tool = page.tool();
+  const least = tool?.least;
+  if (state.cursor && (state.drawing || tool?.region)) cornered(state.cursor);
+  else if (least && state.picks.length >= least) finish();
   else if (state.cursor) picked(state.cursor);
 }
 
@@ -635,6 +659,10 @@ function arrow(into, [dx, dy], { shiftKey }) {
   /** @type {Pixel} */
   const to = [within(row + dy * step, scene.rows), within(column + dx * step, scene.columns)];
   state.pinned = to;
+  if (state.corner) {
+    spanned(state.corner, to);
+    page.redraw();
+  }
   point(to);
   return true;
 }

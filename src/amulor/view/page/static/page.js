@@ -93,6 +93,7 @@ export class Page {
     state.tool = state.tool === kind ? null : kind;
     state.picks = [];
     state.region = null;
+    state.corner = null;
     for (const button of $("tools").children) {
       button.setAttribute("aria-pressed", String(button.dataset.kind === state.tool));
     }

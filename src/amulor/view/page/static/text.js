@@ -10,6 +10,12 @@ const AREAS = [
   { unit: "cm²", factor: 1e4 },
   { unit: "mm²", factor: 1e6 },
 ];
+const VOLUMES = [
+  { unit: "m³", factor: 1 },
+  { unit: "dm³", factor: 1e3 },
+  { unit: "cm³", factor: 1e6 },
+  { unit: "mm³", factor: 1e9 },
+];
 const VOLTS = [
   { unit: "V", factor: 1 },
   { unit: "mV", factor: 1e3 },
@@ -32,6 +38,7 @@ export function scaled(size, unit) {
         ? LENGTHS[1]
         : LENGTHS[2];
   if (unit === "m2") return magnitude >= 1 ? AREAS[0] : magnitude >= 1e-3 ? AREAS[1] : AREAS[2];
+  if (unit === "m3") return VOLUMES.find((one) => magnitude * one.factor >= 1) ?? VOLUMES[3];
   if (unit === "V") return VOLTS.find((one) => magnitude * one.factor >= 1) ?? VOLTS[3];
   if (unit === "rad") return { unit: "°", factor: 180 / Math.PI };
   return { unit: "", factor: 1 };

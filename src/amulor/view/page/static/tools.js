@@ -12,6 +12,7 @@ import { withError, withUnit } from "./text.js";
  * @property {number} [points] how many are picked
  * @property {number} [least] how many at least, where it is open
  * @property {boolean} [region] a rectangle is dragged
+ * @property {boolean} [base] over a plane that was fitted before
  * @property {number[]} [axis] of heights
  */
 
@@ -65,10 +66,32 @@ export const TOOLS = [
     region: true,
     hint: "Drag a rectangle over the pipe on the map.",
   },
+  {
+    kind: "volume",
+    name: "volume",
+    region: true,
+    base: true,
+    hint: "Fit a plane to the ground first, then drag a rectangle over the body and its edges.",
+  },
 ];
 
 export function toolOf(kind) {
   return /** @type {Tool} */ (TOOLS.find((tool) => tool.kind === kind));
+}
+
+/** Return the rectangle of the plane over which a volume is measured: that of the selected
+measurement, or else the latest. */
+function baseOf({ measurements, chosen, scene }) {
+  const planes = [...measurements, chosen].filter(
+    (kept) =>
+      kept?.kind === "plane" &&
+      kept.region &&
+      !kept.found.doubt &&
+      channelOf(kept) === scene.channel,
+  );
+  if (!planes.length)
+    throw new Error("Fit a plane to the ground first; the volume is the one over it.");
+  return planes.at(-1).region;
 }
 
 /** Compute a measurement from its picks, by the server or in the page. */
@@ -89,6 +112,7 @@ export async function measured(state, tool, picks, region) {
     reach: state.average,
   };
   if (tool.axis) request.axis = tool.axis;
+  if (tool.base) request.base = baseOf(state);
   if (region) request.region = region;
   else request.pixels = picks;
   return source.measure(request);
@@ -101,12 +125,13 @@ export function worded(found) {
   const kept = found.lines.filter(
     (line) => !ANGLE[line.label] && !/^(axis|point|centre) /.test(line.label),
   );
-  const main = found.doubt
-    ? [found.doubt]
-    : kept.map(
-        (line) =>
-          `${line.label === found.kind ? "" : `${line.label} `}${withError(line.value, line.uncertainty, line.unit)}`,
-      );
+  const numbers = kept.map(
+    (line) =>
+      `${line.label === found.kind ? "" : `${line.label} `}${withError(line.value, line.uncertainty, line.unit)}`,
+  );
+  // A plane is described by its tilt and its flatness.
+  if (found.kind === "plane") numbers.splice(0, 2, numbers.slice(0, 2).join(", "));
+  const main = found.doubt ? [found.doubt] : numbers;
   const rests = [];
   if (found.random !== undefined)
     rests.push(`noise ${withUnit(found.random, found.lines[0].unit, 2)}`);
