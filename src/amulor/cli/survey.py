@@ -13,6 +13,7 @@ from amulor.cli._arguments import check_inputs
 from amulor.cli._output import print_json, print_next, progress_bar
 
 if TYPE_CHECKING:
+    from amulor.imaging.calibration_plan import CalibrationLine
     from amulor.rejection.reference.grid import Plan
     from amulor.simulation import Expectation
     from amulor.survey import Scan, Survey, WaterProperties
@@ -34,6 +35,7 @@ def check(
 
     from dataclasses import asdict
 
+    from amulor.imaging.calibration_plan import calibration_plan, first_calibration
     from amulor.optics import ranging
     from amulor.rejection.channels import CROSS_POLARIZED
     from amulor.rejection.reference.grid import judge_plan
@@ -55,6 +57,9 @@ def check(
         advance("what to expect", 0.0)
         plan = judge_plan(survey)
         expected, unknown = _expected(survey)
+    middle = math.nan if reach is None else sum(reach) / 2
+    errors = [] if reach is None else calibration_plan(survey, slant_range=middle)
+    first = first_calibration(errors) if errors else None
     scan = survey.scan
     samples = len(frequencies) * len(survey.instrument.polarizations)
     seconds = scan.rows * scan.columns * samples * scan.dwell
@@ -73,6 +78,8 @@ def check(
                 "open_water_plan": None if plan is None else asdict(plan),
                 "scan_time_s": seconds,
                 "expected": None if expected is None else asdict(expected),
+                "instrument_errors": [asdict(line) for line in errors],
+                "calibrate_first": None if first is None else first.how,
             }
         )
         return
@@ -92,6 +99,8 @@ def check(
         _print_expected(survey, expected, dark)
     elif unknown:
         print(f"  what to expect is not known: {unknown}")
+    if errors:
+        _print_errors(errors, first, middle)
     if plan is not None and not plan.holds:
         _warn_of_sparse_shots(scan, plan)
     if scan.open_water is None:
@@ -176,6 +185,27 @@ def _print_expected(
             f"  warning: {expected.saturated:.0%} of the samples overload the detector "
             f"({survey.instrument.detector.saturation:g} V); less power or gain"
         )
+
+
+def _print_errors(
+    lines: list[CalibrationLine], first: CalibrationLine | None, slant_range: float
+) -> None:
+    """Print the range errors by the instrument, before and after each calibration."""
+    print(f"  errors by the instrument at {slant_range:.3g} m (standard uncertainty):")
+    for line in lines:
+        now = "unknown" if line.now is None else f"{1e3 * line.now:.2g} mm"
+        print(
+            f"    {line.name}: {now}, calibrated {1e3 * line.calibrated:.2g} mm "
+            f"({line.how})"
+        )
+    known = [line.now for line in lines if line.now is not None]
+    total = f"{1e3 * math.hypot(*known):.2g} mm"
+    if len(known) < len(lines):
+        total = f"more than {total}"
+    after = math.hypot(*(line.calibrated for line in lines))
+    print(f"    total: {total}, all calibrated {1e3 * after:.2g} mm")
+    if first is not None:
+        print(f"    do first: {first.how} ({first.name})")
 
 
 def _whereabouts(survey: Survey, position: tuple[float, float, float]) -> str:

@@ -1,0 +1,138 @@
+"""Range errors by the instrument, before and after each calibration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.constants import speed_of_light
+
+from amulor.optics import ranging
+from amulor.optics._geometry import Geometry
+from amulor.survey import Survey
+from amulor.survey.calibration import Calibration
+from amulor.survey.properties import group_index_uncertainty, phase_uncertainty
+from amulor.survey.view import medium_of
+
+#: Uncertainty of a distance by tape measure, and of each receiver coordinate [m].
+TAPE = 1e-3
+#: Uncertainty of beam directions after an alignment [rad].
+_ALIGNED = math.radians(0.05)
+#: Uncertainties of temperature [degC] and practical salinity [1] by common probes.
+_PROBE = {"temperature_uncertainty": 0.5, "salinity_uncertainty": 0.5}
+#: Temperature [degC] and practical salinity [1] of water that states neither.
+_STATE = {"temperature": 15.0, "salinity": 35.0}
+#: Phase uncertainty that a calibration without filters leaves: an aliased harmonic of
+#: 1 % (decision 40) [rad].
+MEASURED_LEAKAGE = math.radians(0.4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationLine:
+    """Range error by one property of the instrument."""
+
+    name: str
+    """Name of the property."""
+    now: float | None
+    """Standard uncertainty of the range by the survey as it is; None if unknown [m]."""
+    calibrated: float
+    """Standard uncertainty of the range after the calibration [m]."""
+    how: str
+    """Calibration, with the uncertainty that it is assumed to have."""
+
+    @property
+    def gain(self) -> float:
+        """Decrease of the variance; infinite if the error is unknown now [m^2]."""
+        if self.now is None:
+            return math.inf
+        return self.now**2 - min(self.now, self.calibrated) ** 2
+
+
+def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationLine]:
+    """Return the range errors by the instrument in the middle of a scan.
+
+    The frequencies are weighted by their squares, as those of equal phase noise. A
+    calibration never makes a stated error larger.
+    """
+    geometry = Geometry(
+        azimuth=np.array(survey.scan.azimuth),
+        elevation=np.array(survey.scan.elevation),
+        emitter=np.array(survey.instrument.emitter.position),
+        receiver=np.array(survey.instrument.receiver.position),
+        medium=medium_of(survey),
+    )
+    path = geometry.optical_path(np.array(slant_range))
+    _, slope = geometry.slant_range_and_slope(path)
+    stated = survey.calibration or Calibration()
+    frequency = np.array(survey.instrument.modulation_frequencies)
+    weight = frequency**2 / np.sum(frequency**2)
+    per_phase = 2 * ranging.range_per_phase(frequency, group_index=1.0)
+    by_phase = float(slope * np.linalg.norm(weight * per_phase))
+    by_delay = float(slope * speed_of_light)
+    place = stated.receiver_position_uncertainty
+    turn = stated.direction_uncertainty
+    index = group_index_uncertainty(survey)
+    probed = survey.model_copy(
+        update={
+            "calibration": Calibration(**_PROBE),
+            "water": survey.water.model_copy(
+                update={
+                    name: value
+                    for name, value in _STATE.items()
+                    if getattr(survey.water, name) is None
+                }
+            ),
+        }
+    )
+    probed_index = group_index_uncertainty(probed)
+    assert probed_index is not None
+    tape = 2 * geometry.medium.group_index * TAPE / speed_of_light
+    lines = [
+        (
+            "delay",
+            None
+            if stated.delay_uncertainty is None
+            else by_delay * stated.delay_uncertainty,
+            by_delay * tape,
+            "amulor calibrate plate, distance to 1 mm",
+        ),
+        (
+            "leakage, walk, harmonics",
+            by_phase * phase_uncertainty(survey),
+            by_phase * MEASURED_LEAKAGE,
+            "amulor calibrate leakage",
+        ),
+        (
+            "group index",
+            None if index is None else float(geometry.error_by_index(path, index)),
+            float(geometry.error_by_index(path, probed_index)),
+            "temperature to 0.5 degC, salinity to 0.5",
+        ),
+        (
+            "geometry",
+            None
+            if place is None or turn is None
+            else float(geometry.error_by_place(path, place, turn)),
+            float(geometry.error_by_place(path, TAPE, _ALIGNED)),
+            "receiver to 1 mm, directions to 0.05 degrees",
+        ),
+    ]
+    return [
+        CalibrationLine(
+            name=name,
+            now=now,
+            calibrated=calibrated if now is None else min(now, calibrated),
+            how=how,
+        )
+        for name, now, calibrated, how in lines
+    ]
+
+
+def first_calibration(lines: list[CalibrationLine]) -> CalibrationLine | None:
+    """Return the calibration that decreases the error most; None if none does.
+
+    Unknown errors come first, in the order of the lines.
+    """
+    best = max(lines, key=lambda line: line.gain)
+    return best if best.gain > 0 else None

@@ -1,0 +1,117 @@
+"""Range errors before and after each calibration, and the order of calibrations."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from numpy.testing import assert_allclose
+from scipy.constants import speed_of_light
+
+from amulor.cli import main
+from amulor.imaging.calibration_plan import calibration_plan, first_calibration
+from amulor.survey import Survey
+
+#: A receiver beside the emitter: the path is twice the slant range.
+COAXIAL = {"instrument.receiver.position": ["0 m", "0 m", "0 m"]}
+ALL = {
+    "calibration": {
+        "delay_uncertainty": "1 ps",
+        "receiver_position_uncertainty": "0.1 mm",
+        "direction_uncertainty": "0.001 deg",
+        "group_index_uncertainty": 1e-5,
+    }
+}
+
+
+@pytest.fixture(scope="module")
+def survey(plate: Survey) -> Survey:
+    return plate.with_(
+        {
+            **COAXIAL,
+            "instrument.receiver.azimuth": "0 deg",
+            "instrument.phase_uncertainty": None,
+            "water.group_index": 1.38,
+        }
+    )
+
+
+def by_name(survey: Survey) -> dict:
+    return {line.name: line for line in calibration_plan(survey, slant_range=1.5)}
+
+
+def test_each_error_has_the_size_of_its_formula(survey: Survey) -> None:
+    stated = survey.with_(
+        {
+            "calibration": {
+                "delay_uncertainty": "0.1 ns",
+                "group_index_uncertainty": 0.002,
+            }
+        }
+    )
+    lines = by_name(stated)
+    # c t / 2 n for 0.1 ns, and a distance of 1 mm.
+    assert_allclose(lines["delay"].now, speed_of_light * 0.1e-9 / 2 / 1.38, rtol=1e-4)
+    assert_allclose(lines["delay"].calibrated, 1e-3, rtol=1e-4)
+    # 0.5 degrees at 39 MHz: c / (4 pi f n) a radian.
+    per_radian = speed_of_light / (4 * math.pi * 39e6 * 1.38)
+    phase = lines["leakage, walk, harmonics"]
+    assert_allclose(phase.now, math.radians(0.5) * per_radian, rtol=1e-3)
+    assert_allclose(phase.calibrated, math.radians(0.4) * per_radian, rtol=1e-3)
+    # The range in proportion to the index.
+    assert_allclose(lines["group index"].now, 1.5 * 0.002 / 1.38, rtol=1e-2)
+    assert lines["geometry"].now is None
+
+
+def test_frequencies_average_their_phase_errors(survey: Survey) -> None:
+    two = survey.with_({"instrument.modulation_frequencies": ["39 MHz", "78 MHz"]})
+    one = by_name(survey)["leakage, walk, harmonics"].now
+    # Weights 1/5 and 4/5 of ranges 1 and 1/2 a radian.
+    expected = one * math.hypot(1 / 5, 4 / 5 / 2)
+    assert_allclose(by_name(two)["leakage, walk, harmonics"].now, expected, rtol=1e-6)
+
+
+def test_unknown_errors_come_first_and_then_the_largest(survey: Survey) -> None:
+    assert first_calibration([*by_name(survey).values()]).name == "delay"
+    known = survey.with_(
+        {
+            "calibration": {
+                "delay_uncertainty": "0.01 ns",
+                "receiver_position_uncertainty": "1 mm",
+                "direction_uncertainty": "0.05 deg",
+                "group_index_uncertainty": 0.01,
+            }
+        }
+    )
+    # 0.01 of 1.38 is 11 mm of 1.5 m; no other error is above 4 mm.
+    assert first_calibration([*by_name(known).values()]).name == "group index"
+    perfect = survey.with_({**ALL, "instrument.phase_uncertainty": "0.01 deg"})
+    lines = by_name(perfect)
+    assert first_calibration([*lines.values()]) is None
+    for line in lines.values():
+        assert line.calibrated == line.now
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("", "do first: amulor calibrate plate, distance to 1 mm (delay)"),
+        (
+            '[calibration]\ndelay_uncertainty = "1 ps"\n'
+            'receiver_position_uncertainty = "0.1 mm"\n'
+            'direction_uncertainty = "0.001 deg"\ngroup_index_uncertainty = 0.00001\n',
+            "do first: amulor calibrate leakage (leakage, walk, harmonics)",
+        ),
+    ],
+)
+def test_survey_check_says_what_to_calibrate_first(
+    plate_text: str, tmp_path, capsys, more: str, said: str
+) -> None:
+    text = plate_text.replace('phase_uncertainty = "0 deg"\n', "") + more
+    file = tmp_path / "tank.toml"
+    file.write_text(text)
+    assert main(["survey", "check", str(file)]) == 0
+    out = capsys.readouterr().out
+    assert "errors by the instrument at 1.5 m (standard uncertainty):" in out
+    assert said in out
+    assert ("total: more than" in out) == (not more)
