@@ -233,7 +233,12 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
         measured = cubes.attach(measured, shots, "open_water")
     measured = measured.assign(_user_variables(scan))
     if closed:
-        measured = measured.assign_attrs(shutter="closed")
+        procedure = procedure_of(journal)
+        count = max(procedure.references * procedure.dark_readings, 1)
+        scatter = np.nanvar(scan["signal"], axis=(2, 3)) / 2
+        # Samples and dark readings without light have the same noise.
+        error = np.sqrt(np.maximum(scatter / count, dark[1])).ravel()
+        measured = measured.assign_attrs(shutter="closed", dark_uncertainty=error)
     else:
         leakage = shutter_leakage(survey, journal, dark, frequency)
         if leakage:

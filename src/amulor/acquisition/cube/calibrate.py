@@ -82,10 +82,13 @@ def from_shutter(recordings: Sequence[xr.Dataset]) -> Calibration:
     parts: dict[str, list[tuple[Complex, Floats]]] = {"scan": [], "open_water": []}
     for cube in recordings:
         _refuse_open_shutter(cube, first)
-        scan = _mean_output(cube)
+        dark = np.reshape(cube.attrs.get("dark_uncertainty", 0.0), (-1, 1))
         shots = cube.amulor.open_water
-        parts["scan"].append(scan)
-        parts["open_water"].append(scan if shots is None else _mean_output(shots))
+        for part, samples in (("scan", cube), ("open_water", shots)):
+            mean, error = _mean_output(cube if samples is None else samples)
+            # All samples share the error of the subtracted dark output.
+            shared = np.broadcast_to(dark, (error.size, 1)).reshape(error.shape)
+            parts[part].append((mean, np.hypot(error, shared)))
     return Calibration(
         date=_date(first),
         leakage=mean_leakage(

@@ -232,3 +232,16 @@ def test_numbers_that_do_not_fit_are_refused(clear) -> None:
         from_plates([plate, plate], distance=[1.5, 0.0])
     with pytest.raises(CubeError, match="no cube"):
         from_plates([], distance=1.5)
+
+
+def test_the_error_of_the_dark_output_is_in_that_of_the_leakage(clear) -> None:
+    (dark,) = closed(clear, LEAK)
+    shared = 1e-9 * np.arange(1, 7)
+    calibration = from_shutter([dark.assign_attrs(dark_uncertainty=shared)])
+    alone = from_shutter([dark])
+    for one, other, error in zip(
+        calibration.leakage, alone.leakage, shared, strict=True
+    ):
+        expected = math.hypot(other.scan_uncertainty, error)
+        assert_allclose(one.scan_uncertainty, expected)
+        assert_allclose(one.open_water_uncertainty, expected)
