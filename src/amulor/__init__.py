@@ -6,7 +6,7 @@
         |
     simulate(survey, rng=...)         cube of lock-in samples  <-- read_cube(path)
         |
-    rejection.open_water(cube)        the water signal taken out
+    rejection.open_water(cube)        the water signal is removed
         |
     imaging.range_image(cube)         slant ranges with uncertainty and flags
         |

@@ -406,7 +406,7 @@ def _user_variables(
 ) -> dict[str, xr.Variable]:
     flag = (means.flag | np.int16(BREAKDOWN) * broken).astype(np.int16)
     masks = np.array([ZERO, BREAKDOWN, NO_NUMBER], dtype=np.int16)
-    about = "what stood in the way of a sample, 0 if nothing did"
+    about = "problems of a sample, 0 if none"
     result = {
         "user_sample_flag": xr.Variable(
             _SAMPLE,

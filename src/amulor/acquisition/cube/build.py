@@ -380,7 +380,7 @@ def _user_variables(samples: Samples) -> dict[str, xr.Variable]:
 
     return {
         "user_sample_flag": variable(
-            "what stood in the way of a sample, 0 if nothing did", flag, "1",
+            "problems of a sample, 0 if none", flag, "1",
             flag_masks=masks, flag_values=masks, flag_meanings=words,
         ),
         **{

@@ -120,11 +120,11 @@ class Calibration(Description):
     """Leakage of each channel, which is subtracted before the phase is corrected."""
     delay_uncertainty: Annotated[Time, Field(ge=0, le=1e-6)] | None = None
     """Standard uncertainty of the delay that all frequencies share, from the distance
-    of the plate and the group index; unknown if left out [s]."""
+    of the plate and the group index; unknown by default [s]."""
     group_index: Annotated[float, Field(ge=1, le=2)] | None = None
     """Group index that plates at several distances show; not applied to ranges [1]."""
     group_index_uncertainty: Annotated[float, Field(ge=0)] | None = None
-    """Standard uncertainty of this group index; unknown if left out [1]."""
+    """Standard uncertainty of this group index; unknown by default [1]."""
 
     @model_validator(mode="after")
     def _has_a_measurement(self) -> Self:

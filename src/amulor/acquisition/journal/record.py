@@ -78,10 +78,10 @@ class Record:
     ]  # fmt: skip
     commanded_azimuth: Annotated[
         float,
-        _direction("direction asked for, to the right", cube="commanded_azimuth"),
+        _direction("commanded direction, to the right", cube="commanded_azimuth"),
     ]
     commanded_elevation: Annotated[
-        float, _direction("direction asked for, upwards", cube="commanded_elevation")
+        float, _direction("commanded direction, upwards", cube="commanded_elevation")
     ]
     azimuth: Annotated[float, _direction("direction read back, to the right")]
     elevation: Annotated[float, _direction("direction read back, upwards")]

@@ -294,7 +294,7 @@ class Settings(Description):
     target: TargetSettings = TargetSettings()
     """Target stage."""
     shutter: ShutterSettings | None = None
-    """Shutter in front of the detector; none if left out."""
+    """Shutter in front of the detector; none by default."""
     digitiser: DigitiserSettings = DigitiserSettings()
     """Digitizer that replaces the lock-in."""
     source: SourceSettings = SourceSettings()
