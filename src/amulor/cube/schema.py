@@ -329,10 +329,12 @@ PIXEL_TESTS = {
         _PIXEL, "1", "water signal behind the target over target signal, maximum"
     ),
     "water_shape_significance": _optional(
-        _PIXEL, "1", "part of the signal like the water over its error, if flagged"
+        _PIXEL,
+        "1",
+        "part of the signal like the water signal over its error, if flagged",
     ),
     "water_shape_probability": _optional(
-        _PIXEL, "1", "p-value of the part of the signal unlike the water, if flagged"
+        _PIXEL, "1", "p-value of the signal without its part like the water, if flagged"
     ),
     "joint_detection": _optional(
         _PIXEL, "1", "decrease of chi-square by a target, joint estimation"
@@ -571,10 +573,10 @@ GROUP_VARIABLES = {"open_water": OPEN_WATER_VARIABLES, "truth": TRUTH_VARIABLES}
 #: Attributes of the scalar coordinate `geometry`, by which a phase becomes a point in
 #: space. Positions [m] are (right, down, forward).
 GEOMETRY_ATTRIBUTES = {
-    "group_index": "group index of the water, which delays the modulation [1]",
-    "refractive_index": "phase index of the water, which bends the beam [1]",
-    "emitter_position": "where the beam starts, unless origin_x, _y, _z say so [m]",
-    "receiver_position": "where the light is collected [m]",
+    "group_index": "group index of the water, for the speed of the modulation [1]",
+    "refractive_index": "phase index of the water, for the refraction of the beam [1]",
+    "emitter_position": "start of the beam, if the cube has no origin_x, _y, _z [m]",
+    "receiver_position": "middle of the receiver's aperture [m]",
 }
 #: Present together, or not at all (emitter in the water).
 WINDOW_ATTRIBUTES = {

@@ -224,8 +224,8 @@ class Instrument(Description):
     """Window between instrument and water; none by default."""
     phase_uncertainty: Annotated[Angle, Field(ge=0, le=0.5)] | None = None
     """Standard uncertainty of the phase at each modulation frequency from leakage,
-    amplitude-dependent phase and harmonics. If left out, 0.5 degrees are assumed, as of
-    typical instruments; 0 is an instrument without such errors [rad]."""
+    amplitude-dependent phase and harmonics [rad]. The default is 0.5 degrees, as in
+    typical instruments; 0 means an instrument without such errors."""
     errors: InstrumentErrors | None = None
     """Instrument errors that simulated samples contain; none by default."""
 

@@ -198,14 +198,14 @@ class InstrumentErrors(Description):
     clock: Clock | None = None
     """Error of the modulation frequencies."""
     drift: Drift | None = None
-    """Drift of power and modulation depth (of the light), and of phase and delay (after
-    the crosstalk is added)."""
+    """Drift of the power and modulation depth of the light, and of the phase and delay
+    of the signal with crosstalk."""
     optical_leakage: OpticalLeakage | None = None
     """Light that leaks within the instrument."""
     counting: Counting | None = None
     """Dead time and after-pulses."""
     harmonic: Harmonic | None = None
-    """Harmonic in the output of the fundamental."""
+    """Response of the lock-in amplifier to a harmonic."""
     compression: Compression | None = None
     """Gain that depends on the amplitude."""
     walk: Walk | None = None

@@ -32,17 +32,17 @@ class WaterState(Description):
     split_angle: Annotated[Angle, Field(gt=0, le=math.pi)] = math.pi / 2
     """Angle that separates forward scattering from diffuse scattering [rad]. 90 degrees
     is right for the small-angle model, which simulates scans, and for its closure. With
-    90 degrees, the diffusion model of Ricci et al. 2010 gives a cut-off 57 to 83 % too
-    high and too weak an echo of a far target. State 10 to 20 degrees for the diffusion
-    model."""
+    90 degrees, the diffusion model of Ricci et al. 2010 gives a cut-off that is 57 to
+    83 % too high, and an echo of a far target that is too weak. State 10 to 20 degrees
+    for the diffusion model."""
     temperature: Annotated[Temperature, Field(ge=0, le=30)] | None = None
     """Temperature of the water, which determines the refractive indices [degC]. Without
-    a temperature, amulor assumes 15 degC and adds the error for 0 to 30 degC to the
-    ranges."""
+    a temperature, amulor assumes 15 degC. The uncertainty of the ranges then includes
+    temperatures from 0 to 30 degC."""
     salinity: Annotated[float, Field(ge=0, le=43)] | None = None
     """Practical salinity, which determines the refractive indices; 0 is fresh water
-    [1]. Without a salinity, amulor assumes 20 and adds the error for 0 to 40 to the
-    ranges."""
+    [1]. Without a salinity, amulor assumes 20. The uncertainty of the ranges then
+    includes salinities from 0 to 40."""
     refractive_index: Annotated[float, Field(ge=1.2, le=1.5)] | None = None
     """Phase index; computed from temperature and salinity by default [1]."""
     group_index: Annotated[float, Field(ge=1.2, le=1.6)] | None = None

@@ -61,7 +61,7 @@ def sensitivity(
     if scheduler is None or folder is None:
         worked = _worked(study, figures, tasks, workers)
     else:
-        worked = _spread_out(study, figures, tasks, scheduler, folder)
+        worked = _on_cluster(study, figures, tasks, scheduler, folder)
     for done, (task, outcomes) in enumerate(worked):
         end, number, _ = task
         progress(f"varied {end.name}, figure {number}", (done + 1) / len(tasks))
@@ -108,7 +108,7 @@ def _worked(
     study: Study, figures: Mapping[int, Checks], tasks: list[_Task], workers: int
 ) -> Iterator[tuple[_Task, list[_Outcome]]]:
     """Yield tasks with their outcomes, computed on several processor cores."""
-    together = _together(tasks)
+    together = _by_end(tasks)
     if workers == 1:
         for group in together:
             for task in group:
@@ -122,7 +122,12 @@ def _worked(
         parameters = tuple(study.parameters.values())
         futures = [
             pool.submit(
-                _elsewhere, parameters, study.quick, study.seed, dict(figures), group
+                _outcomes_in_worker,
+                parameters,
+                study.quick,
+                study.seed,
+                dict(figures),
+                group,
             )
             for group in together
         ]
@@ -137,12 +142,12 @@ def _worked(
             raise
 
 
-def _together(tasks: list[_Task]) -> list[list[_Task]]:
+def _by_end(tasks: list[_Task]) -> list[list[_Task]]:
     """Group tasks by input number and end of range."""
     return [list(group) for _, group in groupby(tasks, key=lambda task: task[0])]
 
 
-def _spread_out(
+def _on_cluster(
     study: Study,
     figures: Mapping[int, Checks],
     tasks: list[_Task],
@@ -153,7 +158,7 @@ def _spread_out(
     require("scale", purpose="a cluster")
     from amulor.scale.tasks import cluster_client, in_order
 
-    together = _together(tasks)
+    together = _by_end(tasks)
     work = _Ends(
         parameters=tuple(study.parameters.values()),
         quick=study.quick,
@@ -195,7 +200,7 @@ class _Ends:
     def write(self, number: int, path: Path) -> None:
         """Write the outcomes at one end of a range to a file."""
         group = self.together[number]
-        outcomes = _elsewhere(
+        outcomes = _outcomes_in_worker(
             self.parameters, self.quick, self.seed, self.figures, group
         )
         plain = [
@@ -232,7 +237,7 @@ def _end_with(parent: BaseProcess) -> None:
     os._exit(1)
 
 
-def _elsewhere(
+def _outcomes_in_worker(
     parameters: tuple[Parameter, ...],
     quick: bool,
     seed: int,

@@ -46,7 +46,7 @@ def linear_checks(study: Study) -> list[Check]:
     crossed = drift("d_VH")
     share = lines.rejected_share(study, "d", ("VH", "VV"))
     note = (
-        f"; crossed is {100 * share:.2g} % of the water's light, and "
+        f"; {100 * share:.2g} % of the water's light is cross-polarized, and "
         f"{100 * needed_crossed_share(study):.2g} % would be needed"
     )
     thin, thick = (
@@ -118,8 +118,8 @@ def crossed_checks(study: Study) -> list[Check]:
         margin,
         low=lines.FLAT,
         uncertainty=error,
-        note=f" (VH {crossed:.2f}, RR {circular:.2f} deg); the water passes "
-        f"{shares[0] / shares[1]:.2g} times as much light of the same hand as crossed, "
+        note=f" (VH {crossed:.2f}, RR {circular:.2f} deg); the share of the water's "
+        f"light in RR is {shares[0] / shares[1]:.2g} times that in VH, "
         f"and less than {echo_ratio(study):.2g} times would be needed",
     )
     return [lines.surely(check, margin - lines.SURE * error >= lines.FLAT)]
