@@ -14,21 +14,21 @@ Floats = NDArray[np.float64]
 
 #: Name of the map that `flag_mixed` adds.
 MIXED = "user_mixed"
-#: Four pixels lie on a straight line if their chi-square of two degrees of freedom is
-#: below this, which chance exceeds in 1 of 1000 cases [1].
+#: Largest chi-square of four pixels on a straight line, for two degrees of freedom and
+#: a p-value of 0.001 [1].
 _STRAIGHT = 13.8
-#: Pixels along an edge that are taken together, and the same of three degrees of
-#: freedom for them.
+#: Number of pixels along an edge that are averaged, and their largest chi-square, for
+#: three degrees of freedom [1].
 _ALONG = 5
 _STRAIGHT_ALONG = 16.3
-#: Pixels to either side of a step, and to either side along it, that are fitted; steps
-#: stand out by so many standard errors, and are the largest so near [1].
+#: Fitted pixels to either side of a step, and along it. Least height of a step in
+#: standard errors, and distance in pixels within which it is the largest [1].
 _SIDE, _BESIDE, _STEP, _NEAR = 4, (3, 10), 4.0, 3
-#: Curves of smooth surfaces are no steps below this part of the range [1].
+#: Least height of a step as a fraction of the range; smooth curves are below it [1].
 _SMOOTH = 1e-6
-#: Pixels around others that their steps depend on [1].
+#: Number of neighbors on each side on which the steps of a pixel depend [1].
 STEP_MARGIN = max(_SIDE, *_BESIDE) + _NEAR
-#: Variance of ranges stated to be without error: that of a picometre [m^2].
+#: Variance of ranges with a stated error of zero: a picometer squared [m^2].
 _TINY = 1e-24
 
 

@@ -17,33 +17,33 @@ from amulor.imaging.common import own_variance, with_flag
 
 Floats = NDArray[np.float64]
 
-#: Ways through a pixel along which its neighbors are compared: (rows, columns).
+#: Directions along which a pixel is compared with its neighbors: (rows, columns).
 _WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))
-#: At a rim, straight continuations of the next pixels: steps and their weights [1].
+#: Extrapolations at a rim: distances of the next pixels and their weights [1].
 _ONWARD = (((1, 1.0), (2, 0.5), (4, -0.5)), ((1, 2.0), (2, -1.0)))
 _REACH = 4
-#: Half width of the surroundings whose roughness counts [pixel].
+#: Half width of the neighborhood in which the roughness is estimated [pixel].
 _AROUND = 3
-#: How much farther than the roughness around it a pixel must stand off [1].
+#: Least deviation of an outlier, divided by the roughness of its neighborhood [1].
 ROUGHER = 3.0
-#: Share of chance among the pixels that are outliers together [1].
+#: False-discovery rate where many pixels are outliers [1].
 BY_CHANCE = 0.1
-#: How often they are looked for.
+#: Number of search rounds.
 _ROUNDS = 2
-#: Standard errors below which no number of outliers makes a pixel one.
+#: Least deviation of an outlier, for any number of outliers, in standard errors [1].
 LEAST = 2.5
-#: Of the median of its ways each one has at least so much, or the shape goes on [1],
+#: Least deviation of an outlier in each direction, divided by the median deviation [1],
 _ALIKE = 0.5
-#: unless it is off the median by fewer standard errors of its line.
+#: unless it differs from the median by fewer standard errors of its line [1].
 _UNLIKE = 2.5
-#: Variance of the median of four independent lines over that of one, by 10^6 normal
-#: draws, which is above it where a rim makes them unequal [1].
+#: Variance of the median of four independent lines over that of a single line, from
+#: 10^6 normal draws. It is an upper bound if a rim makes the lines unequal [1].
 _OF_MEDIAN = 0.3
-#: Half of normal deviates are smaller [1].
+#: Median modulus of a standard normal deviate [1].
 _HALF = 0.6745
-#: A pixel with at most so many neighbors stands alone where none of them is as far,
+#: Largest number of neighbors of an isolated pixel, none at a similar distance [1],
 _FEW_AROUND = 2
-#: but for so many standard errors and so steep a surface, depth over width [1].
+#: and the limits of similar: standard errors, and slope as depth over width [1].
 _AS_FAR, _STEEP = 4.0, 4.0
 
 

@@ -1,12 +1,11 @@
 """Range checks of arguments: NaN, infinity, sign and shape.
 
-Each function returns its argument as an array of float64 or raises the one
-`ValueError` of this file, "absorption must be finite and not negative [1/m], got nan at
-index (3,)". Properties of water, instrument and formula must be finite (`finite`,
-`not_negative`, `positive`, `at_least`, `within`); a length to an end may be infinite
-(`reach`). What was measured may be NaN, which stands for a missing sample and comes out
-as NaN, and infinite (`measured`, `above_zero`). Shapes are looked at by `broadcast`,
-`one_axis` and `last_axes`.
+Each function returns its argument as an array of float64 or raises a `ValueError`, such
+as "absorption must be finite and not negative [1/m], got nan at index (3,)". Properties
+of water, instrument and formula must be finite (`finite`, `not_negative`, `positive`,
+`at_least`, `within`). A length to an end may be infinite (`reach`). Measured values may
+be infinite, or NaN for a missing sample (`measured`, `above_zero`). The functions
+`broadcast`, `one_axis` and `last_axes` check shapes.
 """
 
 from __future__ import annotations
@@ -141,9 +140,9 @@ def within(
 ) -> Array:
     """Return the value; ValueError if outside of the interval low..high.
 
-    What is beyond an allowed end by rounding alone, 1e-12 of that end, is taken
-    for the end itself: 700 * 1e-9 is above 700e-9, and what follows may rely on the
-    range. An end at 0 has no such room.
+    Values beyond an allowed end by at most 1e-12 of that end are set to the end, since
+    rounding causes such differences: 700 * 1e-9 is above 700e-9. An end at 0 has no
+    such tolerance.
 
     Examples
     --------

@@ -127,8 +127,8 @@ def choose_frequency(
     error = figures.error[:, channel]
     if not np.isfinite(error).any():
         raise CubeError(
-            "no pixel shows a target at any frequency after the water signal is removed; "
-            "raise power or dwell, or look for the target elsewhere"
+            "no pixel shows a target at any frequency after the water signal is "
+            "removed; raise power or dwell, or look for the target elsewhere"
         )
     intervals = ranging.ambiguity_interval(
         frequency, group_index=float(scan.cube["geometry"].attrs["group_index"])

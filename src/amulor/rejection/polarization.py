@@ -28,8 +28,8 @@ from amulor.rejection.observation import Observation
 from amulor.rejection.open_water import cube_of
 from amulor.rejection.reference.before_target import (
     WaterFit,
-    not_smaller_than_shots_say,
-    not_smaller_than_usual,
+    raised_to_median_amplitude,
+    raised_to_shot_amplitude,
 )
 from amulor.rejection.reference.shots import (
     ShotsFit,
@@ -242,8 +242,8 @@ def choose_channel(
     lowest = error.min(axis=0)
     if not np.isfinite(lowest).any():
         raise CubeError(
-            "no pixel shows a target in any channel once the water is taken out; raise "
-            "power or dwell, or look for the target elsewhere"
+            "no pixel shows a target in any channel after the water signal is removed; "
+            "raise power or dwell, or look for the target elsewhere"
         )
     names = cube.amulor.polarizations
     best = int(np.argmin(lowest))
@@ -484,7 +484,9 @@ def _fluctuations(
 ) -> tuple[list[Covariance], FluctuationFit]:
     """Return the water fluctuation by channel, scaled to the co-polarized water."""
     if relative is not None:
-        size, usual = not_smaller_than_usual(water, None if fit is None else fit.usual)
+        size, usual = raised_to_median_amplitude(
+            water, None if fit is None else fit.usual
+        )
         return 2 * [along(size, relative)], FluctuationFit(usual=usual)
     if co.shots is None:
         raise CubeError(
@@ -492,7 +494,7 @@ def _fluctuations(
             "fluctuates; state water_fluctuation (command line: --water-fluctuation, "
             '0 for still water, such as "5 %")'
         )
-    size, before = not_smaller_than_shots_say(
+    size, before = raised_to_shot_amplitude(
         co, water, fit=None if fit is None else fit.water, span=span
     )
     covariances, channels = [], []
@@ -675,7 +677,7 @@ def unmix_stokes(
     if part.shots is not None:
         # Each channel's water follows from its residual.
         water = signal - np.stack([w * solved.target for w in weights[0]], axis=1)
-        size, _ = not_smaller_than_shots_say(part, water)
+        size, _ = raised_to_shot_amplitude(part, water)
         fluctuation = fluctuation_of(fit_shots(part)[0], size)
         solved = solve(errors + fluctuation)
     first = saturated_in_any(cube.sel(polarization=[chosen[0]]), part.cube)

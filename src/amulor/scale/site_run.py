@@ -113,7 +113,7 @@ def run_site(
             results[task.name] = work(task)
     else:
         with cluster_client(scheduler, workers) as client:
-            for result in _spread_out(client, tasks):
+            for result in _on_cluster(client, tasks):
                 results[result.name] = result
                 tell(f"scan {result.name} done", len(results) / len(tasks))
     return tuple(results[task.name] for task in tasks)
@@ -138,7 +138,7 @@ def _started(folder: Path) -> str:
     return now.isoformat()
 
 
-def _spread_out(client: Any, tasks: tuple[Task, ...]) -> Iterator[Done]:
+def _on_cluster(client: Any, tasks: tuple[Task, ...]) -> Iterator[Done]:
     """Run tasks on a cluster; yield their results in order of completion."""
     import distributed
 

@@ -203,10 +203,11 @@ class ScatteringMatrix:
 class AngleCells:
     """Phase function averaged in angle cells, for random scattering angles.
 
-    In a cell the phase function is even in solid angle with the true mean, so what
-    is drawn and what is looked up are one and the same function. A cell is 0.4 % of
-    the angle wide; towards 180 degrees 0.4 % of what is missing to it, down to 0.12
-    mrad: a twentieth of a lobe of spheres of 40 um.
+    Within a cell the phase function is constant per solid angle, with the true mean.
+    Random angles and tabulated values therefore have the same distribution. The width
+    of a cell is 0.4 % of the scattering angle. Near 180 degrees it is 0.4 % of the
+    difference to 180 degrees, but at least 0.12 mrad. This is a twentieth of a lobe of
+    spheres of 40 um diameter.
     """
 
     phase_function: PhaseFunction

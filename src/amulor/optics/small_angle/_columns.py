@@ -526,7 +526,7 @@ def overlap_of(
     flat = {n: value.ravel() for n, value in zip(names, values, strict=True)}
     shared = [name for name in names if name not in LOOK]
     varied = [name for name in shared if columns[name].size > 1]
-    for part in _alike([flat[name] for name in varied], z.size):
+    for part in _equal_columns([flat[name] for name in varied], z.size):
         fields: dict[str, Any] = {name: float(flat[name][part[0]]) for name in shared}
         fields |= {name: flat[name][part] for name in LOOK}
         column = Column(**fields)
@@ -534,7 +534,7 @@ def overlap_of(
     return out
 
 
-def _alike(values: list[Array], count: int) -> list[NDArray[np.intp]]:
+def _equal_columns(values: list[Array], count: int) -> list[NDArray[np.intp]]:
     """Return groups of column indices with equal argument values."""
     if count == 0:
         return []

@@ -16,7 +16,7 @@ from amulor.rejection.joint.search import Estimates
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: A target is there when it explains this much more than water alone, in chi-square.
+#: Least decrease of chi-square by a target, relative to water alone [1].
 DETECTION = 25.0
 #: P-value below which a pixel is excluded from the shared parameters [1].
 _OUTLIER = 1e-6
@@ -24,11 +24,11 @@ _OUTLIER = 1e-6
 _RATIOS = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04, 0.08, 0.16, 0.4, 1.0)
 _LAST = len(_RATIOS) - 1
 _GOLDEN, _SECTIONS = 0.618, 7
-#: A fluctuation that explains less, in twice the logarithm of odds, is none [1].
+#: Least significant fluctuation, in twice the logarithm of the likelihood ratio [1].
 _REAL = 9.0
-#: Pixels that are looked at, and fewer than have neighbors to compare with.
+#: Largest number of pixels in the estimate, and least number for differences [1].
 _JUDGED, _FEWEST_NEIGHBORS = 384, 12
-#: Pixels whose distances count as alike.
+#: Number of pixels in a block of similar distances [1].
 _ALIKE = 24
 _TINY = 1e-300
 
@@ -95,11 +95,11 @@ def scatter_of(
 ) -> Scatter:
     r"""Estimate noise scale and water fluctuation from the scatter between pixels.
 
-    Restricted maximum likelihood of :math:`s^2 C + \phi^2 w w^T` over the scale s and
-    the fluctuation :math:`\phi`, with the stated covariance C and the water signal w,
-    paths and amplitudes projected out. The sum of squares is that of differences
-    between pixels at neighboring distances: what is random differs from one to the
-    next, what the model does not know is the same in both and passes for no noise.
+    The covariance of the samples is :math:`s^2 C + \phi^2 w w^T`, with the stated
+    covariance C and the water signal w. Restricted maximum likelihood estimates the
+    scale s and the fluctuation :math:`\phi`, with paths and amplitudes projected out.
+    The sum of squares is that of differences between pixels at similar distances.
+    Errors of the model are equal in both pixels and cancel; random errors do not.
     """
     parts = [
         _residuals_of(
@@ -135,7 +135,7 @@ def scatter_of(
 def _significant_scale(square: float, parts: list[_Residuals]) -> float:
     """Return the noise scale, or 1 if not significantly different from 1."""
     freedom = sum(part.freedom for part in parts)
-    # Differences of neighbors share every pixel with another one: 3/2 of the variance.
+    # Adjacent differences share a pixel, which increases the variance by 3/2.
     chance = 3 * np.sqrt(3 / max(freedom, 1))
     return float(np.sqrt(square)) if square > 1 + chance else 1.0
 
@@ -183,7 +183,7 @@ class _Residuals:
             )
         if not self.neighbors or count < _FEWEST_NEIGHBORS:
             return float(np.sum(residual**2)), self.freedom, volume
-        # Two samples that both count; the others have no weight and no difference.
+        # Differences need two usable samples.
         usable = np.repeat(self.pixels.usable.reshape(count, -1), 2, axis=1)
         usable_pair = usable[1:] & usable[:-1]
         square = 0.5 * float(
@@ -252,12 +252,12 @@ Bools = NDArray[np.bool_]
 CHANCE = 1e-3
 #: Largest share of outliers among the samples of a pixel, the breakdown point [1].
 BREAKDOWN = 1 / 3
-#: Another sample that explains the last disagreement as well, but for this in
-#: chi-square, leaves open which of both is wrong [1].
+#: Chi-square difference between two candidates below which the outlier is uncertain
+#: [1].
 MARGIN = 9.0
-#: A frequency that more of the pixels would lose in a channel shows that the model is
-#: wrong there, not the pixels; so does one that some would lose, many times more than
-#: lose another one, beyond standard errors of chance [1].
+#: Limits above which the model is wrong at a frequency and channel, not the pixels. The
+#: share of pixels that disagree exceeds the first, or their number exceeds a multiple
+#: of the median over frequencies and channels by a number of standard errors [1].
 _MANY, _TIMES, _CHANCES = 0.15, 3.0, 4.0
 
 
@@ -305,7 +305,7 @@ def disagrees(estimates: Estimates, typical: float = 1.0) -> Bools:
     return np.asarray(estimates.outlying > 2 * typical * np.log(samples / CHANCE))
 
 
-def may_be_left_out(
+def outlier_candidates(
     estimates: Estimates, shape: tuple[int, int], typical: float
 ) -> Bools:
     """Return the samples eligible as outliers: those that disagree in few pixels."""
@@ -327,12 +327,12 @@ def without_outliers(
 ) -> Cleaned:
     """Remove outlying samples from pixels, and estimate again.
 
-    A spike, a particle or a fish is in one sample, since the frequencies are measured
-    one after the other. The sample that lowers chi-square most by its absence goes
-    first, then all is estimated anew, other ambiguity intervals included. The
-    likelihood is that of independent normal errors of which some, anywhere, have a mean
-    of their own. It stays open which samples are wrong where another choice in the last
-    step is as likely as 1 to 90, or more than a third would have to go.
+    The frequencies are measured one after the other, so a spike, a particle or a fish
+    disturbs a single sample. Each step removes the sample whose removal decreases
+    chi-square most, and repeats the estimation, including the ambiguity interval. The
+    likelihood assumes independent normal errors, some of them with a nonzero mean. The
+    outliers are uncertain in two cases: the odds of another sample in the last step
+    are at least 1 to 90, or more than a third of the samples are outliers.
     """
     frequencies = allowed.shape[1]
     usable = pixels.usable

@@ -25,7 +25,7 @@ from amulor.rejection.joint.samples import (
 )
 from amulor.rejection.joint.scatter import (
     are_inliers,
-    may_be_left_out,
+    outlier_candidates,
     typical_misfit,
     without_outliers,
 )
@@ -275,7 +275,9 @@ def _cleaned(
     """Return the problem without outlying samples, and the state with its scatter."""
     for _ in range(_CLEANINGS):
         typical = typical_misfit(estimates)
-        allowed = state.judged & may_be_left_out(estimates, state.judged.shape, typical)
+        allowed = state.judged & outlier_candidates(
+            estimates, state.judged.shape, typical
+        )
         cleaned = without_outliers(
             problem.targets,
             estimates,

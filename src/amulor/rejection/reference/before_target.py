@@ -76,14 +76,14 @@ def turbidity_of(
 ) -> Turbidity:
     r"""Estimate the factor on absorption and scattering that fits the open water best.
 
-    Open water of the survey by `model.water_signal`, times a factor for
-    each channel above zero, against the shots: the phases tell how deep the light
-    comes from, at one frequency already, and the amplitudes how that is spread. The
-    uncertainty of the factor is where chi-square rises by one, or by what it has for
-    each degree of freedom where that is more. Where the small-angle form misses more
-    than 2 % of the open water and the diffusion form of the paper leaves less than half
-    of that, the latter is the model. What is left in spite of the best factor is the
-    model's own error.
+    `model.water_signal` computes the open water of the survey. Its amplitude in each
+    channel is free. The phases of the shots depend on the depth from which the light
+    comes, so one frequency suffices. The amplitudes depend on the spread of this depth.
+    The uncertainty of the factor is the change that increases chi-square by one, or by
+    chi-square per degree of freedom if that is larger. The small-angle form is the
+    model, unless it deviates from the open water by more than 2 % and the diffusion
+    form of the paper by less than half as much. The remaining deviation at the best
+    factor is the error of the model.
     """
     directions = _spread(scan.azimuth.size)
     frequencies, channels = open_water.shape[:2]
@@ -384,7 +384,7 @@ def contradiction(
 ) -> WaterResidualCause:
     """Return the cause of inconsistent shots and scan; 0 if they are consistent."""
     sure = abs(strength.change) - _SURE * strength.uncertainty > LARGEST_CHANGE
-    # No water has a negative strength, and none is like these shots.
+    # No water has a negative strength or resembles these shots.
     negative = sure and strength.change <= -1
     unlike = turbidity is not None and (
         turbidity.misfit > LARGEST_MISFIT
@@ -406,20 +406,19 @@ def strength_of(
 ) -> Strength:
     r"""Estimate the relative change of the water from its reference to the scan.
 
-    All channels and frequencies of a pixel see one path L. Water stronger by c turns
-    their phases by :math:`c\, \mathrm{Im}(W / T)`, each by another angle, so that
+    The path L of a pixel is the same in all channels and frequencies. A relative change
+    c of the water signal shifts each phase by :math:`c\, \mathrm{Im}(W / T)`:
 
     .. math:: \varphi = 2 \pi f L / c_0 + c\, \mathrm{Im}(W / T) .
 
-    Least squares over all samples, the path of each pixel free and c one number for the
-    scan. One frequency in one channel tells nothing. Errors that the pixels share do
-    not average out. The result is weighed against what is expected beforehand,
-    :math:`0 \pm 2 \%`, unless it is clearly larger. Of a large scan 20,000 pixels
-    spread over it count.
+    The fit is least squares over all samples, with a free path for each pixel and one c
+    for the scan. One frequency in one channel does not determine c. Errors common to
+    all pixels do not average out. The prior of c is :math:`0 \pm 2 \%`, unless c is
+    clearly larger. In a large scan the fit uses 20,000 evenly spaced pixels.
     """
     frequency = modulation_frequency.reshape(-1, 1, 1)
     if len(frequency) == 1:
-        # Any path will do that has the phase of all channels together.
+        # Any path with the mean phase of all channels is suitable.
         phase = np.angle(np.nansum(target[0], axis=0))
         path = phase * speed_of_light / (2 * np.pi * modulation_frequency[0])
     pixels = np.flatnonzero(np.isfinite(path))
@@ -455,7 +454,7 @@ def strength_of(
         fit = _fit(phase, turn, wavenumber, weight)
     if fit is None:
         return Strength(change=0.0, uncertainty=DEPARTURE)
-    # Own errors average out over the pixels, shared ones add up.
+    # Independent errors average out over the pixels, common errors add up.
     by_independent = np.sum((fit.gain * sigma) ** 2)
     by_shared = np.sum(np.sum(np.abs(fit.gain * shared), axis=2) ** 2)
     variance = float(by_independent + by_shared)
@@ -505,7 +504,7 @@ def _fit(
     return _Fit(change=change, path=path, gain=gain)
 
 
-def not_smaller_than_shots_say(
+def raised_to_shot_amplitude(
     scan: Observation,
     water: Complex,
     *,
@@ -514,24 +513,23 @@ def not_smaller_than_shots_say(
 ) -> tuple[Complex, WaterFit]:
     """Return the water signal, with amplitudes no smaller than in open-water shots.
 
-    Its phases, and the larger of both amplitudes [V], to know how much the water
-    fluctuates. What is left of it has the error of the target with the other sign:
-    where a fluctuation made the target too large, it makes the water too small, and
-    with it the error that is in proportion to it. In milk, a range that was 25 mm off
-    had 0.9 mm stated. The phase stays: in a shadow the water is all there is, and no
-    error may be left across it.
+    The result has the phases of `water` and the larger of both amplitudes [V]. It is
+    for errors proportional to the water signal. A fluctuation that makes the estimated
+    target too strong makes the estimated water too weak, and so would make its error
+    too small. The phase is not changed: in a shadow the sample contains only water,
+    and no error perpendicular to it may remain.
     """
     before = water_before_target(scan, interval=None, fit=fit, span=span)
     return _at_least(water, np.abs(before.signal)), before.fit
 
 
-def not_smaller_than_usual(
+def raised_to_median_amplitude(
     water: Complex, usual: Floats | None = None
 ) -> tuple[Complex, Floats]:
     """Return the water signal, with amplitudes raised to the median over the scan.
 
-    As `not_smaller_than_shots_say`, for cubes without shots. Also return the median
-    amplitude of each frequency and channel, `usual` if it is stated [V].
+    As `raised_to_shot_amplitude`, for cubes without shots. Also return the median
+    amplitude of each frequency and channel, or `usual` if given [V].
     """
     if usual is None:
         amplitude = np.abs(water)

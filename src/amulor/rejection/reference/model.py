@@ -131,15 +131,16 @@ def model_behind_shots(
 ) -> ModelBehindShots | None:
     """Choose the water model with the smallest cross-validation error at the shots.
 
-    None where the survey says nothing of the water, where a polynomial follows its
-    water from direction to direction well enough, or follows the shots better than any
-    model. `directions` are those of the shots, shape (shot, 2) [rad].
+    None without a survey, and if a polynomial alone is sufficient for the water of the
+    survey or fits the shots better than any model. `directions` are those of the shots,
+    shape (shot, 2) [rad].
 
-    Open water by `model.water_signal` in the survey's turbidity and in others, and by
-    the diffusion form (46) of Ricci et al. 2010, as rederived, each with the delay of
-    every direction. The one is taken whose ratio to the shots, as a polynomial over the
-    directions, foretells directions that are left out best, all frequencies and
-    channels together. The pixels take it from a product of Chebyshev polynomials.
+    Candidates are `model.water_signal` at several turbidities, and the rederived
+    diffusion form (46) of Ricci et al. 2010, each with the delay of every direction.
+    The ratio of the shots to each candidate is fitted by a polynomial over the
+    directions. The best candidate has the smallest prediction error at omitted
+    directions, over all frequencies and channels. Chebyshev polynomials interpolate it
+    to the pixels.
     """
     survey, frequency = scan.survey, scan.frequency
     if survey is None:
@@ -193,8 +194,8 @@ def _is_smooth(
 ) -> bool:
     """Return whether a polynomial alone follows the survey's water between the shots.
 
-    What leaving out single shots misses does not tell: all shots of three rows agree
-    on a parabola.
+    Cross-validation alone is not sufficient: the shots of three rows always fit a
+    parabola.
     """
     low, high = directions.min(axis=0), directions.max(axis=0)
     axes = [

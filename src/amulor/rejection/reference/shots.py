@@ -52,9 +52,10 @@ NO_DRIFT = Drift(0j, complex(np.inf, np.inf), 1.0)
 def drift_of(shots: Complex, level: Complex, where: Floats) -> Drift:
     """Estimate the drift from shots that are repeated in the same directions.
 
-    A straight line over the order, each direction with a mean of its own: what the
-    polynomial over the directions misses is no drift. Directions that are repeated
-    first and last tell it well, repeats in a row badly, single shots not at all.
+    The fit is a straight line over the order of the shots, with a free mean for each
+    direction. Errors of the polynomial over the directions are therefore no drift.
+    Repeats at the start and at the end of the scan determine the drift well. Repeats in
+    a row determine it badly, and single shots do not determine it.
     """
     from scipy.special import stdtr
 
@@ -84,7 +85,7 @@ def drift_of(shots: Complex, level: Complex, where: Floats) -> Drift:
         chances.append(
             2 * float(stdtr(freedom, -abs(slope) / error)) if error > 0 else steady
         )
-    # Either part may show it: the smaller chance of two.
+    # The smaller p-value of two parts, with the Bonferroni correction.
     chance = min(1.0, 2 * min(chances))
     return Drift(complex(*parts), complex(*errors), chance)
 
@@ -124,18 +125,16 @@ def fit_channel(
 ) -> Reference:
     """Fit the open-water shots of one channel and evaluate the fit at the pixels.
 
-    Least squares of a polynomial, one degree above the lowest whose misfit, against
-    the scatter of repeated shots, passes an F test: a misfit that the test does not
-    see is as large as the error itself, and the next degree takes most of it. What
-    the shots scatter beyond their stated error is a fluctuation of the water, taken as
-    proportional to its signal. How far the polynomial may be off between the shots is
-    told by a second one through their logarithms: the difference of the two counts as
-    a standard error, see `disagreement`.
+    The fit is a least-squares polynomial. An F test compares its misfit with the
+    scatter of repeated shots. The degree is one above the lowest degree that passes:
+    an undetected misfit may be as large as the error, and the next degree removes most
+    of it. Scatter beyond the stated errors is a fluctuation of the water, proportional
+    to the water signal. A second polynomial fits the logarithms of the shots. The
+    difference of the two polynomials is a standard error, see `disagreement`.
 
-    With a `shape` the polynomial stands for the ratio of the water to that model, which
-    varies less. Where no degree passes the test, what the means of directions are off
-    the surface beyond their scatter counts as an error of the reference in every
-    direction (Birge ratio).
+    With a `shape`, the polynomial fits the ratio of the water signal to that model,
+    which varies less. If no degree passes the test, the excess deviation of the
+    direction means is an error of the reference in every direction (Birge ratio).
     """
     if len(shots) < FEWEST_SHOTS:
         raise ValueError(f"a reference needs {FEWEST_SHOTS} shots, got {len(shots)}")
@@ -182,7 +181,7 @@ def fit_channel(
     if shape is not None:
         signal, errors = signal * shape.at_pixels, errors.turned(shape.at_pixels)
     if fitted.excess > 0:
-        # By so much more than chance each direction is off by itself.
+        # Deviation of each direction beyond chance.
         excess = isotropic(np.full(signal.shape, _typical(instrument)))
         excess = excess + fluctuation(fitted.relative, signal)
         errors = errors + excess.scaled(fitted.excess * len(places.size) / len(shots))
@@ -201,9 +200,9 @@ def _typical(instrument: Covariance) -> float:
     return float(np.sqrt(np.mean(instrument.in_phase + instrument.quadrature)))
 
 
-#: Drift of the reference that chance makes in less than 1 of 1000 scans is real [1].
+#: P-value below which a drift of the reference is real [1].
 _REAL_DRIFT = 1e-3
-#: A larger change from the first to the last shot is another water [1].
+#: Largest allowed change of the water signal from the first to the last shot [1].
 LARGEST_DRIFT = 0.2
 #: Least excess over the limit, in standard uncertainties [1].
 _SURE = 3.0
@@ -211,8 +210,8 @@ _AXES = ("azimuth", "elevation")
 #: Allowed extent of the scan beyond the shots: a fraction of their span, and a minimum
 #: [rad].
 _BEYOND, BEYOND_AT_LEAST = 0.1, 1e-4
-#: Directions count as one that are nearer than this fraction of the span of all [1], or
-#: than so many standard deviations by which a scanner misses what it is sent to [1].
+#: Directions closer than this are repeats: a fraction of the span of all directions
+#: [1], or a number of standard deviations of the positioning error [1].
 _NEAR, _MISSES = 1 / 50, 8.0
 
 
@@ -257,9 +256,9 @@ def fit_shots(
 ) -> tuple[list[Reference], ShotsFit]:
     """Interpolate open-water shots to the pixels of a scan; return also the fit.
 
-    Modulation frequency by frequency, channel by channel. CubeError if too few shots of
-    a channel are numbers, the scan goes beyond them, or the water changed too much from
-    the first to the last.
+    Each modulation frequency and channel has its own fit. CubeError if too few shots of
+    a channel are numbers, if the scan extends beyond the shots, or if the water signal
+    changed too much from the first to the last shot.
     """
     shots = shots_of(scan)
     pixels = np.stack([scan.azimuth.ravel(), scan.elevation.ravel()], axis=1)
@@ -330,7 +329,8 @@ def expected_at_pixels(
 ) -> tuple[Complex, Covariance]:
     """Return the open-water signal of every sample, and its covariance.
 
-    To the end of the column [V], and what the pixels share of its error [V^2].
+    The signal includes the water to the end of the column [V]. The covariance is that
+    of the errors common to all pixels [V^2].
     """
     signal = np.array([fit.signal for fit in fits]).reshape(shape)
     return signal, stacked([fit.common for fit in fits], shape)
@@ -398,7 +398,7 @@ def _jitter(scan: Observation, name: str) -> float:
         return 0.0
     off = (cube[name] - cube[meant]).values
     off = np.abs(off - np.nanmedian(off))
-    # What a stage that stuck once is off by does not count.
+    # The median ignores the error of a stage that stuck once.
     return 1.4826 * float(np.nanmedian(off)) if np.isfinite(off).any() else 0.0
 
 

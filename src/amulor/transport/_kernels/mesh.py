@@ -22,8 +22,8 @@ LOW_X, LOW_Y, LOW_Z, HIGH_X, HIGH_Y, HIGH_Z = range(6)
 ESCAPE, FIRST_TRIANGLE, TRIANGLES = range(3)
 CORNER, EDGE_ONE, EDGE_TWO, NORMAL = 0, 3, 6, 9
 
-#: What a triangle is larger by, as a fraction of its edges, so that no ray slips
-#: between two that share an edge. Rounding moves a hit by some 1e-15 of the distances.
+#: Enlargement of a triangle as a fraction of its edges, so that no ray passes between
+#: two with a common edge. Rounding moves a hit by some 1e-15 of the distances.
 MARGIN = 1e-9
 
 _STEEP = 1e300  # in place of 1/0, so that 0 times it is not "not a number"
@@ -201,10 +201,10 @@ def part(
 def split(centre: Array, number: Integers, link: Integers, sibling: Integers) -> int:
     """Build the hierarchy of boxes in the link arrays, and return the box count.
 
-    Boxes come before what is in them. sibling of a box is the second one of the two
-    in it.
+    A box has a lower index than the boxes in it. `sibling` contains the index of the
+    second of the two boxes in each box.
     """
-    # First and last triangle, and the box around, of what waits; one for each level.
+    # Pending boxes: first triangle, end of triangles, enclosing box. One per level.
     waiting = np.empty((128, 3), dtype=np.int64)
     parent = np.empty(len(sibling), dtype=np.int64)
     waiting[0] = 0, len(number), -1
@@ -217,7 +217,7 @@ def split(centre: Array, number: Integers, link: Integers, sibling: Integers) ->
         link[count, TRIANGLES] = 0
         sibling[count] = -1
         if above >= 0:
-            sibling[above] = count  # the second of the two comes last
+            sibling[above] = count  # the second box overwrites the first
         if last - first <= LEAF:
             link[count, TRIANGLES] = last - first
         else:

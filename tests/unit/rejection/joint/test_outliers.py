@@ -13,7 +13,7 @@ from amulor.rejection.joint.samples import Pixels, weight
 from amulor.rejection.joint.scatter import (
     Cleaned,
     disagrees,
-    may_be_left_out,
+    outlier_candidates,
     without_outliers,
 )
 from amulor.rejection.joint.search import Estimates, estimate
@@ -122,7 +122,7 @@ def test_a_frequency_that_is_wrong_everywhere_is_the_models_fault() -> None:
     signal = drawn(9)
     signal[:, 0, 3] += 20 * NOISE
     found = solved(pixels_of(signal))
-    allowed = may_be_left_out(found, (1, 6), 1.0)
+    allowed = outlier_candidates(found, (1, 6), 1.0)
     assert allowed.tolist() == [[True, True, True, False, True, True]]
     kept = cleaned(signal, allowed)
     assert kept.pixels.usable[:, 0, 3].all()

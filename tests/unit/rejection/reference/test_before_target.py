@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from amulor import cube as cubes
 from amulor import imaging, rejection, samples
-from amulor.rejection.reference.before_target import not_smaller_than_usual
+from amulor.rejection.reference.before_target import raised_to_median_amplitude
 from amulor.simulation import simulate
 from amulor.studies.trust.surveys import plate, survey
 
@@ -15,7 +15,7 @@ from amulor.studies.trust.surveys import plate, survey
 def test_what_is_below_the_median_is_made_as_large_and_keeps_its_phase() -> None:
     size = np.array([[0.0, 0.1, 1.0, 2.0, 5.0]])
     water = (size * np.exp(1j * np.arange(5)))[None, None]
-    found, _ = not_smaller_than_usual(water)
+    found, _ = raised_to_median_amplitude(water)
     assert_allclose(np.abs(found[0, 0, 0]), [0, 1, 1, 2, 5], rtol=1e-12)
     assert_allclose(np.angle(found[0, 0, 0, 1:]), np.angle(water[0, 0, 0, 1:]))
 

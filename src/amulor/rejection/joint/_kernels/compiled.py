@@ -26,10 +26,9 @@ LANES = {"reassoc", "contract"}
 def inner(**options: Any) -> Callable[[_Function], _Function]:
     """Compile a function for use inside compiled functions only.
 
-    Without the entries for Python and C, which take a fifth of the time of compilation,
-    and without a test for zero before every division, which ends a thread that has
-    given up Python's lock in a `SystemError`; who divides by what may be zero looks
-    first.
+    The entry points for Python and C are omitted; they take a fifth of the compilation
+    time. The test for zero before each division is also omitted, because it raises a
+    `SystemError` in a thread without Python's lock. Callers must check divisors.
     """
     compiled: Any = numba.njit(
         **{
