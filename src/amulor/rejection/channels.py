@@ -64,7 +64,7 @@ class Unmixed:
     def error_of_water(
         self, weights: list[Floats | float], errors: Covariance
     ) -> Covariance:
-        """Return the target-signal covariance due to a shared error of the water."""
+        """Return the target-signal covariance due to a shared water-signal error."""
         gain = sum(self.gain[:, c] * weight for c, weight in enumerate(weights))
         return _propagated(np.asarray(gain), errors)
 

@@ -168,7 +168,7 @@ def _repeat_distance(cube: xr.Dataset) -> float:
 
 
 def _shots_are_doubted(cube: xr.Dataset, rows: list[Row]) -> bool:
-    """Return whether too few pixels are trusted with the open-water shots."""
+    """Return whether open-water references leave too few trusted pixels."""
     ran = any(row.polarization for row in rows)
     trusted = max((row.trusted for row in rows), default=0.0)
     return ran and cube.amulor.open_water is not None and trusted < _FEW
@@ -587,7 +587,7 @@ def _joint_path(target: xr.Dataset) -> Floats:
 def _disagreement(
     trials: list[_Trial], best: int, cube: xr.Dataset
 ) -> tuple[Row | None, float]:
-    """Find the method whose ranges differ most from the best, beyond both errors.
+    """Find the method that differs most, and significantly, in range from the best.
 
     And the median difference, less whole intervals after which phases repeat [m].
     """

@@ -109,7 +109,7 @@ class Method:
         return self.function(cube, **self._accepted(options))
 
     def fit(self, source: tiles.Source, **options: Any) -> tiles.OfRows:
-        """Fit the method to a scan; return the function for its rows.
+        """Fit the method to a scan; return a function for the target signal of rows.
 
         Parameters
         ----------

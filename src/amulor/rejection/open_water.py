@@ -212,7 +212,7 @@ def cube_of(
 
 
 def reference_attributes(subtracted: Subtraction) -> dict[str, Any]:
-    """Return degree, drift, strength and turbidity of the open water, as attributes."""
+    """Return polynomial degree, drift, change and turbidity of the water signal."""
     fits, turbidity = subtracted.water.fits, subtracted.water.turbidity
     attributes = {
         "open_water_degree": np.array([fit.degree for fit in fits], dtype=np.int32),

@@ -24,7 +24,7 @@ LARGEST_PHASE_ERROR = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Flags:
-    """Flags of samples with the statistics behind them, arrays of one shape."""
+    """Quality flags of samples with their test statistics, arrays of one shape."""
 
     flag: NDArray[np.int16]
     """Quality flags."""
@@ -327,7 +327,7 @@ class Disagreement:
 
     @classmethod
     def of(cls, away: NDArray[np.float64]) -> Disagreement:
-        """Estimate the limits from phase differences in standard errors."""
+        """Estimate the limits from standardized phase differences."""
         usual, scatter = np.zeros((len(away), 1, 1)), np.ones((len(away), 1, 1))
         for index, deviations in enumerate(away):
             finite = deviations[np.isfinite(deviations)]

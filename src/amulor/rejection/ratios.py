@@ -181,7 +181,7 @@ def target_ratio(
 
 
 def ratio_of(target: xr.Dataset) -> Ratio:
-    """Estimate the targets' depolarization ratio from the signal after subtraction."""
+    """Estimate the targets' depolarization ratio after open-water subtraction."""
     co, cross = pair_of(target)
     pair = first, second = [
         Observation(cube=target.sel(polarization=name)) for name in (co, cross)
@@ -254,7 +254,7 @@ def _weighted_mean(values: Floats, errors: Floats) -> tuple[float, float]:
 
 
 def _mean_variance(part: Observation, usable: NDArray[np.bool_]) -> Floats:
-    """Return the mean variance of both outputs, without errors common to all pixels."""
+    """Return the mean variance of both lock-in outputs, without common errors."""
     covariance = part.covariance
     mean = (covariance.in_phase + covariance.quadrature)[usable] / 2
     noise: Floats = np.maximum(mean - _common_variance(part, usable), 0.0)

@@ -99,7 +99,7 @@ class Subtraction:
 
     @property
     def of_water(self) -> Covariance:
-        """Covariance of the water errors, which pixels and channels share [V^2]."""
+        """Covariance of water-signal errors, shared by pixels and channels [V^2]."""
         return self.column + self.change
 
     @property

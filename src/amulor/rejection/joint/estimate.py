@@ -234,7 +234,7 @@ def _sampled(
 
 
 def _extent_of(scan: ScanObservation) -> _Extent:
-    """Return directions and usable pixels of a scan; CubeError for zero errors."""
+    """Return directions and usable pixels of a scan; CubeError if an error is 0."""
     enough, lowest, highest, means = [], [], [], []
     for begin, end in scan.bands:
         rows = scan.tile(begin, end)

@@ -1,4 +1,4 @@
-"""Overlap of receiver view and light: geometry, shape, scattered light."""
+"""Overlap of receiver view and laser light: geometry, shape, scattered light."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Directions:
 
     @property
     def centre(self) -> Floats:
-        """Weights of the nodes at the middle of the scan, (node,) [1]."""
+        """Interpolation weights of the nodes at the middle of the scan, (node,) [1]."""
         place = (np.array([angle]) for angle in self.middle)
         nodes: Floats = self.interpolation(*place)[0]
         return nodes
@@ -246,7 +246,7 @@ class Scattered:
     def light(
         self, depth: Floats, *, forward_scattering: float, spread: float, offset: Floats
     ) -> Floats:
-        """Return the overlap of scattered light, before reduced attenuation [sr]."""
+        """Return the overlap of scattered light without reduced attenuation [sr]."""
         aside = np.log1p(offset**2 / self._area)
         self._reach(aside)
         terms = self._terms(forward_scattering, spread)
@@ -444,13 +444,13 @@ class Frame:
         )
 
     def overlap(self, depth: Floats, shape: Shape) -> Floats:
-        """Overlap at direction nodes, before its correction, (node, depth) [sr]."""
+        """Overlap at direction nodes, without correction, (node, depth) [sr]."""
         return self._overlap(depth, shape, self._nodes_of(shape))
 
     def _overlap(
         self, depth: Floats, shape: Shape, arguments: dict[str, Any]
     ) -> Floats:
-        """Return the overlap before its correction, (direction, depth) [sr].
+        """Return the overlap without correction, (direction, depth) [sr].
 
         (29) of Ricci et al. 2010, as rederived, with the phase function of the survey's
         water, stretched to the spread of the shape. Where it has none, (43) for the

@@ -165,7 +165,7 @@ def clock_of(scan: ScanObservation) -> Clock:
 def trends_of(
     rows: Observation, clock: Clock, *, row: int = 0, column: int = 0
 ) -> Floats:
-    """Legendre polynomials of each pixel's time, (pixel, trend) [1]."""
+    """Return Legendre polynomials of time at each pixel, (pixel, trend) [1]."""
     shape = rows.azimuth.shape
     if clock.has_times:
         assert rows.time is not None
@@ -195,7 +195,7 @@ def drifted(pixels: Pixels, trend: Floats) -> Pixels:
 
 
 def change_of(trend: Floats) -> float:
-    """Return the relative change of the water from the first pixel to the last [1]."""
+    """Return the relative water-signal change from first to last pixel [1]."""
     return float(2 * np.sum(trend[::2]))
 
 
@@ -300,7 +300,7 @@ class Shared:
 
     @property
     def water_departs(self) -> bool:
-        """Whether the data favor a departure of the water from the model."""
+        """Whether the data favor a departure of the water signal from the model."""
         return self.widths[0] > _TRIED[0][0] or self.widths[1] > _TRIED[1][0]
 
     @property
@@ -310,12 +310,12 @@ class Shared:
 
     @property
     def water_drifts(self) -> bool:
-        """Whether the data favor a change of the water during the scan."""
+        """Whether the data favor a change of the water signal during the scan."""
         return self.widths[4] > _TRIED[4][0]
 
     @property
     def shot_factor(self) -> float:
-        """Water strength in the open-water shots over that in the scan [1]."""
+        """Water-signal strength in open-water references relative to the scan [1]."""
         return float(np.exp(self.shot_change))
 
     def shot_signal(self, water_signal: Complex, foreground: Complex) -> Complex:
@@ -359,7 +359,7 @@ class Layout:
 
     @property
     def strength(self) -> slice:
-        """Positions of the water strengths of the channels in the parameter vector."""
+        """Positions of the channels' water-signal strengths in the parameters."""
         return slice(0, self.channels)
 
     @property
@@ -369,7 +369,7 @@ class Layout:
 
     @property
     def trend(self) -> slice:
-        """Positions of the drift of the water strength in the parameter vector."""
+        """Positions of the water-signal drift in the parameter vector."""
         begin = self.rigid + self.knots
         return slice(begin, begin + self.trends)
 
@@ -403,7 +403,7 @@ class Layout:
 
     @property
     def doubt(self) -> slice:
-        """Positions of the parameters for shots that differ from the scan's water."""
+        """Positions of the parameters for references that differ from the scan."""
         begin = self.blocks[2].stop
         count = 2 * self.channels * self.frequencies + 1 if self.doubts else 0
         return slice(begin, begin + count)

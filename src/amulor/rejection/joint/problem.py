@@ -70,7 +70,7 @@ class Problem:
         self.deepest = deepest
 
     def part(self, index: NDArray[np.intp], *, shots: bool = True) -> Problem:
-        """Return a copy with selected pixels, with or without the shots."""
+        """Return a copy with selected pixels, with or without open-water references."""
         targets = self.targets.part(index)
         chosen = self.shots if shots else None
         return Problem(self.frame, targets, chosen, self.transfer, self.deepest)
@@ -217,7 +217,7 @@ class Problem:
         return state.fluctuation * state.water_signal(water, front)
 
     def groups(self, state: Shared, estimates: Estimates) -> list[Fitted]:
-        """Return pixels with echo paths and amplitudes, and shots without an echo."""
+        """Return pixels with echo paths and amplitudes, and references without echo."""
         detected = is_detected(estimates)
         amplitude = np.where(detected[:, None], estimates.amplitude, 0.0)
         path = np.where(detected, estimates.path, np.inf)

@@ -1,4 +1,4 @@
-"""Input of the likelihood: samples with possible paths and depths by pixel."""
+"""Input of the likelihood: samples, possible optical paths and depths by pixel."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SAME_PLACE = 1e-4
 def shot_directions(
     middle: tuple[float, float], shots: Observation | None
 ) -> tuple[Floats, Floats]:
-    """Return the directions of open-water shots; the scan's middle if unknown [rad]."""
+    """Return directions of open-water references, or the scan's middle [rad]."""
     if shots is None:
         return np.zeros(0), np.zeros(0)
     azimuth, elevation = (
@@ -119,7 +119,7 @@ _MOST_POINTS = 20_000
 
 @dataclass(frozen=True, kw_only=True)
 class Pixels:
-    """Samples with their errors, and the possible paths of each pixel.
+    """Samples with their errors, and the possible optical paths of each pixel.
 
     Arrays run over (pixel, channel, frequency).
     """
@@ -255,7 +255,7 @@ def samples(pixels: Pixels, weights: Floats) -> bundles.Samples:
 
 
 def places(pixels: Pixels, table: Table) -> bundles.Places:
-    """Return directions and possible paths of pixels for compiled loops."""
+    """Return directions and possible optical paths of pixels for compiled loops."""
     return bundles.Places(
         coefficients(pixels, table),
         pixels.offset,

@@ -1,4 +1,4 @@
-"""Tables of the water signal against the depth of its end, by direction."""
+"""Tables of the water signal against the end depth of the water, by direction."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Reference for the water signal: open-water shots, limited to the target's depth."""
+"""Open-water reference of the water signal, truncated at the target's depth."""

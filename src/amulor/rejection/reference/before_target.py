@@ -74,7 +74,7 @@ class Turbidity:
 def turbidity_of(
     scan: Observation, survey: Survey, open_water: Complex, errors: Covariance
 ) -> Turbidity:
-    r"""Estimate the factor on absorption and scattering that fits the open water best.
+    r"""Estimate the factor for absorption and scattering that best fits open water.
 
     `model.water_signal` computes the open water of the survey. Its amplitude in each
     channel is free. The phases of the shots depend on the depth from which the light
@@ -254,7 +254,7 @@ class WaterBeforeTarget:
 
     @property
     def drift(self) -> Complex:
-        """Relative change from the first to the last shot; 0 if not significant."""
+        """Relative change from first to last reference; 0 if not significant."""
         return real_drift_of(self.fits, self.signal.shape)
 
 
@@ -382,7 +382,7 @@ class Strength:
 def contradiction(
     strength: Strength, turbidity: Turbidity | None
 ) -> WaterResidualCause:
-    """Return the cause of inconsistent shots and scan; 0 if they are consistent."""
+    """Return why open-water references and scan disagree; 0 if they are consistent."""
     sure = abs(strength.change) - _SURE * strength.uncertainty > LARGEST_CHANGE
     # No water has a negative strength or resembles these shots.
     negative = sure and strength.change <= -1
@@ -404,7 +404,7 @@ def strength_of(
     modulation_frequency: Floats,
     path: Floats,
 ) -> Strength:
-    r"""Estimate the relative change of the water from its reference to the scan.
+    r"""Estimate the relative change of the water signal from its reference to the scan.
 
     The path L of a pixel is the same in all channels and frequencies. A relative change
     c of the water signal shifts each phase by :math:`c\, \mathrm{Im}(W / T)`:
@@ -484,7 +484,7 @@ class _Fit:
 def _fit(
     phase: Floats, turn: Floats, wavenumber: Floats, weight: Floats
 ) -> _Fit | None:
-    """Fit a common water change and a path for each pixel; None if undetermined."""
+    """Fit a common water-signal change and each pixel's path; None if undetermined."""
 
     def summed(values: Floats) -> Floats:
         total: Floats = np.sum(weight * values, axis=(0, 1))
@@ -511,7 +511,7 @@ def raised_to_shot_amplitude(
     fit: WaterFit | None = None,
     span: Span | None = None,
 ) -> tuple[Complex, WaterFit]:
-    """Return the water signal, with amplitudes no smaller than in open-water shots.
+    """Return the water signal, with amplitudes no smaller than in the references.
 
     The result has the phases of `water` and the larger of both amplitudes [V]. It is
     for errors proportional to the water signal. A fluctuation that makes the estimated

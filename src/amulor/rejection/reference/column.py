@@ -105,7 +105,7 @@ class _Listed:
         self._index: dict[bytes, int] | None = None
 
     def fractions(self, places: Floats) -> Complex:
-        """Return the fractions at places, shape (frequencies, n)."""
+        """Return the hidden fractions at places, shape (frequencies, n)."""
         if places is self._places:
             return self._values
         if self._index is None:
@@ -296,7 +296,7 @@ def depth(
     interval: tuple[float, float] | None,
     fit: ambiguity.Choices | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], ambiguity.Choices | None]:
-    """Return water depth and optical path to the target, and frequency choices.
+    """Return water depth and optical path to the target, and ambiguity decisions.
 
     Both lengths over (row, column), NaN where the distance is not settled [m]; and the
     choices between frequencies that all pixels share, `fit` if it is given. The signal

@@ -136,7 +136,7 @@ def _waters(survey: Survey) -> list[Survey]:
 
 
 class _Judge:
-    """Test waters for planned open-water shots, on a grid of directions."""
+    """Interpolation test of planned references in several waters, over directions."""
 
     def __init__(self, survey: Survey) -> None:
         scan = survey.scan

@@ -103,13 +103,13 @@ class Shape:
     """Water signal at the pixels."""
 
     def part(self, use: NDArray[np.bool_]) -> Shape:
-        """Return a copy with selected shots."""
+        """Return a copy with selected open-water references."""
         return Shape(self.at_shots[use], self.at_pixels)
 
 
 @dataclass(frozen=True)
 class ModelBehindShots:
-    """Water model used to normalize the shots before interpolation."""
+    """Water model by which open-water references are divided before interpolation."""
 
     model: Model
     """Function from directions within the scan to the water signal."""
@@ -117,7 +117,7 @@ class ModelBehindShots:
     """Modeled water signal at the shots, shape (frequency, shot)."""
 
     def over(self, pixels: Floats, frequency: Floats) -> list[Shape]:
-        """Return the modeled signals at shots and pixels, one `Shape` per frequency."""
+        """Return modeled signals at references and pixels, a `Shape` per frequency."""
         return [
             Shape(at_shots, at_pixels)
             for at_shots, at_pixels in zip(
@@ -129,7 +129,7 @@ class ModelBehindShots:
 def model_behind_shots(
     scan: Observation, shots: Observation, directions: Floats, *, span: Span
 ) -> ModelBehindShots | None:
-    """Choose the water model with the smallest cross-validation error at the shots.
+    """Choose the water model with the least cross-validation error at the references.
 
     None without a survey, and if a polynomial alone is sufficient for the water of the
     survey or fits the shots better than any model. `directions` are those of the shots,
@@ -192,7 +192,7 @@ def models_for(
 def _is_smooth(
     survey: Survey, directions: Floats, frequency: Floats, repeats: int
 ) -> bool:
-    """Return whether a polynomial alone follows the survey's water between the shots.
+    """Return whether a polynomial alone follows the water signal between references.
 
     Cross-validation alone is not sufficient: the shots of three rows always fit a
     parabola.

@@ -35,7 +35,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Drift:
-    """Relative change of the water signal from the first to the last shot."""
+    """Relative change of the water signal from the first reference to the last."""
 
     change: complex
     """Relative change of the water signal, radial + 1j * tangential [1]."""
@@ -50,7 +50,7 @@ NO_DRIFT = Drift(0j, complex(np.inf, np.inf), 1.0)
 
 
 def drift_of(shots: Complex, level: Complex, where: Floats) -> Drift:
-    """Estimate the drift from shots that are repeated in the same directions.
+    """Estimate the drift from references repeated in the same directions.
 
     The fit is a straight line over the order of the shots, with a free mean for each
     direction. Errors of the polynomial over the directions are therefore no drift.
@@ -312,7 +312,7 @@ def fit_shots(
 
 
 def directions_of(scan: Observation, shots: Observation) -> Floats:
-    """Return the directions of shots, with repeats set to their mean direction.
+    """Return directions of references, with repeats set to their mean direction.
 
     Shape (shot, 2), azimuth and elevation [rad], all zero if unknown. The
     positioning error of the stages is estimated from the pixels of the scan.
@@ -349,7 +349,7 @@ def fluctuation_of(fits: list[Reference], water_signal: Complex) -> Covariance:
 
 
 def real_drift_of(fits: list[Reference], shape: tuple[int, ...]) -> Complex:
-    """Return the drift from the first shot to the last; 0 if not significant.
+    """Return the drift from the first reference to the last; 0 if not significant.
 
     Per unit of the water signal, shape (modulation_frequency, polarization, 1, 1) [1].
     """
@@ -360,7 +360,7 @@ def real_drift_of(fits: list[Reference], shape: tuple[int, ...]) -> Complex:
 def _averaged_repeats(
     scan: Observation, shots: Observation, name: str, stands: Floats
 ) -> Floats:
-    """Average an angle of the shots over the repeats of each direction.
+    """Average an angle of the references over the repeats of each direction.
 
     Scanners stop slightly beside the commanded angle, with a different error each
     time, so measured angles of repeats differ. The angle is the mean measured one.
@@ -515,7 +515,7 @@ Scatter = tuple[Floats, Floats, Floats, Floats]
 def scatter_of(
     shots: Complex, instrument: Covariance, places: Places
 ) -> tuple[Scatter, Scatter]:
-    """Return the scatter of repeated shots, radial and tangential to their mean."""
+    """Return the scatter of repeated references, radial and tangential to the mean."""
     mean = places.mean_of(shots)
     size = np.abs(mean)
     turn = np.exp(1j * np.angle(mean))
@@ -535,7 +535,7 @@ def scatter_of(
 
 
 def noise_scale(scatters: list[Scatter]) -> float:
-    r"""Estimate the ratio of shot noise to stated errors.
+    r"""Estimate the ratio of the scatter of open-water references to stated errors.
 
     Shots of a direction scatter by :math:`s^2 u^2 + r\,|W|^2`: noise, which is stated
     as u, and a fluctuation of the water in proportion to its signal W, one r for each

@@ -1,4 +1,4 @@
-"""Polynomial fits of open-water shots over direction, with their scatter."""
+"""Polynomial fits of open-water references over direction, with their scatter."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FEWEST_SHOTS = 1 + FREEDOM
 
 @dataclass(frozen=True, kw_only=True)
 class Places:
-    """Directions of shots, scaled to -1 to 1, with repeats grouped."""
+    """Directions of open-water references, scaled to -1 to 1, with repeats grouped."""
 
     centre: Floats
     """Middle of azimuth and elevation [rad]."""
@@ -43,18 +43,18 @@ class Places:
     2)."""
 
     def scaled(self, direction: Floats) -> Floats:
-        """Scale directions with the center and span of the shots."""
+        """Scale directions with the center and span of the references."""
         return np.asarray((direction - self.centre) / self.scale)
 
     def sum_of(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the sums over the shots of each direction."""
+        """Return the sums over the references of each direction."""
         if not np.iscomplexobj(values):
             return np.asarray(np.bincount(self.group, values))
         real, imaginary = (self.sum_of(part) for part in (values.real, values.imag))
         return np.asarray(real + 1j * imaginary)
 
     def mean_of(self, values: Complex) -> Complex:
-        """Return the means over the shots of each direction."""
+        """Return the means over the references of each direction."""
         return np.asarray(self.sum_of(values) / self.size)
 
     def up_to(self, degree: int) -> NDArray[np.intp]:
@@ -72,7 +72,7 @@ class Places:
 
 
 def places_of(direction: Floats) -> Places:
-    """Return the scaled directions of shots, cached for the channels of a cube."""
+    """Return the scaled directions of references, cached for the channels of a cube."""
     return _cached_places(np.ascontiguousarray(direction).tobytes())
 
 
@@ -121,7 +121,7 @@ def design_of(where: Floats, powers: NDArray[np.intp]) -> Floats:
 def relative_fluctuation(
     shots: Complex, level: Complex, instrument: Covariance, *, freedom: int
 ) -> NDArray[np.float64]:
-    """Return the covariance of relative fluctuations (radial, tangential) of shots.
+    """Return the covariance of radial and tangential fluctuations of references.
 
     The stated instrument error is taken off; what is left is made a covariance again
     where chance drove it below zero. No water signal has no fluctuation.
@@ -190,7 +190,7 @@ def logarithms(
 
 
 def disagreement(signal: Complex, logarithm: Complex, middle: complex) -> Complex:
-    r"""Estimate the interpolation error from two surfaces fitted to the shots.
+    r"""Estimate the interpolation error from two surfaces fitted to the references.
 
     What a receiver with a Gaussian field of view sees falls off as a Gaussian of the
     direction, whose logarithm is a polynomial of the second degree, and which is none
@@ -219,7 +219,7 @@ _ALONE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """Polynomial fit of shots, or of their ratio to a model."""
+    """Polynomial fit of open-water references, or of their ratio to a model."""
 
     powers: NDArray[np.intp]
     """Exponents of the terms, shape (terms, 2)."""
@@ -249,7 +249,7 @@ def surface_of(
     noise: Covariance,
     model: Complex | None = None,
 ) -> Surface:
-    """Fit a polynomial to the shots of one channel."""
+    """Fit a polynomial to the open-water references of one channel."""
     ratio = shots if model is None else shots / model
     power: Floats = np.ones(len(shots)) if model is None else np.abs(model) ** 2
     weight = np.ones(len(shots))
@@ -301,7 +301,7 @@ def surface_of(
 
 
 def noise_of(shots: Complex, instrument: Covariance, places: Places) -> Covariance:
-    """Return the covariance of shots about the mean of each direction."""
+    """Return the covariance of references about the mean of each direction."""
     mean = places.mean_of(shots)[places.group]
     relative = relative_fluctuation(
         shots, mean, instrument, freedom=len(shots) - len(places.size)
@@ -385,7 +385,7 @@ def noiseless(
     model: tuple[Complex, Complex] | None = None,
     degrees: list[int] | None = None,
 ) -> Complex:
-    """Interpolate noiseless shots to the pixels by a polynomial."""
+    """Interpolate noiseless references to the pixels by a polynomial."""
     scaled = places_of(shot_direction).scaled(pixel_direction)
     result = np.empty((len(signal), len(pixel_direction)), dtype=complex)
     for k, values in enumerate(signal):
@@ -434,7 +434,7 @@ def expected_degrees(
     *,
     model: Complex | None = None,
 ) -> list[int]:
-    """Predict the polynomial degree chosen for planned shots, by frequency."""
+    """Predict the polynomial degree chosen for planned references, by frequency."""
     from scipy.special import fdtri
 
     count = len(direction)
@@ -469,6 +469,6 @@ def _polynomials(
 
 
 def _gain(design: Floats, weight: Floats) -> Floats:
-    """Return the matrix of weighted least squares, (terms, n)."""
+    """Return the weighted least-squares solution matrix, (terms, n)."""
     gain = np.linalg.pinv(design * weight[:, None]) * weight
     return np.asarray(gain, dtype=float)

@@ -69,7 +69,7 @@ class Samples(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Directions and possible paths of many pixels."""
+    """Directions and possible optical paths of many pixels."""
 
     coefficient: Array
     """Coefficients of the table components, (pixel, component) [1]."""
@@ -96,7 +96,7 @@ class Limits(NamedTuple):
 
 
 class Pixel(NamedTuple):
-    """Samples, direction and possible paths of one pixel."""
+    """Samples, direction and possible optical paths of one pixel."""
 
     signal: Array
     """Samples, (channel, 2, frequency) [V]."""
@@ -234,7 +234,7 @@ class Sums(NamedTuple):
 
 
 class WaterModel(NamedTuple):
-    """Water signal s W + s d V and its derivatives by pixel, as complex arrays."""
+    """Water signal s W + s d V of each pixel with its derivatives, complex arrays."""
 
     strength: Array
     """Strength s of each channel, real [V]."""

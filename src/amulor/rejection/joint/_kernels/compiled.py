@@ -63,7 +63,7 @@ _here = _Here()
 
 
 class _Turns:
-    """Limit on the number of concurrent parts, shared by all callers.
+    """Limit on the number of concurrent loop parts, shared by all callers.
 
     Callers on several threads, as the tasks of a cluster are, share the processors
     instead of multiplying them.
@@ -94,7 +94,7 @@ _turns = _Turns()
 
 
 def _forget_turns() -> None:
-    """Reset the limit in a forked process, which has no other threads."""
+    """Reset the limit on concurrent loop parts in a forked process."""
     global _turns
     _turns = _Turns()
 

@@ -395,7 +395,7 @@ def integrate(
 
 @inner(forceinline=True)
 def _lost(place: float, table: Array) -> float:
-    """Return the logarithm of the scattered fraction, interpolated in its table.
+    """Interpolate the logarithm of the scattered fraction from a table.
 
     Cubic through four nodes; a line beyond the first ones and the last.
     """

@@ -72,7 +72,7 @@ _DEPENDENT = 1e-12
 
 
 class _Row(NamedTuple):
-    """Derivatives of one sample by its nonzero shared parameters."""
+    """Nonzero derivatives of one sample with respect to shared parameters."""
 
     parameter: Array
     """Indices of the parameters."""
