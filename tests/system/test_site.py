@@ -11,7 +11,7 @@ import laspy
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 from site_scenes import make_site, scanning
 
 from amulor.cli import main
@@ -73,6 +73,19 @@ def test_all_poses_are_within_what_is_stated(poses: dict[str, Any]) -> None:
     # Chi-square of six degrees of freedom; the nine share the place of the site.
     assert max(scores) < 25
     assert np.mean(scores) < 14
+
+
+def test_standardized_residuals_have_the_variance_one(poses: dict[str, Any]) -> None:
+    scores = [
+        line["score"] for line in poses["reliability"] if line["detectable"] is not None
+    ]
+    assert len(scores) > 60
+    # With the covariance as the inverse normal matrix, a target had 46.
+    assert np.abs(scores).max() < norm.isf(1e-3 / 2 / len(scores))
+    # More than 60 numbers, of which those of one scan hang together.
+    assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1, abs=0.35)
+    targets = next(g for g in poses["network"] if g["group"] == "targets in scans")
+    assert (targets["count"], targets["unchecked"]) == (6, 0)
 
 
 def test_what_moved_does_not_pull_the_scans_along(poses: dict[str, Any]) -> None:

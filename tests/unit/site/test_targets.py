@@ -219,7 +219,7 @@ def test_control_points_and_a_scale_bar_place_a_scan_within_what_is_stated() -> 
         state = State({"s": pose}, dict(world), {"index": 0.0})
         for _ in range(4):
             state = network.step(state, [], ties, []).state
-        spread, layout = network.covariance(state, [], ties, [], {})
+        spread, _, layout = network.covariance(state, [], ties, [], {})
         lines = reliabilities(state, spread, layout, ties)
         residuals.append([line.score for line in lines])
         # 6 of the start, 1 of the index, 12 of targets, 9 of control, 1 of the bar,
@@ -260,7 +260,7 @@ def test_control_points_and_a_scale_bar_place_a_scan_within_what_is_stated() -> 
     state = State({"s": pose}, dict(world), {"index": 0.0})
     for _ in range(6):
         state = network.step(state, [], ties, []).state
-    spread, layout = network.covariance(state, [], ties, [], {})
+    spread, _, layout = network.covariance(state, [], ties, [], {})
     by_name = {
         (x.observation, x.part): x for x in reliabilities(state, spread, layout, ties)
     }

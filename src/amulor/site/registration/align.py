@@ -171,7 +171,7 @@ def align(
         surfaces,
         free=free if all(same) else 0,
     )
-    covariance, inverse, layout = network.covariance_and_inverse(
+    covariance, inverse, layout = network.covariance(
         state, pairs, ties, trust, surfaces, free=free
     )
     return Alignment(

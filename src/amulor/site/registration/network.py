@@ -203,30 +203,14 @@ def covariance(
     surfaces: Mapping[str, ScanSurface],
     *,
     free: int = 0,
-) -> tuple[Floats, Layout]:
-    r"""Return the covariance of all estimates of the adjustment.
+) -> tuple[Floats, Floats, Layout]:
+    r"""Return the covariance of all estimates, and the inverse of the normal matrix.
 
     The covariance is :math:`A^{-1} B A^{-T}`, with the derivative A of the gradient and
     its variance B. B contains the effect of each pixel's noise through every point,
     patch and pair that uses the pixel. Noise shared by neighbors is thus not averaged
     out.
     """
-    spread, _, layout = covariance_and_inverse(
-        state, pairs, ties, trust, surfaces, free=free
-    )
-    return spread, layout
-
-
-def covariance_and_inverse(
-    state: State,
-    pairs: Sequence[Pair],
-    ties: Ties,
-    trust: Sequence[float],
-    surfaces: Mapping[str, ScanSurface],
-    *,
-    free: int = 0,
-) -> tuple[Floats, Floats, Layout]:
-    """Return the covariance, and the inverse of the normal matrix, of all estimates."""
     layout = Layout(state, ties.fixed)
     projection, _ = projector(state, pairs, trust, layout, free)
     system = system_of(state, pairs, ties, trust, layout, projection)
