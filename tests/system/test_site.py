@@ -184,8 +184,8 @@ def test_the_report_draws_the_site(folder: Path) -> None:
     text = (folder / "site.html").read_text()
     assert text.count("data:image/png") == 4
     # Network: nine start poses of six components, and the errors that scans share.
-    assert "<td>start positions</td><td>27</td>" in text.replace("\n", "")
-    assert "<td>start attitudes</td><td>27</td>" in text.replace("\n", "")
+    assert ">start positions</td><td>27</td>" in text
+    assert ">start attitudes</td><td>27</td>" in text
     assert "moved by" in text
     assert "of which at most 5%" in text
 
