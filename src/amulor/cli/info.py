@@ -149,6 +149,11 @@ def _uncertainty(image: Any) -> dict[str, Any]:
     }
 
 
+def _chance(probability: float | None) -> str:
+    """Return the largest chance of a test's result in words; empty without one."""
+    return "" if probability is None else f" (chance below {probability:.1g})"
+
+
 def _lines(budget: dict[str, Any]) -> list[str]:
     """Return the error budget as lines of text."""
     if not budget:
@@ -185,8 +190,8 @@ def _lines(budget: dict[str, Any]) -> list[str]:
         day = budget["delay_calibrated"]
         lines.append(f"delay calibrated on {day}{age_in_words(age)}")
     lines += [
-        f"{test['result']} (chance below {test['probability']:.1g}): {test['cause']}; "
-        f"to do: {test['measurement']}"
+        f"{test['result']}{_chance(test['probability'])}: {test['cause']}; to do: "
+        f"{test['measurement']}"
         for test in budget["instrument_tests"]
     ]
     return lines

@@ -20,6 +20,8 @@ __all__ = [
 ]
 
 
+#: A test of the instrument fails if chance makes so large a result in fewer cases [1].
+LARGEST_CHANCE = 1e-4
 #: A target counts as present if no more than this fraction of the frequencies lacks it
 #: [1].
 _HALF = 0.5

@@ -372,14 +372,17 @@ def instrument_term(
     """Return the range error by phase errors of the instrument; None if zero.
 
     Leakage, walk and harmonics turn each frequency by an angle of its own, of the
-    stated or typical size, and by as much as the channels differ where chance does not
-    explain that. Unmixing multiplies the former. The error of a measured leakage turns
-    weak echoes most. A drift during the scan turns all frequencies the same way.
+    stated or typical size, and by as much as channels or frequencies differ where
+    chance does not explain that. Unmixing multiplies the former. The error of a
+    measured leakage turns weak echoes most. A drift during the scan turns all
+    frequencies the same way.
     """
     channel = observation.channel
     remaining = by_frequency(channel, "instrument_drift_uncertainty_s", 0.0)
     drift = speed_of_light * float(np.sum(weight * remaining))
-    phases = instrument_phase(channel, observation.survey)
+    phases = np.maximum(
+        instrument_phase(channel, observation.survey), observation.frequency_phase
+    )
     per_phase = weight * observation.path_per_phase.ravel()
     path = np.linalg.norm(per_phase * phases)
     leakage = leakage_volt(channel)

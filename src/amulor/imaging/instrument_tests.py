@@ -8,20 +8,23 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, WaterResidualCause
+from amulor.cube.error import LARGEST_CHANCE
 from amulor.imaging.observation import Observation
 from amulor.optics import ambiguity, detection
 
 Floats = NDArray[np.float64]
 
-#: A test fails where chance makes a result so large in fewer cases [1].
-LARGEST_CHANCE = 1e-4
 #: Frequencies from which on their phases can contradict each other for a whole scan.
 _FEWEST_FREQUENCIES = 3
 #: Pixels from which on a median is a good one.
 _FEWEST_PIXELS = 10
 #: Attributes with the result of the test of the frequencies.
 PROBABILITY, PHASES = "frequency_phase_probability", "frequency_phase_rad"
+#: Relative difference between the waters of scan and references that is usual [1].
+_USUAL_CHANGE = 0.02
+#: A delay between channels explains their phases up to this share of the largest [1].
+_LIKE_DELAY = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +37,26 @@ class FrequencyPhase:
     """Probability of so large deviations by chance and stated errors [1]."""
 
     @property
+    def is_real(self) -> bool:
+        """Whether the deviations are significant."""
+        return self.probability < LARGEST_CHANCE
+
+    @property
+    def size(self) -> float:
+        """Phase error of a frequency by which the deviations are usual [rad].
+
+        The path of all frequencies is fitted, and hides most of the error of the
+        highest.
+        """
+        if not self.is_real:
+            return 0.0
+        return float(np.sqrt(np.sum(self.phase**2) / (self.phase.size - 1)))
+
+    @property
     def attributes(self) -> dict[str, float | Floats]:
         """Attributes of a range image; the phases only where they are significant."""
         values: dict[str, float | Floats] = {PROBABILITY: self.probability}
-        if self.probability < LARGEST_CHANCE:
+        if self.is_real:
             values[PHASES] = self.phase
         return values
 
@@ -93,12 +112,12 @@ class InstrumentTest:
     """Name: "channels", "frequencies", "drift" or "methods"."""
     result: str
     """Measured contradiction, with its size."""
-    probability: float
-    """Largest probability of such a result by chance [1]."""
+    probability: float | None
+    """Largest probability of such a result by chance; None if its size decides [1]."""
     cause: str
     """Probable causes."""
     measurement: str
-    """Measurement for confirmation or removal of the cause."""
+    """Measurement that confirms or removes the cause."""
 
 
 _LEAKAGE = (
@@ -107,62 +126,142 @@ _LEAKAGE = (
 )
 
 
+_WATER = "other water before the target than in the references"
+_AMPLITUDE = "leakage, a phase that depends on the amplitude"
+
+
 def instrument_tests(cube: xr.Dataset) -> tuple[InstrumentTest, ...]:
     """Return the failed tests of a target signal or range image."""
-    attributes = cube.attrs
-    failed = []
-    if "channel_phase_rad" in attributes:
-        size = float(np.max(attributes["channel_phase_rad"]))
-        failed.append(
-            InstrumentTest(
-                name="channels",
-                result=f"the channels differ by {1e3 * size:.3g} mrad",
-                probability=float(attributes["channel_phase_probability"]),
-                cause="leakage, a phase that depends on the amplitude, or other water "
-                "before the target than in the references",
-                measurement=_LEAKAGE,
-            )
-        )
-    if PHASES in attributes:
-        size = float(np.max(np.abs(attributes[PHASES])))
-        failed.append(
-            InstrumentTest(
-                name="frequencies",
-                result=f"the frequencies differ from one distance by up to "
-                f"{1e3 * size:.3g} mrad",
-                probability=float(attributes[PROBABILITY]),
-                cause="leakage, harmonics, reflections in a cable, or other water than "
-                "that of the survey",
-                measurement=f"{_LEAKAGE}; calibrate the phase of each frequency with a "
-                "plate",
-            )
-        )
-    if "instrument_drift_delay_s" in attributes:
-        delays = np.atleast_1d(attributes["instrument_drift_delay_s"])
-        size = float(delays[np.argmax(np.abs(delays))])
-        failed.append(
-            InstrumentTest(
-                name="drift",
-                result=f"the delay of the references changed by {1e12 * size:.3g} ps",
-                # Six standard errors, at any of several frequencies.
-                probability=2e-9 * delays.size,
-                cause="drift of the instrument, as by temperature; not a change of the "
-                "water",
-                measurement="let laser and detector warm up, and record references "
-                "during the scan",
-            )
-        )
-    if "method_disagreement_m" in attributes:
-        size = float(attributes["method_disagreement_m"])
-        failed.append(
-            InstrumentTest(
-                name="methods",
-                result=f"two rejection methods differ by {1e3 * size:.3g} mm",
-                # Four standard errors.
-                probability=6.4e-5,
-                cause="leakage, a phase that depends on the amplitude, or other water "
-                "before the target than in the references",
-                measurement=_LEAKAGE,
-            )
-        )
-    return tuple(failed)
+    tests = (_references, _water, _channels, _frequencies, _drift, _methods)
+    results = (test(cube) for test in tests)
+    return tuple(result for result in results if result is not None)
+
+
+def _references(cube: xr.Dataset) -> InstrumentTest | None:
+    """Test whether some water explains both the references and the scan."""
+    cause = np.asarray(cube.get("water_residual_cause", np.int8(0)))
+    if "channel_phase_rad" in cube.attrs or not np.any(
+        cause & WaterResidualCause.INSTRUMENT
+    ):
+        return None
+    return InstrumentTest(
+        name="references",
+        result="no water explains the references and the scan",
+        probability=None,
+        cause=f"{_AMPLITUDE}, an offset of the demodulator, or another position of the "
+        "receiver than in the survey",
+        measurement=_LEAKAGE,
+    )
+
+
+def _water(cube: xr.Dataset) -> InstrumentTest | None:
+    """Test whether the water of the scan is that of the references."""
+    from scipy.special import ndtr
+
+    change = float(cube.attrs.get("open_water_change", 0.0))
+    error = float(cube.attrs.get("open_water_change_uncertainty", 0.0))
+    chance = 2 * float(ndtr(-abs(change) / np.hypot(_USUAL_CHANGE, error)))
+    if not chance < LARGEST_CHANCE:
+        return None
+    further = (
+        "phase errors of single frequencies, as by harmonics, reflections in a cable "
+        "or the demodulator"
+        if _frequency(cube).size > 1
+        else "a delay between the channels"
+    )
+    return InstrumentTest(
+        name="water",
+        result=f"the water differs by {change:+.0%} from the references",
+        probability=chance,
+        cause=f"{_WATER}, {_AMPLITUDE}, or {further}",
+        measurement=f"record references again; {_LEAKAGE}",
+    )
+
+
+def _channels(cube: xr.Dataset) -> InstrumentTest | None:
+    """Test whether all channels have the phase of one echo."""
+    if "channel_phase_rad" not in cube.attrs:
+        return None
+    phase = np.atleast_1d(cube.attrs["channel_phase_rad"])
+    cause, measurement = f"{_AMPLITUDE}, or {_WATER}", _LEAKAGE
+    if _is_delay(phase, cube):
+        cause = "a delay between the channels"
+        measurement = "measure the delay of each channel with a plate"
+    return InstrumentTest(
+        name="channels",
+        result=f"the channels differ by {1e3 * float(np.max(phase)):.3g} mrad",
+        probability=float(cube.attrs["channel_phase_probability"]),
+        cause=cause,
+        measurement=measurement,
+    )
+
+
+def _is_delay(phase: Floats, cube: xr.Dataset) -> bool:
+    """Return whether phases at several frequencies are those of a delay."""
+    frequency = _frequency(cube)
+    if frequency.size != phase.size or phase.size < 2:
+        return False
+    slope = np.sum(frequency * phase) / np.sum(frequency**2)
+    rest = np.abs(phase - slope * frequency)
+    return bool(rest.max() < _LIKE_DELAY * phase.max())
+
+
+def _frequency(cube: xr.Dataset) -> Floats:
+    """Return the modulation frequencies of a target signal or a range image [Hz]."""
+    if "modulation_frequency" in cube.coords:
+        return np.atleast_1d(cube["modulation_frequency"].values)
+    return np.atleast_1d(cube.attrs.get("modulation_frequencies", ()))
+
+
+def _frequencies(cube: xr.Dataset) -> InstrumentTest | None:
+    """Test whether all frequencies have the phase of one distance."""
+    if PHASES not in cube.attrs:
+        return None
+    size = float(np.max(np.abs(cube.attrs[PHASES])))
+    cause = (
+        f"{_AMPLITUDE}, or {_WATER}"
+        if "channel_phase_rad" in cube.attrs
+        # Errors that depend on the echo differ between the channels.
+        else "harmonics, reflections in a cable, an error of the demodulator, a scale "
+        "change, or frequencies without a calibration of their phase"
+    )
+    return InstrumentTest(
+        name="frequencies",
+        result=f"the frequencies differ from one distance by up to {1e3 * size:.3g} "
+        "mrad",
+        probability=float(cube.attrs[PROBABILITY]),
+        cause=cause,
+        measurement=f"{_LEAKAGE}; calibrate the phase of each frequency with a plate",
+    )
+
+
+def _drift(cube: xr.Dataset) -> InstrumentTest | None:
+    """Test whether the references after the scan have the delay of those before it."""
+    if "instrument_drift_delay_s" not in cube.attrs:
+        return None
+    delays = np.atleast_1d(cube.attrs["instrument_drift_delay_s"])
+    size = float(delays[np.argmax(np.abs(delays))])
+    return InstrumentTest(
+        name="drift",
+        result=f"the delay of the references changed by {1e12 * size:.3g} ps",
+        # Six standard errors, at any of several frequencies.
+        probability=2e-9 * delays.size,
+        cause="drift of the instrument, as by temperature; not a change of the water",
+        measurement="let laser and detector warm up, and record references during the "
+        "scan",
+    )
+
+
+def _methods(cube: xr.Dataset) -> InstrumentTest | None:
+    """Test whether two rejection methods have one distance."""
+    if "method_disagreement_m" not in cube.attrs:
+        return None
+    size = float(cube.attrs["method_disagreement_m"])
+    return InstrumentTest(
+        name="methods",
+        result=f"two rejection methods differ by {1e3 * size:.3g} mm",
+        # Four standard errors.
+        probability=6.4e-5,
+        cause=f"{_AMPLITUDE}, or {_WATER}",
+        measurement=_LEAKAGE,
+    )

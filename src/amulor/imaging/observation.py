@@ -76,6 +76,8 @@ class Observation:
     """Largest fraction of a pixel's frequencies that may be discarded [1]."""
     span: Span | None = None
     """Directions of the full scan; None if the channel is the full scan."""
+    frequency_phase: float = 0.0
+    """Phase error at each frequency, from a contradiction between them [rad]."""
 
     @cached_property
     def frequency(self) -> Floats:
@@ -177,6 +179,10 @@ class Observation:
         if any(f"joint_{name}" not in attributes for name in names):
             return None
         return tuple(float(attributes[f"joint_{name}"]) for name in names)
+
+    def with_frequency_phase(self, size: float) -> Observation:
+        """Observation with a phase error at each frequency."""
+        return replace(self, frequency_phase=size)
 
     def with_noise(self, factor: float) -> Observation:
         """Observation with all phase noise multiplied by a factor."""

@@ -176,6 +176,8 @@ def fitted_range_image(
         ranges, of_ranges = ranges_of_path(observation, path, fit=of_ranges)
         if fit is None:
             phases = frequency_phase(observation, path)
+    if phases is not None:
+        observation = observation.with_frequency_phase(phases.size)
     tell("error budget", 0.6)
     late = None if fit is None else fit.late
     patches = None if fit is None else fit.patches

@@ -13,6 +13,7 @@ from scipy.special import ndtr, ndtri
 
 from amulor._discoveries import largest_discovered
 from amulor.cube import QualityFlag, WaterResidualCause
+from amulor.cube.error import LARGEST_CHANCE
 from amulor.optics import detection, ranging
 from amulor.rejection.covariance import Covariance
 
@@ -188,8 +189,6 @@ def channels_disagree(
     return marked, tuple(limits), size
 
 
-#: P-value below which a phase difference between channels is significant [1].
-_REAL_PHASE = 1e-4
 #: Least fraction of the target pixels with a known phase for this test [1].
 _MOST_PIXELS = 0.5
 #: A larger one flags the scan [rad].
@@ -216,7 +215,7 @@ class ChannelPhase:
     @property
     def is_real(self) -> bool:
         """Whether the phase difference is significant."""
-        return self.probability < _REAL_PHASE
+        return self.probability < LARGEST_CHANCE
 
     @property
     def cause(self) -> WaterResidualCause:

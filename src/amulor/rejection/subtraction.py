@@ -180,8 +180,8 @@ def subtract_open_water(
             modulation_frequency=scan.frequency,
             path=water.path,
         )
-    target = target - strength.change * water.signal
-    change = change + along(water.signal, strength.uncertainty)
+    target = target - strength.subtracted * water.signal
+    change = change + along(water.signal, strength.error)
     errors = counting + water.fluctuation + water.common + column
     similar, shape = quality.looks_like_water(
         scan.saturated, target, water.signal, errors
@@ -224,7 +224,7 @@ def subtract_open_water(
         tests["channel_disagreement"] = size
     return Subtraction(
         target=target,
-        water_signal=water_signal + strength.change * water.signal,
+        water_signal=water_signal + strength.subtracted * water.signal,
         residual=residual,
         put_back=put_back and residual is not None,
         counting=counting,

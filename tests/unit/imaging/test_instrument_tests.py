@@ -81,9 +81,15 @@ def test_a_delay_is_no_contradiction_and_a_constant_phase_is() -> None:
     constant = _image(np.full(4, 0.005))
     assert constant.attrs["frequency_phase_probability"] < 1e-4
     (failed,) = instrument_tests(constant)
+    assert failed.name == "frequencies"
     assert "frequencies differ" in failed.result
-    assert "leakage" in failed.cause
+    # Errors that the channels share are no leakage.
+    assert "demodulator" in failed.cause
     assert "plate" in failed.measurement
+    (failed, _) = instrument_tests(
+        constant.assign_attrs(channel_phase_rad=0.02, channel_phase_probability=1e-9)
+    )[::-1]
+    assert "leakage" in failed.cause
 
 
 def test_chance_is_uniform_for_phases_that_agree() -> None:
@@ -100,6 +106,67 @@ def test_two_frequencies_have_no_such_test() -> None:
     target = _target(np.zeros(4)).isel(modulation_frequency=[1, 2])
     image = imaging.range_image(target, interval=(0.5, 2.0))
     assert "frequency_phase_probability" not in image.attrs
+
+
+def test_frequencies_that_contradict_each_other_widen_the_range_error() -> None:
+    rng = np.random.default_rng(7)
+    turns = 0.02 * rng.standard_normal((60, 4))
+    # A pixel alone is too noisy to show the contradiction.
+    images = [_image(turn, noise=0.01) for turn in turns]
+    images = [image for image in images if "frequency_phase_rad" in image.attrs]
+    assert len(images) > 50
+    error = [float(image["slant_range"].median()) - 1.2 for image in images]
+    common = [
+        float(image["slant_range_common_uncertainty"].median()) for image in images
+    ]
+    # 50 normal errors: their standard deviation is known to 10 %.
+    expected = np.sqrt(np.mean(np.square(common)))
+    assert np.sqrt(np.mean(np.square(error))) == pytest.approx(expected, rel=0.3)
+    agreeing = _image(np.zeros(4), noise=0.01)
+    assert "slant_range_uncertainty_instrument" not in agreeing
+
+
+def test_a_phase_in_proportion_to_the_frequency_is_a_delay_between_channels() -> None:
+    attributes = {
+        "channel_phase_probability": 1e-9,
+        "modulation_frequencies": FREQUENCY,
+    }
+    # 10 ps, and the same size at all frequencies.
+    delay, leakage = (
+        instrument_tests(xr.Dataset(attrs=attributes | {"channel_phase_rad": phase}))[0]
+        for phase in (2 * np.pi * FREQUENCY * 10e-12, np.full(4, 0.009))
+    )
+    assert "delay between the channels" in delay.cause
+    assert "leakage" not in delay.cause
+    assert "leakage" in leakage.cause
+
+
+@pytest.mark.parametrize(
+    ("change", "uncertainty", "fails"),
+    [(0.05, 0.001, False), (0.12, 0.001, True), (-0.4, 0.15, False), (-2, 0.2, True)],
+)
+def test_an_unusual_change_of_the_water_is_named(
+    change: float, uncertainty: float, fails: bool
+) -> None:
+    attributes = {
+        "open_water_change": change,
+        "open_water_change_uncertainty": uncertainty,
+    }
+    failed = instrument_tests(xr.Dataset(attrs=attributes))
+    assert bool(failed) == fails
+    if fails:
+        assert failed[0].name == "water"
+        assert "other water" in failed[0].cause
+        assert failed[0].probability is not None
+
+
+def test_references_that_no_water_explains_are_named() -> None:
+    cause = xr.DataArray(np.full((2, 3), 64, dtype=np.int8), dims=("row", "column"))
+    (failed,) = instrument_tests(xr.Dataset({"water_residual_cause": cause}))
+    assert failed.name == "references"
+    assert failed.probability is None
+    assert "leakage" in failed.cause
+    assert instrument_tests(xr.Dataset({"water_residual_cause": cause - 32})) == ()
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,12 @@ def test_water_that_changed_too_much_is_refused_with_the_remedy(by_hand: Make) -
         rejection.open_water(cube)
 
 
+def test_a_change_beyond_that_of_water_is_called_leakage(by_hand: Make) -> None:
+    cube = by_hand(frequency=[39e6], channels=ONE, drift=3.0)
+    with pytest.raises(CubeError, match="leakage that drifts"):
+        rejection.open_water(cube)
+
+
 def test_steady_water_is_not_taken_for_a_drift(by_hand: Make) -> None:
     # 40 scans at a chance of 1 in 1000 each: two alarms would be 1 in 1300.
     alarms = 0

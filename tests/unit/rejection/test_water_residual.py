@@ -14,8 +14,10 @@ from amulor.cube import QualityFlag, WaterResidualCause
 from amulor.errors import CubeError
 from amulor.rejection.reference import before_target
 from amulor.scale import image_file, reject_file
+from amulor.studies.trust.methods import outcome
 from amulor.studies.trust.scenes import instrument
 from amulor.studies.trust.scenes import samples as trust_samples
+from amulor.studies.trust.table import score
 from amulor.survey import Survey
 
 ONE = {"VV": (1.0, 1.0)}
@@ -175,6 +177,25 @@ def test_shots_that_no_turbidity_explains_have_a_cause(shown: float) -> None:
     steady = before_target.Strength(change=0.0, uncertainty=0.02)
     expected = WaterResidualCause.INSTRUMENT if shown > 0.05 else 0
     assert before_target.contradiction(steady, turbidity) == expected
+
+
+def test_half_of_an_untested_change_is_subtracted_with_its_whole_as_error() -> None:
+    tested = before_target.Strength(change=0.4, uncertainty=0.03)
+    assert (tested.subtracted, tested.error) == (0.4, 0.03)
+    untested = before_target.Strength(change=0.4, uncertainty=0.03, is_untested=True)
+    assert untested.subtracted == 0.2
+    assert untested.error == pytest.approx(np.hypot(0.4, 0.03))
+
+
+@pytest.mark.parametrize("kind", ["leakage, scan", "walk"])
+def test_a_change_that_only_one_frequency_shows_widens_the_error(kind: str) -> None:
+    # Half of the typical size: a surprise, and no water of negative strength.
+    case = instrument.case(kind, 0.5, 1, "calibrated", 1)
+    result = score(case, outcome("open-water", case))
+    assert result.trusted == 1
+    assert result.inside_95 > 0.95
+    # The stated calibration alone has 1.3 mm.
+    assert result.uncertainty > 2.5e-3
 
 
 def test_leakage_in_the_scan_alone_flags_all() -> None:

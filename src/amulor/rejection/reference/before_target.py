@@ -377,6 +377,24 @@ class Strength:
     """Relative change; the scan's water is (1 + change) times the reference [1]."""
     uncertainty: float
     """Standard uncertainty of the change [1]."""
+    is_untested: bool = False
+    """Whether the change is surprising and no other data test it."""
+
+    @property
+    def subtracted(self) -> float:
+        """Part of the change that is subtracted [1].
+
+        Leakage, a delay between channels or a layer of other water looks like a change
+        of all water, but its effect on the range is smaller or larger. Half of an
+        untested change is subtracted.
+        """
+        return self.change / 2 if self.is_untested else self.change
+
+    @property
+    def error(self) -> float:
+        """Standard uncertainty of the subtracted part [1]."""
+        untested = self.change if self.is_untested else 0.0
+        return float(np.hypot(self.uncertainty, untested))
 
 
 def contradiction(
@@ -459,11 +477,15 @@ def strength_of(
     by_shared = np.sum(np.sum(np.abs(fit.gain * shared), axis=2) ** 2)
     variance = float(by_independent + by_shared)
     expected = DEPARTURE**2
-    if fit.change**2 > _SURPRISE**2 * (expected + variance):
+    surprise = bool(fit.change**2 > _SURPRISE**2 * (expected + variance))
+    if surprise:
         expected = fit.change**2 - variance
+    change = fit.change * expected / (expected + variance)
+    uncertainty = float(np.sqrt(expected * variance / (expected + variance)))
     return Strength(
-        change=fit.change * expected / (expected + variance),
-        uncertainty=float(np.sqrt(expected * variance / (expected + variance))),
+        change=change,
+        uncertainty=uncertainty,
+        is_untested=surprise and len(frequency) == 1,
     )
 
 

@@ -424,12 +424,18 @@ def _refuse_strong_drift(
     if sure[worst] > LARGEST_DRIFT:
         drift = fits[worst].drift
         place = _place(scan, tuple(map(int, np.unravel_index(worst, shape))))
+        cause = (
+            "; so large a change is rather leakage that drifts: block the receiver "
+            "with the laser on"
+            if sure[worst] > 1
+            else ""
+        )
         raise CubeError(
             f"the open-water signal at {place} changed by "
             f"{abs(drift.change):.0%} (+- {abs(drift.uncertainty):.0%}) from the first "
             f"shot to the last, at most {LARGEST_DRIFT:.0%} can be bridged; record the "
             "reference again closer to the scan, or split scan and reference into "
-            "shorter parts"
+            f"shorter parts{cause}"
         )
 
 
