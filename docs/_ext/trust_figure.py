@@ -1,4 +1,4 @@
-"""Figure of the trust page, drawn from the table whenever the site is built."""
+"""Figures of the trust page, drawn from the tables whenever the site is built."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from sphinx.application import Sphinx
 
-from amulor.studies.trust.table import Written, written
+from amulor.studies.trust import instrument
+from amulor.studies.trust.table import TWO, Written, written
 from amulor.view.style import COLOURS, new_figure, style
 
 TABLE = "trust/default.txt"
 DRAWN = "trust/intervals.svg"
+INSTRUMENT_TABLE = "trust/instrument.txt"
+INSTRUMENT_DRAWN = "trust/instrument.svg"
 
 #: Kinds of scenes, from top to bottom of the figure.
 KINDS = {
@@ -114,11 +117,72 @@ def _wrapped(kind: str) -> str:
     return "\n".join([" ".join(words[:half]), " ".join(words[half:])])
 
 
+#: Method and state of the survey in the figure of instrument errors; sizes of panels.
+SHOWN = ("open-water", "uncalibrated")
+PANELS = {1.0: "typical size", 3.0: "three times the typical size"}
+
+
+def errors(
+    rows: Iterable[instrument.InstrumentRow],
+) -> dict[tuple[str, float, int], float]:
+    """Return mean errors in stated uncertainties, not a number if all is flagged.
+
+    By kind of error, its size and the number of frequencies.
+    """
+    return {
+        (row.key.kind, row.key.size, row.key.count): abs(row.mean) / row.stated
+        for row in rows
+        if (row.key.method, row.key.state) == SHOWN and row.key.size in PANELS
+    }
+
+
+def instrument_figure(rows: Iterable[instrument.InstrumentRow]) -> Figure:
+    """Draw the range error by each instrument error in stated uncertainties."""
+    values = errors(rows)
+    kinds = list(dict.fromkeys(kind for kind, _, _ in values if kind != "perfect"))
+    with style():
+        drawn = new_figure(5.0, 6.0)
+        panels = drawn.subplots(1, len(PANELS), sharey=True)
+        for panel, (size, title) in zip(panels, PANELS.items(), strict=True):
+            panel.set_title(title)
+            panel.set_xlabel("error / stated uncertainty")
+            panel.axvline(TWO, color="0.4", linewidth=1, linestyle=":")
+            panel.set_xlim(-0.7, 5)
+            for index, count in enumerate(instrument.COUNTS):
+                height = np.arange(len(kinds)) + 0.2 * (index - 1)
+                error = np.array(
+                    [values.get((kind, size, count), -1) for kind in kinds]
+                )
+                flagged = np.isnan(error)
+                panel.plot(
+                    error[error >= 0], height[error >= 0], "osD"[index],
+                    color=COLOURS[index], label=_counted(count), linestyle="none",
+                    markersize=4,
+                )  # fmt: skip
+                panel.plot(
+                    np.full(flagged.sum(), -0.4), height[flagged], "x",
+                    color=COLOURS[index], markersize=4, linestyle="none",
+                )  # fmt: skip
+        panels[0].set_yticks(range(len(kinds)), kinds)
+        panels[0].invert_yaxis()
+        drawn.legend(
+            *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3
+        )
+    return drawn
+
+
+def _counted(count: int) -> str:
+    return f"{count} frequenc{'y' if count == 1 else 'ies'}"
+
+
 def draw(app: Sphinx) -> None:
-    """Write the figure beside its page."""
+    """Write the figures beside their page."""
     folder = Path(app.srcdir)
     rows = written((folder / TABLE).read_text(encoding="utf-8"))
     figure(rows).savefig(folder / DRAWN, metadata={"Date": None})
+    table = (folder / INSTRUMENT_TABLE).read_text(encoding="utf-8")
+    drawn = instrument_figure(instrument.written(table))
+    drawn.savefig(folder / INSTRUMENT_DRAWN, metadata={"Date": None})
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

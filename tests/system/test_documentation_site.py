@@ -144,6 +144,32 @@ def test_the_trust_figure_shows_each_scene_of_the_table() -> None:
     assert len(figure.figure(rows).axes) == 2
 
 
+def test_the_trust_figure_shows_each_kind_of_instrument_error() -> None:
+    pytest.importorskip("sphinx", reason="pip install --group docs")
+    from amulor.studies.trust import instrument
+    from amulor.studies.trust.scenes.instrument import KINDS
+
+    figure = script("docs/_ext/trust_figure.py")
+    table = (DOCS / figure.INSTRUMENT_TABLE).read_text(encoding="utf-8")
+    rows = list(instrument.written(table))
+    drawn = figure.instrument_figure(rows)
+    labels = [label.get_text() for label in drawn.axes[0].get_yticklabels()]
+    assert labels == [name for name in KINDS if name != "perfect"]
+    (row,) = (
+        row
+        for row in rows
+        if row.key == instrument.Key(
+            kind="harmonic", size=1.0, count=1, state="uncalibrated",
+            method="open-water",
+        )
+    )  # fmt: skip
+    # Mean error of 3.2 mm, stated 3.1 mm.
+    assert figure.errors([row]) == {
+        ("harmonic", 1.0, 1): pytest.approx(row.mean / row.stated)
+    }
+    assert row.mean / row.stated == pytest.approx(1.03, abs=0.02)
+
+
 def test_the_summary_of_the_paper_counts_as_its_tables_do() -> None:
     summary = (DOCS / "gallery" / "paper.md").read_text()
     tables = (DOCS / "gallery" / "ricci2010.md").read_text()

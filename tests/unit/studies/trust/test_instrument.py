@@ -163,8 +163,8 @@ def test_a_calibration_states_the_phase_error_that_the_echo_has(
 
 
 def test_a_case_keeps_its_truth_apart_and_states_its_calibration() -> None:
-    stated = instrument.case("leakage, scan", 1.0, 1, "calibrated", 1)
-    without = instrument.case("leakage, scan", 1.0, 1, "uncalibrated", 1)
+    stated = instrument.case("harmonic", 1.0, 1, "calibrated", 1)
+    without = instrument.case("harmonic", 1.0, 1, "uncalibrated", 1)
     assert not [name for name in stated.samples if str(name).startswith("truth")]
     known = Survey.from_text(stated.samples.attrs["survey"]).calibration
     assert known is not None
@@ -173,6 +173,15 @@ def test_a_case_keeps_its_truth_apart_and_states_its_calibration() -> None:
     assert unknown.calibration is None
     assert unknown.instrument.phase_uncertainty is None
     assert_array_equal(stated.samples["in_phase"], without.samples["in_phase"])
+
+
+def test_a_calibration_leaves_a_tenth_of_a_leakage_and_a_wrong_one_more() -> None:
+    perfect = instrument.case("perfect", 1.0, 1, "calibrated", 1).samples
+    added = []
+    for state in instrument.STATES:
+        samples = instrument.case("offset", 1.0, 1, state, 1).samples
+        added.append((samples["in_phase"] - perfect["in_phase"]).values[0, 0, 3, 4])
+    assert_allclose(np.divide(added, added[0]), [1.0, 0.1, 0.3], rtol=1e-6)
 
 
 def test_each_kind_changes_the_samples_but_the_perfect_one(

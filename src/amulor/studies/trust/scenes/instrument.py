@@ -328,7 +328,12 @@ class Kind:
     """Words that identify a correct suggestion of the cause; any of them suffices."""
     is_phase: bool = True
     """Whether a phase calibration reveals the error."""
+    remaining: float = 1.0
+    """Fraction that remains after the correction by a calibration [1]."""
 
+
+#: Part of leakage and walk that remains after a calibration subtracts them [1].
+_REST = 0.1
 
 #: Kinds of instrument errors by name; "perfect" has none.
 KINDS: dict[str, Kind] = {
@@ -336,16 +341,19 @@ KINDS: dict[str, Kind] = {
     "leakage, scan": Kind(
         title="leakage of 1 % of the echo, in the scan only",
         of_size=lambda size: leakage(0.01 * size),
+        remaining=_REST,
         causes=("leakage",),
     ),
     "leakage, delay": Kind(
         title="leakage of 1 % of the echo, 2 ns late, in scan and references",
         of_size=lambda size: leakage(0.01 * size, delay=2e-9),
+        remaining=_REST,
         causes=("leakage",),
     ),
     "leakage, growing": Kind(
         title="leakage that grows from 0 to 1 % of the echo",
         of_size=lambda size: growing_leakage(0.01 * size),
+        remaining=_REST,
         causes=("leakage", "drift"),
     ),
     "window": Kind(
@@ -356,11 +364,13 @@ KINDS: dict[str, Kind] = {
     "offset": Kind(
         title="offset of the in-phase output, 0.5 % of the echo",
         of_size=lambda size: offset(0.005 * size),
+        remaining=_REST,
         causes=("leakage", "offset"),
     ),
     "walk": Kind(
         title="phase that depends on the amplitude, 2 degrees for a factor of 10",
         of_size=lambda size: walk(2.0 * size),
+        remaining=_REST,
         causes=("depends on the amplitude",),
     ),
     "harmonic": Kind(
@@ -479,12 +489,14 @@ def with_effect(
 
 def case(kind: str, size: float, count: int, state: str, seed: int) -> Case:
     """Simulate an instrument error of given size, with a user's survey."""
-    recorded = Recorded(count, seed)
-    scan, shots = KINDS[kind].of_size(size)(recorded)
+    recorded, effect = Recorded(count, seed), KINDS[kind]
     if state == "uncalibrated":
-        return _case(recorded, scan, shots, False, None)
-    error = phase_error(recorded, scan, shots) if KINDS[kind].is_phase else 0.0
+        return _case(recorded, *effect.of_size(size)(recorded), False, None)
     share = 1.0 if state == "calibrated" else _WRONG
+    # A wrong calibration leaves more than it states.
+    rest = min(1.0, effect.remaining / share)
+    scan, shots = effect.of_size(rest * size)(recorded)
+    error = phase_error(recorded, scan, shots) if effect.is_phase else 0.0
     stated = min(float(np.hypot(share * error, _LEAST_PHASE)), _LARGEST_PHASE)
     return _case(recorded, scan, shots, True, stated)
 
