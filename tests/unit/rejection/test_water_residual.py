@@ -187,10 +187,14 @@ def test_half_of_an_untested_change_is_subtracted_with_its_whole_as_error() -> N
     assert untested.error == pytest.approx(np.hypot(0.4, 0.03))
 
 
-@pytest.mark.parametrize("kind", ["leakage, scan", "walk"])
-def test_a_change_that_only_one_frequency_shows_widens_the_error(kind: str) -> None:
-    # Half of the typical size: a surprise, and no water of negative strength.
-    case = instrument.case(kind, 0.5, 1, "calibrated", 1)
+@pytest.mark.parametrize(
+    "effect", [instrument.leakage(0.005), instrument.walk(1.0)], ids=["leakage", "walk"]
+)
+def test_a_change_that_only_one_frequency_shows_widens_the_error(
+    effect: instrument.Effect,
+) -> None:
+    # A surprise, and no water of negative strength.
+    case = instrument.with_effect(1, 1, effect=effect, phase_uncertainty=2e-3)
     result = score(case, outcome("open-water", case))
     assert result.trusted == 1
     assert result.inside_95 > 0.95
