@@ -45,7 +45,7 @@ class Geometry:
         return slant_range - self.beam.length_before
 
     def position(self, slant_range: Floats) -> Floats:
-        """Points at slant ranges, in the instrument's axes, last axis (3,) [m]."""
+        """Points on beams at slant ranges, in instrument axes, shape (..., 3) [m]."""
         water = self.depth(slant_range)[..., None]
         return np.asarray(self.beam.entry + water * self.beam.direction)
 

@@ -259,7 +259,7 @@ def bessel_nodes() -> Array:
 
 
 def _rule() -> NDArray[np.float64]:
-    """Return the matrices from node values to series terms, and the nodes.
+    """Return the matrices that convert node values to series terms, and the nodes.
 
     [0] and [1] give the factors of the spherical Bessel functions of even and odd
     order in the moment of exp(i k s), [2] and [3] those of the Chebyshev

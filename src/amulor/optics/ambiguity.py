@@ -1,4 +1,4 @@
-"""Resolution of the 2 pi ambiguity of modulation phases by several frequencies."""
+"""Resolution of the 2 pi phase ambiguity by several modulation frequencies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Maxima and minima of interference over modulation frequency, and their spacing."""
+"""Interference maxima and minima over modulation frequency, and their spacing."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def target_signal(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.comp
 def phase_error(
     target_signal: ArrayLike, water_signal: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the phase error of a target that the water signal causes.
+    r"""Return the phase error of the target signal caused by the water signal.
 
     Parameters
     ----------

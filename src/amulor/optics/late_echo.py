@@ -194,7 +194,7 @@ def late_echo(
 
 
 def _at_frequency(rate: Array, excess: Array, unscattered: Array) -> Array:
-    """Return the excess path that the echo's phase corresponds to [m].
+    """Return the excess path that explains the phase of the echo [m].
 
     The rate is that of the phase with the way [rad/m].
     """
@@ -261,7 +261,7 @@ def _excess(
     cross_tilt: Array,
     standoff: Array,
 ) -> Array:
-    """Return excess paths by scattering and aperture [m], and unscattered fraction."""
+    """Return excess paths of scattering and aperture [m], and unscattered fraction."""
     way = depth + standoff
     width = receiver_radius**2 + beam_radius**2
     width = width + (acceptance_angle * way) ** 2 + (beam_divergence * depth) ** 2
@@ -325,7 +325,7 @@ def _scattering_terms(
 def _way(
     terms: tuple[Array, Array, Array], kappa: Array, spread: Array, *, way: Array
 ) -> tuple[Array, Array]:
-    """Return the path integrals, with an initial Gaussian angular spread included.
+    """Add the effect of an initial Gaussian angular spread to the path integrals.
 
     The start is Gaussian in direction, with the 1/e semi-angle `spread`.
     """

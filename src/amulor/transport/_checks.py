@@ -43,7 +43,7 @@ def place(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
 
 
 def unit_vector(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
-    """Return a unit vector along three given coordinates."""
+    """Return a vector of three coordinates, normalized to unit length."""
     vector = place(value, name=name)
     norm = float(np.linalg.norm(vector))
     if norm == 0:

@@ -278,7 +278,7 @@ Spread = Callable[[Callable[[int], Batch], int, int], Iterator[Batch]]
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits of a transport run in histories, time and error, and its workers."""
+    """Limits of a transport run (histories, time, error), and number of workers."""
 
     histories: int
     error: ErrorGoal | None = None
@@ -320,7 +320,7 @@ def checked_seed(seed: int) -> int:
 
 
 def _refuse_fractions(value: float, *, least: int, name: str) -> None:
-    """Raise a ValueError for a number below a minimum, or not an integer."""
+    """Raise a ValueError unless a number is an integer of at least a minimum."""
     if not (value >= least and value % 1 == 0):
         raise ValueError(
             f"{name} must be a whole number of at least {least}, got {value}"
@@ -401,7 +401,7 @@ def random_state(seed: int, number: int) -> NDArray[np.uint64]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Record:
-    """Arrays in which a batch records its light."""
+    """Arrays for the received light of a batch."""
 
     mass: Array
     edge: Array

@@ -86,7 +86,7 @@ class MeshTarget:
         return inside
 
     def reach_into(self, centre: Array, axis: Array, radius: float) -> float:
-        """Depth of a mesh inside a disc, measured from the rim; 0 if outside [m].
+        """Return the penetration of a mesh into a disc from the rim; 0 if outside [m].
 
         Parameters
         ----------

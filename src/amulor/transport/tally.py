@@ -37,7 +37,7 @@ _FEWEST = 30
 
 
 def analyser_vector(name: str) -> Array:
-    """Return an analyzer's vector, whose product with a Stokes vector is the power."""
+    """Return the row vector that gives an analyzer's power from a Stokes vector."""
     vector = _stokes.state(name)
     result: Array = vector if name == "none" else 0.5 * vector
     return result
@@ -504,7 +504,7 @@ class Tally:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Whether a single group dominates the error of all, water or target light.
+        """Whether a single group of histories dominates the error of a kind of light.
 
         If so, the stated error of at least one of them is likely too small;
         `heavy_tail_of` determines which.
@@ -664,7 +664,7 @@ def variance_weight(histories_of: NDArray[np.int64]) -> Array:
 
 
 def _over(error: Array, modulus: Array) -> Array:
-    """Return the ratio of error and modulus, infinite without light."""
+    """Return the ratio of error to modulus, infinite for a modulus of 0."""
     lit = modulus > 0
     result: Array = np.full(error.shape, math.inf)
     np.divide(error, modulus, out=result, where=lit)

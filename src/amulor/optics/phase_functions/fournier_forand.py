@@ -1,4 +1,4 @@
-r"""Fournier-Forand phase function, for particle sizes by a power law.
+r"""Fournier-Forand phase function, for particles with power-law sizes.
 
 Numbers of particles fall with their size as :math:`r^{-\mu}`; the forward peak rises
 as :math:`\theta^{\mu - 5}`. With :math:`\nu = (3 - \mu) / 2` and

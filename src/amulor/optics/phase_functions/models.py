@@ -223,7 +223,7 @@ def _closed(
     *,
     head_exponent: float = 0.0,
 ) -> PhaseFunction:
-    """Return a phase function from closed forms, with narrow panels near 0 and pi."""
+    """Return a phase function from formulas, with fine quadrature near 0 and pi."""
     forward = np.geomspace(INNERMOST_ANGLE, np.pi / 2, 42)
     backward = np.pi - np.geomspace(1e-7, np.pi / 2, 25)[-2::-1]
     panels = Panels(value, np.concatenate([forward, backward, [np.pi]]), head_exponent)

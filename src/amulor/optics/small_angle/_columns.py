@@ -264,7 +264,7 @@ def panels(
     node, weight, tail = depth_rule()
 
     def rest(depth: float) -> float:
-        """Return an upper limit of the water signal from behind a depth."""
+        """Return an upper limit of the water signal from beyond a depth."""
         reach = min(depth + length, 1 / loss if loss > 0 else np.inf)
         return float(on_axis(np.array(depth)) * np.exp(-loss * depth) * reach)
 
@@ -314,7 +314,7 @@ def panels(
 
 @cache
 def depth_rule() -> tuple[Array, Array, Array]:
-    """Return Gauss-Legendre nodes, weights, and a matrix for the last four terms."""
+    """Return Gauss-Legendre nodes, weights, and the matrix to the last four terms."""
     size = 2 * ORDER
     node, weight = legendre.leggauss(size)
     order = np.arange(size)
@@ -330,7 +330,7 @@ _DEGREE = 10
 
 
 class Shared(NamedTuple):
-    """Water, receiver and tables shared by all columns of a scan."""
+    """Water, receiver and tables shared by all water columns of a scan."""
 
     water: _kernels.Water
     """Water and receiver; its baseline and tilts are ignored."""
@@ -352,7 +352,7 @@ class Light(NamedTuple):
 
 
 def light_of(view: Array, shared: Shared, panels_of: Callable[[Array], Array]) -> Light:
-    """Return the table of scattered light for the columns of a scan.
+    """Return tabulated scattered light for the water columns of a scan.
 
     A row of view is baseline, tilt, cross tilt and end of a column; `panels_of` gives
     the edges of panels in which the light of one such row is smooth.
@@ -366,7 +366,7 @@ def light_of(view: Array, shared: Shared, panels_of: Callable[[Array], Array]) -
 def integrals(
     phase_per_depth: Array, view: Array, shared: Shared, light: Light
 ) -> NDArray[np.complex128]:
-    """Return each column's integrals of exp(i w z) times the scattered light.
+    """Return each water column's integrals of exp(i w z) times the scattered light.
 
     A column is the same whatever others come with it.
     """
@@ -393,14 +393,14 @@ def integrals(
 
 
 def _spread(view: Array) -> NDArray[np.intp]:
-    """Return indices of representative columns: extremes, and three evenly spaced."""
+    """Return indices of representative views: extremes, and three evenly spaced."""
     extremes = np.concatenate([view.argmin(axis=0), view.argmax(axis=0)])
     even = np.linspace(0, len(view) - 1, 3).astype(np.intp)
     return np.unique(np.concatenate([extremes, even]))
 
 
 def _common(edges: Array) -> Array:
-    """Return panels bounded by the panel edges of all columns, in rising order."""
+    """Return depth panels bounded by the edges of all water columns, rising."""
     distinct = np.unique(edges)
     # Edges that are the same but for rounding, and slivers between two columns.
     keep = np.append(True, np.diff(distinct) > 1e-6 * distinct[1:])
@@ -453,7 +453,7 @@ _Fitted = TypeVar("_Fitted")
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Receiver):
-    """Arguments for water, beam and receiver of many columns; floats or arrays."""
+    """Water, beam and receiver arguments of water columns, as floats or arrays."""
 
     absorption: Any
     scattering: Any
@@ -535,7 +535,7 @@ def overlap_of(
 
 
 def _equal_columns(values: list[Array], count: int) -> list[NDArray[np.intp]]:
-    """Return groups of column indices with equal argument values."""
+    """Return groups of indices of water columns with equal argument values."""
     if count == 0:
         return []
     if not values:
@@ -557,7 +557,7 @@ def response_of(
     batched: Many | None = None,
     fewest: int = 2,
 ) -> NDArray[np.complex128]:
-    """Return the water signal for arrays of arguments from integrals of columns.
+    """Return the water signal for arrays of arguments from water-column integrals.
 
     batched gives it for at least the fewest columns that differ only in the view.
     """
@@ -588,7 +588,7 @@ def fit_of(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> _Fitted | None:
-    """Apply a fit function to columns that differ only in the receiver view."""
+    """Apply a fit function to water columns that differ only in the receiver view."""
     phases, columns, spread, _ = _prepared(
         modulation_frequency,
         arguments,
@@ -629,7 +629,7 @@ def _prepared(
 def _views(
     phases: Array, columns: dict[str, NDArray[Any]], fewest: int
 ) -> tuple[Array, Column, Callable[[Complex], Complex]] | None:
-    """Return the distinct views of similar columns, and a function to expand results.
+    """Return distinct views of similar water columns, and a function to expand results.
 
     None for too few columns, where they share less, and where frequencies have no axes
     of their own.
@@ -653,7 +653,7 @@ def _views(
     distinct, back = np.unique(view.T, axis=0, return_inverse=True)
 
     def scatter(results: Complex) -> Complex:
-        """Arrange the results of each view, (view, phase), in the shape of the call."""
+        """Expand results of distinct views, (view, phase), to the arguments' shape."""
         results = results[back.ravel()].reshape(*wide, phases.size)
         # Original order of the frequencies.
         lifted = np.moveaxis(results, -1, 0).reshape(phases.size, *wide)

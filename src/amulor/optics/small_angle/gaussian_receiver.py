@@ -196,7 +196,7 @@ def water_response(
 
 @dataclass(frozen=True, kw_only=True)
 class SharedLight:
-    """Scattered light common to all columns of a scan, as returned by `fit`.
+    """Scattered light common to all water columns of a scan, as returned by `fit`.
 
     Examples
     --------
@@ -226,7 +226,7 @@ def fit(
     standoff: ArrayLike = 0.0,
     **arguments: Any,
 ) -> SharedLight:
-    """Return the table of scattered light common to all columns of a scan.
+    """Return the table of scattered light common to all water columns of a scan.
 
     Parameters
     ----------
@@ -517,7 +517,7 @@ def _shared_light(
     *,
     farthest: float,
 ) -> SharedLight:
-    """Return the shared light of a scan, without a table if its error exceeds 1e-6."""
+    """Return the scattered light of a scan, tabulated if the error is below 1e-6."""
     if len(view) < FEWEST:
         return SharedLight(singly=True)
     if column.scattering == 0:
@@ -540,7 +540,7 @@ def _look_up(
     *,
     light: Light | None,
 ) -> NDArray[np.complex128]:
-    """Return the integrals of many columns, with scattered light from a table."""
+    """Return the integrals of many water columns, with scattered light from a table."""
     names = dict(zip(VIEW, view.T[:, :, None], strict=True))
     plain = _plain(phase_per_depth, column._replace(**names))
     if light is None:
@@ -551,7 +551,7 @@ def _look_up(
 
 
 def _light_of(view: Array, far: float, column: Column, spread: Table) -> Light:
-    """Return the table of the scattered light of many columns, up to a depth."""
+    """Return tabulated scattered light for many receiver views, up to a depth."""
 
     def panels_of(row: Array) -> Array:
         looking = _in_view(column, row)._replace(end=far)
@@ -569,6 +569,6 @@ def _in_view(column: Column, row: Array) -> Column:
 
 @cache
 def _frequency_rule() -> Array:
-    """Return nodes on 0..1 and weights for one panel of spatial frequency."""
+    """Return Gauss-Legendre nodes on 0..1 and weights for spatial frequency."""
     node, weight = legendre.leggauss(16)
     return np.stack([(node + 1) / 2, weight / 2])

@@ -400,7 +400,7 @@ def _tables_of(spread: Table) -> _kernels.Tables:
 
 @cache
 def _frequency_rule() -> tuple[Array, Array]:
-    """Return nodes and weights of a panel of kappa, and the Legendre matrix."""
+    """Return Gauss-Legendre nodes, weights, and the matrix to Legendre coefficients."""
     node, weight = legendre.leggauss(_kernels.NODES)
     order = np.arange(node.size)
     series = (order + 0.5) * legendre.legvander(node, node.size - 1) * weight[:, None]

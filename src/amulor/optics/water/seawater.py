@@ -1,4 +1,4 @@
-r"""Phase and group index of fresh water and sea water, in air and in vacuum.
+r"""Phase and group index of fresh water and sea water, relative to air and vacuum.
 
 The phase index determines the refraction of rays, the group index the speed of the
 modulation. All wavelengths are those in vacuum. Absorption

@@ -110,7 +110,7 @@ def look(state: States, fraction: float, largest: float) -> Ray:
 
 @allocating
 def without_segments(light: Array) -> Paths:
-    """Return empty path arrays with given arrays for the light."""
+    """Return empty path arrays with a given array for the light of the segments."""
     return Paths(
         np.empty((_ROWS, SEGMENT_COLUMNS)),
         light,
@@ -124,7 +124,7 @@ def without_segments(light: Array) -> Paths:
 def begin_forward(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray]:
-    """Draw ray and first flight of a forward path, and write its light to `now`.
+    """Draw ray and first flight of a forward path; write its Stokes vector to `now`.
 
     The optical thickness of the flight is exponential. Those of the paths of a group,
     of which this is the number-th, are spread evenly if the plan is stratified.
@@ -142,7 +142,7 @@ def begin_forward(
 def begin_adjoint(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray, Kind]:
-    """Draw ray, first flight and kind of an adjoint path; write its light to `now`.
+    """Draw ray, first flight and kind of an adjoint path; set its Mueller matrix.
 
     The direction is drawn by the cosine law within the acceptance gamma. The weight of
     a pair is Omega = pi sin^2 gamma over the number of pairs in the group.
@@ -169,7 +169,7 @@ def join(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join all forward and adjoint paths of a group, and record their light."""
+    """Join all forward and adjoint paths of a group, and record their contributions."""
     water, target = scene.water, scene.target
     join_segments(state, forward, adjoint, water, target, plan, record, arrival)
     if plan.direct:
@@ -184,7 +184,7 @@ def join(
 def run_batch(
     state: States, scene: Scene, plan: Plan, record: Record, weight: Array
 ) -> None:
-    """Trace groups of photon histories, and record their light in total and by group.
+    """Trace groups of photon histories; record received light in total and by group.
 
     weight has the shape (groups, 2, components): light from water and target. A group
     is that many forward paths, each joined with all of its adjoint paths.

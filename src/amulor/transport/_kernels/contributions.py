@@ -384,7 +384,7 @@ def direct_from_touches(
 def path_blocked(
     adjoint: Array, row: int, end: Vector, start: float, mesh: Mesh
 ) -> bool:
-    """Return whether the mesh blocks an adjoint path, shifted on the receiver face.
+    """Return whether the mesh blocks an adjoint path shifted on the receiver face.
 
     end is the shift of the path over the face, and the depth z on its segment in row
     at which it ends; start is the number of the triangle that it ends on, or -1.
@@ -466,7 +466,7 @@ def join_segments(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join each forward segment with each adjoint segment, and record the light.
+    """Join each forward segment with each adjoint segment; record contributions.
 
     The light of a pair is Omega b p(theta) dz / |n_z n'_z| times its weight w_k. FACE
     of an adjoint segment is the radius R of the face, SCALE is Omega over the number
@@ -540,7 +540,7 @@ def join_touches(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join each target reflection with each adjoint segment, and record the light.
+    """Join each target reflection with each adjoint segment; record contributions.
 
     The light of a pair is Omega (reflectance / pi) cos / |n'_z|, the cosine that
     between the target's normal and the way to the receiver.

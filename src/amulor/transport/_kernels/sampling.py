@@ -95,7 +95,7 @@ def height_between(cosine: float) -> float:
 
 @kernel
 def disc_point(state: States, radius: float) -> tuple[float, float]:
-    """Draw a uniformly distributed random point of a disc around the origin."""
+    """Draw a uniformly distributed random point in a disc around the origin."""
     distance = radius * math.sqrt(uniform(state))
     angle = 2.0 * math.pi * uniform(state)
     return distance * math.cos(angle), distance * math.sin(angle)
