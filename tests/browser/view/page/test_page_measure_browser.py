@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pages import click, drag, settled, until
+from pages import click, drag, drawn, settled, until
 
 from amulor import rejection, samples
 from amulor.view import page
@@ -264,4 +264,45 @@ def test_a_volume_over_a_plane_by_keyboard(
         entry = shown.inner_text("#measurements li:nth-child(2)")
         assert " ± " in entry
         assert "cm³" in entry
+        assert one.errors == []
+
+
+def test_a_measurement_has_a_name_and_a_place_and_is_drawn_in_space(
+    tab: Callable[..., Any], steps: page.Recording, tmp_path: Path
+) -> None:
+    one = tab()
+    with page.background(steps) as address:
+        shown = one.open(address)
+        plain = drawn(shown, "cloud")
+        fitted(shown, "plane", (2, 25), (20, 37))
+        settled(shown)
+        # The rectangle is drawn on the surface.
+        assert (drawn(shown, "cloud") != plain).any(axis=-1).sum() > 100
+        field = "#measurements li:first-child .name"
+        shown.fill(field, 'wall, "east"')
+        shown.press(field, "Enter")
+        settled(shown)
+        assert shown.evaluate("amulor.chosen.name") == 'wall, "east"'
+        rows = list(csv.DictReader(kept(shown, "#measured-csv").splitlines()))
+        assert {row["name"] for row in rows} == {'wall, "east"'}
+        # The wall is 1.5 m before the instrument; the rectangle is from column 25 to
+        # 37 of 40 over 8 degrees, about its middle.
+        right = 1.5 * math.tan(math.radians((31 - 19.5) * 8 / 39))
+        assert float(rows[0]["place_forward_m"]) == pytest.approx(1.5, abs=0.01)
+        assert float(rows[0]["place_right_m"]) == pytest.approx(right, abs=0.003)
+        assert '1. wall, "east": plane' in as_text(shown)
+        with shown.expect_download() as download:
+            shown.click("#save")
+        saved = tmp_path / "page.html"
+        download.value.save_as(saved)
+        shown.click("#undo")
+        assert shown.input_value(field) == ""
+        assert shown.locator("#measurements li").count() == 1
+        # By keyboard, a number selects its measurement.
+        shown.evaluate("amulor.chosen = null")
+        shown.focus("#measurements li:first-child .number")
+        shown.keyboard.press("Enter")
+        assert shown.evaluate("amulor.chosen.number") == 1
+        shown = one.open(saved.as_uri())
+        assert shown.input_value(field) == 'wall, "east"'
         assert one.errors == []

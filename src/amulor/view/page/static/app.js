@@ -463,7 +463,9 @@ async function finish() {
   let words = [tool.hint];
   try {
     const found = await answer;
-    page.keep({ kind: tool.kind, picks: region ? [] : picks, region, found, ...around });
+    const place = tools.placeOf(state.scene, picks, region);
+    const spots = region ? [] : picks;
+    page.keep({ kind: tool.kind, picks: spots, region, place, found, ...around });
   } catch (error) {
     words = [error.message, true];
   }

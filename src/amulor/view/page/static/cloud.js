@@ -3,7 +3,7 @@
 import { Camera, extent, projected } from "./camera.js";
 import { inkOf, over, ratioOf, spotOn } from "./dom.js";
 import { clearedOver } from "./map.js";
-import { axes, chains, dot, scaleBar } from "./marks.js";
+import { axes, chain, chains, dot, halo, polyline, scaleBar } from "./marks.js";
 import { Motion, turnable } from "./turning.js";
 
 /** Number of pixels drawn at rest, and smallest number while the view moves. */
@@ -195,16 +195,64 @@ export class CloudView {
     if (at) dot(ctx, at, 5 * ratioOf(this.canvas), colours, true);
   }
 
+  /** Draw the rectangles of measurements on the surface, with gaps where it has gaps. */
+  #rectangles(state, colours, ratio) {
+    const { context: ctx } = this;
+    const { scene, look, measurements, chosen, region } = state;
+    const shape = shapeOf(state);
+    const { values, smooth } = scene.maps.get(shape);
+    const drawn = look.averaged && smooth ? smooth : values;
+    const place = (pixel) => {
+      const [row, column] = pixel;
+      const range =
+        drawn[Math.floor(row / scene.stride) * scene.wide + Math.floor(column / scene.stride)];
+      return Number.isFinite(range) ? this.#spot(scene.beams.point(row, column, range)) : null;
+    };
+    for (const kept of [...measurements, { region }]) {
+      if (!kept.region) continue;
+      const strong = kept === chosen || !kept.number;
+      const spots = edgesOf(kept.region, scene.stride).map(place).filter(Boolean);
+      halo(ctx, 1.5 * ratio, colours, () => polyline(ctx, spots), strong);
+      if (!kept.number || !spots.length) continue;
+      const text = state.texts?.(kept);
+      chain(ctx, [], { ...kept, strong, text }, ratio, colours, spots[0]);
+    }
+  }
+
   #marks(state, colours) {
     const { context: ctx, camera } = this;
     const ratio = ratioOf(this.canvas);
     const shape = shapeOf(state);
     const spotOf = (pixel) => this.#spot(state.scene.point(...pixel, shape));
+    this.#rectangles(state, colours, ratio);
     chains(ctx, state, spotOf, ratio, colours);
     axes(ctx, camera, AXES, ratio, colours);
     if (camera.orthographic)
       this.bar = scaleBar(ctx, ctx.canvas.height / camera.span(), ratio, colours);
   }
+}
+
+/** Return the pixels along the edges of a rectangle, thinned evenly. */
+function edgesOf([top, left, bottom, right], stride) {
+  const corners = [
+    [top, left],
+    [top, right],
+    [bottom, right],
+    [bottom, left],
+    [top, left],
+  ];
+  return corners.slice(1).flatMap(([row, column], k) => {
+    const [from, start] = corners[k];
+    const long = Math.max(Math.abs(row - from), Math.abs(column - start)) / stride;
+    const count = Math.max(Math.min(long, 40), 1);
+    return Array.from({ length: Math.ceil(count) + 1 }, (_, i) => {
+      const share = i / Math.ceil(count);
+      return [
+        Math.round(from + share * (row - from)),
+        Math.round(start + share * (column - start)),
+      ];
+    });
+  });
 }
 
 /** Return the range map from which the points are computed. */

@@ -222,7 +222,8 @@ export class MapView {
       ends.forEach((end) => dot(ctx, end, 4 * ratio, colours, true));
     }
     for (const kept of state.measurements) {
-      this.#shape(scene, { ...kept, strong: kept === state.chosen }, colours, ratio);
+      const strong = kept === state.chosen;
+      this.#shape(scene, { ...kept, strong, text: state.texts?.(kept) }, colours, ratio);
     }
     const { tool: kind, picks, region } = state;
     if (picks.length || region) {

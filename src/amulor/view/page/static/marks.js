@@ -51,6 +51,7 @@ export function tag(ctx, text, [x, y], ratio, colours) {
   ctx.save();
   ctx.font = `600 ${12 * ratio}px ${colours.font}`;
   const width = ctx.measureText(text).width + 9 * ratio;
+  x = Math.max(Math.min(x, ctx.canvas.width - width), 0);
   ctx.fillStyle = colours.plate;
   ctx.beginPath();
   ctx.roundRect(x, y - 9 * ratio, width, 18 * ratio, 5 * ratio);
@@ -61,22 +62,29 @@ export function tag(ctx, text, [x, y], ratio, colours) {
   ctx.restore();
 }
 
-/** Draw the picks of one measurement: dots, lines between them, and its number. */
-export function chain(ctx, spots, { kind, number, strong }, ratio, colours, label = spots[0]) {
+/** Draw the picks of one measurement: dots, lines between them, and its number with the name;
+the selected one has its result, too. */
+export function chain(ctx, spots, kept, ratio, colours, label = spots[0]) {
+  const { kind, number, strong, name, text } = kept;
   if (spots.length > 1 && kind !== "circle") {
     const line = kind === "area" ? [...spots, spots[0]] : spots;
     halo(ctx, 1.5 * ratio, colours, () => polyline(ctx, line), strong);
   }
   for (const spot of spots) dot(ctx, spot, 4.5 * ratio, colours, strong);
   if (number && label) {
-    tag(ctx, String(number), [label[0] + 8 * ratio, label[1] - 8 * ratio], ratio, colours);
+    const words = [number, name, strong && text].filter(Boolean).join("  ");
+    tag(ctx, words, [label[0] + 8 * ratio, label[1] - 8 * ratio], ratio, colours);
   }
 }
 
 /** Draw all measurements, and the picks of the unfinished one. */
 export function chains(ctx, state, spotOf, ratio, colours) {
   const { measurements, chosen, tool, picks } = state;
-  const all = measurements.map((kept) => ({ ...kept, strong: kept === chosen }));
+  const all = measurements.map((kept) => ({
+    ...kept,
+    strong: kept === chosen,
+    text: state.texts?.(kept),
+  }));
   for (const one of [...all, { kind: tool, picks, strong: true }]) {
     chain(ctx, (one.picks ?? []).map(spotOf).filter(Boolean), one, ratio, colours);
   }

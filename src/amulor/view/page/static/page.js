@@ -33,6 +33,7 @@ export class Page {
     state.ownLimits = limitsFrom(limitsOfAddress() ?? state.source.limits ?? "");
     for (const [kind, name] of Object.entries(MAP_OF)) state.tables[kind] = table(name);
     state.flagColour = flagColour;
+    state.texts = (kept) => this.#on.said(kept).main;
     state.record = new MeasurementRecord(state, () => {
       this.#list();
       this.redraw();

@@ -65,6 +65,16 @@ export function showReadout(rows, flags) {
   );
 }
 
+/** Letters of a name. */
+const LONGEST_NAME = 60;
+
+/** Give a measurement a name; this can be undone. */
+function renamed(state, kept, name) {
+  const named = { ...kept, name };
+  if (state.chosen === kept) state.chosen = named;
+  state.record.change(state.measurements.map((one) => (one === kept ? named : one)));
+}
+
 /** List measurements; `said` returns value, text and doubt of one, `changed` redraws. */
 export function listMeasurements(state, said, changed) {
   const again = () => {
@@ -88,15 +98,27 @@ export function listMeasurements(state, said, changed) {
         event.stopPropagation();
         state.record.change(state.measurements.filter((one) => one !== kept));
       });
+      const select = made("button", {
+        type: "button",
+        className: "number",
+        textContent: kept.number,
+        ariaLabel: `Select measurement ${kept.number}`,
+        ariaPressed: String(kept === state.chosen),
+      });
+      const name = made("input", {
+        className: "name",
+        value: kept.name ?? "",
+        placeholder: "name",
+        maxLength: LONGEST_NAME,
+        ariaLabel: `Name of measurement ${kept.number}`,
+      });
+      name.addEventListener("click", (event) => event.stopPropagation());
+      name.addEventListener("change", () => renamed(state, kept, name.value.trim()));
       const li = made(
         "li",
         { className: kept === state.chosen ? "chosen" : "" },
-        made(
-          "div",
-          { className: doubt ? "value doubt" : "value" },
-          made("span", { className: "number", textContent: kept.number }),
-          main,
-        ),
+        made("div", { className: doubt ? "value doubt" : "value" }, select, main),
+        name,
         made("div", { className: "of", textContent: words }),
         remove,
       );

@@ -357,8 +357,9 @@ function said({ kind, found }) {
 }
 
 function asRows() {
-  return state.measurements.map(({ number, kind, file, found }) => ({
+  return state.measurements.map(({ number, name, kind, file, found }) => ({
     number,
+    name,
     kind,
     value: found.value,
     standard_uncertainty_at_most: found.bound,
@@ -377,7 +378,7 @@ function asText() {
   for (const kept of state.measurements)
     lines.push(
       "",
-      `${kept.number}. ${kept.kind}: ${bounded(kept.found.value, kept.found.bound ?? NaN)}`,
+      `${kept.number}. ${[kept.name, kept.kind].filter(Boolean).join(": ")}: ${bounded(kept.found.value, kept.found.bound ?? NaN)}`,
       `   ${kept.found.where} m`,
     );
   return `${lines.join("\n")}\n`;

@@ -142,6 +142,21 @@ export function worded(found) {
   return { main, rests: rests.join(" · ") };
 }
 
+/** Return the mean place of the pixels of a measurement [m]; null without ranges. */
+export function placeOf(scene, picks, region) {
+  const pixels = region
+    ? [
+        [region[0], region[1]],
+        [region[0], region[3]],
+        [region[2], region[1]],
+        [region[2], region[3]],
+      ]
+    : picks;
+  const places = pixels.map((pixel) => scene.point(...pixel)).filter(Boolean);
+  if (!places.length) return null;
+  return [0, 1, 2].map((k) => places.reduce((sum, place) => sum + place[k], 0) / places.length);
+}
+
 /** Return channel and settings of a measurement. */
 export function circumstances(state) {
   const { scene } = state;
@@ -159,7 +174,8 @@ const channelOf = (kept) => kept.found.channel ?? kept.channel ?? "";
 
 /** Return name and main numbers of a measurement with its channel, for one line. */
 export function captioned(kept) {
-  return `${kept.number}: ${toolOf(kept.kind).name} ${worded(kept.found).main.join(", ")}${channelOf(kept) && ` (channel ${channelOf(kept)})`}`;
+  const name = [kept.name, toolOf(kept.kind).name].filter(Boolean).join(", ");
+  return `${kept.number}: ${name} ${worded(kept.found).main.join(", ")}${channelOf(kept) && ` (channel ${channelOf(kept)})`}`;
 }
 
 function where(kept) {
@@ -175,6 +191,7 @@ export function asRows(state) {
     const lines = found.lines.length ? found.lines : [{}];
     return lines.map(({ label, value, uncertainty, unit }) => ({
       number: kept.number,
+      name: kept.name,
       kind: toolOf(kept.kind).name,
       quantity: label,
       value,
@@ -192,6 +209,9 @@ export function asRows(state) {
       averaged: kept.averaged,
       group_index: found.group_index,
       where_row_column: where(kept),
+      place_right_m: kept.place?.[0],
+      place_down_m: kept.place?.[1],
+      place_forward_m: kept.place?.[2],
     }));
   });
 }
@@ -224,7 +244,7 @@ export function asText(state) {
     lines.push(scene.notes.find((note) => note.startsWith("Not in")));
   for (const kept of state.measurements) {
     const name = toolOf(kept.kind).name;
-    lines.push("", `${kept.number}. ${name}`);
+    lines.push("", `${kept.number}. ${[kept.name, name].filter(Boolean).join(": ")}`);
     if (kept.found.doubt) lines.push(`   ${kept.found.doubt}`);
     for (const line of kept.found.lines)
       lines.push(`   ${line.label}: ${withError(line.value, line.uncertainty, line.unit)}`);
