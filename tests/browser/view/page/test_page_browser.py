@@ -334,3 +334,30 @@ def test_the_surface_ends_where_the_range_steps(
         assert shown.get_attribute("#points", "aria-pressed") == "true"
         assert (drawn(shown, "cloud") != surface).any()
         assert opened.errors == []
+
+
+def test_turning_draws_the_view_in_space_alone(
+    tab: Callable[..., Any], steps: page.Recording
+) -> None:
+    one = tab()
+    with page.background(steps) as address:
+        shown = one.open(address)
+        before = drawn(shown, "cloud")
+        shown.evaluate("""() => {
+          const { renderer } = amulor;
+          const draw = renderer.drawMap.bind(renderer);
+          window.maps = 0;
+          renderer.drawMap = (...all) => { window.maps += 1; draw(...all); };
+        }""")
+        box = shown.locator("#cloud").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        shown.mouse.move(x, y)
+        settled(shown)
+        shown.evaluate("maps = 0")
+        shown.mouse.down()
+        shown.mouse.move(x + 80, y + 20, steps=5)
+        shown.mouse.up()
+        settled(shown)
+        assert shown.evaluate("maps") == 0
+        assert (drawn(shown, "cloud") != before).any()
+        assert one.errors == []

@@ -80,11 +80,18 @@ function draw() {
   document.documentElement.dataset.ready = "yes";
 }
 
-/** Draw overlays that depend on the pixel under the pointer. */
+/** Whether the view in space has moved, so that it alone is drawn again. */
+let turned = false;
+
+/** Draw overlays that depend on the pixel under the pointer, and a view that has moved. */
 function drawPointer() {
   if (!state.scene?.maps.has(state.layerName)) return;
   views.map.point(state, page.colours);
-  views.cloud.point(state, page.colours);
+  if (turned) {
+    turned = false;
+    fitted(views.cloud.canvas);
+    views.cloud.draw(state, page.colours);
+  } else views.cloud.point(state, page.colours);
   drawProfile($("profile"), state, page.colours);
 }
 
@@ -795,7 +802,10 @@ async function main() {
   views.cloud = new CloudView($("cloud"), {
     hover: (pixel) => pixel && hover(pixel),
     pick: picked,
-    changed: () => page.redraw(),
+    changed: () => {
+      turned = true;
+      page.repoint();
+    },
   });
   state.views = views;
   wired();

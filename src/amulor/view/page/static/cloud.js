@@ -35,6 +35,7 @@ export class CloudView {
     this.motion = new Motion(changed);
     /** Number of pixels drawn while the view moves; adapted to the frame time. */
     this.moving = 250000;
+    this.pacing = false;
     this.points = false;
     turnable(canvas, this.camera, {
       moved: () => this.motion.moved(),
@@ -153,13 +154,19 @@ export class CloudView {
     const stride = this.#stride(scene, busy ? this.moving : RESTING);
     const parts = this.#parts(state, stride);
     const cells = [scene.wide, scene.high].map((count) => Math.ceil((count - 1) / stride));
-    const began = performance.now();
     renderer.drawCloud(this.context, {
       ...parts,
       across: cells[0],
       cells: this.points ? 0 : cells[0] * cells[1],
     });
-    if (busy) this.#paced(performance.now() - began);
+    if (busy && !this.pacing) {
+      this.pacing = true;
+      // The GPU draws later than its commands are given.
+      renderer.finished((time) => {
+        this.pacing = false;
+        this.#paced(time);
+      });
+    }
     this.matrix = parts.matrix;
     this.#marks(state, colours);
     this.point(state, colours);
@@ -167,7 +174,7 @@ export class CloudView {
 
   /** Draw fewer pixels in motion after a slow frame, more after a fast one. */
   #paced(time) {
-    if (time > SLOW) this.moving = Math.max(this.moving / 2, FEWEST);
+    if (time > SLOW) this.moving = Math.max(this.moving * (SLOW / time), FEWEST);
     else if (time < FAST) this.moving = Math.min(this.moving * 1.5, RESTING);
   }
 
