@@ -41,7 +41,7 @@ class Merit:
 
     @property
     def error(self) -> Floats:
-        """Root sum of squares of noise and shift [m]."""
+        """Root sum of squares of range noise and range shift [m]."""
         return np.hypot(self.noise, self.shift)
 
 

@@ -53,7 +53,7 @@ class Observation:
 
     @cached_property
     def common_covariance(self) -> Covariance | None:
-        """Covariance of errors common to all pixels or shots; None if not stated."""
+        """Covariance of errors common to pixels or references; None if not stated."""
         if "common_covariance" not in self.cube:
             return None
         return Covariance(
@@ -82,7 +82,7 @@ class Observation:
 
     @cached_property
     def directions(self) -> tuple[Floats | None, Floats | None]:
-        """Azimuth and elevation of pixels or shots, None if not recorded [rad]."""
+        """Azimuth and elevation of pixels or references [rad]; None if not recorded."""
         azimuth, elevation = (
             self.cube[name].values.astype(float) if name in self.cube else None
             for name in ("azimuth", "elevation")
@@ -140,7 +140,7 @@ class Observation:
         return str(late) != "absent"
 
     def flat(self) -> FlatSamples:
-        """Return the samples over (pixel or shot, channel, frequency)."""
+        """Return the samples over (pixel or reference, channel, frequency)."""
         return FlatSamples(
             signal=_flat(self.signal),
             covariance=Covariance(*map(_flat, vars(self.covariance).values())),

@@ -317,7 +317,7 @@ class Tally:
 
     @property
     def by_part(self) -> dict[str, Complex]:
-        """Received light by part, each of shape (n,) [1]."""
+        """Received light by scattering order and target part, shape (n,) each [1]."""
         mean = self._mean(self.batches)
         return {name: mean[k, 0] for k, name in enumerate(self.parts)}
 

@@ -41,7 +41,7 @@ LARGEST_SIZE_PARAMETER = 2e4
 
 
 class Sphere(NamedTuple):
-    """Mie efficiencies of a sphere: cross sections over the geometric cross section.
+    """Mie efficiencies of a sphere: cross sections relative to the geometric one.
 
     Examples
     --------

@@ -103,7 +103,7 @@ _cached_table = lru_cache(maxsize=32)(_computed_table)
 def _spread_by_transform(
     transform: Callable[..., ArrayLike], edge: Array, x: Array, split: float
 ) -> Array:
-    """Return the loss term (1 - mean transform up to x) / x^2, from a transform."""
+    """Return the loss term (1 - mean transform up to x) / x^2, by a given transform."""
     node, weight = _gauss()
     at_zero = float(np.asarray(transform(np.zeros(1), split_angle=split))[0])
     if not abs(at_zero - 1) < 1e-6:

@@ -235,7 +235,7 @@ def separation(z: float, view: Array, water: Water) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _shortened(value: Array, part: float, rules: tuple[Array, Array, Array]) -> None:
-    """Resample a panel's values onto its first part."""
+    """Resample a panel's node values for the first part of the panel."""
     _, node, series = rules
     size = node.size
     term = np.zeros(size)

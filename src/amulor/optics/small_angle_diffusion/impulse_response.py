@@ -115,7 +115,7 @@ def impulse_response(
 
 
 def maximum_distance(fraction: float, **water: Any) -> float:
-    """Return the depth up to which a fraction of the water signal arises.
+    """Return the depth within which a given fraction of the water signal arises.
 
     Parameters
     ----------

@@ -180,7 +180,7 @@ def trends_of(
 
 
 def drifted(pixels: Pixels, trend: Floats) -> Pixels:
-    """Return pixels with the water drift included in their interpolation."""
+    """Return pixels whose interpolation weights include the water-signal drift."""
     if not len(trend):
         return replace(pixels, trends=pixels.trends[:, :0])
     if not np.any(trend):
@@ -476,7 +476,7 @@ def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Flo
 def widths_of(
     matrix: Floats, vector: Floats, state: Shared, layout: Layout
 ) -> tuple[Widths, float]:
-    """Find the prior widths of highest evidence; return also the departure evidence."""
+    """Find the prior widths of highest evidence, and the evidence for departures."""
     costs: dict[Widths, float] = {}
 
     def value(widths: Widths) -> float:

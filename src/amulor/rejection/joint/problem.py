@@ -76,11 +76,11 @@ class Problem:
         return Problem(self.frame, targets, chosen, self.transfer, self.deepest)
 
     def of(self, targets: Pixels) -> Problem:
-        """Return a copy with other target pixels."""
+        """Return a copy with replaced target pixels."""
         return Problem(self.frame, targets, self.shots, self.transfer, self.deepest)
 
     def with_shots(self, shots: Pixels) -> Problem:
-        """Return a copy with other open-water shots."""
+        """Return a copy with replaced open-water references."""
         return Problem(self.frame, self.targets, shots, self.transfer, self.deepest)
 
     def cost(self, state: Shared) -> float:

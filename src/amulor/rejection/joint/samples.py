@@ -42,7 +42,7 @@ def shot_directions(
 def shot_pixels(
     frame: Frame, shots: Observation | None, directions: tuple[Floats, Floats]
 ) -> Pixels | None:
-    """Return the open-water shots as samples of the likelihood."""
+    """Return the open-water references as samples of the likelihood."""
     if shots is None:
         return None
     count = shots.signal.shape[-1]
@@ -53,7 +53,7 @@ def shot_pixels(
 
 
 def open_water_samples(scan: Observation, *, no_target: bool) -> tuple[Frame, Pixels]:
-    """Return frame and samples of open water, from shots or a target-free scan."""
+    """Return frame and samples of open water, from references or a target-free scan."""
     if not no_target:
         middle = float(scan.azimuth.mean()), float(scan.elevation.mean())
         directions = shot_directions(middle, scan.shots)

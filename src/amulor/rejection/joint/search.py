@@ -287,7 +287,7 @@ class _Step:
         return step
 
     def select(self, selected: Bools, others: _Step) -> _Step:
-        """Merge equations: selected pixels from `self`, the rest from `others`."""
+        """Merge both equations: selected pixels from `self`, the rest from `others`."""
         return _Step(
             np.where(selected[:, None, None], self.matrix, others.matrix),
             np.where(selected[:, None], self.vector, others.vector),

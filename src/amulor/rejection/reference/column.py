@@ -188,7 +188,7 @@ class _Table:
 
 
 def _spread(places: Floats) -> NDArray[np.intp]:
-    """Select pixels spread over the scan, including the extremes of each axis."""
+    """Select pixels distributed over the scan, including the extremes of each axis."""
     count = places.shape[1]
     even = np.linspace(0, count - 1, min(_CHECKS, count)).astype(int)
     extremes = np.concatenate([places.argmin(axis=1), places.argmax(axis=1)])

@@ -53,7 +53,7 @@ class Plan:
 
     @property
     def holds(self) -> bool:
-        """Whether the shots are accepted and the interpolation is accurate enough."""
+        """Whether the references are accepted and interpolated accurately enough."""
         return not self.refused and self.error <= LARGEST_ERROR
 
 
@@ -96,7 +96,7 @@ def judge_plan(survey: Survey) -> Plan | None:
 
 
 def _refused(scan: Scan, plan: OpenWater) -> str:
-    """Return the reason to refuse planned shots; empty if acceptable."""
+    """Return the reason to refuse planned references; empty if acceptable."""
     count = plan.columns * plan.rows * plan.repeats
     if count < FEWEST_SHOTS:
         return f"they are {count}, and {FEWEST_SHOTS} are needed to judge their scatter"
@@ -112,7 +112,7 @@ def _refused(scan: Scan, plan: OpenWater) -> str:
 
 
 def _waters(survey: Survey) -> list[Survey]:
-    """Return surveys of possible waters, beginning with the stated water."""
+    """Return copies of a survey with possible waters, the stated water first."""
     try:
         described = by_coefficients(survey)
     except AmulorError:

@@ -1,4 +1,4 @@
-"""Open-water shots: their noise and drift, and interpolation to the pixels."""
+"""Open-water references: noise, drift, and interpolation to the pixels."""
 
 from __future__ import annotations
 

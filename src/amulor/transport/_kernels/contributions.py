@@ -202,7 +202,7 @@ def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
 
 @kernel
 def face_point(state: States, place: Vector, radius: float, slope: float) -> Vector:
-    """Draw a point on the receiver face that accepts light from a place, with weight.
+    """Draw a receiver-face point that accepts light from a place, with its area.
 
     Returns two coordinates and the represented area, 0 if the point does not see the
     place.

@@ -168,7 +168,7 @@ class Plan(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Received light by part and path length."""
+    """Received light by scattering order or target part, and path length."""
 
     mass: Array
     """Light with single path lengths, shape (parts, components, nodes) [1]."""
