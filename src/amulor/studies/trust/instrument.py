@@ -192,9 +192,11 @@ _TRUSTED = 80.0
 _INSIDE, _FAR = 92.0, 0.3
 
 
-def counts(rows: Iterable[InstrumentRow]) -> str:
+def counts(rows: Iterable[InstrumentRow], *, method: str = "open-water") -> str:
     """Return a Markdown table with the cases that meet each requirement."""
-    errors = [row for row in rows if row.key.kind != "perfect"]
+    errors = [
+        row for row in rows if row.key.kind != "perfect" and row.key.method == method
+    ]
     lines = [
         "| the survey | size of the error | cases | rejected scans | at least "
         f"{_TRUSTED:g} % of the pixels trusted | trusted pixels inside the 95 % "

@@ -54,7 +54,8 @@ def test_rows_are_read_as_they_were_written() -> None:
 
 
 def test_requirements_causes_and_false_alarms_are_counted() -> None:
-    (counted,) = instrument.counts(ROWS).splitlines()[2:]
+    (counted,) = instrument.counts(ROWS, method="auto").splitlines()[2:]
+    assert len(instrument.counts(ROWS).splitlines()) == 2
     # Inside: 97.5 % of 100 and 40 % of 50 pixels.
     assert [cell.strip() for cell in counted.split("|")[2:-1]] == [
         "typical",
@@ -111,3 +112,17 @@ def test_the_command_measures_one_case_and_counts_it(
     capsys.readouterr()
     assert main(["--count", str(file)]) == 0
     assert capsys.readouterr().out == instrument.counts([row])
+
+
+def test_the_page_shows_what_the_table_says() -> None:
+    folder = Path(__file__).parents[4] / "docs/trust"
+    table = (folder / "instrument.txt").read_text(encoding="utf-8")
+    rows = list(instrument.written(table))
+    page = (folder / "README.md").read_text(encoding="utf-8")
+    assert instrument.counts(rows) in page
+    words = " ".join(page.split())
+    errors = [row for row in rows if row.key.method == "open-water"]
+    right, suggested = instrument.suggestions(errors)
+    assert f"right in {right} of {suggested} cases" in words
+    failed, perfect = instrument.false_alarms(rows)
+    assert f"fails in {failed} of {perfect} scans" in words
