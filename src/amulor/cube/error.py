@@ -53,7 +53,10 @@ def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.f
     the first two. `channel` is a target signal with one channel.
     """
     count = channel.sizes["modulation_frequency"]
-    stated = 0.0 if survey is None else phase_uncertainty(survey)
+    measured = "leakage_uncertainty_volt" in channel.attrs
+    stated = 0.0
+    if survey is not None:
+        stated = phase_uncertainty(survey, leakage_measured=measured)
     table = by_frequency(channel, "calibration_phase_uncertainty_rad", 0.0)
     gain = by_frequency(channel, f"phase_error_gain_{_name(channel)}", 1.0)
     phase = np.hypot(

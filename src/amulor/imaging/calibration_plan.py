@@ -23,9 +23,6 @@ _ALIGNED = math.radians(0.05)
 _PROBE = {"temperature_uncertainty": 0.5, "salinity_uncertainty": 0.5}
 #: Temperature [degC] and practical salinity [1] of water that states neither.
 _STATE = {"temperature": 15.0, "salinity": 35.0}
-#: Phase uncertainty that a calibration without filters leaves: an aliased harmonic of
-#: 1 % (decision 40) [rad].
-MEASURED_LEAKAGE = math.radians(0.4)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +97,7 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
         (
             "leakage, walk, harmonics",
             by_phase * phase_uncertainty(survey),
-            by_phase * MEASURED_LEAKAGE,
+            by_phase * phase_uncertainty(survey, leakage_measured=True),
             "amulor calibrate leakage",
         ),
         (

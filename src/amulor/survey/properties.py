@@ -220,12 +220,19 @@ def indices(survey: Survey) -> tuple[float, float]:
 #: Default standard uncertainty of a phase: leakage of 1 % of the echo rotates it by 0.4
 #: degrees (root mean square) [rad].
 TYPICAL_PHASE_UNCERTAINTY = math.radians(0.5)
+#: Default if the leakage was measured: an aliased harmonic of 1 % rotates the phase by
+#: 0.4 degrees (root mean square) [rad].
+PHASE_UNCERTAINTY_WITHOUT_LEAKAGE = math.radians(0.4)
 
 
-def phase_uncertainty(survey: Survey) -> float:
+def phase_uncertainty(survey: Survey, *, leakage_measured: bool = False) -> float:
     """Return the phase uncertainty of the instrument, stated or typical [rad]."""
     stated = survey.instrument.phase_uncertainty
-    return TYPICAL_PHASE_UNCERTAINTY if stated is None else stated
+    if stated is not None:
+        return stated
+    if leakage_measured:
+        return PHASE_UNCERTAINTY_WITHOUT_LEAKAGE
+    return TYPICAL_PHASE_UNCERTAINTY
 
 
 def group_index_uncertainty(survey: Survey) -> float | None:

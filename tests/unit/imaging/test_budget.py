@@ -611,3 +611,18 @@ def test_a_calibrated_delay_is_the_term_of_the_delay(target):
     found = delay_of(image)
     assert_allclose(found[np.isfinite(found)], 20e-12, rtol=1e-3)
     assert "delay" not in image.attrs["uncertainty_unknown"].split()
+
+
+def test_the_default_phase_error_is_smaller_if_the_leakage_was_measured(
+    target: xr.Dataset, text: str
+) -> None:
+    plain = surveyed(target, text.replace('phase_uncertainty = "0 deg"\n', ""))
+    plain = plain.isel(modulation_frequency=[0])
+    measured = plain.assign_attrs(leakage_uncertainty_volt=0.0)
+    terms = [
+        terms_of(imaging.range_image(cube, polarization="VV"))["instrument"]
+        for cube in (plain, measured)
+    ]
+    ratio = terms[1] / terms[0]
+    # 0.4 of 0.5 degrees.
+    assert_allclose(ratio[np.isfinite(ratio)], 0.8, rtol=1e-6)
