@@ -138,7 +138,7 @@ def test_the_server_measures_what_the_library_measures(
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        ({"kind": "volume", "pixels": [[0, 0]]}, "cannot be measured"),
+        ({"kind": "weight", "pixels": [[0, 0]]}, "cannot be measured"),
         ({"kind": "distance", "pixels": [[0, 0]]}, "needs 2 points, got 1"),
         ({"kind": "distance", "pixels": [[0, 0], [0, 99]]}, "column must be from 0"),
         ({"kind": "distance", "pixels": [[0, 0], [0, "1"]]}, "whole number"),
