@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from amulor.imaging import Frame
 
 Product = Literal[
-    "cloud", "mesh", "orthoimage", "dem", "contours", "section", "deviation"
+    "cloud", "mesh", "orthoimage", "dem", "contours", "section", "profile", "deviation"
 ]
 
 #: Endings of clouds.
@@ -75,8 +75,8 @@ def export(
         for lines.
     product
         Kind of product, if the ending and the other options allow several. A mesh is a
-        .ply file; a section is .dxf, .svg, .pdf or .csv; a deviation is a map, a table
-        or a mesh.
+        .ply file; a section, or the half-profile of a round object such as a pot, is
+        .dxf, .svg, .pdf or .csv; a deviation is a map, a table or a mesh.
     good_only
         Exclude all points that have a quality flag.
     largest_uncertainty

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from amulor.errors import CubeError
 from amulor.handover.order import Order, in_millimetres
-from amulor.imaging import products
+from amulor.imaging import measure, products
 from amulor.io import drawings as formats
 from amulor.io.files import atomic_output
 from amulor.view.sheet import Sheet, fitting_scale, line_sheet
@@ -97,6 +99,120 @@ def write_section(
         f"section of {_length(cut):.3f} m in {pieces} "
         f"piece{'s' if pieces > 1 else ''}, standard uncertainty {median}"
     )
+
+
+def write_profile(
+    image: xr.Dataset, path: Path, order: Order, remarks: Said, *, overwrite: bool
+) -> str:
+    """Fit a surface of revolution and write its half-profile with diameters."""
+    surface = products.surface(image)
+    region = np.zeros(image["slant_range"].size, dtype=bool)
+    region[surface.pixel] = True
+    turned = measure.revolution(image, region.reshape(image["slant_range"].shape))
+    fit = turned.fit
+    height = turned.height - turned.height[0]
+    widest = int(np.argmax(turned.radius))
+    diameters = {
+        place: f"{2e3 * turned.radius[n]:.1f} ± {2e3 * turned.uncertainty[n]:.2g} mm"
+        for place, n in (("upper end", -1), ("widest place", widest), ("lower end", 0))
+    }
+    said = "; ".join(f"{place} {text}" for place, text in diameters.items())
+    slope = [fit.uncertainties[f"axis_{name}"] for name in "xz"]
+    statements = [
+        f"Diameters with standard uncertainty: {said}",
+        f"Surface of revolution through {fit.pixels} pixels; {turned.left_out} others "
+        f"lie off it, such as handles. Scatter {fit.residual * 1e3:.2g} mm (rms), "
+        f"direction of the axis within {1e3 * float(np.hypot(*slope)):.2g} mrad",
+        "Only the outside was measured; the thickness of the wall is unknown",
+        *([f"Doubtful: {fit.doubt}"] if fit.doubt else []),
+        *remarks[1],
+    ]
+    if path.suffix.lower() == ".csv":
+        formats.write_table(
+            {
+                "height [m]": height,
+                "radius [m]": turned.radius,
+                "standard_uncertainty [m]": turned.uncertainty,
+            },
+            path,
+            statements=[f"{remarks[0]}: half-profile", *statements],
+            overwrite=overwrite,
+        )
+    else:
+        axis, point = (
+            np.array([fit.values[f"{name}_{at}"] for at in "xyz"])
+            for name in ("axis", "point")
+        )
+        base = point + turned.height[0] * axis
+        scale = order.scale or fitting_scale(
+            2 * float(turned.radius.max()), float(height[-1])
+        )
+        _write_lines(
+            _profile_drawing(turned, height, diameters, remarks[0], statements, order),
+            path,
+            scale,
+            picture=_seen_along(surface, axis, base, scale / 8e3),
+            overwrite=overwrite,
+        )
+    doubt = f"; doubtful: {fit.doubt}" if fit.doubt else ""
+    return f"half-profile of {height[-1] * 1e3:.0f} mm; diameters: {said}{doubt}"
+
+
+def _profile_drawing(
+    turned: measure.Revolution,
+    height: Floats,
+    diameters: dict[str, str],
+    title: str,
+    statements: list[str],
+    order: Order,
+) -> formats.Drawing:
+    """Return the half-profile, its mirror image, axis and diameters as lines."""
+    radius, error = turned.radius, turned.uncertainty
+    widest = int(np.argmax(radius))
+    left = formats.Line(
+        points=np.stack([-radius, height], axis=1),
+        layer="profile",
+        band=error if np.isfinite(error).all() else None,
+    )
+    right = formats.Line(points=np.stack([radius, height], axis=1), layer="outline")
+    axis = formats.Line(
+        points=np.array([[0.0, height[0]], [0.0, height[-1]]]), layer="axis"
+    )
+    across = [
+        formats.Line(
+            points=np.array([[-radius[n], height[n]], [0.0, height[n]]]),
+            layer="diameters",
+            label=f"Ø {text}",
+        )
+        for n, text in {
+            len(radius) - 1: diameters["upper end"],
+            0: diameters["lower end"],
+            widest: diameters["widest place"],
+        }.items()
+    ]
+    return formats.Drawing(
+        title=f"{title}: half-profile",
+        lines=(left, right, axis, *across),
+        axes=("from the axis", "height"),
+        statements=tuple(statements),
+        fields={**order.fields, "view": "half-profile and elevation"},
+    )
+
+
+def _seen_along(
+    surface: products.Surface, axis: Floats, base: Floats, cell: float
+) -> products.Raster:
+    """Return a raster of a surface with an axis upright, and a point as origin."""
+    nearer = -surface.direction.mean(axis=0)
+    nearer -= (nearer @ axis) * axis
+    nearer /= np.linalg.norm(nearer)
+    plane = products.Plane(
+        side="front",
+        axes=np.stack([np.cross(axis, nearer), axis, nearer]),
+        names=("from the axis", "height", "nearer"),
+    )
+    shifted = replace(surface, position=surface.position - base)
+    return products.raster(shifted, plane, cell=cell)
 
 
 def write_contours(
@@ -300,6 +416,7 @@ def _write_lines(
     *,
     heights: float = 1.0,
     key: tuple[products.Raster, Floats] | None = None,
+    picture: products.Raster | None = None,
     overwrite: bool,
 ) -> None:
     """Write lines as a DXF file, or on a sheet as PDF or SVG."""
@@ -312,7 +429,7 @@ def _write_lines(
         statements=drawing.statements,
         fields=drawing.fields,
     )
-    figure = line_sheet(drawing, content, heights=heights, key=key)
+    figure = line_sheet(drawing, content, heights=heights, key=key, picture=picture)
     save_sheet(figure, path, overwrite=overwrite)
 
 

@@ -18,7 +18,7 @@ from amulor.imaging import error_budget, products
 from amulor.imaging.frame import Frame
 
 Product = Literal[
-    "cloud", "mesh", "orthoimage", "dem", "contours", "section", "deviation"
+    "cloud", "mesh", "orthoimage", "dem", "contours", "section", "profile", "deviation"
 ]
 Unit = Literal["m", "cm", "mm", "inch"]
 
@@ -32,6 +32,7 @@ ENDINGS: dict[Product, tuple[str, ...]] = {
     "dem": (*_RASTERS, ".pdf", ".svg"),
     "contours": (".dxf", ".svg", ".pdf", ".csv"),
     "section": (".dxf", ".svg", ".pdf", ".csv"),
+    "profile": (".dxf", ".svg", ".pdf", ".csv"),
     "deviation": (".csv", *_RASTERS, *_PICTURES, ".ply"),
 }
 

@@ -34,6 +34,7 @@ _OFFERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "dem": ("Heights (DEM)", ("cell", "contours", *_DRAWN)),
     "contours": ("Contour lines", ("contours", "cell", *_DRAWN)),
     "section": ("Section along the line", _DRAWN),
+    "profile": ("Half-profile of a round object", _DRAWN[1:2] + _DRAWN[3:]),
     "deviation": ("Deviation from the reference", ("farthest", "cell", *_DRAWN)),
     "mesh": ("Mesh", ("axes", "good_only", "largest_uncertainty")),
     "cloud": ("Point cloud", ("axes", "good_only", "largest_uncertainty")),

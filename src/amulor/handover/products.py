@@ -51,6 +51,10 @@ def hand_over(
         return references.write_deviation(
             image, path, order, surface, (title, statements), overwrite=overwrite
         )
+    if order.product == "profile":
+        return drawings.write_profile(
+            image, path, order, (title, statements), overwrite=overwrite
+        )
     plane = products.plane_of(frame, order.side)
     if order.product == "section":
         return drawings.write_section(

@@ -175,14 +175,8 @@ def sheet(
     raster: Raster, content: Sheet, *, show: Shown, values: Floats | None = None
 ) -> Figure:
     """Draw a raster on the smallest ISO sheet that fits it at its scale."""
-    rows, columns = raster.height.shape
     pixels, limits, unit = colours_of(raster, show, values=values)
-    extent = (
-        raster.left,
-        raster.left + columns * raster.cell,
-        raster.top - rows * raster.cell,
-        raster.top,
-    )
+    extent = _extent(raster)
     with style():
         paper = _Paper(extent, content)
         axis = paper.axis
@@ -205,12 +199,20 @@ def sheet(
     return paper.figure
 
 
+def _extent(raster: Raster) -> tuple[float, float, float, float]:
+    """Left, right, lower and upper edge of a raster in its drawing plane [m]."""
+    rows, columns = raster.height.shape
+    right = raster.left + columns * raster.cell
+    return raster.left, right, raster.top - rows * raster.cell, raster.top
+
+
 def line_sheet(
     drawing: Drawing,
     content: Sheet,
     *,
     heights: float = 1.0,
     key: tuple[Raster, Floats] | None = None,
+    picture: Raster | None = None,
 ) -> Figure:
     """Draw polylines on the smallest ISO sheet that fits them at their scale.
 
@@ -224,6 +226,8 @@ def line_sheet(
         Exaggeration of the upward axis [1].
     key : tuple of Raster and array_like, optional
         View for a key plan, and the ends of the section line in it, shape (2, 2) [m].
+    picture : Raster, optional
+        Shaded relief drawn at the right of the upward axis, under the lines.
 
     Returns
     -------
@@ -238,6 +242,12 @@ def line_sheet(
         bars = _BARS if key is None else _KEY
         paper = _Paper(extent, content, heights=heights, bars=bars)
         axis = paper.axis
+        if picture is not None:
+            pixels = _relief(picture)
+            pixels[:, picture.columns < 0] = 0
+            axis.imshow(pixels, extent=_extent(picture), aspect="auto")
+            axis.set_xlim(extent[:2])
+            axis.set_ylim(extent[2:])
         bands = [
             outline for line in drawing.lines if (outline := sides(line)) is not None
         ]
@@ -431,12 +441,7 @@ class _Paper:
         x = self.width - _BORDER - wide - 10
         y = self.below - _TITLE - 2 * _FIELD - high - 5
         axis = self._axes(x, y, wide, high)
-        left, top = raster.left, raster.top
-        axis.imshow(
-            _relief(raster),
-            extent=(left, left + columns * raster.cell, top - rows * raster.cell, top),
-            aspect="auto",
-        )
+        axis.imshow(_relief(raster), extent=_extent(raster), aspect="auto")
         axis.plot(*cut.T, color=_OVER, lw=1.0, clip_on=False)
         for place, name, side in zip(cut, ("A", "A'"), (-1, 1), strict=True):
             axis.annotate(

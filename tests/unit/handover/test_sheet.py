@@ -220,3 +220,30 @@ def test_doubtful_pixels_are_hatched(ladder, tmp_path) -> None:
         for name in ("a.svg", "b.svg")
     ]
     assert legends == [False, True]
+
+
+def test_a_half_profile_has_the_diameters_of_a_cone(tmp_path) -> None:
+    # A cone that stands upright: its radius is a fifth of the distance from the tip.
+    azimuth, elevation, unit = scenes.directions(40, 40, half=0.06)
+    a = unit[..., 1] ** 2 - 1 / 1.04
+    b = 1.5 * unit[..., 2] / 1.04 - unit[..., 1] * -0.3 * (1 - 1 / 1.04)
+    c = 0.09 * (1 - 1 / 1.04) - 2.25 / 1.04
+    ranges = (-b + np.sqrt(np.where(b**2 > a * c, b**2 - a * c, np.nan))) / a
+    image = scenes.image_of(ranges, azimuth, elevation, own=1e-5)
+    order = Order(product="profile")
+    text = hand_over(image, tmp_path / "p.csv", order)
+    lines = (tmp_path / "p.csv").read_text().splitlines()
+    rows = np.array(
+        [[float(v) for v in line.split(",")] for line in lines if line[:1].isdigit()]
+    )
+    height, radius, sigma = rows.T
+    slope = np.polyfit(height, radius, 1)[0]
+    assert slope == pytest.approx(-0.2, abs=1e-4)
+    assert (sigma > 0).all()
+    stated = re.search(r"lower end ([\d.]+) ± ([\d.]+) mm", text)
+    assert stated is not None
+    assert float(stated[1]) == pytest.approx(2e3 * radius[0], abs=0.06)
+    hand_over(image, tmp_path / "p.svg", order)
+    texts = {t.text for t in texts_of(tmp_path / "p.svg") if t.text}
+    assert any(t.startswith(f"Ø {stated[1]}") for t in texts)
+    assert "half-profile and elevation" in texts

@@ -13,6 +13,7 @@ from amulor.imaging.measure.figures import (
 )
 from amulor.imaging.measure.fits import Fit, circle, cylinder, plane, sphere
 from amulor.imaging.measure.points import Points, points_of, reference_basis
+from amulor.imaging.measure.revolution import Revolution, revolution
 from amulor.imaging.measure.volumes import volume
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "Fit",
     "Measurement",
     "Points",
+    "Revolution",
     "angle",
     "area",
     "circle",
@@ -32,6 +34,7 @@ __all__ = [
     "points_of",
     "read_checks",
     "reference_basis",
+    "revolution",
     "sphere",
     "volume",
 ]

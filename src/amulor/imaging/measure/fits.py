@@ -25,10 +25,12 @@ _SURE = 4.0
 _COVERAGE = 2.0
 #: Errors stated up to a fifth too small give so much per degree of freedom [1].
 _MISFIT = 1.5
+#: Most evaluations of the residuals; a shape that fits needs a tenth of them [1].
+_EVALUATIONS = 6000
 #: Directions in which the axis of a cylinder is looked for, and of them tried [1].
 _AXES, _TRIED = 24, 3
 #: Below this cosine of the incidence, distances along beams are cut short [1].
-_GRAZING = 0.2
+GRAZING = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,8 +100,8 @@ def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
     >>> print(f"chi-square per degree of freedom {board.misfit:.0f}: water is left in")
     chi-square per degree of freedom 29: water is left in
     """
-    points = _points(image, region, fewest=4, shape="a plane")
-    middle, back, across, slopes = _flat(points)
+    points = points_in(image, region, fewest=4, shape="a plane")
+    middle, back, across, slopes = tangent_plane(points)
 
     def normal(values: Floats) -> Floats:
         vector = back - values[:2] @ across
@@ -123,7 +125,7 @@ def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
         }
 
     start = np.append(slopes, 0.0)
-    return _fitted("plane", points, residuals, [start], derived, displayed=apart)
+    return fitted("plane", points, residuals, [start], derived, displayed=apart)
 
 
 def circle(image: xr.Dataset, region: ArrayLike) -> Fit:
@@ -148,7 +150,7 @@ def circle(image: xr.Dataset, region: ArrayLike) -> Fit:
     CubeError
         If there are fewer than four usable pixels, or they lie on a line.
     """
-    points = _points(image, region, fewest=4, shape="a circle")
+    points = points_in(image, region, fewest=4, shape="a circle")
     middle = points.position.mean(axis=0)
     axes = _principal(points.position - middle)
     axes = axes if axes[2, 2] <= 0 else axes * [[1], [-1], [-1]]
@@ -174,7 +176,7 @@ def circle(image: xr.Dataset, region: ArrayLike) -> Fit:
         }
 
     start = np.array([0.0, 0.0, guess[0], guess[1], 0.0, guess[2]])
-    return _fitted("circle", points, residuals, [start], derived)
+    return fitted("circle", points, residuals, [start], derived)
 
 
 def sphere(image: xr.Dataset, region: ArrayLike) -> Fit:
@@ -205,7 +207,7 @@ def sphere(image: xr.Dataset, region: ArrayLike) -> Fit:
     is zero within its error. `doubt` states if the radius is below four standard
     errors.
     """
-    points = _points(image, region, fewest=5, shape="a sphere")
+    points = points_in(image, region, fewest=5, shape="a sphere")
     bent = _Bent(points)
 
     def derived(values: Floats) -> dict[str, float]:
@@ -213,7 +215,7 @@ def sphere(image: xr.Dataset, region: ArrayLike) -> Fit:
         centre = at - normal / values[3]
         return {"radius": float(1 / abs(values[3])), **_named("centre", centre)}
 
-    return _fitted(
+    return fitted(
         "sphere", points, bent.ranges, [bent.start()], derived, displayed=bent.apart
     )
 
@@ -258,7 +260,7 @@ def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
     >>> print(board.doubt.partition(",")[0])
     radius not constrained by these pixels
     """
-    points = _points(image, region, fewest=6, shape="a cylinder")
+    points = points_in(image, region, fewest=6, shape="a cylinder")
     bent = _Bent(points)
     turns = np.arange(_AXES) * np.pi / _AXES
     starts = sorted(
@@ -277,7 +279,7 @@ def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
             **_named("point", point),
         }
 
-    return _fitted(
+    return fitted(
         "cylinder", points, bent.ranges, starts[:_TRIED], derived, displayed=bent.apart
     )
 
@@ -292,7 +294,7 @@ class _Bent:
 
     def __init__(self, points: Points) -> None:
         self.points = points
-        self.middle, self.back, self.across, self.slopes = _flat(points)
+        self.middle, self.back, self.across, self.slopes = tangent_plane(points)
 
     def placed(self, values: Floats) -> tuple[Floats, Floats]:
         """Surface point and normal for given parameters."""
@@ -336,7 +338,7 @@ class _Bent:
         outward = self._gradient(values, position)[2]
         facing = -np.einsum("ij,ij->i", outward, self.points.direction)
         facing /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)
-        cosine = (facing + np.hypot(facing, 2 * _GRAZING)) / 2
+        cosine = (facing + np.hypot(facing, 2 * GRAZING)) / 2
         return np.asarray(self.apart(values, position) / cosine)
 
     def start(self, turn: float | None = None) -> Floats:
@@ -354,7 +356,7 @@ class _Bent:
         return flat
 
 
-def _flat(points: Points) -> tuple[Floats, Floats, Floats, Floats]:
+def tangent_plane(points: Points) -> tuple[Floats, Floats, Floats, Floats]:
     """Centroid, normal, two tangents, and slopes of the plane through points."""
     middle = points.position.mean(axis=0)
     back = -points.direction.mean(axis=0)
@@ -390,7 +392,14 @@ def _named(name: str, vector: Floats) -> dict[str, float]:
     return {f"{name}_{axis}": float(vector[at]) for at, axis in enumerate("xyz")}
 
 
-def _points(image: xr.Dataset, region: ArrayLike, *, fewest: int, shape: str) -> Points:
+def points_in(
+    image: xr.Dataset,
+    region: ArrayLike,
+    *,
+    fewest: int,
+    shape: str,
+    most: int = MOST_PIXELS,
+) -> Points:
     """Usable pixels of a region, thinned evenly if too many."""
     mask = np.asarray(region, dtype=bool)
     if mask.shape != image["slant_range"].shape:
@@ -403,14 +412,14 @@ def _points(image: xr.Dataset, region: ArrayLike, *, fewest: int, shape: str) ->
         raise CubeError(
             f"{shape} needs at least {fewest} usable pixels, the region has {len(row)}"
         )
-    step = int(np.ceil(np.sqrt(len(row) / MOST_PIXELS)))
+    step = int(np.ceil(np.sqrt(len(row) / most)))
     if step > 1:
         chosen = (row % step == 0) & (column % step == 0)
         row, column = row[chosen], column[chosen]
     return points_of(image, row, column)
 
 
-def _fitted(
+def fitted(
     kind: str,
     points: Points,
     residuals: _Residuals,
@@ -436,9 +445,16 @@ def _fitted(
         return weighted_residuals.ravel()
 
     solution = min(
-        (least_squares(weighted, start, method="lm", xtol=1e-12) for start in starts),
+        (
+            least_squares(
+                weighted, start, method="lm", xtol=1e-12, max_nfev=_EVALUATIONS
+            )
+            for start in starts
+        ),
         key=lambda result: float(result.cost),
     )
+    if solution.status == 0:
+        raise CubeError(f"no {kind} fits the pixels; choose another part or shape")
     jacobian = _slope(weighted, solution.x)
     normal = jacobian.T @ jacobian
     if np.linalg.cond(normal * np.outer(*[1 / np.sqrt(normal.diagonal())] * 2)) > 1e10:
@@ -469,7 +485,7 @@ def _fitted(
     to_values = _slope(
         lambda at: np.array([*derived(at).values()]), solution.x, step=1e-6
     )
-    of_values = np.einsum("ij,jk,ik->i", to_values, covariance, to_values)
+    of_values = ((to_values @ covariance) * to_values).sum(axis=1)
     errors = np.sqrt(np.maximum(of_values, 0.0)).tolist()
     scattered: dict[str, float] = dict(zip(names, errors, strict=True))
     plain = (displayed or residuals)(solution.x, points.position)
