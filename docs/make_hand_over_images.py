@@ -27,6 +27,7 @@ PICTURES = {
     "ladder": ("ladder_heights.svg", (1150, 820)),
     "section": ("section.svg", (1150, 820)),
     "deviation": ("deviation.svg", (820, 1150)),
+    "profile": ("profile.svg", (820, 1150)),
 }
 
 
