@@ -151,7 +151,7 @@ class Scan(Description):
 
 
 class Pose(Description):
-    """Position and attitude of the instrument, in meters east, north and up.
+    """Position (east, north, up) and attitude (heading, pitch, roll) of the instrument.
 
     Examples
     --------
