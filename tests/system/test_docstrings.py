@@ -20,6 +20,7 @@ WITHOUT_EXAMPLE = {
             "measure.Fit": "plane",
             "measure.Measurement": "distance",
             "measure.Points": "points_of",
+            "measure.Revolution": "revolution",
             "products.Contour": "contours",
             "products.Deviation": "deviation",
             "products.Plane": "plane_of",

@@ -13,7 +13,7 @@ from amulor.imaging.measure.figures import (
 )
 from amulor.imaging.measure.fits import Fit, circle, cylinder, plane, sphere
 from amulor.imaging.measure.points import Points, points_of, reference_basis
-from amulor.imaging.measure.revolution import Revolution, revolution
+from amulor.imaging.measure.round_objects import Revolution, revolution
 from amulor.imaging.measure.volumes import volume
 
 __all__ = [

@@ -20,7 +20,7 @@ _Residuals = Callable[[Floats, Floats], Floats]
 #: Largest number of fitted pixels; common errors dominate beyond it.
 MOST_PIXELS = 1500
 #: Least significance of excess scatter, in standard errors [1].
-_SURE = 4.0
+SURE = 4.0
 #: Coverage factor of the least radius that is stated [1].
 _COVERAGE = 2.0
 #: Errors stated up to a fifth too small give so much per degree of freedom [1].
@@ -477,7 +477,7 @@ def fitted(
     squares = float(2 * solution.cost)
     freedom = max(kinds * count - len(solution.x), 1)
     misfit = squares / expected if expected > 0 else 1.0
-    chance = 1 + _SURE * float(np.sqrt(2 / freedom))
+    chance = 1 + SURE * float(np.sqrt(2 / freedom))
     excess = misfit - 1 if misfit > chance else 0.0
     covariance = gain @ (scatter + np.diag(excess * points.noise)) @ gain.T
     values = derived(solution.x)
@@ -516,7 +516,7 @@ def _doubt(
             f"does not fit this shape (chi-square {misfit:.3g} per degree of freedom)"
         )
     radius, error = values.get("radius", 0.0), uncertainties.get("radius", 0.0)
-    if _SURE * error > radius > 0:
+    if SURE * error > radius > 0:
         # Errors of the curvature are normal where those of the radius are not.
         least = radius / (1 + _COVERAGE * error / radius)
         return (

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from amulor.errors import CubeError
 from amulor.imaging.measure.fits import (
     GRAZING,
+    SURE,
     Fit,
     fitted,
     points_in,
@@ -86,15 +87,21 @@ def revolution(image: xr.Dataset, region: ArrayLike) -> Revolution:
     than five standard deviations off the surface are excluded, so that handles do not
     move the axis. Where an edge is sharper than the spline, the uncertainty of the
     radius includes the spread of the points. `fit.doubt` states that an object is not
-    round.
+    round, or that the pixels do not constrain its radius.
 
     Examples
     --------
-    >>> from amulor import imaging
-    >>> image = imaging.range_image(target)  # doctest: +SKIP
-    >>> pot = imaging.measure.revolution(image, region)  # doctest: +SKIP
-    >>> 2e3 * pot.radius[-1]  # diameter of the rim [mm]  # doctest: +SKIP
-    65.5
+    A narrow flat board has no radius:
+
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.open_water(samples.cube("ladder"))
+    >>> image = imaging.range_image(target, polarization="VH")
+    >>> region = np.zeros(image["slant_range"].shape, dtype=bool)
+    >>> region[4:36, 44:56] = True
+    >>> board = imaging.measure.revolution(image, region)
+    >>> print(board.fit.doubt)
+    radius not constrained by these pixels; take a larger part
     """
     points = points_in(
         image, region, fewest=_FEWEST, shape="a surface of revolution", most=_MOST
@@ -120,7 +127,6 @@ def revolution(image: xr.Dataset, region: ArrayLike) -> Revolution:
         np.array([values[name] for name in names])
         for values in (fit.values, fit.uncertainties)
     )
-    off = fit.residual > _ROUND * radius.max() and fit.misfit > _LOCAL
     unresolved = _unresolved(chosen.points, fit, chosen.heights, radius)
     return Revolution(
         fit=replace(
@@ -129,15 +135,23 @@ def revolution(image: xr.Dataset, region: ArrayLike) -> Revolution:
             uncertainties={
                 k: v for k, v in fit.uncertainties.items() if k not in names
             },
-            doubt=f"not round: pixels lie {fit.residual * 1e3:.2g} mm off (rms)"
-            if off
-            else "",
+            doubt=_doubt(fit, radius, error),
         ),
         height=chosen.heights,
         radius=radius,
         uncertainty=np.hypot(error, unresolved),
         left_out=int((~near).sum()),
     )
+
+
+def _doubt(fit: Fit, radius: Floats, error: Floats) -> str:
+    """Reason not to use a profile, empty if there is none."""
+    widest = int(np.argmax(radius))
+    if fit.residual > _ROUND * radius[widest] and fit.misfit > _LOCAL:
+        return f"not round: pixels lie {fit.residual * 1e3:.2g} mm off (rms)"
+    if SURE * error[widest] > radius[widest]:
+        return "radius not constrained by these pixels; take a larger part"
+    return ""
 
 
 class _Turned:
