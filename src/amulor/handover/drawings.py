@@ -117,12 +117,12 @@ def write_profile(
         for place, n in (("upper end", -1), ("widest place", widest), ("lower end", 0))
     }
     said = "; ".join(f"{place} {text}" for place, text in diameters.items())
-    slope = [fit.uncertainties[f"axis_{name}"] for name in "xz"]
+    slope = math.hypot(fit.uncertainties["axis_x"], fit.uncertainties["axis_z"])
     statements = [
         f"Diameters with standard uncertainty: {said}",
         f"Surface of revolution through {fit.pixels} pixels; {turned.left_out} others "
         f"lie off it, such as handles. Scatter {fit.residual * 1e3:.2g} mm (rms), "
-        f"direction of the axis within {1e3 * float(np.hypot(*slope)):.2g} mrad",
+        f"direction of the axis within {1e3 * slope:.2g} mrad",
         "Only the outside was measured; the thickness of the wall is unknown",
         *([f"Doubtful: {fit.doubt}"] if fit.doubt else []),
         *remarks[1],

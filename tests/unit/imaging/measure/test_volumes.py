@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
+import exact_shapes as shapes
 import numpy as np
 import pytest
 import xarray as xr
 from numpy.testing import assert_allclose
-
-sys.path.insert(0, str(Path(__file__).parent))
-import shapes
 
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
