@@ -83,7 +83,7 @@ class BoxSeries:
 
 @numba.njit(cache=True, nogil=True)
 def _sum_up(scaled: Any, orders: Any, terms: Any, out: Any) -> None:
-    """Compute sums of polynomial products, shape (function, point).
+    """Compute sums of Chebyshev polynomial products into `out`, (function, point).
 
     Compiled because products of matrices, which numpy has for this, cannot leave out
     what is zero, and make threads of their own.

@@ -21,7 +21,7 @@ Listener = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class _Ear:
-    """Progress listener, and the interval of progress for the present work."""
+    """Progress listener, with the start and end fraction of the current work."""
 
     listener: Listener
     begin: float = 0.0

@@ -236,7 +236,7 @@ def _registry_for(unit: str) -> pint.UnitRegistry[float]:
 
 @functools.cache
 def _registry(definitions: Path | str = "") -> pint.UnitRegistry[float]:
-    """Return the unit registry of a definitions file, by default pint's slow one."""
+    """Return pint's unit registry for a definitions file, by default its full one."""
     import pint
 
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(

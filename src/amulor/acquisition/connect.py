@@ -217,7 +217,7 @@ def connect(
 def _refuse_target(
     survey: Survey, settings: Settings, ask: Callable[[str], None] | None
 ) -> None:
-    """Raise if open-water shots need a target stage or operator, but none exists."""
+    """Raise if open-water references need a target stage or operator but have none."""
     driver = settings.target.driver
     if driver == "operator" and ask is None:
         raise InstrumentError(

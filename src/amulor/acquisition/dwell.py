@@ -211,7 +211,7 @@ class Dwell:
 
 
 def lacking(device: Device, *words: str) -> list[str]:
-    """Return the names of those given methods that a device lacks."""
+    """Return the names of the given methods that a device does not have."""
     return [word for word in words if not hasattr(device, word)]
 
 
@@ -342,7 +342,7 @@ class DwellReader:
         times: ArrayLike,
         means: Sequence[float],
     ) -> tuple[list[complex], int, bool]:
-        """Return mean signals, skipped readings [1], and whether the rest settled."""
+        """Return mean signals, count of skipped readings, and whether it settled."""
         mean = sum(means) / len(means) if means else math.nan
         skipped, settled = 0, True
         if self._judge is not None and self._filter_is_known and len(columns[0]) > 2:

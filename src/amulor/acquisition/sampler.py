@@ -466,7 +466,7 @@ class Sampler:
         self._take_finer_scale(amplitude)
 
     def _sharpen_by(self, flags: SampleFlag) -> None:
-        """Count the samples since the lock-in last changed its scale."""
+        """Update the count of samples since the lock-in last changed its scale."""
         self._calm = 0 if flags & SampleFlag.RESCALED else self._calm + 1
 
     def _take_finer_scale(self, amplitude: float) -> None:

@@ -12,7 +12,10 @@ from contextlib import contextmanager
 #: Command, location of its function, and its line in the help. Functions are imported
 #: when called, so that `amulor --help` answers at once.
 COMMANDS = {
-    "demo": ("demo:demo", "Scan a ladder in clear and milky water; write a report."),
+    "demo": (
+        "demo:demo",
+        "Simulate scans of a ladder in clear and milky water; write a report.",
+    ),
     "warm-up": (
         "warm_up:warm_up",
         "Compile all loops for this computer, so that later commands start faster.",

@@ -18,7 +18,7 @@ def demo(
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Scan a ladder in clear and milky water; write a report.
+    """Simulate scans of a ladder in clear and milky water; write a report.
 
     Parameters
     ----------

@@ -150,7 +150,7 @@ def _uncertainty(image: Any) -> dict[str, Any]:
 
 
 def _chance(probability: float | None) -> str:
-    """Return the largest chance of a test's result in words; empty without one."""
+    """Return the limit of a probability as text; empty without a probability."""
     return "" if probability is None else f" (chance below {probability:.1g})"
 
 

@@ -159,7 +159,7 @@ def _sigmas(result: Registration, name: str) -> list[float]:
 
 
 def _undetected(result: Registration, name: str) -> dict[str, Any] | None:
-    """Largest change of a pose by an undetected error; None without a comparison."""
+    """Largest pose change by an undetected error; None if none was computed."""
     return vars(result.undetected[name]) if name in result.undetected else None
 
 
@@ -366,7 +366,7 @@ def compare(
 
 
 def _first_of(number: int, motions: dict[int, Motion]) -> int:
-    """Return the number of the first region that belongs to a region's moving body."""
+    """Return the number of the first region with the same motion as a region."""
     return next(k for k in sorted(motions) if motions[k] is motions[number])
 
 

@@ -190,7 +190,7 @@ def _print_expected(
 def _print_errors(
     lines: list[CalibrationLine], first: CalibrationLine | None, slant_range: float
 ) -> None:
-    """Print the range errors by the instrument, before and after each calibration."""
+    """Print the instrument's range errors, without and with each calibration."""
     print(f"  errors by the instrument at {slant_range:.3g} m (standard uncertainty):")
     for line in lines:
         now = "unknown" if line.now is None else f"{1e3 * line.now:.2g} mm"

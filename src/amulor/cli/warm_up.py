@@ -62,7 +62,7 @@ def _work() -> dict[str, Callable[[], object]]:
 
 
 def _scans(moments: Survey, tabulated: Survey) -> list[xr.Dataset]:
-    """Simulate two scans: water given by moments, and by a phase function."""
+    """Simulate two scans, in water described by moments and by a phase function."""
     from amulor import simulation
 
     for model in (simulation.ClosureModel(), simulation.DiffusionModel()):

@@ -225,7 +225,7 @@ class CubeAccessor:
 
     @property
     def open_water(self) -> xr.Dataset | None:
-        """Open-water shots, shape (modulation_frequency, ..., shot); None if none."""
+        """Open-water references, (modulation_frequency, ..., shot); None if none."""
         return group(self._cube, "open_water")
 
     @property

@@ -81,7 +81,7 @@ def build(
 
 
 def open_water(variables: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """Build the group of open-water shots that `accessor.attach` adds to a cube.
+    """Build the group of open-water references for `accessor.attach`.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ class Source(Protocol):
 
     @property
     def head(self) -> xr.Dataset:
-        """Variables and attributes that have no row dimension, such as shots."""
+        """Variables and attributes without row dimension, such as open water."""
         ...
 
     @property
@@ -366,7 +366,7 @@ def _with_gap(strip: xr.Dataset) -> xr.Dataset:
 
 
 def _without(cube: xr.Dataset, **places: Indices) -> xr.Dataset:
-    """Return a cube with the samples of some rows or columns marked as missing."""
+    """Return a cube whose samples in given rows or columns are marked as missing."""
     ((dimension, place),) = places.items()
     if not len(place):
         return cube

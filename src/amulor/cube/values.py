@@ -73,7 +73,7 @@ def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
 def _restored(
     variable: xr.Variable, spec: schema.Variable | None, missing: set[str]
 ) -> xr.Variable:
-    """Return a variable with lost dimensions restored, if it lacks no others."""
+    """Return a variable with missing dimensions added, if it lacks only these."""
     if spec is None:
         return variable
     remaining = tuple(name for name in spec.dimensions if name not in missing)

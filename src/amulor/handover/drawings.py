@@ -202,7 +202,7 @@ def _profile_drawing(
 def _seen_along(
     surface: products.Surface, axis: Floats, base: Floats, cell: float
 ) -> products.Raster:
-    """Return a raster of a surface with an axis upright, and a point as origin."""
+    """Return a surface raster with the given axis upright and the base as origin."""
     nearer = -surface.direction.mean(axis=0)
     nearer -= (nearer @ axis) * axis
     nearer /= np.linalg.norm(nearer)
@@ -445,7 +445,7 @@ _VIEWS = {"front": "front elevation", "top": "plan"}
 
 
 def _fields(order: Order, plane: products.Plane, kind: str = "") -> dict[str, str]:
-    """Return the texts of the title block: as ordered, and the view."""
+    """Return the texts of the title block: those of the order, and the view's name."""
     view = _VIEWS[plane.side]
     return {**order.fields, "view": f"{kind}, {view}" if kind else view}
 

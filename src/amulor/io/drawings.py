@@ -204,7 +204,7 @@ def _frame(
     scale: float,
     write: Callable[[str, tuple[float, float], str], None],
 ) -> float:
-    """Add a frame with coordinates and named places; return its lower end [m]."""
+    """Draw a coordinate frame and named points; return the frame's lower edge [m]."""
     letters = _DXF_LETTERS * scale
     left, right, low, high = drawing.limits
     low, high = low - 2 * letters, high + 2 * letters

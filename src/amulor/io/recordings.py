@@ -122,7 +122,7 @@ def read_recordings(
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """Survey, channels and open-water shots of a recording, common to all rows."""
+    """Survey, channels and open-water references of a recording, common to all rows."""
 
     path: Path
     survey: Survey
@@ -244,7 +244,7 @@ def _is_none(signal: Complex) -> NDArray[np.bool_]:
 
 
 def refuse_no_scan(path: Path, *, any_scan: bool) -> None:
-    """Raise if a recording has open-water shots and no pixels of a scan."""
+    """Raise if a recording has open-water references but no scanned pixels."""
     if not any_scan:
         raise FormatError(
             f"{path}: holds open-water shots and no sample of the scan; check "
@@ -262,7 +262,7 @@ def shots_of(
     names: tuple[Floats, list[str]],
     scanned: tuple[NDArray[np.intp], NDArray[np.intp]],
 ) -> xr.Dataset | None:
-    """Open-water shots of all scanned channels; None if there are none."""
+    """Open-water references of all scanned channels; None if there are none."""
     if not len(samples.water):
         return None
     missing = set(zip(*scanned, strict=True)) - set(zip(*channel, strict=True))
@@ -357,7 +357,7 @@ def _outputs(
 
 
 def _breakdowns(band: Band, typical: Floats) -> NDArray[np.bool_]:
-    """Mask of isolated outliers that no mixture of their neighbors explains."""
+    """Mask of isolated samples that no mixture of their neighbors explains."""
     signal = band.means.signal
     beside = around(signal)
     far = np.maximum(_BREAKDOWN * typical, _SURE * band.uncertainty)
@@ -374,7 +374,7 @@ def _shots(
     survey: Survey,
     described: RecordingMap,
 ) -> xr.Dataset:
-    """Open-water shots as a dataset, with outliers set to NaN."""
+    """Open-water references as a dataset, with outliers set to NaN."""
     number = turn(channel).astype(np.intp)
     sizes = channel[0].max() + 1, channel[1].max() + 1, number.max() + 1
     at = (*channel, np.zeros_like(number), number)

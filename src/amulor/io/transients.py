@@ -356,7 +356,7 @@ def medium_from_minimum(
 
 
 def _evenly(shots: Coefficients) -> Coefficients:
-    """Return the signals with their covariance averaged over all of them."""
+    """Return open-water signals, all with their average covariance."""
 
     def mean(part: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.broadcast_to(part.mean(axis=-1, keepdims=True), part.shape)

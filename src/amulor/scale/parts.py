@@ -100,7 +100,7 @@ def _level_of(path: Path) -> str:
 
 
 class _Rows:
-    """Rows of an output file, which are computed tile by tile."""
+    """Source of an output file's rows, which are computed tile by tile."""
 
     def __init__(
         self, source: tiles.Source, step: Step, of: Callable[[int, int], xr.Dataset]

@@ -251,7 +251,7 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
 
 
 def shows_no_target(cube: xr.Dataset) -> bool:
-    """Return whether no sample differs significantly from the open-water shots."""
+    """Return whether no sample differs significantly from open-water references."""
     shots = cube.amulor.open_water
     if shots is None:
         return False

@@ -169,7 +169,7 @@ def shutter_leakage(
     dark: tuple[Complex, Floats],
     frequency: Floats,
 ) -> tuple[Leakage, ...]:
-    """Return the leakage that a scan read with its shutter closed; empty if none.
+    """Return the leakage measured in a scan with closed shutter; empty if none.
 
     The readings before, during and after the scan are averaged.
     """
@@ -219,7 +219,7 @@ def _mean_output(samples: xr.Dataset) -> tuple[Complex, Floats]:
 
 
 def _mean_of(signal: Complex, variance: Floats) -> tuple[Complex, Floats]:
-    """Return the mean of readings and its standard error, over the last axis [V].
+    """Return mean and standard error of readings along the last axis [V].
 
     The error is that of the scatter or of the stated variances of an output, whichever
     is larger.
@@ -381,7 +381,7 @@ def from_plates(
 
 
 def _distances(distance: float | Sequence[float], count: int) -> Floats:
-    """Return the distance of each cube [m]."""
+    """Return the plate distance of each cube [m]."""
     distances = np.asarray(distance, dtype=float)
     if distances.ndim and distances.size != count:
         raise ValueError(
@@ -396,7 +396,7 @@ def _distances(distance: float | Sequence[float], count: int) -> Floats:
 def _table(
     frequency: float, signal: Complex, sigma: Floats, part: NDArray[np.bool_]
 ) -> FrequencyCalibration:
-    """Return the phases at the amplitudes of some cubes."""
+    """Return the calibration of phase by amplitude from selected plate cubes."""
     amplitudes = np.abs(signal[part])
     return _table_of(
         frequency, amplitudes, np.angle(signal[part]), sigma[part] / amplitudes
@@ -416,7 +416,7 @@ def _table_of(
 
 
 def _rest(entry: FrequencyCalibration, signal: Complex) -> Floats:
-    """Return the phases of signals beyond those of the table [rad]."""
+    """Return the phases of signals minus the phases in the table [rad]."""
     expected, _ = phase_correction(
         Calibration(frequencies=(entry,)),
         np.abs(signal),
@@ -432,7 +432,7 @@ def _over_distances(
     cube: xr.Dataset,
     uncertainty: float | None,
 ) -> Calibration:
-    """Average the phases over distances; estimate error by frequency and group index.
+    """Average phases over distances; estimate errors by frequency and group index.
 
     `rest` are the phases beyond the table, shape (frequency, further cubes) [rad].
     """
@@ -481,7 +481,7 @@ def _over_distances(
 def _delay_uncertainty(
     cube: xr.Dataset, distances: Floats, uncertainty: float | None
 ) -> float | None:
-    """Return the uncertainty of the delay by distances and group index [s]."""
+    """Return the delay uncertainty due to distances and group index [s]."""
     if uncertainty is None:
         return None
     survey = cube.amulor.survey
@@ -494,7 +494,7 @@ def _delay_uncertainty(
 
 
 def _leakage_in(cube: xr.Dataset) -> tuple[Leakage, ...]:
-    """Return the leakage that was subtracted from a cube."""
+    """Return the leakage that was subtracted from a cube, by channel."""
     text = cube.attrs.get("calibration")
     return () if text is None else Calibration.from_text(text).leakage
 
@@ -503,7 +503,7 @@ def _with_leakage(
     leakage: Sequence[Leakage], frequency: float, channel: str, more: complex,
     uncertainty: float,
 ) -> list[Leakage]:  # fmt: skip
-    """Return the leakage of all channels, with what filters show beyond a shutter."""
+    """Return all leakage; for one channel, add the excess over the shutter leakage."""
     at = (frequency, channel)
     result = [e for e in leakage if (e.modulation_frequency, e.polarization) != at]
     for entry in leakage:
@@ -528,7 +528,7 @@ def _with_leakage(
 
 
 def _plate_sums(cube: xr.Dataset, distance: float) -> tuple[Complex, Floats]:
-    """Return the plate's mean signal without the phase of its path, and its error.
+    """Return the plate's mean signal, path phase removed, and its uncertainty [V].
 
     Shape (frequency, polarization) [V]; NaN in a channel without a usable pixel.
     """
@@ -563,7 +563,7 @@ def _plate_sums(cube: xr.Dataset, distance: float) -> tuple[Complex, Floats]:
 
 
 def _across(turned: Complex, signal: Complex, cube: xr.Dataset, prefix: str) -> Floats:
-    """Return the variance of samples across their phasor [V^2]."""
+    """Return the variance of samples perpendicular to their phasor [V^2]."""
     cross = cube["common_covariance"] if prefix else cube.amulor.covariance
     usable = np.isfinite(turned) & (signal != 0)
     phase = detection.phase_uncertainty(

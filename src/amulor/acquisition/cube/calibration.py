@@ -235,7 +235,7 @@ def phase_correction(
 def phase_uncertainty(
     calibration: Calibration, amplitude: Floats, *, modulation_frequency: float
 ) -> tuple[Floats, Floats]:
-    """Return the phase uncertainty of the table, and that beyond its amplitudes [rad].
+    """Return phase uncertainties [rad]: of the table, and of extrapolation beyond it.
 
     Beyond its ends the table could go on with the slope at this end. The correction
     does not, so the whole of this extrapolation is the standard uncertainty.

@@ -161,7 +161,7 @@ def dark_output(
 
 
 def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) -> Floats:
-    """Return the variance of each sample by photoelectron counting noise [V^2]."""
+    """Return the variance of each sample by photoelectron shot noise [V^2]."""
     detector = survey.instrument.detector
     volt = detector.volt_per_photoelectron_rate
     lower = samples["raw_amplitude"] / (survey.instrument.modulation_depth * volt)

@@ -59,7 +59,7 @@ class DeviceLocks:
 
 
 def hold(*addresses: str) -> DeviceLocks:
-    """Lock the devices at these addresses until this program ends."""
+    """Return locks for devices, held until this program ends or releases them."""
     folder = lock_folder()
     names = {name: address for address in addresses for name in device_names(address)}
     locks = DeviceLocks()

@@ -99,7 +99,7 @@ class DirectLink:
 
 
 class Conversation(Protocol):
-    """Link of a driver that exchanges lines of text."""
+    """Interface of a link that exchanges lines of text with an instrument."""
 
     address: str
     """Address of the device, for messages."""

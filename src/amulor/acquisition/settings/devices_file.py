@@ -124,7 +124,7 @@ class MountSettings(Linked):
 
 
 class TargetSettings(Linked):
-    """Stage that takes the target out of the beam for open-water shots."""
+    """Stage that takes the target out of the beam for open-water references."""
 
     driver: Literal["simulated", "pi_gcs", "operator", "none"] = "simulated"
     """Driver: simulated, pi_gcs, operator (who moves the target on request, at a

@@ -370,7 +370,7 @@ class Bench:
         return begin + part * (self._goal[name] - begin)
 
     def _look_ahead(self, now: float) -> None:
-        """Compute the times at which the moving beam reaches other scene directions."""
+        """Compute the times at which the moving beam passes scene directions."""
         self._ahead.clear()
         arrival = max(self._arrival["azimuth"], self._arrival["elevation"])
         start = complex(*(self._position_at(name, now) for name in _BEAM))

@@ -50,7 +50,7 @@ class SceneLight(Protocol):
 
     @property
     def open_water(self) -> LightByDirection:
-        """Signals without the target, in the directions of shots and scan."""
+        """Signals without the target, in the directions of references and scan."""
 
 
 #: Function for the light of a survey, such as `amulor.simulation.scene_light`; passed

@@ -96,7 +96,7 @@ def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
 
 
 def _between(nodes: Numbers, at: Numbers) -> tuple[Numbers, Numbers, Floats]:
-    """Index of the nodes before and after each index, and interpolation weights."""
+    """Nodes before and after each row or column index, and interpolation weights."""
     before = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 1)
     after = np.minimum(before + 1, len(nodes) - 1)
     width = np.maximum(nodes[after] - nodes[before], 1)
@@ -115,7 +115,7 @@ def _places(size: int, step: int) -> Numbers:
 def _error(
     read: BeamReader, shape: tuple[int, int], nodes: Nodes, farthest: float
 ) -> float:
-    """Largest displacement of a point by the interpolation of beams [m]."""
+    """Largest point error due to interpolation of beam origins and directions [m]."""
     rows, columns = (np.arange(size) for size in shape)
     thin = max(1, int(np.ceil(np.sqrt(rows.size * columns.size / _CHECKED))))
     rows, columns = rows[::thin], columns[::thin]
@@ -395,7 +395,7 @@ def _plain(attributes: Any) -> dict[str, Any]:
 
 
 def sharing_of(picture: Picture) -> dict[str, Any] | None:
-    """Parameters by which the page correlates the errors of two pixels."""
+    """Parameters of the error correlation between two pixels, for the page."""
     if not picture.has("slant_range_common_uncertainty") or picture.error_unknown:
         return None
     names = {

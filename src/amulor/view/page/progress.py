@@ -39,7 +39,7 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Drift of the open-water signal between rounds of open-water shots."""
+    """Drift of the open-water signal between rounds of reference measurements."""
 
     elapsed: Sequence[float] = ()
     """Time of each round since the start of the scan [s]."""
@@ -57,7 +57,7 @@ class Drift:
 def drift_of(
     signal: ArrayLike, *, cluster: ArrayLike, elapsed: ArrayLike, rounds: int
 ) -> Drift:
-    """Drift of the open-water signal between complete rounds of open-water shots.
+    """Drift of the open-water signal between complete rounds of references.
 
     Each series is relative to the mean of all its rounds, so that no single round is
     the reference. The relative change of a round is assumed equal in all series (least
@@ -268,7 +268,7 @@ class Progress:
 
     @property
     def scanned(self) -> int:
-        """Number of samples of the scan, without dark readings and shots [1]."""
+        """Number of samples of the scan, without dark and open-water references [1]."""
         return self._counts[plan.SCAN]
 
     def take(self, key: Key, record: Record) -> tuple[str, int] | None:
@@ -320,7 +320,7 @@ class Progress:
         return part
 
     def drift(self) -> Drift:
-        """Drift of the open-water signal over its complete rounds of shots."""
+        """Drift of the open-water signal over its complete rounds of references."""
         rounds = [r for r, count in self._rounds.items() if count >= self._round_size]
         series = [key for key in self._shots if key not in self._spoiled]
         if not (rounds and series):

@@ -269,7 +269,7 @@ class Space:
         return notes
 
     def _spacing(self) -> float:
-        """Typical distance between neighboring points, for the size of dots [m]."""
+        """Typical distance [m] between neighboring points, for the size of dots."""
         points = self.position[np.isfinite(self.position).all(axis=1)]
         some = points[:: max(1, len(points) // _SOME)].astype(float)
         if len(some) < 2:
