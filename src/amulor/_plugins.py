@@ -1,4 +1,4 @@
-"""Names of the entry points of installed packages, without import of the packages."""
+"""Entry-point names of installed packages, without importing the packages."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ class AmulorError(Exception):
 
 
 class AmulorWarning(UserWarning):
-    """Result outside the validity range of its formula; the message is one line.
+    """Warning of a result outside its formula's validity range; one-line message.
 
     Examples
     --------

@@ -80,7 +80,7 @@ class RealClock:
 
 
 class VirtualClock:
-    """Clock of virtual time, which a wait advances at once."""
+    """Clock of virtual time: a wait advances it at once, without real delay."""
 
     def __init__(self) -> None:
         self._now = 0.0

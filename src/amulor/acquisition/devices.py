@@ -95,7 +95,7 @@ class Devices:
 
 
 def digest(settings: Settings, identities: dict[str, str]) -> str:
-    """Return a digest of procedure, devices and identities, to compare two runs."""
+    """Return a hash of procedure, devices and identities, to compare two runs."""
     # Omitted settings are not compared, because later versions of amulor add settings.
     content = settings.model_dump(
         mode="json", exclude={"simulation": True}, exclude_none=True

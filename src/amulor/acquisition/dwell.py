@@ -116,7 +116,7 @@ class Settling:
     def unsettled_parts(
         self, entered: NDArray[np.complex128], mean: float, spacing: float
     ) -> int | None:
-        """Count the filter inputs before settling; None if most are unsettled."""
+        """Return the number of unsettled leading inputs; None if most are unsettled."""
         size = max(round(self._constant / spacing), 1)
         blocks = [entered[at : at + size] for at in range(0, entered.size, size)]
         if len(blocks) > 1 and blocks[-1].size < size:
@@ -342,7 +342,7 @@ class DwellReader:
         times: ArrayLike,
         means: Sequence[float],
     ) -> tuple[list[complex], int, bool]:
-        """Return mean signals, count of skipped readings, and whether it settled."""
+        """Return mean signals, count of skipped readings, and whether all settled."""
         mean = sum(means) / len(means) if means else math.nan
         skipped, settled = 0, True
         if self._judge is not None and self._filter_is_known and len(columns[0]) > 2:

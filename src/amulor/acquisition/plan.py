@@ -69,7 +69,7 @@ class Step:
         return self.together or (self.key.frequency,)
 
     def without(self, done: Container[Key]) -> Step | None:
-        """Return the dwell with only its missing samples; None if no sample is missing.
+        """Return the dwell with only its missing samples; None if it is complete.
 
         All modulation frequencies are kept, because light at one frequency must not
         depend on whether the sample at another one is missing.
@@ -122,7 +122,7 @@ def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
 
 
 def strips(steps: Iterable[Step], *, longest: int) -> Iterator[list[Step]]:
-    """Group dwells into strips: parts of a row, each acquired in one motion."""
+    """Group dwells into strips: row segments, each acquired in one motion."""
     strip: list[Step] = []
     for step in steps:
         if strip and not (len(strip) < longest and _goes_on(strip, step)):

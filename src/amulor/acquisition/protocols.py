@@ -1,4 +1,4 @@
-"""Interfaces of a scan's devices: SI units, blocking calls, a safe state."""
+"""Interfaces of a scan's devices, with SI units, blocking calls and a safe state."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Digitiser(Device, Protocol):
         """Configure the digitizer for a scan."""
 
     def set_range(self, number: int) -> None:
-        """Select an input range by its index in `ranges`."""
+        """Select an input range by its index in the attribute `ranges`."""
 
     def set_frequencies(
         self, frequencies: Sequence[float], *, timeout: float

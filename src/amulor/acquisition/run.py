@@ -351,7 +351,7 @@ def acquire(
 
 
 def _in_step(control: Control) -> bool:
-    """Return whether a control requests samples one by one."""
+    """Return whether a control object requests samples one by one."""
     return bool(getattr(control, "in_step", False))
 
 
@@ -487,7 +487,7 @@ class _Run:
         )
 
     def _begin_to_count(self) -> None:
-        """Restart the measurement of the sample rate after a pause."""
+        """Restart the estimate of the sampling rate after a pause."""
         self._started = time.monotonic()
         self._taken = 0
 

@@ -27,7 +27,7 @@ _SIGNIFICANT = 5.0
 
 
 class DarkLevel:
-    """Mean output without light, from dark readings of this run, by polarization.
+    """Mean detector output without light, by polarization, from dark readings.
 
     Stray light passes the analyzer, so each polarization has a separate level.
     """
@@ -362,7 +362,7 @@ class Sampler:
         self._new = True
 
     def _closed_for(self, step: Step) -> bool:
-        """Return whether the shutter is closed in a dwell."""
+        """Return whether a dwell requires a closed shutter."""
         return self._shutter_closed or step.key.kind == SHUTTER
 
     def _move_shutter(self, closed: bool) -> None:
@@ -444,7 +444,7 @@ class Sampler:
             )
 
     def refuse_darkness(self, kind: str, flags: int) -> None:
-        """Raise after too many samples in a row without light."""
+        """Raise after too many consecutive samples without light."""
         if kind == DARK:
             return
         if not flags & SampleFlag.NO_LIGHT:

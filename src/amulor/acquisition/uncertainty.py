@@ -1,4 +1,4 @@
-"""Uncertainty of a sample due to counting noise, output filter and averaging."""
+"""Uncertainty of a sample from shot noise, output filter and averaging."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from amulor.survey.counting import counting_variance
 def reading_variance(
     survey: Survey, *, rate: ArrayLike, time_constant: float
 ) -> NDArray[np.float64]:
-    """Return the counting variance of one settled reading per quadrature [V^2]."""
+    """Return the shot-noise variance per quadrature [V^2] of one settled reading."""
     time = detection.effective_integration_time(0.0, time_constant=time_constant)
     return counting_variance(survey, rate=rate, integration_time=float(time))
 
 
 def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the variance of a mean of readings, relative to one reading [1].
+    r"""Return the variance ratio of a mean of readings to a single reading [1].
 
     Notes
     -----
@@ -93,7 +93,7 @@ def filtered_input(
 
 
 def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) -> float:
-    r"""Return the error of `filtered_input` due to steps of the input between outputs.
+    r"""Return the error of `filtered_input` due to input steps between readings.
 
     Notes
     -----
@@ -129,7 +129,7 @@ def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) ->
 def input_variance_ratio(
     intervals: ArrayLike, *, spacing: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the variance of `filtered_input`, relative to a settled output [1].
+    r"""Return the variance ratio of `filtered_input` to a settled output [1].
 
     Notes
     -----

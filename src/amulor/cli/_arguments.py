@@ -20,7 +20,7 @@ class UsageError(AmulorError):
 
 @contextmanager
 def refusing(option: str = "") -> Iterator[None]:
-    """Turn a `ValueError` of a public function into a usage error.
+    """Convert a `ValueError` of a public function to a usage error.
 
     Parameters
     ----------

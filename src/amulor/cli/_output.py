@@ -179,7 +179,7 @@ class _Log:
         self._compiling_written = False
 
     def advance(self, step: str, share: float) -> None:
-        """Record the present step and the completed fraction of the work."""
+        """Update the current step and the completed fraction of the work."""
         self._now = (step, share)
 
     def line(self) -> str:

@@ -1,4 +1,4 @@
-"""Flags of pixels from flags of samples, and images with unknown range error."""
+"""Pixel flags derived from sample flags, and images with unknown range error."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.f
 
 
 def leakage_volt(channel: xr.Dataset) -> NDArray[np.float64]:
-    """Return the error of the target signal by measured leakage, by frequency [V].
+    """Return the target-signal error [V] due to measured leakage, by frequency.
 
     The combination of channels multiplies it, by the smallest factor on phases: that of
     the strongest channel of the result.
@@ -81,7 +81,7 @@ def leakage_volt(channel: xr.Dataset) -> NDArray[np.float64]:
 
 
 def by_frequency(channel: xr.Dataset, name: str, default: float) -> NDArray[np.float64]:
-    """Return an attribute that has one number for each frequency."""
+    """Return an attribute of a channel as numbers, one for each frequency."""
     values = np.atleast_1d(np.asarray(channel.attrs.get(name, default), dtype=float))
     count = channel.sizes["modulation_frequency"]
     # The cube has a single selected frequency.

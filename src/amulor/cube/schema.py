@@ -1,4 +1,4 @@
-"""Error-budget terms, quality flags, and variables of the levels of a cube."""
+"""Error-budget terms, quality flags, and variables of each processing level."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ def check_values(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
 
 
 def check_limits(cube: xr.Dataset, *, name: str) -> None:
-    """Raise if overload marks or times of pixels are outside of their limits."""
+    """Raise if overload flags or times of pixels are outside their limits."""
     for variable, (lowest, highest, words) in _LIMITS.items():
         if variable not in cube.variables or cube[variable].size == 0:
             continue

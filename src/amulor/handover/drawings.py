@@ -277,7 +277,7 @@ def write_contours(
 
 
 def scale_of(order: Order, surface: products.Surface, plane: products.Plane) -> float:
-    """Return the ordered scale, else the largest usual one that fits A4 [1]."""
+    """Return the scale in the order [1], else the largest usual scale that fits A4."""
     if order.scale is not None:
         return order.scale
     used = surface.position[np.unique(surface.triangles)] @ plane.axes[:2].T
@@ -286,7 +286,7 @@ def scale_of(order: Order, surface: products.Surface, plane: products.Plane) -> 
 
 
 def cell_of(order: Order, surface: products.Surface, scale: float) -> float:
-    """Return the raster cell size: as ordered, else from print or pixel spacing [m]."""
+    """Return the raster cell size [m]: from the order, else from print or pixels."""
     if order.cell is not None:
         return order.cell
     if order.product == "orthoimage":
@@ -298,7 +298,7 @@ def cell_of(order: Order, surface: products.Surface, scale: float) -> float:
 
 
 def raster_statement(raster: products.Raster) -> str:
-    """Return a sentence about the view, cells and heights of a raster."""
+    """Return a sentence on view direction, cell size and heights of a raster."""
     names = raster.plane.names
     return (
         f"Seen from the {raster.plane.side}; heights ({names[2]}) count towards the "
@@ -314,7 +314,7 @@ _GRAZING = np.radians(65)
 
 
 def grazing_warning(surface: products.Surface, plane: products.Plane) -> list[str]:
-    """Return a warning if the instrument looked across the direction of the view."""
+    """Return a warning if the beams are strongly oblique to the view direction."""
     angle = float(np.median(np.arccos(np.abs(surface.direction @ plane.axes[2]))))
     if angle < _GRAZING:
         return []

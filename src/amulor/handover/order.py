@@ -1,4 +1,4 @@
-"""Settings of a product of a range image, and checks of them."""
+"""Settings of a product made from a range image, and their checks."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def rounded_up(value: float) -> float:
 
 
 def grid_step(low: float, high: float, scale: float) -> float:
-    """Distance of grid lines in a drawing to scale: 20 to 50 mm on paper [m]."""
+    """Grid spacing [m] of a drawing to scale, for 20 to 50 mm on paper."""
     step = rounded_up(0.02 * scale)
     return step if high - low >= 4 * step else rounded_up(0.008 * scale)
 

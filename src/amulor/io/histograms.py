@@ -344,7 +344,7 @@ def weights(
     time_of_emission: float = 0.0,
     background_bins: tuple[int, int] | None = None,
 ) -> NDArray[np.complex128]:
-    r"""Fourier weight of each time bin, for each modulation frequency.
+    r"""Fourier weights of the time bins, for each modulation frequency.
 
     :math:`g_k = e^{2 \pi i f t_k}` with :math:`t_k` the center of bin k. With a
     background it is :math:`g_k - [k \in B] \sum_j g_j / |B|`: taking a mean off is

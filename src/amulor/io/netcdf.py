@@ -409,11 +409,11 @@ def _decoded(content: bytes, path: Path) -> xr.Dataset:
 
 
 def indexed_file(content: bytes) -> Any:
-    """Open the bytes of an HDF5 file, in which each path is looked up once."""
+    """Open an HDF5 file from bytes, with cached path lookup."""
     import h5py
 
     class IndexedFile(h5py.File):  # type: ignore[misc]
-        """HDF5 file; h5netcdf looks a path up for every property of a variable."""
+        """HDF5 file with cached path lookup, which h5netcdf repeats very often."""
 
         def __getitem__(self, name: Any) -> Any:
             """Object at a path, or of a reference."""

@@ -182,7 +182,7 @@ def distinct(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def groups(ordered: Floats) -> NDArray[np.intp]:
-    """Index of the distinct frequency of each value, for increasing values."""
+    """Group index of each frequency in increasing order; equal ones share a group."""
     border = np.diff(ordered) > _SAME_FREQUENCY * ordered[:-1]
     return np.concatenate([[0], np.cumsum(border)]).astype(np.intp)
 
@@ -290,7 +290,7 @@ def median_of(nearest: Floats) -> float:
 
 
 def off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
-    """Distance of signals from mixtures of two neighbors, and of those neighbors.
+    """Signal distance from mixtures of two neighbors, and between those neighbors [V].
 
     A beam on an edge measures a mixture of both sides. The first axis of `beside` has
     the neighbors of each sample, NaN where there are none.

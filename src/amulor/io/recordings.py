@@ -134,7 +134,7 @@ class Recording:
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Mean signals in a band of rows and next to it, before outliers are flagged."""
+    """Mean signals in a band of rows and its neighbor rows, with outliers unflagged."""
 
     means: _Gathered
     uncertainty: Floats

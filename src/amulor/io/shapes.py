@@ -89,7 +89,7 @@ def scalars_of(
 
 
 def up_of(statements: Sequence[str], default: Up = "z") -> Up:
-    """Vertical axis of a file's coordinates, as its header lines state."""
+    """Vertical axis of a file's coordinates, from its header lines."""
     for line in statements:
         if line.startswith("axes:"):
             return "-y" if "y down" in line else "z"

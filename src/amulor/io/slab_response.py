@@ -134,7 +134,7 @@ def read_slabs(path: str | os.PathLike[str]) -> Slabs:
 
 
 def slab_response(slabs: Slabs, modulation_frequency: ArrayLike) -> xr.Dataset:
-    r"""Attenuation and delay of intensity modulation in slabs.
+    r"""Attenuation and delay of intensity modulation by slabs of a medium.
 
     Parameters
     ----------

@@ -326,7 +326,7 @@ def _median_of(path: Path) -> float:
 
 
 def _ranked(path: Path, rank: int) -> float:
-    """Return the value with a given rank in a file, by 16-bit radix selection."""
+    """Return the number of a rank in a file, from 0, by 16-bit radix selection."""
     value = 0
     for shift in (48, 32, 16, 0):
         counts = np.zeros(2**16, dtype=np.int64)

@@ -89,7 +89,7 @@ def usual_limits(values: Floats, margin: float = 0.0) -> tuple[float, float]:
 
 
 def _ratio(cube: xr.Dataset) -> float:
-    """Ratio of height to width of a scan, in angles or else in pixels [1]."""
+    """Height-to-width ratio of a scan [1], in angles if known, else in pixels."""
     azimuth, elevation = cube["azimuth"].values, cube["elevation"].values
     wide, high = float(np.ptp(azimuth)), float(np.ptp(elevation))
     if _flat(cube):

@@ -160,7 +160,7 @@ def colours_of(
 
 
 def _of_pixels(raster: Raster) -> Floats:
-    """Largest height uncertainty within one pixel of the scan around each cell [m].
+    """Largest height uncertainty [m] around each cell, within one scan pixel.
 
     Between pixels a cell is their mean, whose noise is smaller. Without the maximum,
     the map would show the grid of pixels instead of the uncertainty.
@@ -284,7 +284,7 @@ def line_sheet(
 
 
 class _Paper:
-    """Figure of an ISO sheet with an axis to scale and a title block below it."""
+    """Figure of an ISO sheet, with plot axes to scale above a title block."""
 
     def __init__(
         self,
@@ -313,7 +313,7 @@ class _Paper:
         self.heights = heights
 
     def _axes(self, x: float, y: float, wide: float, high: float) -> Axes:
-        """Add an axis at a place of the sheet [mm]."""
+        """Add plot axes at a position on the sheet [mm]."""
         w, h = self.width, self.height
         return self.figure.add_axes((x / w, y / h, wide / w, high / h))
 

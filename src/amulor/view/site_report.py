@@ -195,7 +195,7 @@ def ellipses(site: Site, registration: Registration) -> Figure:
 
 
 def errors(cloud: Merged) -> Figure:
-    """Draw the uncertainty of points from above, and its histogram."""
+    """Draw a plan map of point uncertainty, and its histogram."""
     figure = new_figure(7.0, 3.4)
     axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
     some = _thinned(np.flatnonzero(~cloud.moving))
@@ -215,7 +215,7 @@ def errors(cloud: Merged) -> Figure:
 
 
 def change_map(change: Change, places: Sequence[Region]) -> Figure:
-    """Draw the change between visits from above, with significance and histogram."""
+    """Draw a plan map of the change between visits, with significance and histogram."""
     figure = new_figure(7.0, 3.6)
     axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
     both = np.isfinite(change.value)

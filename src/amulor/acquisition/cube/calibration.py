@@ -259,7 +259,7 @@ def phase_uncertainty(
 def leakage_of(
     calibration: Calibration, cube: xr.Dataset, part: str
 ) -> tuple[Complex, Floats]:
-    """Return leakage and its uncertainty in the scan or the references [V].
+    """Return leakage [V] and its uncertainty [V] in the scan or in the references.
 
     Shape (frequency, polarization). A channel without a measurement is refused.
     """

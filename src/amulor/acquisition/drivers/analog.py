@@ -196,7 +196,7 @@ class AnalogScanner:
             )
 
     def identity(self) -> str:
-        """Return the identity of the output device, with the angle uncertainty."""
+        """Return the output device's identity and the uncertainty of beam angles."""
         return (
             f"mirrors on {self._outputs.identity()}, angles known to "
             f"{self.spread * 1e6:.3g} urad"

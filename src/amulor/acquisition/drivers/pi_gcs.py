@@ -54,7 +54,7 @@ class PiController:
         return self._identity
 
     def enable(self, axes: Sequence[str]) -> None:
-        """Close the servo loops of axes; raise if an axis is not referenced."""
+        """Switch on the servo loops of axes; raise if an axis is not homed."""
         self._link.send("SVO " + " ".join(f"{axis} 1" for axis in axes))
         self.raise_error()
         referenced = self._values("FRF?", axes)

@@ -120,7 +120,7 @@ class Stanford:
     def index_of(
         self, requested: float, offered: Sequence[float], quantity: str, unit: str = "s"
     ) -> int:
-        """Return the instrument's code for the value of a setting."""
+        """Return the instrument's index code for the requested value of a setting."""
         for code, value in enumerate(offered):
             if math.isclose(value, requested, rel_tol=1e-6):
                 return code

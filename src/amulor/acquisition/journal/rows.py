@@ -37,7 +37,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 def _pattern(
     names: tuple[str, ...], kinds: tuple[type, ...]
 ) -> tuple[int, struct.Struct, list[int], list[int]]:
-    """Return the layout of a row: checksum of names, number format, indices by type."""
+    """Return a row's layout: CRC of names, binary number format, indices by type."""
     texts = [place for place, kind in enumerate(kinds) if kind is str]
     numbers = [
         place for place, kind in enumerate(kinds) if kind not in (str, type(None))
@@ -93,7 +93,7 @@ class RowCheck:
             )
 
     def wrong_with(self, values: Sequence[Any], stored: Any) -> str | None:
-        """Describe the damage of a row; None if the row is intact."""
+        """Describe the damage to a row; None if the row is intact."""
         row = dict(zip(self._columns, values, strict=True))
         wrong = (
             self._wrong_type(row) or self._wrong_value(row) or self._not_planned(row)

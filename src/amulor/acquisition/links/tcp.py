@@ -77,7 +77,7 @@ class _Server(socketserver.ThreadingTCPServer):
 
 
 class _Conversation(socketserver.StreamRequestHandler):
-    """Handler of one TCP link to a simulated device."""
+    """Request handler of one TCP connection to a simulated device."""
 
     # Answers are short; waiting to send them together would cost 40 ms each.
     disable_nagle_algorithm = True

@@ -19,7 +19,7 @@ Options = dict[str, Any] | None
 
 
 def need(condition: bool, setting: str) -> None:
-    """Raise if a setting is missing that the other settings require."""
+    """Raise if a required setting is missing."""
     if not condition:
         raise ValueError(f"{setting} is needed; state it")
 
@@ -90,7 +90,7 @@ Volts = Annotated[Voltage, Field(ge=-100, le=100)]
 
 
 class MirrorSettings(Description):
-    """Mirror: its analog output, and beam angles measured at several voltages."""
+    """Scanner mirror: analog output, and beam angles measured at several voltages."""
 
     output: Annotated[str, Field(min_length=1, max_length=100)]
     """Name of the output: number of an auxiliary output of the lock-in, counted from 1;
@@ -216,7 +216,7 @@ class SourceSettings(Linked):
 
 
 class LaserSettings(Linked):
-    """Laser, or the shutter in front of it."""
+    """Settings of the laser, or of the shutter in front of it."""
 
     driver: LaserDriver = "simulated"
     """Driver: simulated, lock_in_output (an auxiliary output of the lock-in is wired to

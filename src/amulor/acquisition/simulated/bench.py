@@ -75,7 +75,7 @@ def in_steps(
     settings: SimulationSettings,
     rng: np.random.Generator,
 ) -> list[list[complex]]:
-    """Advance the output filters of all tones in equal steps; return outputs [V]."""
+    """Advance output filters of all tones by equal time steps; return outputs [V]."""
     from scipy.signal import lfilter
 
     keep = math.exp(-interval / time_constant)

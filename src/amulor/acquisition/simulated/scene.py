@@ -77,7 +77,7 @@ class Tone:
 
 
 class Places:
-    """Signals of a scene by beam direction, with a search for the nearest direction."""
+    """Signals of a scene by beam direction, with nearest-neighbor search."""
 
     def __init__(self, light: LightByDirection) -> None:
         self.light = light
@@ -120,7 +120,7 @@ class Places:
 def mount_angles(
     survey: Survey, launch: Mapping[str, float], analyser: Mapping[str, float]
 ) -> list[complex]:
-    """Return launch + 1j * analyzer mount angle of each pair [rad]; 1000 if not set."""
+    """Return mount angles [rad] of each pair, launch + 1j * analyzer; 1000 if unset."""
     pairs = []
     for pair in survey.instrument.polarizations:
         launched, analysed = stokes.pair_states(pair)

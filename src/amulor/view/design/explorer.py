@@ -227,7 +227,7 @@ class Explorer:
         return survey, {"method": self.method, "interval": self._interval, **axes}
 
     def _in(self, name: str) -> Survey:
-        """Survey in which the water is replaced by a water of the given name."""
+        """Survey with its water replaced by the water type of the given name."""
         if name not in self._waters:
             if name not in WATERS:
                 raise SurveyError(f"there is no water {name[:40]!r}")

@@ -75,7 +75,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Rows:
-    """Newly measured row of a channel, sent to the page before a full recomputation."""
+    """Newly measured row of a channel, sent to the page ahead of recomputation."""
 
     version: int
     channel: str

@@ -72,7 +72,7 @@ def values_of(part: xr.Dataset) -> Floats:
 def nodes_of(
     read: BeamReader, shape: tuple[int, int], *, farthest: float, stride: int = 1
 ) -> Nodes:
-    """Coarsest grid of beams from which the page can still place points accurately."""
+    """Coarsest beam grid whose interpolation error is within the tolerance."""
     step = _FIRST_STEP
     while step > stride:
         nodes = _grid(read, shape, step)
@@ -125,7 +125,7 @@ def _error(
 
 
 class Picture(Protocol):
-    """Range image from which maps are read one at a time."""
+    """Interface of a range image whose maps are read one at a time."""
 
     @property
     def shape(self) -> tuple[int, int]:
