@@ -186,7 +186,7 @@ def test_an_image_lies_where_its_coordinates_say(small, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("texture", "words"), [("vertex-colours", "no colours"), ("image", "no image")]
+    ("texture", "words"), [("vertex-colours", "no colors"), ("image", "no image")]
 )
 def test_a_mesh_without_a_texture_is_refused(small, tmp_path, texture, words):
     trimesh.Trimesh(SQUARE, FACES, process=False).export(tmp_path / "plain.stl")

@@ -327,7 +327,7 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
     >>> turned = acquisition.calibrated(
     ...     cube,
     ...     acquisition.Calibration.from_text(
-    ...         "[[frequencies]]\nmodulation_frequency = '36.7 MHz'\n"
+    ...         "[[frequencies]]\nmodulation_frequency = '39 MHz'\n"
     ...         "amplitudes = ['1 mV']\nphases = ['0.1 rad']\n"
     ...         "phase_uncertainties = ['1 mrad']"
     ...     ),
