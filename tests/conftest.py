@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+from pathlib import Path
 
 # Before numpy and numba are loaded. The solves are small, and threads would only wait
 # and spin; of several test processes, each has one core to itself.
@@ -85,8 +86,21 @@ class Skips:
                 terminalreporter.line(f"{test}: {reason}")
 
 
+#: Tests that took longer than others when `tools/long_tests.py` measured them.
+LONG = frozenset(
+    (Path(__file__).parent / "reference" / "long_tests.txt").read_text().splitlines()
+)
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put tests of the whole program first: short ones then fill the end of a run."""
+    """Leave long tests to `make check`, and put tests of the whole program first.
+
+    Short tests then fill the end of a run.
+    """
+    for item in items:
+        if item.nodeid in LONG:
+            item.add_marker(pytest.mark.slow)
     folders = ("tests/system/", "tests/physics/")
     items.sort(key=lambda item: not item.nodeid.startswith(folders))
 
