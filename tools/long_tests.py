@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 LISTING = ROOT / "tests" / "reference" / "long_tests.txt"
 #: Longest test of `make test`, with its fixtures [s].
-LIMIT = 0.5
+LIMIT = 0.4
 
 
 def long_tests(report: str, limit: float = LIMIT) -> list[str]:

@@ -176,7 +176,7 @@ _LIGHT_SPEED = 299792458.0
 
 @numba.njit(cache=True, error_model="numpy")
 def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
-    """Compute the signals of a point; return the ratio of detector output to limit.
+    """Compute the signals of a point; return detector output relative to its limit.
 
     Signals are photoelectron rates, with the phase of the delay.
     """

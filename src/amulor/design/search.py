@@ -374,7 +374,7 @@ def _unique(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
-    """Candidates sorted by merit; those that meet all requirements by price first."""
+    """Candidates that meet all requirements by price, then the others by merit."""
     priced = _priced(goal)
 
     def key(candidate: Candidate) -> tuple[bool, float, float]:

@@ -104,7 +104,7 @@ def completed(
 def _without_instrument(
     observation: Observation, ranges: Ranges
 ) -> tuple[Ranges, dict[str, Floats]]:
-    """Ranges of a joint estimation without instrument errors; return also the errors.
+    """Joint-estimation ranges without instrument errors, and the removed errors.
 
     It counts delay, index and place of the receiver in the common error of its ranges.
     """
@@ -369,7 +369,7 @@ def calibration_terms(
 def instrument_term(
     observation: Observation, weight: Floats, slope: Floats
 ) -> Floats | None:
-    """Return the range error by phase errors of the instrument; None if zero.
+    """Return the range error from phase errors of the instrument; None if zero.
 
     Leakage, walk and harmonics turn each frequency by an angle of its own, of the
     stated or typical size, and by as much as channels or frequencies differ where

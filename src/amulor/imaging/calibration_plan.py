@@ -1,4 +1,4 @@
-"""Range errors by the instrument, before and after each calibration."""
+"""Range errors due to the instrument, before and after each calibration."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _STATE = {"temperature": 15.0, "salinity": 35.0}
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationLine:
-    """Range error by one property of the instrument."""
+    """Range error due to one property of the instrument."""
 
     name: str
     """Name of the property."""
@@ -47,7 +47,7 @@ class CalibrationLine:
 
 
 def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationLine]:
-    """Return the range errors by the instrument in the middle of a scan.
+    """Return the range errors due to the instrument in the middle of a scan.
 
     The frequencies are weighted by their squares, as those of equal phase noise. A
     calibration never makes a stated error larger.

@@ -43,7 +43,7 @@ class FrequencyPhase:
 
     @property
     def size(self) -> float:
-        """Phase error of a frequency by which the deviations are usual [rad].
+        """Phase error of a frequency that explains the size of the deviations [rad].
 
         The path of all frequencies is fitted, and hides most of the error of the
         highest.
@@ -155,7 +155,7 @@ def _references(cube: xr.Dataset) -> InstrumentTest | None:
 
 
 def _water(cube: xr.Dataset) -> InstrumentTest | None:
-    """Test whether the water of the scan is that of the references."""
+    """Test whether the water is the same in the scan and in the references."""
     from scipy.special import ndtr
 
     change = float(cube.attrs.get("open_water_change", 0.0))
@@ -179,7 +179,7 @@ def _water(cube: xr.Dataset) -> InstrumentTest | None:
 
 
 def _channels(cube: xr.Dataset) -> InstrumentTest | None:
-    """Test whether all channels have the phase of one echo."""
+    """Test whether the echo has the same phase in all channels."""
     if "channel_phase_rad" not in cube.attrs:
         return None
     phase = np.atleast_1d(cube.attrs["channel_phase_rad"])
@@ -197,7 +197,7 @@ def _channels(cube: xr.Dataset) -> InstrumentTest | None:
 
 
 def _is_delay(phase: Floats, cube: xr.Dataset) -> bool:
-    """Return whether phases at several frequencies are those of a delay."""
+    """Return whether a single delay explains the phases at several frequencies."""
     frequency = _frequency(cube)
     if frequency.size != phase.size or phase.size < 2:
         return False
@@ -214,7 +214,7 @@ def _frequency(cube: xr.Dataset) -> Floats:
 
 
 def _frequencies(cube: xr.Dataset) -> InstrumentTest | None:
-    """Test whether all frequencies have the phase of one distance."""
+    """Test whether the phases at all frequencies belong to one distance."""
     if PHASES not in cube.attrs:
         return None
     size = float(np.max(np.abs(cube.attrs[PHASES])))
@@ -236,7 +236,7 @@ def _frequencies(cube: xr.Dataset) -> InstrumentTest | None:
 
 
 def _drift(cube: xr.Dataset) -> InstrumentTest | None:
-    """Test whether the references after the scan have the delay of those before it."""
+    """Test whether references before and after the scan have equal delays."""
     if "instrument_drift_delay_s" not in cube.attrs:
         return None
     delays = np.atleast_1d(cube.attrs["instrument_drift_delay_s"])
@@ -253,7 +253,7 @@ def _drift(cube: xr.Dataset) -> InstrumentTest | None:
 
 
 def _methods(cube: xr.Dataset) -> InstrumentTest | None:
-    """Test whether two rejection methods have one distance."""
+    """Test whether two rejection methods give the same distances."""
     if "method_disagreement_m" not in cube.attrs:
         return None
     size = float(cube.attrs["method_disagreement_m"])

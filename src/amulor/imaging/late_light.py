@@ -1,4 +1,4 @@
-"""Delay of echoes by forward-scattered light, and its uncertainty."""
+"""Delay of echoes due to forward-scattered light, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class LateFit:
 
 @dataclass(frozen=True, kw_only=True)
 class LateLight:
-    """Range error by late, forward-scattered light, with its uncertainty."""
+    """Range error due to late, forward-scattered light, with its uncertainty."""
 
     late: Floats
     """Estimated range error, to be subtracted, shape (row, column) [m]."""
@@ -67,7 +67,7 @@ def late_light(
     weight: Floats,
     fit: LateFit | None = None,
 ) -> tuple[LateLight, LateFit]:
-    """Range error of one channel by late light, and the statistics used.
+    """Range error of one channel due to late light, and the statistics used.
 
     The water is that of the survey, a rectangular distribution between two ends: with
     an asymmetry between the Henyey-Greenstein function and half of its delay, since

@@ -32,7 +32,7 @@ _AT_ONCE = 2**20
 
 @dataclass(kw_only=True)
 class _Plane:
-    """Random generator for a plane of (row, column), with the number of draws."""
+    """Random generator for an array of (row, column), with the number of draws."""
 
     start: np.random.Generator
     now: np.random.Generator

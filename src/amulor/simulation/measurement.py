@@ -95,7 +95,7 @@ def simulate(
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """Inputs of a simulation, shared by all rows of the scan."""
+    """Inputs of a simulation, common to all rows of the scan."""
 
     setup: geometry_of.Setup
     """Instrument, water and targets."""

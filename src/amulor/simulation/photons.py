@@ -269,7 +269,7 @@ def ends(place: Place) -> tuple[Floats, Floats, Floats]:
 
 
 def way(place: Place) -> float:
-    """Return the path length to the surface and back to the aperture's center [m]."""
+    """Return the path length to the surface and back to the aperture center [m]."""
     _, _, point = ends(place)
     return_length = np.linalg.norm(point - np.array([place.baseline, 0.0, 0.0]))
     return place.depth + float(return_length) - place.standoff

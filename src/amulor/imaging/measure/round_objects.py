@@ -218,7 +218,7 @@ class _Turned:
         return np.asarray(off / np.hypot(1.0, slope) / cosine)[None]
 
     def robust(self) -> tuple[Floats, NDArray[np.bool_]]:
-        """Parameters that few pixels off the surface do not move, and pixels on it."""
+        """Parameters of a robust fit, and a mask of the pixels on the surface."""
         sigma = np.sqrt(
             np.fmax(self.points.noise, 1e-4 * self.points.covariance.diagonal())
         )
@@ -249,7 +249,7 @@ class _Turned:
 
 
 def _unresolved(points: Points, fit: Fit, heights: Floats, radius: Floats) -> Floats:
-    """Spread of points around a profile, near each height, beyond that of noise [m].
+    """Spread of points around a profile near each height, in excess of noise [m].
 
     Edges and rims are sharper than the spline; the profile misses them by this spread.
     """
@@ -301,7 +301,7 @@ def _misfit(away: Floats, axis: Floats, back: Floats) -> float:
 
 
 def _knots(height: Floats, across: Floats) -> Floats:
-    """Heights at which the radius of a profile is free, where there are pixels."""
+    """Knots of the profile spline, only at heights with pixels."""
     extent = float(np.ptp(height))
     pixel = np.sqrt(extent * float(np.ptp(across)) / len(height))
     step = max(_PIXELS_APART * pixel, extent / (_MOST_KNOTS - 1))
@@ -312,7 +312,7 @@ def _knots(height: Floats, across: Floats) -> Floats:
 
 
 def _levels(height: Floats) -> NDArray[np.intp]:
-    """Level of each height, of a number of levels with equally many pixels."""
+    """Level number of each height; all levels have equally many pixels."""
     count = int(np.clip(len(height) // 20, 3, 40))
     edges = np.quantile(height, np.linspace(0, 1, count + 1)[1:-1])
     return np.searchsorted(edges, height)
@@ -326,7 +326,7 @@ def _level_means(values: Floats, height: Floats) -> Floats:
 
 
 def _centre(away: Floats, side: Floats, back: Floats, height: Floats) -> Floats:
-    """Center of circles of any radius at each level, by linear least squares."""
+    """Common center of circles, one radius per level, by linear least squares."""
     x, z = away @ side, away @ back
     level = _levels(height)
     columns = np.zeros((len(x), 2 + level.max() + 1))

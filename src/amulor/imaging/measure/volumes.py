@@ -141,7 +141,7 @@ class _Ground:
         return np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
 
     def by_range(self, by_plane: Floats) -> Floats:
-        """Return the derivative by each range of the base, from that by the plane."""
+        """Convert derivatives by plane parameters to derivatives by base ranges."""
         gradient = np.zeros(self.shape)
         np.add.at(gradient, (self.rows, self.columns), by_plane @ self.gain)
         return gradient
@@ -178,7 +178,7 @@ class _Surface:
         self.usable = usable
 
     def by_range(self, by_point: Floats) -> Floats:
-        """Return the derivative by each measured range, from that by each point."""
+        """Convert derivatives by points to derivatives by measured ranges."""
         along = np.einsum("ik,ik->i", by_point, self.direction)
         return np.asarray(self.weights.T @ along).reshape(self.shape)
 
@@ -274,7 +274,7 @@ def _sum(surface: _Surface, ground: _Ground) -> tuple[float, Floats, Floats]:
 
 
 def _variances(image: xr.Dataset, gradient: Floats) -> tuple[float, float]:
-    """Variance from the noise of single pixels, and from what pixels share.
+    """Variances from noise of single pixels and from errors common to all pixels.
 
     Shared errors change slowly over the scan, so a pixel stands for its surroundings.
     """

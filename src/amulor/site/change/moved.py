@@ -225,7 +225,7 @@ def _to_middle(pair: Pair, middle: Floats) -> Floats:
 
 
 def _held(pairs: list[Pair], middle: Floats) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return the projector onto motions that scan pairs determine, and all others.
+    """Return projectors onto motions that scan pairs determine, and onto the rest.
 
     All pairs are combined, because each alone would leave a different rotation of a
     round body undetermined.

@@ -126,7 +126,7 @@ def unknowns_of(scan: str, surface: ScanSurface) -> tuple[str, ...]:
 def by_unknowns(
     surface: ScanSurface, pose: ScanPose, position: Floats, pixel: NDArray[np.intp]
 ) -> Floats:
-    """Return the derivatives of a scan's points by its pose and shared errors."""
+    """Return derivatives of a scan's points with respect to pose and shared errors."""
     arm = position - pose.position
     beam = pose.turn(surface.direction.reshape(-1, 3)[pixel])
     shapes = surface.shared.shapes.reshape(len(surface.shared.keys), -1)[:, pixel]

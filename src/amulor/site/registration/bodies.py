@@ -23,7 +23,7 @@ def mean_lever(lever: Floats, weight: Floats) -> float:
 def held_directions(
     matrix: Floats, *, unsure: float, length: float
 ) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return the projector onto motions that surfaces determine, and other motions.
+    """Return projectors onto motions that surfaces determine, and onto the rest.
 
     Noise of the normals in both scans gives products with a mean of zero. A direction
     is determined if its sum is significant against their scatter.

@@ -386,7 +386,7 @@ def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
 
 
 def _tilt(target: ScanSurface, at: OnGrid, normal: Floats) -> Floats:
-    """Return the variance of derivatives that noise of surface normals causes."""
+    """Return the variance of derivatives due to noise of surface normals."""
     # Noise of a patch's slope per pixel, as an angle of the surface.
     angle = target.slope * target.own.ravel()[at.pixel] / target.spacing
     along = np.abs(_dot(normal, at.direction))

@@ -181,7 +181,7 @@ def pattern_tests(
 def _suspected(
     tests: Sequence[PatternTest], changes: Sequence[Floats], count: int
 ) -> Floats:
-    """Return the covariance of all unknowns by suspected errors of one scan.
+    """Return the covariance of all unknowns due to suspected errors of one scan.
 
     These are the range errors of the scan with the strongest test whose estimated size
     is large but not significant. Each counts with this size as its standard error.

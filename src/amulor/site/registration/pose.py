@@ -90,7 +90,7 @@ def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
 
 
 def cross_matrix(vectors: Floats) -> Floats:
-    """Return the matrices that multiply other vectors as a cross product."""
+    """Return the skew-symmetric cross-product matrices of vectors."""
     zero = np.zeros(vectors.shape[:-1])
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.stack(

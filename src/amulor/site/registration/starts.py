@@ -1,4 +1,4 @@
-"""Test of start poses for usual mistakes: swapped axes, degrees, and heights."""
+"""Test of start poses for usual mistakes: swapped axes, signs, unit of angles."""
 
 from __future__ import annotations
 
@@ -285,7 +285,7 @@ def _share(
 def _height_in_words(
     scans: list[str], others: list[str], placed: Mapping[str, cKDTree]
 ) -> str:
-    """Return the height of scans above overlapping others, as text."""
+    """Return text on the height of scans above others, or on what to check."""
     height = height_above(
         *(
             np.concatenate([placed[name].data for name in names])

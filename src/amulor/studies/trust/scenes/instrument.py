@@ -90,7 +90,7 @@ def leakage(size: float, *, delay: float | None = None) -> Effect:
 
 
 def walk(degrees: float) -> Effect:
-    """Return a function that adds a phase error per decade of amplitude [degrees]."""
+    """Return a function that adds a phase error [degrees] per decade of amplitude."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         def walked(signal: Complex) -> Complex:
@@ -163,7 +163,7 @@ def compression(fraction: float) -> Effect:
 
 
 def scale_change(degrees: float) -> Effect:
-    """Return a function that adds a phase step above the median amplitude [degrees]."""
+    """Return a function that adds a phase step [degrees] above the median amplitude."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         limit = np.median(np.abs(recorded.scan), axis=(2, 3))

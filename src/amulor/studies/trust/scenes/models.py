@@ -41,7 +41,7 @@ def dark(count: int, seed: int) -> Case:
 
 
 def far(count: int, seed: int) -> Case:
-    """Simulate a plate beyond the ambiguity interval, without a stated interval."""
+    """Simulate a plate beyond the ambiguity interval, without stated range limits."""
     planned = survey(count, plate(3.0, lean=10))
     return case_of(simulate(planned, rng=seed), interval=None)
 
