@@ -326,7 +326,7 @@ def _level_means(values: Floats, height: Floats) -> Floats:
 
 
 def _centre(away: Floats, side: Floats, back: Floats, height: Floats) -> Floats:
-    """Common center of circles, one radius per level, by linear least squares."""
+    """Center common to circles, one radius per level, by linear least squares."""
     x, z = away @ side, away @ back
     level = _levels(height)
     columns = np.zeros((len(x), 2 + level.max() + 1))
