@@ -452,7 +452,7 @@ def test_the_how_to_runs_as_it_is_printed(tmp_path, monkeypatch, capsys):
     for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
         exec(block, {})
         for line in capsys.readouterr().out.splitlines():
-            assert f"It prints `{line}`" in text
+            assert f"prints `{line}`" in text
 
 
 def test_the_example_draws_its_figures(printed):

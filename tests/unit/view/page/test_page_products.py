@@ -70,7 +70,8 @@ def test_what_is_offered_is_made_in_each_of_its_formats(
 ) -> None:
     offered = client.get(f"/{TOKEN}/products").json()
     assert [one["product"] for one in offered] == [
-        "report", "orthoimage", "dem", "contours", "section", "mesh", "cloud",
+        "report", "orthoimage", "dem", "contours", "section", "profile",
+        "mesh", "cloud",
     ]  # fmt: skip
     starts = {
         ".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<", ".ply": b"ply",
@@ -83,7 +84,7 @@ def test_what_is_offered_is_made_in_each_of_its_formats(
         "orthoimage": {"cell": 0.01},
     }
     for one in offered:
-        if one["product"] == "contours":
+        if one["product"] in ("contours", "profile"):
             continue  # a plate has none; asked for below
         for ending in one["endings"]:
             answer = ask(
@@ -101,6 +102,9 @@ def test_what_is_offered_is_made_in_each_of_its_formats(
     plain = ask(client, product="contours", channel="VV", contours=0.001, cell=0.02)
     assert plain.status_code == 422
     assert "no contour line" in plain.json()["error"]
+    flat = ask(client, product="profile", channel="VV")
+    assert flat.status_code == 422
+    assert "do not settle" in flat.json()["error"]
     assert list(nothing_left.iterdir()) == []
 
 
