@@ -404,7 +404,7 @@ def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def _largest(errors: Any, number: int) -> str:
-    """Name of the largest error source at one distance, without ambiguity."""
+    """Name of the largest error source at one distance, except range ambiguity."""
     if errors["saturated"].values[number]:
         return "saturation"
     sizes = {

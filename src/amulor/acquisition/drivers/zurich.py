@@ -407,7 +407,7 @@ class ZurichLockIn:
 
     @_explained
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 [V]; return its read-back [V]."""
+        """Set the voltage of auxiliary output 1, 2, ...; return its read-back [V]."""
         output = self._device.auxouts[number - 1]
         # The value first: manual mode must not output the previous one.
         output.offset(voltage)

@@ -471,7 +471,7 @@ def _plain(phase_per_depth: Array, column: Column) -> NDArray[np.complex128]:
 def _panels(
     column: Column, spread: Table, *, partial_sum: float
 ) -> tuple[Array, Array]:
-    """Return edges of depth panels, and the scattered light at their nodes [sr]."""
+    """Return edges of depth panels, and F(z) of scattered light at their nodes [sr]."""
     # Cached: steps of a scan, and methods side by side, compute the same columns again.
     radius, angle = _widths(column)
     loss, peak = column.loss(spread), _peak(column)
@@ -496,7 +496,7 @@ def _responses(
     *,
     shared_light: SharedLight | None,
 ) -> NDArray[np.complex128]:
-    """Return the water-column integrals for many views."""
+    """Return depth integrals of exp(i w z) times the overlap, for many views [m sr]."""
     if shared_light is None:
         farthest = float(view[:, 3].max())
         shared_light = _shared_light(

@@ -299,7 +299,7 @@ def _response(
 def _panels(
     light: Callable[[Array], Array], column: Column, *, loss: float, partial_sum: float
 ) -> tuple[Array, Array, float]:
-    """Return edges of depth panels, light at their nodes, and its integral."""
+    """Return edges of depth panels, overlap F(z) at their nodes, and its integral."""
     radius, angle = column.receiver_radius, column.acceptance_angle
     scale = loss + column.scattering
     step = 0.3 * (radius / angle + column.baseline)

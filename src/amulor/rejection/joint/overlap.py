@@ -328,7 +328,7 @@ def _frequencies(aside: float) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=8)
 def _lost(function: PhaseFunction, split_angle: float) -> Floats:
-    """Return the log of 1 minus the mean Hankel transform up to x, at steps of ln x."""
+    """Return ln of the mean of 1 - H (Hankel transform) up to x, at steps of ln x."""
     count = int(np.ceil(np.log(_HIGHEST / _LOWEST) * _CELLS)) + 1
     edge = _LOWEST * np.exp(np.arange(count) / _CELLS)
     node, weight = legendre.leggauss(2)

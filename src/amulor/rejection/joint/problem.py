@@ -207,7 +207,7 @@ class Problem:
     def deviation(
         self, state: Shared, pixels: Pixels, paths: Floats | None
     ) -> Complex | None:
-        """Return the standard deviation of the water signal's fluctuation [V]."""
+        """Return the complex 1-sigma water fluctuation [V]; None if zero."""
         if state.fluctuation == 0:
             return None
         at = np.full(len(pixels), np.inf) if paths is None else paths

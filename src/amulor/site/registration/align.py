@@ -350,7 +350,7 @@ def _neighbours(
     trees: Mapping[str, cKDTree],
     overlap: float,
 ) -> list[tuple[str, str]]:
-    """Return the pairs of overlapping scans; the second scan has finer points."""
+    """Return pairs of overlapping scans, the one with the wider point spacing first."""
     names = list(surfaces)
     overlaps = []
     for number, first in enumerate(names):
@@ -374,7 +374,7 @@ def _neighbours(
 def _refuse_islands(
     names: Sequence[str], overlaps: Sequence[tuple[str, str]], ties: Ties
 ) -> None:
-    """Raise `CubeError` if a scan has neither overlap, target nor start pose."""
+    """Raise `CubeError` if a scan has no overlap, common target or start pose."""
     scans_of: dict[str, set[str]] = {}
     for centre in ties.centres:
         scans_of.setdefault(centre.target, set()).add(centre.scan)

@@ -384,7 +384,7 @@ def direct_from_touches(
 def path_blocked(
     adjoint: Array, row: int, end: Vector, start: float, mesh: Mesh
 ) -> bool:
-    """Return whether the mesh blocks an adjoint path shifted on the receiver face.
+    """Return whether the mesh blocks an adjoint path after a shift over the receiver.
 
     end is the shift of the path over the face, and the depth z on its segment in row
     at which it ends; start is the number of the triangle that it ends on, or -1.

@@ -35,7 +35,7 @@ def _wrong(count: int, seed: int, **believed: Any) -> Case:
 
 
 def wrong_turbidity(count: int, seed: int, *, factor: float) -> Case:
-    """Simulate a plate whose survey overstates absorption and scattering."""
+    """Simulate a plate whose survey states absorption and scattering times `factor`."""
     return _wrong(count, seed, water=scaled("tank", factor))
 
 
