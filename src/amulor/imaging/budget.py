@@ -37,7 +37,7 @@ def completed(
     fit: LateFit | None = None,
     patches: Patches | None = None,
 ) -> tuple[Ranges, dict[str, Any], LateFit, Patches | None]:
-    """Complete ranges: subtract late light; add error terms, attributes, statistics."""
+    """Subtract late light, add error terms; return also attributes and statistics."""
     slant_range = np.where(ranges.usable, ranges.slant_range, np.nan)
     light, fit = late_light(observation, slant_range, weight=ranges.weight, fit=fit)
     ranges, shared = _without_instrument(observation, ranges)
@@ -152,7 +152,7 @@ def _without_late_light(observation: Observation, ranges: Ranges) -> Ranges:
 
 
 def _unknown_of_water(channel: xr.Dataset) -> list[str]:
-    """Names of the water-signal errors that open-water shots do not determine."""
+    """Names of water-signal errors that open-water references do not determine."""
     unknown = []
     drift = channel.attrs.get("open_water_drift_uncertainty")
     if drift is not None and not np.all(np.isfinite(drift)):

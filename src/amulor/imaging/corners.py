@@ -179,7 +179,7 @@ def _brightness(
     water: WaterProperties,
     slant_range: Floats,
 ) -> Floats:
-    """Return the echo relative to a white surface facing the receiver [1]."""
+    """Return the echo relative to that of a white surface facing the receiver [1]."""
     geometry = observation.geometry
     depth = geometry.depth(slant_range)
     usable = np.isfinite(depth) & (depth > 0)
@@ -211,7 +211,7 @@ def _brightness(
 
 
 def _acceptance(survey: Survey) -> float:
-    """Field of view about the beam; infinite for a receiver that does not follow it."""
+    """Field of view about the beam; infinite if the receiver does not scan along."""
     if survey.scan.moves != "both":
         return math.inf
     return float(view(survey, np.zeros(1), np.zeros(1)).acceptance)
@@ -277,7 +277,7 @@ def _plane(
 
 
 def _coverage(observation: Observation) -> float:
-    """Ratio of the scan's to the given pixels' solid angle, at least 1."""
+    """Ratio of the solid angle of the whole scan to that of the pixels, at least 1."""
     span: Span | None = observation.span
     geometry = observation.geometry
     if span is None or min(geometry.azimuth.shape) < 2:

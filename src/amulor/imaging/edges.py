@@ -249,7 +249,7 @@ def reached(
 
 
 def _walked(step: NDArray[np.bool_], start: int, reach: int) -> list[int]:
-    """Return the indices near a start that are connected without a range step."""
+    """Return indices within reach of a start pixel, with no range step in between."""
     low = high = start
     while low > max(start - reach, 0) and not step[low - 1]:
         low -= 1

@@ -138,7 +138,7 @@ def instrument_tests(cube: xr.Dataset) -> tuple[InstrumentTest, ...]:
 
 
 def _references(cube: xr.Dataset) -> InstrumentTest | None:
-    """Test whether some water explains both the references and the scan."""
+    """Test whether any water explains both the open-water references and the scan."""
     cause = np.asarray(cube.get("water_residual_cause", np.int8(0)))
     if "channel_phase_rad" in cube.attrs or not np.any(
         cause & WaterResidualCause.INSTRUMENT
@@ -155,7 +155,7 @@ def _references(cube: xr.Dataset) -> InstrumentTest | None:
 
 
 def _water(cube: xr.Dataset) -> InstrumentTest | None:
-    """Test whether the water is the same in the scan and in the references."""
+    """Test whether the scan and the open-water references have the same water."""
     from scipy.special import ndtr
 
     change = float(cube.attrs.get("open_water_change", 0.0))
@@ -236,7 +236,7 @@ def _frequencies(cube: xr.Dataset) -> InstrumentTest | None:
 
 
 def _drift(cube: xr.Dataset) -> InstrumentTest | None:
-    """Test whether references before and after the scan have equal delays."""
+    """Test whether open-water references before and after a scan have equal delays."""
     if "instrument_drift_delay_s" not in cube.attrs:
         return None
     delays = np.atleast_1d(cube.attrs["instrument_drift_delay_s"])

@@ -240,7 +240,7 @@ def _between(
 
 
 def _spread(low: float, high: float) -> Floats:
-    """Return a few angles over a slightly extended span."""
+    """Return evenly spaced angles over a slightly extended interval."""
     margin = 1e-6 + 1e-6 * (high - low)
     return np.linspace(low - margin, high + margin, _DIRECTIONS)
 

@@ -242,7 +242,7 @@ def noise_scale(
     path_per_phase: Floats,
     refit: Callable[[float], ambiguity.Path],
 ) -> float:
-    r"""Ratio of the observed noise of the phases to the stated noise.
+    r"""Ratio of observed to stated phase noise.
 
     Phases at n frequencies leave n - 1 residuals a pixel when the range is taken out.
     In the difference of two neighbors everything cancels that they share: water of

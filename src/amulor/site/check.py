@@ -154,7 +154,7 @@ def _places_without_range(
 
 
 def _untied_scans(site: Site) -> Iterator[str]:
-    """Yield a message for each scan that shares too few targets with others."""
+    """Yield a message for each scan that shares too few targets with other scans."""
     placed = {scan.name for scan in site.scan if scan.start is not None}
     controlled = {scan.target for scan in site.control}
     if not placed and len(controlled) < _ENOUGH:
@@ -185,7 +185,7 @@ def _untied_scans(site: Site) -> Iterator[str]:
 
 
 def _targets_in(site: Site, scan: SiteScan) -> set[str]:
-    """Return the names of the targets in a scan that connect it with others."""
+    """Return the names of the targets that connect a scan with other scans."""
     names = set()
     for target in site.target:
         if isinstance(target, ScaleBar):
@@ -197,7 +197,7 @@ def _targets_in(site: Site, scan: SiteScan) -> set[str]:
 
 
 def _without_use(site: Site) -> Iterator[str]:
-    """Yield a message for each target and visit without any effect."""
+    """Yield a message for each unconnected target and each visit without scans."""
     controlled = {item.target for item in site.control}
     barred = {
         end for item in site.target if isinstance(item, ScaleBar) for end in item.ends

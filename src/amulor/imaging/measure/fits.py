@@ -285,7 +285,7 @@ def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
 
 
 class _Bent:
-    """Sphere or cylinder, parametrized by its normal and curvature near the points.
+    """Sphere or cylinder, parametrized by normal and curvature near measured points.
 
     Parameters are two slopes and an offset of the tangent plane, the curvature, of a
     cylinder also the turn of its axis in that plane. A flat patch has curvature zero,
@@ -540,7 +540,7 @@ def _slope(
 
 
 def _along(residuals: _Residuals, values: Floats, points: Points) -> Floats:
-    """Return the derivative of each residual with respect to its point's range."""
+    """Return the derivative of each residual with respect to the range of its point."""
     step = 1e-6
     more = residuals(values, points.position + step * points.direction)
     less = residuals(values, points.position - step * points.direction)

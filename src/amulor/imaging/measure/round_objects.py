@@ -290,7 +290,7 @@ def _axis_of(points: Points) -> Floats:
 
 
 def _misfit(away: Floats, axis: Floats, back: Floats) -> float:
-    """Mean square distance of points from circles of their heights [m^2]."""
+    """Mean square radial distance of points from the circles at their heights [m^2]."""
     side = np.cross(axis, back)
     height = away @ axis
     centre = _centre(away, side, back, height)
@@ -319,14 +319,14 @@ def _levels(height: Floats) -> NDArray[np.intp]:
 
 
 def _level_means(values: Floats, height: Floats) -> Floats:
-    """Median of values over the pixels of the same level."""
+    """Median of values over the pixels of the same height level."""
     level = _levels(height)
     medians = [np.median(values[level == n]) for n in range(level.max() + 1)]
     return np.asarray(medians)[level]
 
 
 def _centre(away: Floats, side: Floats, back: Floats, height: Floats) -> Floats:
-    """Center common to circles, one radius per level, by linear least squares."""
+    """Fit a common center to circles, one radius per height level."""
     x, z = away @ side, away @ back
     level = _levels(height)
     columns = np.zeros((len(x), 2 + level.max() + 1))

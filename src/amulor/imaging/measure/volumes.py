@@ -104,7 +104,7 @@ def volume(image: xr.Dataset, region: ArrayLike, *, base: ArrayLike) -> Measurem
 
 
 class _Ground:
-    """Plane of the base, and the effect of its ranges on the plane."""
+    """Plane of the base, and its derivatives with respect to the base ranges."""
 
     def __init__(self, image: xr.Dataset, base: NDArray[np.bool_]) -> None:
         fit = plane(image, base)
@@ -136,7 +136,7 @@ class _Ground:
         )
 
     def design(self, position: Floats) -> Floats:
-        """Change of heights over the plane with its two slopes and its offset."""
+        """Return derivatives of heights by slopes and offset of the plane."""
         flat = position @ self.across.T
         return np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
 
@@ -249,7 +249,7 @@ def _neighbors(usable: NDArray[np.bool_]) -> tuple[Numbers, Numbers, Floats]:
 
 
 def _sum(surface: _Surface, ground: _Ground) -> tuple[float, Floats, Floats]:
-    """Volume, and its derivatives by the points and by the plane."""
+    """Volume, and its derivatives with respect to the points and the plane."""
     by_point = np.zeros_like(surface.position)
     by_plane = np.zeros(3)
     total = 0.0

@@ -148,7 +148,7 @@ def deviation(
 def _met(
     surface: Surface, vertices: Floats, faces: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Vertex indices of beams that hit the reference, and indices of triangles hit."""
+    """Return vertices whose beams hit the reference, and the triangles they hit."""
     caster = RayCaster(vertices[faces])
     place, ahead = surface.position, surface.direction
     # Of surfaces before and behind the measured point the one that is next to it.
@@ -178,7 +178,7 @@ def _poses(frame: Frame, reference: Frame | None) -> tuple[Frame, ...]:
 
 
 def _before(surface: Surface) -> Floats:
-    """Distance from the start of each beam, at the instrument, to its point [m]."""
+    """Distance from the instrument to each measured point [m]."""
     away = surface.position - surface.frame.position
     return np.asarray(np.linalg.norm(away, axis=1))
 

@@ -151,7 +151,7 @@ def _crossed(
 def _with_ends(
     values: Floats, neighbours: NDArray[np.intp], length: float
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """Section points and their connections, with both ends of the line added."""
+    """Section points and connections, with points added at both ends of the line."""
     points, joints, many = [values], [neighbours], values.shape[1]
     for end in (0.0, length):
         before, after = values[0][neighbours].T

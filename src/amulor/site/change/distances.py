@@ -303,7 +303,7 @@ def _in_cylinders(
     radius: float,
     reach: float,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
-    """Return cylinder, index, offset and axial offset of each point in a cylinder.
+    """Return cylinder number, point index, offset and axial offset of enclosed points.
 
     Cylinders are processed in groups, because the spheres around them contain many more
     points.

@@ -218,14 +218,14 @@ def _object(
 
 
 def _to_middle(pair: Pair, middle: Floats) -> Floats:
-    """Return the matrix that converts a motion about one point to another point."""
+    """Return the matrix from motions about `middle` to motions about a pair's pivot."""
     carried = np.eye(6)
     carried[:3, 3:] = -cross_matrix(pair.pivot - middle)
     return carried
 
 
 def _held(pairs: list[Pair], middle: Floats) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return projectors onto motions that scan pairs determine, and onto the rest.
+    """Return the projector onto motions that scan pairs determine, and free motions.
 
     All pairs are combined, because each alone would leave a different rotation of a
     round body undetermined.

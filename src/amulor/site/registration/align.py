@@ -197,7 +197,7 @@ def _rough_poses(
     voxel: float | None,
     guess: Mapping[str, ScanPose],
 ) -> dict[str, ScanPose]:
-    """Return rough poses of all scans, within a fraction of the point spacing."""
+    """Return rough poses of all scans, accurate to a fraction of the point spacing."""
     starts = {name: start.pose for name, start in ties.start.items()} | dict(guess)
     if ties.fixed is not None:
         starts.setdefault(ties.fixed, ScanPose(np.eye(3), np.zeros(3)))
@@ -302,7 +302,7 @@ def _further_guesses(start: KnownPose, least: float, cloud: Floats) -> list[Scan
 
 
 def _misfit(placed: Floats, others: Floats, tree: cKDTree, spacing: float) -> float:
-    """Return the misfit of points to other points' planes: 0 aligned, 1 far off [1]."""
+    """Return the misfit of points to planes of other points: 0 aligned, 1 far [1]."""
     away, near = tree.query(placed, k=8, distance_upper_bound=4 * spacing)
     met = np.isfinite(away).all(axis=1)
     if not met.any():
@@ -374,7 +374,7 @@ def _neighbours(
 def _refuse_islands(
     names: Sequence[str], overlaps: Sequence[tuple[str, str]], ties: Ties
 ) -> None:
-    """Raise `CubeError` if a scan has no overlap, common target or start pose."""
+    """Raise `CubeError` if a scan has no start pose, overlap or connecting target."""
     scans_of: dict[str, set[str]] = {}
     for centre in ties.centres:
         scans_of.setdefault(centre.target, set()).add(centre.scan)
@@ -399,7 +399,7 @@ def _pairs(
     gate: float | None,
     before: Sequence[Pair],
 ) -> list[Pair]:
-    """Compare overlapping scans; for pairs compared before, at the earlier points."""
+    """Compare overlapping scans; repeat earlier comparisons at the same points."""
     among = {(p.source, p.target): p.source_pixel[p.weight > 0] for p in before}
     comparisons = (
         compared(

@@ -23,7 +23,7 @@ def mean_lever(lever: Floats, weight: Floats) -> float:
 def held_directions(
     matrix: Floats, *, unsure: float, length: float
 ) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return projectors onto motions that surfaces determine, and onto the rest.
+    """Return the projector onto motions that surfaces determine, and free motions.
 
     Noise of the normals in both scans gives products with a mean of zero. A direction
     is determined if its sum is significant against their scatter.
@@ -134,7 +134,7 @@ def moved_bodies(
 
 @dataclass(frozen=True)
 class _Sum:
-    """Normal equations summed over some points, with their noise."""
+    """Normal equations summed over selected points, with their noise."""
 
     matrix: Floats
     gradient: Floats
@@ -169,7 +169,7 @@ def _chance(
     body: Flags,
     misfit: float,
 ) -> float:
-    """Return the probability of a body's offset if the body did not move."""
+    """Return the probability that noise alone causes the offset of a body."""
     rest = remaining & ~body
     if int(body.sum()) < _FEWEST or int(rest.sum()) < 2 * _FEWEST:
         return 1.0

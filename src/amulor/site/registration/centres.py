@@ -81,7 +81,7 @@ def _centre(
     pixels: Flags,
     others: dict[str, Floats] | None = None,
 ) -> Centre:
-    """Return a target's center and its covariance, from derivatives by pixel ranges."""
+    """Return the center of a target, with shared errors propagated from its pixels."""
     shapes = surface.shared.shapes[:, pixels]
     shared = {
         key: np.asarray(gain @ shape)

@@ -67,7 +67,7 @@ class KnownDistance:
 
 @dataclass(frozen=True, kw_only=True)
 class Ties:
-    """Observations other than surfaces: start poses, targets, control points, bars."""
+    """Observations except surfaces: start poses, targets, control points, bars."""
 
     start: Mapping[str, KnownPose]
     """Start poses by scan."""
@@ -84,7 +84,7 @@ class Ties:
 
 @dataclass
 class State:
-    """Present estimates of all unknowns: poses, target positions and shared errors."""
+    """Current estimates of all unknowns: poses, target positions and shared errors."""
 
     poses: dict[str, ScanPose]
     """Poses by scan."""
@@ -268,7 +268,7 @@ def system_of(
 
 
 def pair_unknowns(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
-    """Return indices of the unknowns of a scan pair, and derivatives by unknown."""
+    """Return vector indices of a scan pair's unknowns, and derivatives by them."""
     poses = [state.poses[name] for name in (pair.source, pair.target)]
     relative = np.zeros((6, 12))
     for number, (pose, sign) in enumerate(zip(poses, (1.0, -1.0), strict=True)):
@@ -295,7 +295,7 @@ def projector(
     layout: Layout,
     least: int,
 ) -> tuple[Floats, int]:
-    """Return the projector onto determined directions, and the number of others.
+    """Return the projector onto determined directions, and the number of free ones.
 
     Directions are those of all poses together, because one pair may determine a
     direction that another pair does not.
@@ -341,7 +341,7 @@ def _add_centre(system: System, centre: Centre, state: State, layout: Layout) ->
 def centre_derivatives(
     centre: Centre, state: State, layout: Layout
 ) -> tuple[Floats, Floats, Numbers]:
-    """Return the residual of a target's center, derivatives, and vector indices."""
+    """Return residual, derivatives and vector indices of an observed target center."""
     pose = state.poses[centre.scan]
     arm = pose.turn(centre.position)
     shifts = [pose.turn(shift) for shift in centre.shared.values()]

@@ -86,7 +86,7 @@ class Pair:
 
     @property
     def mean_square(self) -> Floats:
-        """Mean square displacement of the points per squared motion, shape (6, 6)."""
+        """Quadratic form from motion to mean square displacement of points, (6, 6)."""
         lever = self.place - self.pivot
         rows = np.zeros((len(lever), 3, 6))
         rows[..., :3], rows[..., 3:] = np.eye(3), -cross_matrix(lever)
@@ -306,7 +306,7 @@ def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
 
 
 def _pixels_off(away: Floats, ahead: Floats, slopes: Floats) -> Floats:
-    """Pixel offsets at which beams meet points, from points relative to the origin."""
+    """Pixel offsets of the beams through points, given relative to the beam origin."""
     reach = _dot(away, ahead)[:, None]
     miss = away - reach * ahead
     a, b = slopes[0] + reach * slopes[1]
@@ -321,7 +321,7 @@ def _pixels_off(away: Floats, ahead: Floats, slopes: Floats) -> Floats:
 def _bend(
     direction: Floats, shape: tuple[int, ...], pixel: Numbers, off: Floats
 ) -> Floats:
-    """Second-order term of the direction between pixels, from neighboring pixels."""
+    """Second-order term of beam directions between pixels, from neighboring pixels."""
     row, column = np.divmod(pixel, shape[1])
     row = np.clip(row, 1, max(shape[0] - 2, 1))
     column = np.clip(column, 1, max(shape[1] - 2, 1))
@@ -348,7 +348,7 @@ def _terms(target: ScanSurface, off: Floats) -> Floats:
 
 
 def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
-    """Return the derivatives of a fitted range by the ranges in its window."""
+    """Return derivatives of fitted ranges with respect to ranges in their windows."""
     size = target.kernels.shape[1]
     half = size // 2
     shape = target.smooth.shape
@@ -386,7 +386,7 @@ def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
 
 
 def _tilt(target: ScanSurface, at: OnGrid, normal: Floats) -> Floats:
-    """Return the variance of derivatives due to noise of surface normals."""
+    """Return the variance of distance derivatives due to noise of surface normals."""
     # Noise of a patch's slope per pixel, as an angle of the surface.
     angle = target.slope * target.own.ravel()[at.pixel] / target.spacing
     along = np.abs(_dot(normal, at.direction))

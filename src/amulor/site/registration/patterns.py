@@ -290,7 +290,7 @@ def _derivatives(
     along: Floats,
     target_pixel: NDArray[np.intp],
 ) -> Floats:
-    """Return the derivatives of distances by the patterns of one scan."""
+    """Return the derivatives of distances with respect to a scan's range errors."""
     columns = np.zeros((len(pair.distance), len(shapes)))
     if name == pair.source:
         columns = -shapes[:, pair.source_pixel].T * along[:, None]

@@ -62,7 +62,7 @@ def departure(pose: ScanPose, start: ScanPose) -> Floats:
 
 
 def start_pose(start: StartPose) -> ScanPose:
-    """Return the transformation that belongs to a start pose of a site file."""
+    """Convert a start pose of a site file to a transformation to the site frame."""
     frame = frame_of(xr.Dataset(), axes="pose", pose=start.as_pose())
     return ScanPose(frame.rotation, frame.position)
 

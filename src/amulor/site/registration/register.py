@@ -153,7 +153,7 @@ def _registered(
     images: Mapping[str, xr.Dataset],
     remarks: tuple[str, ...],
 ) -> Registration:
-    """Register all scans of a site, whose start poses are read as stated."""
+    """Register all scans of a site, with start poses as stated in the site file."""
     centres, surfaces = _centres(site, surfaces, images)
     start = {}
     for scan in site.scan:
@@ -443,7 +443,7 @@ def _other_datums(
     ties: Ties,
     surfaces: Mapping[str, ScanSurface],
 ) -> Iterator[Contradiction]:
-    """Yield a contradiction for scans that fit the others only at another height.
+    """Yield a contradiction for scan groups that fit the rest only with a height shift.
 
     Nothing ties them to the others, and the difference is beyond what is stated.
     """
@@ -480,7 +480,7 @@ def _other_datums(
 def _group_error(
     names: list[str], ties: Ties, surfaces: Mapping[str, ScanSurface]
 ) -> float:
-    """Return the standard uncertainty of a group's height by its best start pose [m].
+    """Return the height uncertainty of a scan group, from its best start pose [m].
 
     Without start poses, only the group itself defines its height.
     """
@@ -495,7 +495,7 @@ def _group_error(
 
 
 def _some_placed(result: Registration, surface: ScanSurface) -> Floats:
-    """Return some points of a scan, placed in the site."""
+    """Return evenly thinned points of a scan in the frame of the site [m]."""
     points = surface.position[surface.usable]
     step = max(len(points) // _SOME, 1)
     return result.poses[surface.name].place(points[::step])

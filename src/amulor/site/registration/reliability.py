@@ -68,7 +68,7 @@ class Reliability:
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationGroup:
-    """Reliability of all values of one kind."""
+    """Summary of the reliability of all observations of one kind."""
 
     group: str
     """Kind of the values, such as "start positions" or "scale bars"."""
@@ -113,7 +113,7 @@ def group_of(line: Reliability) -> tuple[str, str]:
 
 
 def observation_groups(lines: Sequence[Reliability]) -> tuple[ObservationGroup, ...]:
-    """Return the reliability of start poses, targets and other groups as a whole.
+    """Summarize the reliability of observations by kind, such as start positions.
 
     Examples
     --------
@@ -228,7 +228,7 @@ def _largest_shift(change: Floats, layout: Layout) -> tuple[str, float]:
 def _observations(
     state: State, layout: Layout, ties: Ties
 ) -> Iterator[tuple[str, tuple[str, ...], Floats, Floats, NDArray[np.intp], Floats]]:
-    """Yield name, components, residual, covariance and derivatives by observation."""
+    """Yield name, components, residual, covariance, derivatives of each observation."""
     for name, start in ties.start.items():
         residual = departure(state.poses[name], start.pose)
         columns = layout.columns("pose", [name], 6)

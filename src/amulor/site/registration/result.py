@@ -1,4 +1,4 @@
-"""Result of a registration: poses with their covariance, and the JSON file."""
+"""Result of a registration: poses with covariance, written and read as JSON."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Registration:
     and scale bars."""
 
     def covariance_of(self, *names: str) -> Floats:
-        """Return the joint covariance of some unknowns, by their names in `places`."""
+        """Return the joint covariance of named unknowns; zero for fixed unknowns."""
         width = {"pose": 6, "point": 3, "error": 1}
         at = np.concatenate(
             [

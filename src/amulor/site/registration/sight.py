@@ -136,7 +136,7 @@ def _look(
     tree: cKDTree,
     depth: Floats,
 ) -> _Look:
-    """Compare a scan's points with the smallest range of another scan around them."""
+    """Compare a scan's points with the smallest nearby ranges of another scan."""
     surface, other = surfaces[source], surfaces[target]
     pixel = np.flatnonzero(surface.usable)
     pixel = pixel[:: max(len(pixel) // _MOST, 1)]

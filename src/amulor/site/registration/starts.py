@@ -99,7 +99,7 @@ _READINGS: tuple[tuple[str, Callable[[StartPose], dict[str, object]]], ...] = (
 
 
 def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
-    """Test whether scans overlap better if start poses are read in another way."""
+    """Test whether correction of usual start-pose mistakes improves the overlap."""
     starts = {
         scan.name: scan.start
         for scan in site.scan
@@ -250,7 +250,7 @@ def _agreement(
     placed: Mapping[str, cKDTree],
     gates: Mapping[str, float],
 ) -> float:
-    """Return the mean overlap of scans with other visits, and within visits [1]."""
+    """Return the mean over scans of the smaller overlap: with own or other visits."""
     shares_met = []
     for visit_scans in visits.values():
         outside = [peer for peer in placed if peer not in visit_scans]
@@ -272,7 +272,7 @@ def _share(
     placed: Mapping[str, cKDTree],
     gates: Mapping[str, float],
 ) -> float:
-    """Return the fraction of a scan's points that lie near points of others [1]."""
+    """Return the fraction of a scan's points that lie near those of other scans [1]."""
     points = placed[name].data
     met = np.zeros(len(points), dtype=bool)
     for peer in others:
@@ -303,7 +303,7 @@ def _height_in_words(
 
 
 def height_above(points: Floats, others: Floats) -> tuple[float, int] | None:
-    """Return the height of points above others [m], and the number of cells compared.
+    """Return the height of points above other points [m], and the count of plan cells.
 
     None if too few cells of the plan are common, or the height is not uniform.
     """

@@ -142,7 +142,7 @@ def _basis(image: xr.Dataset) -> list[Floats]:
 def _principal(
     shapes: list[tuple[Floats, Floats]],
 ) -> list[tuple[Floats, Floats]]:
-    """Return the principal components of error shapes with slopes, strongest first."""
+    """Return principal components of error shapes and their slopes, strongest first."""
     if not shapes:
         return []
     flat, slopes = (
