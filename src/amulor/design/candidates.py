@@ -86,7 +86,7 @@ def laser_of(goal: Goal, name: str) -> Laser:
 
 
 def middle(spread: Spread) -> float:
-    """Median of a range."""
+    """Median of a parameter's distribution over its range."""
     if spread.distribution.startswith("log"):
         return math.sqrt(spread.low * spread.high)
     return (spread.low + spread.high) / 2

@@ -235,7 +235,7 @@ class Scans:
 
     @property
     def holds(self) -> bool:
-        """Whether the error ratio agrees with 0.9 to 1.1 within two standard errors."""
+        """Whether the error ratio lies in 0.9 to 1.1, within two standard errors."""
         low, high = HOLDS
         margin = 2 * self.ratio_error
         return low - margin <= self.ratio <= high + margin

@@ -363,7 +363,7 @@ def lit(
     joint: bool,
     late: bool = True,
 ) -> Lit:
-    """Compute the signals that power, dwell, channels and method do not affect."""
+    """Compute signals that do not depend on power, dwell time, channels or method."""
     by_axis = values_on_axes(case, values)
     distance, reach = np.unique(values["distance"], return_inverse=True)
     places, place = _places(case, values, distance)
@@ -450,7 +450,7 @@ def _looks(
     places: list[geometry.Place],
     place: NDArray[np.intp],
 ) -> tuple[Looks, NDArray[np.intp]]:
-    """Distinct pairs of receiver view and water, and each candidate's index."""
+    """Distinct pairs of receiver view and water, and the pair index of candidates."""
     names = ("absorption", "scattering", "radius", "field_of_view")
     parts = np.broadcast_arrays(*(by_axis[name] for name in names), place)
     distinct, number = np.unique(

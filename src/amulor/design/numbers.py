@@ -163,7 +163,7 @@ def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floa
 
 
 def _numbers(case: Case, by_axis: dict[str, Floats], lighting: Lit) -> dict[str, Any]:
-    """Point parameters in the columns `NUMBERS`, from survey and varied values."""
+    """Parameters of each point for the compiled loops, in the columns `NUMBERS`."""
     survey = case.survey
     instrument, detector = survey.instrument, survey.instrument.detector
     constant = np.minimum(instrument.lock_in.time_constant, _LOCK_IN * by_axis["dwell"])

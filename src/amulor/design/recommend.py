@@ -161,7 +161,7 @@ _BETWEEN = 41
 
 @dataclass(frozen=True, kw_only=True)
 class Between:
-    """Largest error between the nearest and farthest required distance.
+    """Largest error over all distances from the nearest to the farthest required.
 
     The phase between water signal and echo changes with distance. An instrument may
     therefore be accurate at each required distance and inaccurate between them.

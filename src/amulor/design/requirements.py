@@ -57,7 +57,7 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True)
 class Shortfall:
-    """Requirement to be relaxed if no candidate meets all, with a sufficient limit.
+    """Requirement to relax if no candidate meets all, with a limit that suffices.
 
     Examples
     --------

@@ -314,7 +314,7 @@ def grid_of(chosen: Parameters) -> Grid:
 
 
 def _along(values: Floats, dimension: int) -> Floats:
-    """Values reshaped as one dimension of the grid."""
+    """Values reshaped to vary along one dimension of the grid."""
     return values.reshape([-1 if k == dimension else 1 for k in range(_DIMENSIONS)])
 
 

@@ -55,7 +55,7 @@ class Candidate:
 def allowed(
     sets: tuple[tuple[float, ...], ...], top: float | None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return the frequency sets within a laser's limit, at least the lowest set."""
+    """Return the frequency sets within a laser's limit, else the lowest set."""
     good = tuple(members for members in sets if top is None or max(members) <= top)
     return good or (min(sets, key=max),)
 

@@ -32,7 +32,7 @@ _AT_ONCE = 2**20
 
 @dataclass(kw_only=True)
 class _Plane:
-    """Random generator for an array of (row, column), with the number of draws."""
+    """Random generator for an array of (row, column), with the draw count."""
 
     start: np.random.Generator
     now: np.random.Generator
@@ -40,7 +40,7 @@ class _Plane:
 
 
 class RowNoise:
-    """Random generator for a range of rows, consistent with the full scan."""
+    """Random generator for a range of rows, with the numbers of the full scan."""
 
     def __init__(
         self,

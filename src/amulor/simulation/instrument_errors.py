@@ -114,7 +114,7 @@ class Chain:
         return azimuth + noise[0] + lag, elevation + noise[1], time
 
     def shots(self, azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats]:
-        """Return the directions of the open-water shots in the order of recording.
+        """Return the directions of the open-water references in the order of recording.
 
         With drift, the shots run in rounds over all directions: half of the rounds
         before the scan, half after it.
@@ -151,7 +151,7 @@ class Chain:
         )
 
     def shot_samples(self, water: Light, *, rng: lock_in.Noise) -> lock_in.Samples:
-        """Draw lock-in samples of the open-water shots, in the order of recording."""
+        """Draw lock-in samples of open-water references, in the order of recording."""
         count, before = water.mean.shape[-1], self._shots_before
         place = np.arange(count)
         scan = self.survey.scan

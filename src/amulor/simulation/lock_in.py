@@ -119,7 +119,7 @@ def fitted(
 def _column_axes(
     survey: Survey, view: View, end: NDArray[np.float64] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies with axes for the beams, and end depths of the columns [m]."""
+    """Return frequencies that broadcast over beams, and end depths of columns [m]."""
     far = np.inf if survey.water.column_end is None else survey.water.column_end
     stop = np.minimum(np.inf if end is None else end, far)
     return _frequencies(survey).reshape(-1, 1, *[1] * view.tilt.ndim), stop
@@ -182,7 +182,7 @@ class Noise(Protocol):
 
 
 def draws(survey: Survey) -> list[tuple[str, int]]:
-    """Return the random distributions used by `sample`, with numbers of planes."""
+    """Return the distributions drawn by `sample`, with numbers of pixel arrays."""
     analysers = len(survey.instrument.polarizations)
     planes = len(survey.instrument.modulation_frequencies) * analysers
     speckled = survey.instrument.receiver.speckle_cells is not None

@@ -35,7 +35,7 @@ def simulate(
     rng: np.random.Generator | int,
     model: SignalModel = DEFAULT_MODEL,
 ) -> xr.Dataset:
-    """Simulate the scan and the open-water shots of a survey.
+    """Simulate the scan and the open-water references of a survey.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def measured(
 def joined(
     samples: xr.Dataset, shots: xr.Dataset | None, truth: xr.Dataset
 ) -> xr.Dataset:
-    """Return samples, open-water shots and true values as one cube."""
+    """Return samples, open-water references and true values as one cube."""
     if shots is not None:
         samples = cube.attach(samples, shots, "open_water")
     return cube.note(cube.attach(samples, truth, "truth"), "simulate")
@@ -256,7 +256,7 @@ def _outputs(samples: lock_in.Samples) -> dict[str, NDArray[Any]]:
 
 
 def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | None:
-    """Return the open-water shots of a scan; None if its survey plans none."""
+    """Return the open-water references of a scan; None if the survey plans none."""
     survey = setting.setup.survey
     if survey.scan.open_water is None:
         return None

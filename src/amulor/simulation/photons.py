@@ -260,7 +260,7 @@ def run(
 
 
 def ends(place: Place) -> tuple[Floats, Floats, Floats]:
-    """Return the start of a beam in the water, its direction, and its end."""
+    """Return start, direction and end of a beam in the water."""
     across = np.array([place.tilt, place.cross_tilt])
     direction = np.append(across, np.sqrt(1.0 - across @ across))
     start = place.standoff * np.append(across, 1.0)

@@ -262,7 +262,7 @@ def triangles(target: Plate | Staircase | Disc | Mesh) -> NDArray[np.float64]:
 def _rectangle(
     left: float, right: float, height: float, forward: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Return two triangles of a rectangle between edges at given forward positions."""
+    """Return a rectangle as two triangles, from the positions of its vertical edges."""
     top, bottom = -height / 2, height / 2
     a = (left, top, forward[0])
     b = (right, top, forward[1])

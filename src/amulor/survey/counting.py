@@ -20,7 +20,7 @@ def integration_time(survey: Survey) -> float:
 
 
 def full_rate(survey: Survey) -> float:
-    """Return the photoelectron rate for all launched light at the receiver [1/s]."""
+    """Return the photoelectron rate if the receiver got all launched light [1/s]."""
     instrument, detector = survey.instrument, survey.instrument.detector
     return float(
         detection.photoelectron_rate(

@@ -1,4 +1,4 @@
-"""Directions of pixels and open-water shots; refusal of scans beyond memory."""
+"""Directions of pixels and open-water references; refusal of scans beyond memory."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def scan_directions(
 
 
 def open_water_directions(survey: Survey) -> tuple[Floats, Floats]:
-    """Return azimuth and elevation [rad] of every open-water shot."""
+    """Return azimuth and elevation [rad] of every open-water reference."""
     plan = survey.scan.open_water
     if plan is None:
         raise SurveyError(

@@ -275,7 +275,7 @@ _POINTS = 41
 
 
 def _spread(survey: Survey, spans: Mapping[str, tuple[float, float]]) -> float:
-    """Return the index error due to unknown temperature and salinity [1]."""
+    """Return the rms group-index error from unknown temperature and salinity [1]."""
     state = state_of(survey.water)
     if not spans:
         return 0.0
@@ -290,7 +290,7 @@ def _spread(survey: Survey, spans: Mapping[str, tuple[float, float]]) -> float:
 
 
 def _slope(survey: Survey, name: str) -> float:
-    """Return the change of the group index with temperature or salinity."""
+    """Return the derivative of the group index by temperature or salinity."""
     state = state_of(survey.water)
     highest = {"temperature": 30.0, "salinity": 43.0}[name]
     # One-sided at the limits of the formula's validity.

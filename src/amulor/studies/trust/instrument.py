@@ -234,7 +234,7 @@ _STATE_WORDS = {
 
 
 def suggestions(rows: Iterable[InstrumentRow]) -> tuple[int, int]:
-    """Return numbers of correct and of all suggested causes; perfect scans omitted."""
+    """Count correct and all suggested causes, over scans with an instrument error."""
     causes = [row.cause for row in rows if row.key.kind != "perfect"]
     right = causes.count("right")
     return right, right + causes.count("wrong")

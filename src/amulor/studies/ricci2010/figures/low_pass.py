@@ -287,7 +287,7 @@ def _draw_cut_offs(axis: Axes, data: Sweep) -> None:
 def _mark(
     axis: Axes, row: int, corner: float, error: float, colour: str, *, look: str
 ) -> None:
-    """Draw a cut-off with its value, below the marker for fits to power, else above."""
+    """Draw a cut-off, with its value below it for fits to power, else above it."""
     marker, filled = _MARKS[look]
     axis.errorbar(
         corner / 1e6,

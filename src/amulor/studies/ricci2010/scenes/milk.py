@@ -457,14 +457,14 @@ def _passed(matrix: Array, pair: str) -> float:
 
 
 def _phasor(study: Study, water: Medium, way: Array) -> Complex:
-    """Return attenuation and phase delay over a path in water [m], as a phasor."""
+    """Return attenuation and phase delay over water paths, as a phasor."""
     wave = 2 * np.pi * study["frequency"] * water.group_index / speed_of_light
     phasor: Complex = np.exp((1j * wave - water.layers[0].attenuation) * way)
     return phasor
 
 
 def _face(receiver: GaussianReceiver, point: Array) -> tuple[Array, Array, Array]:
-    """Return distances and directions from points to parts of the receiver face.
+    """Return directions, weighted solid angles and distances to parts of the receiver.
 
     Directions to the parts, shape (..., parts, 3), their areas over squared distance
     weighted by what the receiver takes from there [sr], and distances [m]. For each

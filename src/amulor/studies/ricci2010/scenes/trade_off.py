@@ -92,7 +92,7 @@ def drifts(study: Study) -> tuple[Drifts, ...]:
 
 
 def drifts_of(study: Study, set_up: SetUp) -> Drifts:
-    """Return the phase drifts of one set-up."""
+    """Return the VH and RR phase drifts of one set-up, for the given VV drift."""
     numbers = dict(study.parameters)
     for name, value in set_up.numbers.items():
         numbers = varied(numbers, name, value)
@@ -117,7 +117,7 @@ def drifts_of(study: Study, set_up: SetUp) -> Drifts:
 
 
 def _drift(light: LineLight, brighter: float) -> tuple[float, float]:
-    """Return the phase drift for a brighter plate, with its error [degrees]."""
+    """Return the phase drift with scaled plate light, and its error [degrees]."""
     signal = light.water + brighter * light.target
     rise = rise_weight()
     return (

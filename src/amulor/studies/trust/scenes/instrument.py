@@ -33,7 +33,7 @@ _SHOTS = "open_water_"
 
 
 class Recorded:
-    """Simulated samples and open-water shots, without the scene's instrument errors."""
+    """Simulated samples and open-water references, without instrument errors."""
 
     def __init__(self, count: int, seed: int) -> None:
         self.count, self.seed = count, seed
@@ -68,7 +68,7 @@ Effect = Callable[[Recorded], tuple[Complex, Complex]]
 
 
 def nothing(recorded: Recorded) -> tuple[Complex, Complex]:
-    """Return scan and shots unchanged, as recorded by a perfect instrument."""
+    """Return scan and open-water references unchanged, as for a perfect instrument."""
     return recorded.scan, recorded.shots
 
 
@@ -163,7 +163,7 @@ def compression(fraction: float) -> Effect:
 
 
 def scale_change(degrees: float) -> Effect:
-    """Return a function that adds a phase step [degrees] above the median amplitude."""
+    """Return a function that shifts the phase [degrees] above the median amplitude."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         limit = np.median(np.abs(recorded.scan), axis=(2, 3))
@@ -179,7 +179,7 @@ def scale_change(degrees: float) -> Effect:
 
 
 def window(size: float, *, delay: float = 0.5e-9) -> Effect:
-    """Return a function that adds window-reflected light to the first channel only."""
+    """Return a function that adds light reflected at the window to one channel."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         turns = recorded.frequency[:, None] * delay
@@ -214,7 +214,7 @@ def growing_leakage(size: float) -> Effect:
 
 
 def turned(factor: Callable[[Floats], Complex], *, channels: slice) -> Effect:
-    """Return a function that multiplies channels by a complex gain over frequency."""
+    """Return a function that multiplies channels by a frequency-dependent gain."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         gain = factor(recorded.frequency)
@@ -263,7 +263,7 @@ def channel_delay(delay: float) -> Effect:
 
 
 def power_loss(fraction: float) -> Effect:
-    """Return a function that reduces the power after the open-water shots."""
+    """Return a function that reduces the power after the open-water references."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         return (1 - fraction) * recorded.scan, recorded.shots

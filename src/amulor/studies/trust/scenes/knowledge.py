@@ -19,7 +19,7 @@ _TARGET = plate(2.6, lean=20)
 
 
 def believing(samples: xr.Dataset, believed: Survey) -> xr.Dataset:
-    """Return a cube with survey and geometry attributes of another survey."""
+    """Return a copy of a cube with another survey and its geometry attributes."""
     geometry = samples["geometry"].copy()
     geometry.attrs |= geometry_attributes(believed)
     return samples.assign_coords(geometry=geometry).assign_attrs(

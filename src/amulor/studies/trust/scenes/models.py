@@ -64,7 +64,7 @@ def far_two(count: int, seed: int) -> Case:
 
 
 def tall(count: int, seed: int) -> Case:
-    """Simulate a plate scanned over 9 x 19 degrees, with 9 x 3 open-water shots."""
+    """Simulate a plate scanned over 9 x 19 degrees; 9 x 3 open-water references."""
     planned = survey(
         count,
         plate(2.6, size=0.8, reflectance=0.3),
@@ -78,7 +78,7 @@ def tall(count: int, seed: int) -> Case:
 
 
 def wide(count: int, seed: int, *, model: SignalModel = DEFAULT_MODEL) -> Case:
-    """Simulate a plate scanned over 19 x 4 degrees, with 9 x 3 open-water shots."""
+    """Simulate a plate scanned over 19 x 4 degrees; 9 x 3 open-water references."""
     planned = survey(count, plate(2.6, reflectance=0.2), wide=19, tall=4)
     return case_of(simulate(planned, rng=seed, model=model), interval=around(2.6))
 

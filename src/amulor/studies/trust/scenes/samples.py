@@ -125,14 +125,14 @@ def understated_noise(count: int, seed: int, *, factor: float = 2.0) -> Case:
 
 
 def changed_water(count: int, seed: int, *, change: float = 0.05) -> Case:
-    """Simulate a plate in water with a stronger signal than the open-water shots."""
+    """Simulate a plate in water whose signal exceeds the open-water references."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     signal = _measured(samples) + change * _true(samples, "water")
     return case_of(_with(samples, signal), interval=around(2.6))
 
 
 def drift(count: int, seed: int, *, change: float) -> Case:
-    """Simulate a plate in water whose signal drifts, with shots before and after."""
+    """Simulate a plate in water whose signal drifts between open-water references."""
     samples = simulate(survey(count, _TARGET), rng=seed)
     shots = samples.sizes["shot"]
     # Half of the repeats in each direction before the scan, half after it.
