@@ -290,7 +290,7 @@ def _spread(survey: Survey, spans: Mapping[str, tuple[float, float]]) -> float:
 
 
 def _slope(survey: Survey, name: str) -> float:
-    """Return the derivative of the group index by temperature or salinity."""
+    """Return the temperature or salinity derivative of the group index."""
     state = state_of(survey.water)
     highest = {"temperature": 30.0, "salinity": 43.0}[name]
     # One-sided at the limits of the formula's validity.

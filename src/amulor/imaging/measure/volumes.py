@@ -136,12 +136,12 @@ class _Ground:
         )
 
     def design(self, position: Floats) -> Floats:
-        """Return derivatives of heights by slopes and offset of the plane."""
+        """Return the design matrix of a plane fit: two slopes and an offset."""
         flat = position @ self.across.T
         return np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
 
     def by_range(self, by_plane: Floats) -> Floats:
-        """Convert derivatives by plane parameters to derivatives by base ranges."""
+        """Propagate derivatives from plane parameters to base ranges."""
         gradient = np.zeros(self.shape)
         np.add.at(gradient, (self.rows, self.columns), by_plane @ self.gain)
         return gradient
@@ -178,7 +178,7 @@ class _Surface:
         self.usable = usable
 
     def by_range(self, by_point: Floats) -> Floats:
-        """Convert derivatives by points to derivatives by measured ranges."""
+        """Propagate derivatives from points to measured ranges."""
         along = np.einsum("ik,ik->i", by_point, self.direction)
         return np.asarray(self.weights.T @ along).reshape(self.shape)
 

@@ -268,7 +268,7 @@ def system_of(
 
 
 def pair_unknowns(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
-    """Return vector indices of a scan pair's unknowns, and derivatives by them."""
+    """Return vector indices of a scan pair's unknowns, and the Jacobian matrix."""
     poses = [state.poses[name] for name in (pair.source, pair.target)]
     relative = np.zeros((6, 12))
     for number, (pose, sign) in enumerate(zip(poses, (1.0, -1.0), strict=True)):
