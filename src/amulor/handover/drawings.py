@@ -280,9 +280,7 @@ def scale_of(order: Order, surface: products.Surface, plane: products.Plane) -> 
     """Return the scale in the order [1], else the largest usual scale that fits A4."""
     if order.scale is not None:
         return order.scale
-    used = surface.position[np.unique(surface.triangles)] @ plane.axes[:2].T
-    wide, high = (float(size) for size in np.ptp(used, axis=0))
-    return fitting_scale(wide, high)
+    return fitting_scale(*_size(surface, plane))
 
 
 def cell_of(order: Order, surface: products.Surface, scale: float) -> float:
@@ -435,9 +433,15 @@ def _write_lines(
 
 def _thumbnail(surface: products.Surface, plane: products.Plane) -> products.Raster:
     """Return a coarse raster of a surface for a key plan."""
-    used = surface.position[np.unique(surface.triangles)] @ plane.axes[:2].T
-    cell = max(float(np.ptp(used, axis=0).max()) / 150, surface.spacing)
+    cell = max(max(_size(surface, plane)) / 150, surface.spacing)
     return products.raster(surface, plane, cell=cell)
+
+
+def _size(surface: products.Surface, plane: products.Plane) -> tuple[float, float]:
+    """Return width and height of a surface in a drawing [m]."""
+    used = surface.position[np.unique(surface.triangles)] @ plane.axes[:2].T
+    wide, high = np.ptp(used, axis=0)
+    return float(wide), float(high)
 
 
 #: Side of a drawing in words.

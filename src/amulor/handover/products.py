@@ -41,19 +41,19 @@ def hand_over(
     frame = frame or imaging.frame_of(image)
     if order.product == "cloud":
         return _cloud(image, path, frame, overwrite=overwrite)
-    surface = products.surface(image, frame=frame)
     statements = statements_of(image, frame)
     title = order.title or str(image.attrs.get("title") or "scan")
+    if order.product == "profile":
+        return drawings.write_profile(
+            image, path, order, (title, statements), overwrite=overwrite
+        )
+    surface = products.surface(image, frame=frame)
     if order.product == "mesh":
         write_mesh(image, path, surface, overwrite=overwrite)
         return f"{len(surface.position)} vertices, {len(surface.triangles)} triangles"
     if order.product == "deviation":
         return references.write_deviation(
             image, path, order, surface, (title, statements), overwrite=overwrite
-        )
-    if order.product == "profile":
-        return drawings.write_profile(
-            image, path, order, (title, statements), overwrite=overwrite
         )
     plane = products.plane_of(frame, order.side)
     if order.product == "section":

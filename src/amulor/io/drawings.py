@@ -70,7 +70,7 @@ class Drawing:
         points = np.concatenate([line.points for line in self.lines])
         (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
         places = [place for place, _ in self.marks]
-        left, right = min(left, *places, right), max(right, *places, left)
+        left, right = min([left, *places]), max([right, *places])
         return float(left), float(right), float(low), float(high)
 
     @property

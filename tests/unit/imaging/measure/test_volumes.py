@@ -42,7 +42,7 @@ def everywhere(margin: int = 2) -> np.ndarray:
 
 
 def visible_volume(scan: shapes.Beams, top: np.ndarray) -> float:
-    """Return what the box and its shadow fill: a cone of beams between two planes.
+    """Return the volume of the box and its shadow: a cone of beams between two planes.
 
     Edges are midway between pixels. The cone from the instrument to the plane with the
     slopes a and b has the volume a b z^3 / 3.
