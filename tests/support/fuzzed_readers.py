@@ -15,6 +15,7 @@ import xarray as xr
 from exact_scenes import plane
 from fuzzing import Reader
 from mutations import BYTES, TEXT, glb, hdf5, npy_header, npz
+from project_files import project_text
 
 from amulor import imaging, io
 from amulor.acquisition import Calibration
@@ -117,31 +118,10 @@ frequency = "f"
 polarization = "pol"
 what = "what"
 """
-PROJECT = """[project]
-name = "Ladder"
-title = "Ladder of the demo"
-monument = "Ladder, no. 12"
-place = "Tank 3"
-first_day = 2026-05-01
-last_day = 2026-05-02
-conditions = "dark"
-scanner = "bench"
-serial_number = "B-001"
-operator = "A. Diver"
-control_data = "none"
-purpose = "test"
-copyright = "CC BY 4.0"
-[registration]
-method = "targets"
-rms_error = "1.5 mm"
-points = 4
-[[scans]]
-name = "scan1"
-image = "left.nc"
-raw = ["right.nc"]
-[scans.pose]
-position = ["10 m", "20 m", "-5 m"]
-"""
+PROJECT = project_text(
+    {"scan1": ("left.nc", '["right.nc"]', 'position = ["10 m", "20 m", "-5 m"]')},
+    rms_error="1.5 mm",
+)
 
 
 def _numbers(value: Any) -> Iterator[float]:

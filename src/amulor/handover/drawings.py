@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import CubeError
 from amulor.handover.order import Order, in_millimetres
 from amulor.imaging import measure, products
 from amulor.io import drawings as formats
 from amulor.io.files import atomic_output
-from amulor.view.sheet import Sheet, fitting_scale, line_sheet
+from amulor.view.sheet import fitting_scale, line_sheet
 from amulor.view.style import style
 
 Floats = NDArray[np.float64]
@@ -27,16 +27,54 @@ _INCH = 0.0254
 _LABELLED = 0.015
 
 
-def write_section(
-    surface: products.Surface,
-    plane: products.Plane,
-    path: Path,
-    order: Order,
-    remarks: Said,
-    *,
-    overwrite: bool,
-) -> str:
-    """Cut a surface along a plane and write the profile."""
+@dataclass(frozen=True, kw_only=True)
+class LineProduct:
+    """Line drawing with its scale, its table of numbers and a summary."""
+
+    drawing: formats.Drawing
+    """Lines and title block."""
+    table: Mapping[str, ArrayLike]
+    """Columns of the CSV file, by name with unit."""
+    summary: str
+    """Result in one sentence."""
+    scale: float
+    """Scale denominator on paper [1]."""
+    heights: float = 1.0
+    """Exaggeration of the upward axis on paper [1]."""
+    key: tuple[products.Raster, Floats] | None = None
+    """View for a key plan, and the ends of the section line in it [m]."""
+    picture: products.Raster | None = None
+    """Shaded relief under the lines."""
+
+    def figure(self) -> Figure:
+        """Draw the lines on a sheet."""
+        return line_sheet(
+            self.drawing,
+            scale=self.scale,
+            heights=self.heights,
+            key=self.key,
+            picture=self.picture,
+        )
+
+    def write(self, path: Path, *, overwrite: bool) -> str:
+        """Write a table, a DXF file or a sheet, and return the summary."""
+        ending = path.suffix.lower()
+        if ending == ".csv":
+            statements = [self.drawing.title, *self.drawing.statements]
+            formats.write_table(
+                self.table, path, statements=statements, overwrite=overwrite
+            )
+        elif ending == ".dxf":
+            formats.write_dxf(self.drawing, path, scale=self.scale, overwrite=overwrite)
+        else:
+            save_sheet(self.figure(), path, self.drawing, overwrite=overwrite)
+        return self.summary
+
+
+def section(
+    surface: products.Surface, plane: products.Plane, order: Order, remarks: Said
+) -> LineProduct:
+    """Cut a surface along a plane and return the profile."""
     assert order.line is not None
     cut = products.section(surface, plane, start=order.line[:2], end=order.line[2:])
     pieces = int(cut.piece.max()) + 1
@@ -51,64 +89,62 @@ def write_section(
         f"Standard uncertainty across the profile: {median}{band if finite else ''}",
         *remarks[1],
     ]
-    if path.suffix.lower() == ".csv":
-        right = cut.start[0] + cut.along / _length(cut) * (cut.end[0] - cut.start[0])
-        up = cut.start[1] + cut.along / _length(cut) * (cut.end[1] - cut.start[1])
-        formats.write_table(
-            {
-                "piece": cut.piece,
-                "along [m]": cut.along,
-                f"{plane.names[2]} [m]": cut.height,
-                "standard_uncertainty [m]": cut.uncertainty,
-                "own_part [m]": cut.own,
-                f"{plane.names[0]} [m]": right,
-                f"{plane.names[1]} [m]": up,
-            },
-            path,
-            statements=[remarks[0], *statements],
-            overwrite=overwrite,
+    lines = tuple(
+        formats.Line(
+            points=np.stack([cut.along, cut.height], axis=1)[cut.piece == number],
+            layer="section",
+            band=cut.uncertainty[cut.piece == number] if finite else None,
         )
-    else:
-        lines = tuple(
-            formats.Line(
-                points=np.stack([cut.along, cut.height], axis=1)[cut.piece == number],
-                layer="section",
-                band=cut.uncertainty[cut.piece == number] if finite else None,
-            )
-            for number in range(pieces)
-        )
-        drawing = formats.Drawing(
+        for number in range(pieces)
+    )
+    right = cut.start[0] + cut.along / _length(cut) * (cut.end[0] - cut.start[0])
+    up = cut.start[1] + cut.along / _length(cut) * (cut.end[1] - cut.start[1])
+    high = float(np.ptp(cut.height)) * order.exaggeration
+    return LineProduct(
+        drawing=formats.Drawing(
             title=f"{remarks[0]}: section",
             lines=lines,
             axes=("along", plane.names[2]),
             statements=tuple(statements),
             marks=((0.0, "A"), (_length(cut), "A'")),
             fields=_fields(order, plane, "section A-A'"),
-        )
-        high = float(np.ptp(cut.height)) * order.exaggeration
-        scale = order.scale or fitting_scale(_length(cut), high)
-        _write_lines(
-            drawing,
-            path,
-            scale,
-            heights=order.exaggeration,
-            key=(_thumbnail(surface, plane), np.array([cut.start, cut.end])),
-            overwrite=overwrite,
-        )
-    return (
-        f"section of {_length(cut):.3f} m in {pieces} "
-        f"piece{'s' if pieces > 1 else ''}, standard uncertainty {median}"
+        ),
+        table={
+            "piece": cut.piece,
+            "along [m]": cut.along,
+            f"{plane.names[2]} [m]": cut.height,
+            "standard_uncertainty [m]": cut.uncertainty,
+            "own_part [m]": cut.own,
+            f"{plane.names[0]} [m]": right,
+            f"{plane.names[1]} [m]": up,
+        },
+        scale=order.scale or fitting_scale(_length(cut), high),
+        heights=order.exaggeration,
+        key=(_thumbnail(surface, plane), np.array([cut.start, cut.end])),
+        summary=(
+            f"section of {_length(cut):.3f} m in {pieces} "
+            f"piece{'s' if pieces > 1 else ''}, standard uncertainty {median}"
+        ),
     )
 
 
-def write_profile(
-    image: xr.Dataset, path: Path, order: Order, remarks: Said, *, overwrite: bool
-) -> str:
-    """Fit a surface of revolution and write its half-profile with diameters."""
+def turned_body(image: xr.Dataset) -> measure.Revolution:
+    """Fit a surface of revolution to all pixels of a range image on a surface."""
     surface = products.surface(image)
     region = np.zeros(image["slant_range"].size, dtype=bool)
     region[surface.pixel] = True
-    turned = measure.revolution(image, region.reshape(image["slant_range"].shape))
+    return measure.revolution(image, region.reshape(image["slant_range"].shape))
+
+
+def profile(
+    image: xr.Dataset,
+    order: Order,
+    remarks: Said,
+    *,
+    body: measure.Revolution | None = None,
+) -> LineProduct:
+    """Return the half-profile of a surface of revolution, with diameters."""
+    turned = body or turned_body(image)
     fit = turned.fit
     height = turned.height - turned.height[0]
     widest = int(np.argmax(turned.radius))
@@ -127,35 +163,34 @@ def write_profile(
         *([f"Doubtful: {fit.doubt}"] if fit.doubt else []),
         *remarks[1],
     ]
-    if path.suffix.lower() == ".csv":
-        formats.write_table(
-            {
-                "height [m]": height,
-                "radius [m]": turned.radius,
-                "standard_uncertainty [m]": turned.uncertainty,
-            },
-            path,
-            statements=[f"{remarks[0]}: half-profile", *statements],
-            overwrite=overwrite,
-        )
-    else:
-        axis, point = (
-            np.array([fit.values[f"{name}_{at}"] for at in "xyz"])
-            for name in ("axis", "point")
-        )
-        base = point + turned.height[0] * axis
-        scale = order.scale or fitting_scale(
-            2 * float(turned.radius.max()), float(height[-1])
-        )
-        _write_lines(
-            _profile_drawing(turned, height, diameters, remarks[0], statements, order),
-            path,
-            scale,
-            picture=_seen_along(surface, axis, base, scale / 8e3),
-            overwrite=overwrite,
-        )
+    axis, point = axis_of(turned)
+    base = point + turned.height[0] * axis
+    scale = order.scale or fitting_scale(
+        2 * float(turned.radius.max()), float(height[-1])
+    )
     doubt = f"; doubtful: {fit.doubt}" if fit.doubt else ""
-    return f"half-profile of {height[-1] * 1e3:.0f} mm; diameters: {said}{doubt}"
+    return LineProduct(
+        drawing=_profile_drawing(
+            turned, height, diameters, remarks[0], statements, order
+        ),
+        table={
+            "height [m]": height,
+            "radius [m]": turned.radius,
+            "standard_uncertainty [m]": turned.uncertainty,
+        },
+        scale=scale,
+        picture=_seen_along(products.surface(image), axis, base, scale / 8e3),
+        summary=f"half-profile of {height[-1] * 1e3:.0f} mm; diameters: {said}{doubt}",
+    )
+
+
+def axis_of(turned: measure.Revolution) -> tuple[Floats, Floats]:
+    """Return the unit vector of a body's axis, and its point [m]."""
+    axis, point = (
+        np.array([turned.fit.values[f"{name}_{at}"] for at in "xyz"])
+        for name in ("axis", "point")
+    )
+    return axis, point
 
 
 def _profile_drawing(
@@ -215,10 +250,8 @@ def _seen_along(
     return products.raster(shifted, plane, cell=cell)
 
 
-def write_contours(
-    raster: products.Raster, path: Path, order: Order, remarks: Said, *, overwrite: bool
-) -> str:
-    """Write the contour lines of a raster."""
+def contours(raster: products.Raster, order: Order, remarks: Said) -> LineProduct:
+    """Return the contour lines of a raster."""
     interval = order.contours if order.contours is not None else 0.01
     lines = products.contours(raster, interval=interval)
     if not lines:
@@ -236,27 +269,13 @@ def write_contours(
             f"uncertainties ({sigma * 1e3:.2g} mm), take larger cells (--cell)"
         )
         statements.append(doubt.removeprefix("; ").capitalize())
-    if path.suffix.lower() == ".csv":
-        counts = [len(line.points) for line in lines]
-        points = np.concatenate([line.points for line in lines])
-        formats.write_table(
-            {
-                "line": np.repeat(np.arange(len(lines)), counts),
-                "level [m]": np.repeat([line.level for line in lines], counts),
-                f"{raster.plane.names[0]} [m]": points[:, 0],
-                f"{raster.plane.names[1]} [m]": points[:, 1],
-                "standard_uncertainty_of_level [m]": np.repeat(
-                    [line.uncertainty for line in lines], counts
-                ),
-            },
-            path,
-            statements=[remarks[0], *statements],
-            overwrite=overwrite,
-        )
-    else:
-        scale = scale_of(order, raster.surface, raster.plane)
-        shortest = _LABELLED * scale
-        drawing = formats.Drawing(
+    counts = [len(line.points) for line in lines]
+    points = np.concatenate([line.points for line in lines])
+    scale = scale_of(order, raster.surface, raster.plane)
+    shortest = _LABELLED * scale
+    levels = len({line.level for line in lines})
+    return LineProduct(
+        drawing=formats.Drawing(
             title=f"{remarks[0]}: contours",
             fields=_fields(order, raster.plane, "contours"),
             lines=tuple(
@@ -270,10 +289,19 @@ def write_contours(
             ),
             axes=raster.plane.names[:2],
             statements=tuple(statements),
-        )
-        _write_lines(drawing, path, scale, overwrite=overwrite)
-    levels = len({line.level for line in lines})
-    return f"{len(lines)} contour lines at {levels} levels{doubt}"
+        ),
+        table={
+            "line": np.repeat(np.arange(len(lines)), counts),
+            "level [m]": np.repeat([line.level for line in lines], counts),
+            f"{raster.plane.names[0]} [m]": points[:, 0],
+            f"{raster.plane.names[1]} [m]": points[:, 1],
+            "standard_uncertainty_of_level [m]": np.repeat(
+                [line.uncertainty for line in lines], counts
+            ),
+        },
+        scale=scale,
+        summary=f"{len(lines)} contour lines at {levels} levels{doubt}",
+    )
 
 
 def scale_of(order: Order, surface: products.Surface, plane: products.Plane) -> float:
@@ -326,22 +354,12 @@ def grazing_warning(surface: products.Surface, plane: products.Plane) -> list[st
     ]
 
 
-def sheet_of(
-    raster: products.Raster,
-    order: Order,
-    scale: float,
-    title: str,
-    statements: Sequence[str],
-    *,
-    contours: Sequence[products.Contour] = (),
-) -> Sheet:
+def block_of(
+    plane: products.Plane, order: Order, title: str, statements: Sequence[str]
+) -> formats.TitleBlock:
     """Return the title block of a raster's drawing sheet."""
-    return Sheet(
-        title=title,
-        scale=scale,
-        statements=statements,
-        fields=_fields(order, raster.plane),
-        contours=contours,
+    return formats.TitleBlock(
+        title=title, statements=tuple(statements), fields=_fields(order, plane)
     )
 
 
@@ -399,36 +417,14 @@ def write_bands(
     )
 
 
-def save_sheet(figure: Figure, path: Path, *, overwrite: bool) -> None:
+def save_sheet(
+    figure: Figure, path: Path, block: formats.TitleBlock, *, overwrite: bool
+) -> None:
     """Write a drawing sheet at its paper size as PDF, SVG or PNG."""
     kind = path.suffix.lower().removeprefix(".")
     plain = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
     with atomic_output(path, overwrite=overwrite) as temporary, style():
         figure.savefig(temporary, format=kind, dpi=300, metadata=plain[kind])
-
-
-def _write_lines(
-    drawing: formats.Drawing,
-    path: Path,
-    scale: float,
-    *,
-    heights: float = 1.0,
-    key: tuple[products.Raster, Floats] | None = None,
-    picture: products.Raster | None = None,
-    overwrite: bool,
-) -> None:
-    """Write lines as a DXF file, or on a sheet as PDF or SVG."""
-    if path.suffix.lower() == ".dxf":
-        formats.write_dxf(drawing, path, scale=scale, overwrite=overwrite)
-        return
-    content = Sheet(
-        title=drawing.title,
-        scale=scale,
-        statements=drawing.statements,
-        fields=drawing.fields,
-    )
-    figure = line_sheet(drawing, content, heights=heights, key=key, picture=picture)
-    save_sheet(figure, path, overwrite=overwrite)
 
 
 def _thumbnail(surface: products.Surface, plane: products.Plane) -> products.Raster:

@@ -44,9 +44,8 @@ def hand_over(
     statements = statements_of(image, frame)
     title = order.title or str(image.attrs.get("title") or "scan")
     if order.product == "profile":
-        return drawings.write_profile(
-            image, path, order, (title, statements), overwrite=overwrite
-        )
+        product = drawings.profile(image, order, (title, statements))
+        return product.write(path, overwrite=overwrite)
     surface = products.surface(image, frame=frame)
     if order.product == "mesh":
         write_mesh(image, path, surface, overwrite=overwrite)
@@ -57,9 +56,8 @@ def hand_over(
         )
     plane = products.plane_of(frame, order.side)
     if order.product == "section":
-        return drawings.write_section(
-            surface, plane, path, order, (title, statements), overwrite=overwrite
-        )
+        product = drawings.section(surface, plane, order, (title, statements))
+        return product.write(path, overwrite=overwrite)
     scale = drawings.scale_of(order, surface, plane)
     flags = image["quality_flag"].values.ravel()[surface.pixel]
     raster = products.raster(
@@ -71,9 +69,8 @@ def hand_over(
     warning = drawings.grazing_warning(surface, plane)
     statements = [drawings.raster_statement(raster), *warning, *statements]
     if order.product == "contours":
-        return drawings.write_contours(
-            raster, path, order, (title, statements), overwrite=overwrite
-        )
+        product = drawings.contours(raster, order, (title, statements))
+        return product.write(path, overwrite=overwrite)
     if ending in (".tif", ".tiff"):
         bands = drawings.bands_of(raster, first=order.product)
         drawings.write_bands(raster, bands, path, statements, overwrite=overwrite)
@@ -103,10 +100,9 @@ def hand_over(
         show = "height" if order.product == "dem" else order.show
         if show == "relief":
             statements.insert(0, drawings.relief_statement(raster))
-        about = drawings.sheet_of(
-            raster, order, scale, title, statements, contours=lines
-        )
-        drawings.save_sheet(sheet(raster, about, show=show), path, overwrite=overwrite)
+        block = drawings.block_of(plane, order, title, statements)
+        figure = sheet(raster, block, scale=scale, show=show, contours=lines)
+        drawings.save_sheet(figure, path, block, overwrite=overwrite)
     rows, columns = raster.height.shape
     return (
         f"{columns} x {rows} cells of {raster.cell * 1e3:.3g} mm, 1:{scale:g}, "

@@ -209,11 +209,6 @@ def _write_map(
     note = "Colored where the deviation is significant, gray elsewhere"
     if not np.isfinite(shown).any():
         shown, note = value, "No deviation is significant: what is shown is chance"
-    about = drawings.sheet_of(
-        raster, order, scale, statements[0], [note, *statements[1]]
-    )
-    drawings.save_sheet(
-        sheet(raster, about, show="deviation", values=shown),
-        path,
-        overwrite=overwrite,
-    )
+    block = drawings.block_of(plane, order, statements[0], [note, *statements[1]])
+    figure = sheet(raster, block, scale=scale, show="deviation", values=shown)
+    drawings.save_sheet(figure, path, block, overwrite=overwrite)

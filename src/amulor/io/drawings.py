@@ -6,6 +6,7 @@ __all__ = [
     "Band",
     "Drawing",
     "Line",
+    "TitleBlock",
     "write_dxf",
     "write_geotiff",
     "write_picture",
@@ -47,22 +48,28 @@ class Line:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawing:
-    """Line drawing: polylines with title, axis names and statements."""
+class TitleBlock:
+    """Texts around a drawing: title, statements, and fields of the title block."""
 
     title: str
     """Title."""
+    statements: tuple[str, ...] = ()
+    """Statements about frame, errors and provenance."""
+    fields: Mapping[str, str] = field(default_factory=dict)
+    """Texts by field; missing fields stay blank for a pen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawing(TitleBlock):
+    """Line drawing: polylines with axis names and title block."""
+
     lines: tuple[Line, ...]
     """Polylines, at least one."""
     axes: tuple[str, str]
     """Names of the right and the up axis."""
-    statements: tuple[str, ...] = ()
-    """Statements about frame, errors and provenance."""
     marks: tuple[tuple[float, str], ...] = ()
     """Places along the right axis with names above the frame, such as "A" at the start
     of a section [m]."""
-    fields: Mapping[str, str] = field(default_factory=dict)
-    """Texts of the title block, by field."""
 
     @property
     def limits(self) -> tuple[float, float, float, float]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +21,7 @@ from amulor.errors import CubeError, FormatError
 from amulor.imaging.products import Contour, Raster
 from amulor.io.drawings import (
     Drawing,
+    TitleBlock,
     grid_step,
     places_between,
     rounded_up,
@@ -79,22 +79,6 @@ _COLOURS = {
     "uncertainty": ERROR_MAP,
     "deviation": DIFFERENCE_MAP,
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sheet:
-    """Title block and contour lines of a drawing sheet."""
-
-    title: str
-    """Title."""
-    scale: float
-    """Scale denominator; 20 for 1:20 [1]."""
-    statements: Sequence[str]
-    """Statements about frame, errors and provenance."""
-    fields: Mapping[str, str] = field(default_factory=dict)
-    """Texts of the title block by field; missing fields are left blank for a pen."""
-    contours: Sequence[Contour] = ()
-    """Contour lines drawn over the picture."""
 
 
 def fitting_scale(wide: float, high: float) -> float:
@@ -172,16 +156,22 @@ def _of_pixels(raster: Raster) -> Floats:
 
 
 def sheet(
-    raster: Raster, content: Sheet, *, show: Shown, values: Floats | None = None
+    raster: Raster,
+    content: TitleBlock,
+    *,
+    scale: float,
+    show: Shown,
+    values: Floats | None = None,
+    contours: Sequence[Contour] = (),
 ) -> Figure:
     """Draw a raster on the smallest ISO sheet that fits it at its scale."""
     pixels, limits, unit = colours_of(raster, show, values=values)
     extent = _extent(raster)
     with style():
-        paper = _Paper(extent, content)
+        paper = _Paper(extent, content, scale=scale)
         axis = paper.axis
         axis.imshow(pixels, extent=extent, interpolation="none", aspect="auto")
-        _contour_lines(axis, content.contours)
+        _contour_lines(axis, contours)
         doubtful = raster.layers.get("doubtful")
         hatched = doubtful is not None and bool((np.nan_to_num(doubtful) > 0).any())
         if doubtful is not None and hatched:
@@ -208,8 +198,8 @@ def _extent(raster: Raster) -> tuple[float, float, float, float]:
 
 def line_sheet(
     drawing: Drawing,
-    content: Sheet,
     *,
+    scale: float,
     heights: float = 1.0,
     key: tuple[Raster, Floats] | None = None,
     picture: Raster | None = None,
@@ -219,9 +209,9 @@ def line_sheet(
     Parameters
     ----------
     drawing : Drawing
-        Polylines with layers, labels and uncertainty bands.
-    content : Sheet
-        Title block.
+        Polylines with layers, labels and uncertainty bands, and title block.
+    scale : float
+        Scale denominator; 20 for 1:20 [1].
     heights : float
         Exaggeration of the upward axis [1].
     key : tuple of Raster and array_like, optional
@@ -236,11 +226,11 @@ def line_sheet(
     """
     left, right, low, high = drawing.limits
     # Room of 4 mm of paper around the lines.
-    room = 4e-3 * content.scale
+    room = 4e-3 * scale
     extent = (left, right, low - room / heights, high + room / heights)
     with style():
         bars = _BARS if key is None else _KEY
-        paper = _Paper(extent, content, heights=heights, bars=bars)
+        paper = _Paper(extent, drawing, scale=scale, heights=heights, bars=bars)
         axis = paper.axis
         if picture is not None:
             pixels = _relief(picture)
@@ -289,17 +279,18 @@ class _Paper:
     def __init__(
         self,
         extent: tuple[float, float, float, float],
-        content: Sheet,
+        content: TitleBlock,
         *,
+        scale: float,
         heights: float = 1.0,
         bars: float = _BARS,
     ) -> None:
         left, right, low, high = extent
-        self.content = content
-        wide = (right - left) / content.scale * 1e3
-        tall = (high - low) * heights / content.scale * 1e3
+        self.content, self.scale = content, scale
+        wide = (right - left) / scale * 1e3
+        tall = (high - low) * heights / scale * 1e3
         self.name, self.width, self.height, self.lines = _paper(
-            wide, tall, content, bars
+            wide, tall, content.statements, scale, bars
         )
         self.bars = bars
         self.figure = Figure(figsize=(self.width / _INCH, self.height / _INCH))
@@ -319,7 +310,7 @@ class _Paper:
 
     def grid(self, names: Sequence[str]) -> None:
         """Draw grid lines with coordinates, 20 to 50 mm apart on paper."""
-        axis, scale = self.axis, self.content.scale
+        axis, scale = self.axis, self.scale
         for which, factor in (("x", 1.0), ("y", self.heights)):
             low, high = getattr(axis, f"get_{which}lim")()
             step = grid_step(low, high, scale / factor)
@@ -360,14 +351,14 @@ class _Paper:
         frame.text(
             right - 3,
             top - _TITLE / 2,
-            f"1:{content.scale:g} on {self.name}{exaggerated}",
+            f"1:{self.scale:g} on {self.name}{exaggerated}",
             ha="right",
             **bold,
         )
         self._fields(frame, top - _TITLE)
         y = top - _TITLE - 2 * _FIELD
         frame.plot([_BORDER, right], [y, y], color="#000000", lw=0.3)
-        _scale_bar(frame, content.scale, (_BORDER + 6, y - 7))
+        _scale_bar(frame, self.scale, (_BORDER + 6, y - 7))
         x = _BORDER + 66.0
         frame.annotate(
             "", (x, y - 2.5), (x, y - 11), arrowprops={"arrowstyle": "-|>", "lw": 0.8}
@@ -456,16 +447,15 @@ class _Paper:
 
 
 def _paper(
-    wide: float, high: float, content: Sheet, bars: float
+    wide: float, high: float, statements: Sequence[str], scale: float, bars: float
 ) -> tuple[str, float, float, list[str]]:
     """Name, width, height and lines of text of the smallest sheet that fits [mm]."""
     for name, (short, long) in _SHEETS.items():
         for width, height in ((long, short), (short, long)):
-            lines = _wrapped(content.statements, width)
+            lines = _wrapped(statements, width)
             below = _block_height(len(lines), bars) + 2 * _BORDER + _TICKS
             if wide + 2 * _BORDER + _TICKS <= width and high + below <= height:
                 return name, float(width), float(height), lines
-    scale = content.scale
     needed = wide + 2 * _BORDER + _TICKS, high + below
     raise FormatError(
         f"at 1:{scale:g} the drawing needs {needed[0]:.0f} x {needed[1]:.0f} mm, more "

@@ -11,6 +11,7 @@ import numpy as np
 import pye57
 import pytest
 import xarray as xr
+from project_files import project_text
 
 from amulor import cube as cubes
 from amulor import imaging, io, rejection
@@ -261,33 +262,9 @@ def test_a_cloud_on_the_page_states_no_interval(image: xr.Dataset, tmp_path) -> 
         assert any(WORDS in line for line in shown["notes"])
 
 
-PROJECT = """
-[project]
-name = "Tank"
-title = "Plate in a tank"
-monument = "Plate, no. 1"
-place = "Tank 3"
-first_day = 2026-05-01
-last_day = 2026-05-02
-conditions = "0.5 m deep"
-scanner = "amulor bench"
-serial_number = "B-001"
-operator = "A. Diver"
-control_data = "none"
-purpose = "test"
-copyright = "CC BY 4.0"
-[registration]
-method = "targets"
-points = 4
-[[scans]]
-name = "one"
-image = "before.nc"
-raw = ["raw.nc"]
-"""
-
-
 def test_an_archive_states_no_interval(folder: Path, tmp_path, capsys) -> None:
-    (tmp_path / "project.toml").write_text(PROJECT)
+    text = project_text({"one": ("before.nc", '["raw.nc"]', "")}, name="Tank")
+    (tmp_path / "project.toml").write_text(text)
     for name in ("raw.nc", "before.nc"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     said(capsys, "archive", tmp_path / "project.toml", "-o", tmp_path / "made")

@@ -12,6 +12,7 @@ import exact_scenes as scenes
 import laspy
 import numpy as np
 import pytest
+from project_files import project_text
 
 from amulor import io
 from amulor.cli import main
@@ -19,39 +20,14 @@ from amulor.handover.archive import missing_of
 
 pye57 = pytest.importorskip("pye57")
 
-PROJECT = """
-[project]
-name = "Ladder"
-title = "Ladder of the demo"
-monument = "Ladder, no. 12"
-place = "Tank 3, 52.1 N 4.3 E"
-first_day = 2026-05-01
-last_day = 2026-05-02
-conditions = "0.5 m deep, visibility 6 m, 12 degC, dark"
-scanner = "amulor bench, model 1"
-serial_number = "B-001"
-operator = "A. Diver, Institute"
-control_data = "none"
-purpose = "test"
-copyright = "CC BY 4.0, Institute"
-[registration]
-method = "targets"
-rms_error = "1.5 mm"
-points = 4
-[[scans]]
-name = "scan1"
-image = "one.nc"
-raw = ["raw_one.nc", "run"]
-[scans.pose]
-position = ["10 m", "20 m", "-5 m"]
-[[scans]]
-name = "scan2"
-image = "two.nc"
-raw = ["raw_two.nc"]
-[scans.pose]
-heading = "90 deg"
-position = ["10 m", "20 m", "-5 m"]
-"""
+PLACE = 'position = ["10 m", "20 m", "-5 m"]'
+PROJECT = project_text(
+    {
+        "scan1": ("one.nc", '["raw_one.nc", "run"]', PLACE),
+        "scan2": ("two.nc", '["raw_two.nc"]', f'heading = "90 deg"\n{PLACE}'),
+    },
+    rms_error="1.5 mm",
+)
 
 
 @pytest.fixture(scope="module")

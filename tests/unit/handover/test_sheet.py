@@ -10,6 +10,8 @@ from pathlib import Path
 import exact_scenes as scenes
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from project_files import project_text
 
 from amulor import imaging
 from amulor.cli import main
@@ -17,35 +19,17 @@ from amulor.errors import FormatError
 from amulor.handover import Order, hand_over
 from amulor.imaging import products
 from amulor.io.drawings import Drawing, Line
-from amulor.view.sheet import FIELDS, Sheet, colours_of, fitting_scale, line_sheet
+from amulor.view.sheet import FIELDS, colours_of, fitting_scale, line_sheet
 
 SVG = "{http://www.w3.org/2000/svg}"
-PROJECT = """
-[project]
-name = "Harbour"
-title = "Harbour basin"
-monument = "Amphora field"
-place = "43.07 N 10.51 E"
-first_day = 2026-05-01
-last_day = 2026-05-02
-conditions = "calm"
-scanner = "laser radar"
-serial_number = "1"
-operator = "A. Diver"
-control_data = "none"
-purpose = "record"
-copyright = "CC BY 4.0"
-find_number = "HB 17"
-institution = "Institute of Marine Archaeology"
-
-[registration]
-method = "single scan"
-
-[[scans]]
-name = "a"
-image = "a.nc"
-raw = ["raw.nc"]
-"""
+PROJECT = project_text(
+    {"a": ("a.nc", '["raw.nc"]', "")},
+    title="Harbour basin",
+    monument="Amphora field",
+    operator="A. Diver",
+    find_number="HB 17",
+    institution="Institute of Marine Archaeology",
+)
 
 
 def texts_of(path: Path) -> list[ET.Element]:
@@ -59,22 +43,26 @@ def letters_of(text: ET.Element) -> float:
     return float(size[1])
 
 
+def words_of(figure: Figure) -> list[str]:
+    return [text.get_text() for axis in figure.axes for text in axis.texts]
+
+
 @pytest.fixture
 def steps():
     """Return a step of 40 mm that begins 20 mm from the left."""
     points = np.array([[0.0, -1.5], [0.02, -1.5], [0.02, -1.46], [0.1, -1.46]])
     line = Line(points=points, layer="section", band=np.full(4, 5e-4))
-    return Drawing(title="Step", lines=(line,), axes=("along", "nearer"))
-
-
-def drawn(drawing, *, scale: float, heights: float = 1.0):
-    content = Sheet(title="Step", scale=scale, statements=["a statement"] * 3)
-    return line_sheet(drawing, content, heights=heights)
+    return Drawing(
+        title="Step",
+        lines=(line,),
+        axes=("along", "nearer"),
+        statements=("a statement",) * 3,
+    )
 
 
 @pytest.mark.parametrize(("scale", "heights"), [(1.0, 1.0), (2.0, 1.0), (2.0, 3.0)])
 def test_lengths_on_paper_are_those_of_the_object(steps, scale, heights) -> None:
-    figure = drawn(steps, scale=scale, heights=heights)
+    figure = line_sheet(steps, scale=scale, heights=heights)
     axis = figure.axes[0]
     to_paper = axis.transData + figure.dpi_scale_trans.inverted()
     figure.draw_without_rendering()
@@ -84,7 +72,7 @@ def test_lengths_on_paper_are_those_of_the_object(steps, scale, heights) -> None
 
 def test_names_of_the_ends_stand_above_the_frame(steps) -> None:
     marked = replace(steps, marks=((0.0, "A"), (0.12, "A'")))
-    figure = drawn(marked, scale=1.0)
+    figure = line_sheet(marked, scale=1.0)
     figure.draw_without_rendering()
     axis = figure.axes[0]
     assert axis.get_xlim() == (0.0, 0.12)
@@ -96,18 +84,20 @@ def test_names_of_the_ends_stand_above_the_frame(steps) -> None:
 
 def test_exaggerated_heights_are_stated(steps) -> None:
     stated = [
-        t.get_text() for a in drawn(steps, scale=1, heights=2).axes for t in a.texts
+        t.get_text()
+        for a in line_sheet(steps, scale=1, heights=2).axes
+        for t in a.texts
     ]
     assert "1:1 on A4, heights x 2" in stated
-    plain = [t.get_text() for a in drawn(steps, scale=1).axes for t in a.texts]
+    plain = [t.get_text() for a in line_sheet(steps, scale=1).axes for t in a.texts]
     assert "1:1 on A4" in plain
 
 
 def test_a_drawing_larger_than_any_paper_names_a_scale_that_fits(steps) -> None:
     with pytest.raises(FormatError, match="smaller scale, such as 1:") as refused:
-        drawn(steps, scale=0.01)
+        line_sheet(steps, scale=0.01)
     scale = float(str(refused.value).rsplit(":", 1)[1])
-    drawn(steps, scale=scale)
+    line_sheet(steps, scale=scale)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +111,9 @@ def test_the_scale_without_an_option_fits_a4(wide, high, scale) -> None:
     drawing = Drawing(
         title="", lines=(Line(points=box, layer="a"),), axes=("right", "up")
     )
-    stated = [t.get_text() for a in drawn(drawing, scale=scale).axes for t in a.texts]
+    stated = [
+        t.get_text() for a in line_sheet(drawing, scale=scale).axes for t in a.texts
+    ]
     assert f"1:{scale} on A4" in stated
 
 
