@@ -18,7 +18,7 @@ COMMANDS = {
     ),
     "warm-up": (
         "warm_up:warm_up",
-        "Compile all loops for this computer, so that later commands start faster.",
+        "Compile the numerical code for this computer, so that commands start faster.",
     ),
     "samples": (
         "samples:samples",

@@ -323,7 +323,7 @@ def write_figures(
 
 
 def explorer_of(goal: Goal, recommendation: Recommendation) -> Explorer:
-    """Return the model of the design page, starting from the recommended instrument."""
+    """Return the explorer of the design page, set to the recommended instrument."""
     from amulor.survey import Survey
     from amulor.view.design.explorer import Asked, Explorer
     from amulor.view.design.report import waters_of

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def warm_up() -> None:
-    """Compile all loops for this computer, so that later commands start faster.
+    """Compile the numerical code for this computer, so that commands start faster.
 
     Without it, each command compiles the loops that it needs when it first runs. It
     takes a minute or two. Use it for container images, for services, or the evening

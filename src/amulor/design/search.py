@@ -374,7 +374,7 @@ def _unique(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
-    """Candidates that meet all requirements by price, then the others by merit."""
+    """Sort candidates: by price if all requirements are met, the others by merit."""
     priced = _priced(goal)
 
     def key(candidate: Candidate) -> tuple[bool, float, float]:

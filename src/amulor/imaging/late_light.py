@@ -136,7 +136,7 @@ def dispersion(
 
 
 def _fit(observation: Observation, slant_range: Floats) -> LateFit:
-    """Distances and directions of the targets; empty if no pixel has a range."""
+    """Limits of target distance and scan direction; empty if no pixel has a range."""
     if not np.isfinite(slant_range).any():
         return LateFit()
     depth = observation.geometry.depth(slant_range)

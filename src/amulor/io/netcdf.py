@@ -428,7 +428,7 @@ def indexed_file(content: bytes) -> Any:
 
 
 def _check_size(storage: Any, path: Path) -> None:
-    """Raise if variables of a file are larger than its bytes can hold."""
+    """Raise if the file stores too few bytes for the declared size of a variable."""
     import h5py
 
     def check(name: str, node: Any) -> None:

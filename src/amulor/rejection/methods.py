@@ -200,7 +200,7 @@ _WITHOUT = " without shots"
 
 
 def _bare(cube: xr.Dataset) -> xr.Dataset:
-    """Correct the instrument drift by open-water references, then remove these."""
+    """Correct the instrument drift, then remove the open-water references."""
     return cubes.without_groups(without_drift(cube), "open_water")
 
 

@@ -61,7 +61,7 @@ _SHARED_TAKES = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
-    """Shared parameters, range interval and times for the estimates of all pixels."""
+    """Shared parameters, transfer function, range interval and duration of the scan."""
 
     scan: Scan
     """View of the receiver and shared parameters."""

@@ -214,7 +214,7 @@ def _residuals_of(
     transfer: Complex,
     phase_per_path: Floats,
 ) -> _Residuals:
-    """Return the residuals of a sample of a group of pixels."""
+    """Return the residuals for a subset of the pixels in a group."""
     model = modelled(state, group, transfer=transfer, phase_per_path=phase_per_path)
     pixels = group.pixels
     count, channels, frequencies = pixels.signal.shape

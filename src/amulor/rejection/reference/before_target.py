@@ -400,7 +400,7 @@ class Strength:
 def contradiction(
     strength: Strength, turbidity: Turbidity | None
 ) -> WaterResidualCause:
-    """Return why open-water references and scan disagree; 0 if they are consistent."""
+    """Return the cause of a disagreement of references and scan; 0 if they agree."""
     sure = abs(strength.change) - _SURE * strength.uncertainty > LARGEST_CHANGE
     # No water has a negative strength or resembles these shots.
     negative = sure and strength.change <= -1

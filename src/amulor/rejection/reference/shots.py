@@ -377,7 +377,7 @@ def _averaged_repeats(
 
 
 def _clusters(angle: Floats, *, at_least: float) -> NDArray[np.intp]:
-    """Return the cluster index of each angle, or indices of distinct angles."""
+    """Return the cluster of each angle; without clusters, a cluster per value."""
     order = np.argsort(angle, kind="stable")
     gaps = np.diff(angle[order])
     near = max(_NEAR * float(np.ptp(angle)), at_least)

@@ -83,7 +83,7 @@ def nodes_of(
 
 
 def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
-    """Beams interpolated between the grid nodes, as on the page."""
+    """Interpolate beams bilinearly between grid nodes, as the page's script does."""
     up, low = _between(nodes.rows, rows), _between(nodes.columns, columns)
     values = nodes.values.astype(float)
     top = values[up[0]][:, low[0]], values[up[0]][:, low[1]]

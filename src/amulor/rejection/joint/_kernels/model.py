@@ -174,7 +174,7 @@ def fill_phasors(path: Array, echo: Echo, out: Array) -> None:
 def pixel_of(
     samples: Samples, places: Places, n: int, phase_per_path: Array, turn: Array
 ) -> Pixel:
-    """Return the data of pixel n; `turn` is overwritten with its phasor."""
+    """Return the data of pixel n; `turn` is overwritten with the pixel's phasor."""
     fill_turn(places.offset[n], phase_per_path, turn)
     limits = Limits(places.shortest[n], places.longest[n], places.depths[n])
     return Pixel(
@@ -251,7 +251,7 @@ def misfit_at(
 def descent(
     rate: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float]:
-    """Return the negative half slope of chi-square over the path, and its curvature.
+    """Return minus half the slope of chi-square over the path, and the curvature.
 
     Gauss and Newton's curvature, the Hessian without second derivatives of the model,
     of which the amplitudes above zero are eliminated (Schur complement). `rate` is

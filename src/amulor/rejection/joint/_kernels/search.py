@@ -154,7 +154,7 @@ _LEAST_REST = 1e-3
 def most_outlying(
     rate: float, information: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float, int]:
-    """Return the two largest chi-square drops from omitting a sample, and its index.
+    """Return chi-square drops of the two most outlying samples; index of the first.
 
     r' S^-1 r with the residual r of a sample and the covariance S = V - J C J' that
     remains of its covariance V when path and amplitude are fitted to it, too; exact

@@ -104,7 +104,7 @@ def circular_checks(study: Study) -> list[Check]:
 
 
 def crossed_checks(study: Study) -> list[Check]:
-    """Compare the phase drifts of VH and RR with the text of the paper."""
+    """Check the paper's statement that the phase of RR drifts less than that of VH."""
     margin, error = lines.difference(study, "d", ("VH", "RR"))
     crossed, circular = (
         abs(lines.line(study, "d", pair).drift) for pair in ("VH", "RR")
