@@ -61,6 +61,11 @@ _MOUNT_OFF = math.radians(0.5)
 _CALM = 20
 
 
+#: Further wait after the light went off: of the echo, 3e-7 is left in the output after
+#: these and 5 time constants [time constants].
+_TO_DARKNESS = 10
+
+
 class SampleFlag(enum.IntFlag):
     """Problems of a sample, as bit flags."""
 
@@ -358,6 +363,7 @@ class Sampler:
             self._devices.clock.sleep(self._settings.laser.warm_up)
         else:
             self._devices.laser.off()
+            self._wait_for_darkness()
         self._laser = on
         self._new = True
 
@@ -374,10 +380,15 @@ class Sampler:
             self._switch_laser(False)
         if closed:
             shutter.shut()
+            self._wait_for_darkness()
         else:
             shutter.open()
         self._shutter_is_closed = closed
         self._new = True
+
+    def _wait_for_darkness(self) -> None:
+        """Wait until the output filter has lost the echo, beside `settling`."""
+        self._devices.clock.sleep(_TO_DARKNESS * self._constant)
 
     def _move_target(self, kind: str) -> None:
         target = self._devices.target

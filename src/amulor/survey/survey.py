@@ -195,8 +195,15 @@ class Survey(Description):
         ...     {"water.scattering": "2 1/m", "scan.columns": 40}
         ... )  # doctest: +SKIP
         """
-        content = changed(self.model_dump(exclude_none=True), changes, name="survey")
-        content = _without_none(content)
+        before = self.model_dump(exclude_none=True)
+        replaced = {
+            other: None
+            for name, value in changes.items()
+            for other in _ALTERNATIVES.get(name, ())
+            if value is not None and getattr(self.calibration, other.split(".")[1], None) is not None
+        }
+        changes = {**replaced, **changes}
+        content = _without_none(changed(before, changes, name="survey"))
         try:
             survey = type(self).model_validate(content)
         except ValidationError as error:
@@ -216,6 +223,17 @@ class Survey(Description):
 
         content = self.model_dump(mode="json", exclude_none=True)
         return tomli_w.dumps(content)
+
+
+#: Statements that `with_` removes if a change states another one of the same quantity.
+_ALTERNATIVES = {
+    "calibration.group_index_uncertainty": (
+        "calibration.temperature_uncertainty",
+        "calibration.salinity_uncertainty",
+    ),
+    "calibration.temperature_uncertainty": ("calibration.group_index_uncertainty",),
+    "calibration.salinity_uncertainty": ("calibration.group_index_uncertainty",),
+}
 
 
 def _without_none(content: Any) -> Any:

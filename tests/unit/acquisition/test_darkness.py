@@ -76,6 +76,21 @@ def test_a_scan_without_light_stops_after_a_few_samples_and_keeps_them_apart(
     assert not (cube["user_sample_flag"] & SampleFlag.NO_LIGHT).any()
 
 
+def test_dark_readings_hold_nothing_of_the_echo(small, settings, folder) -> None:
+    quiet = small.with_({"instrument.detector.dark_rate": "0 1/s"})
+    acquisition.acquire(quiet, folder, settings=settings, scene=scene_light)
+    with Journal.read(folder) as journal:
+        largest = {
+            kind: max(
+                abs(complex(record.in_phase, record.quadrature))
+                for _, record in journal.samples(kind)
+            )
+            for kind in (DARK, SCAN)
+        }
+    # exp(-15) of the echo, and noise of light that decays alike; exp(-5) is 7e-3.
+    assert largest[DARK] < 1e-6 * largest[SCAN]
+
+
 def test_a_moment_of_darkness_is_no_number_in_the_cube(
     small, settings, folder, made, cube_of
 ) -> None:

@@ -31,8 +31,7 @@ def with_shutter(settings: Settings, made, **simulation: object) -> Settings:
     return made(
         settings,
         shutter={"driver": "simulated"},
-        # After five time constants, 0.7 % of the echo would be left in the readings.
-        procedure={"shutter_readings": 4, "settling": 12},
+        procedure={"shutter_readings": 4},
         simulation=simulation,
     )
 

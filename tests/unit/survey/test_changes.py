@@ -55,6 +55,23 @@ def test_any_allowed_number_comes_through_bit_by_bit(
     assert found.with_(back) == plate
 
 
+def test_a_new_source_of_the_group_index_replaces_the_old_one(plate: Survey) -> None:
+    by_number = plate.with_({"calibration": {"group_index_uncertainty": 0.001}})
+    probes = {
+        "calibration.temperature_uncertainty": "0.5 degC",
+        "calibration.salinity_uncertainty": 0.5,
+    }
+    by_probes = by_number.with_(probes)
+    assert by_probes.calibration.group_index_uncertainty is None
+    assert by_probes.calibration.temperature_uncertainty == 0.5
+    name = "calibration.group_index_uncertainty"
+    assert by_probes.with_({name: 0.001}) == by_number
+    # Removal of what is not stated changes nothing; two sources at once are refused.
+    assert by_number.with_(dict.fromkeys(probes)) == by_number
+    with pytest.raises(SurveyError, match="stated twice"):
+        by_number.with_({**probes, name: 0.002})
+
+
 def test_a_whole_part_can_be_another_one(plate: Survey) -> None:
     water = Water(absorption=0.1, scattering=0.2, asymmetry=0.9)
     assert plate.with_({"water": water}).water == water

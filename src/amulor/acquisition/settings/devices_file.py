@@ -168,7 +168,8 @@ class Procedure(Description):
     """Acquisition procedure: settling, readings, references, tolerances."""
 
     settling: Annotated[float, Field(ge=3, le=50)] = 5.0
-    """Wait after each change, in time constants of the lock-in [1]."""
+    """Wait after each change, in time constants of the lock-in [1]. After the laser was
+    switched off or the shutter closed, the wait is 10 time constants longer."""
     settled_by: Literal["samples"] | None = None
     """Criterion that ends the wait after a move; by default the wait is `settling`.
     "samples": successive readings agree within their noise, after at least two time
