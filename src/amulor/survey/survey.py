@@ -200,7 +200,8 @@ class Survey(Description):
             other: None
             for name, value in changes.items()
             for other in _ALTERNATIVES.get(name, ())
-            if value is not None and getattr(self.calibration, other.split(".")[1], None) is not None
+            if value is not None and self.calibration is not None
+            if getattr(self.calibration, other.partition(".")[2]) is not None
         }
         changes = {**replaced, **changes}
         content = _without_none(changed(before, changes, name="survey"))
