@@ -12,6 +12,7 @@ import { Products } from "./products.js";
 import { Renderer } from "./renderer.js";
 import { ROUNDING, sampled, Scene } from "./scene.js";
 import { source } from "./source.js";
+import { Stage } from "./stage.js";
 import { scaled, short, withError, withUnit } from "./text.js";
 import * as tools from "./tools.js";
 
@@ -51,18 +52,29 @@ const page = new Page(state, {
   themed,
   tools: tools.TOOLS,
   unable,
+  needs: (view) => stage.need(view),
 });
 const views = {};
+const stage = new Stage(resized);
+
+/** Put the surface in view again, and draw everything at its new size. */
+function resized() {
+  views.cloud.refit();
+  thumbnailsLater();
+  page.redraw();
+}
 
 function draw() {
   const { scene } = state;
   const { colours } = page;
   if (!scene?.maps.has(state.layerName)) return;
   light();
-  for (const view of [views.map, views.cloud]) fitted(view.canvas);
   try {
-    views.map.draw(state, colours);
-    views.cloud.draw(state, colours);
+    for (const name of ["map", "cloud"]) {
+      if (!stage.shows(name)) continue;
+      fitted(views[name].canvas);
+      views[name].draw(state, colours);
+    }
   } catch (error) {
     failed(error);
     return;
@@ -74,9 +86,11 @@ function draw() {
     const nothing = scene.nothing(state.layerName);
     $("unit").textContent = nothing ? `${unit.unit}: 0 within rounding` : unit.unit;
   }
-  drawProfile($("profile"), state, colours);
-  drawHistogram($("histogram"), state, colours);
-  drawSpectrum($("spectrum"), state, colours);
+  if (stage.shows("plots")) {
+    drawProfile($("profile"), state, colours);
+    drawHistogram($("histogram"), state, colours);
+    drawSpectrum($("spectrum"), state, colours);
+  }
   document.documentElement.dataset.ready = "yes";
 }
 
@@ -86,13 +100,14 @@ let turned = false;
 /** Draw overlays that depend on the pixel under the pointer, and a view that has moved. */
 function drawPointer() {
   if (!state.scene?.maps.has(state.layerName)) return;
-  views.map.point(state, page.colours);
-  if (turned) {
+  if (stage.shows("map")) views.map.point(state, page.colours);
+  if (!stage.shows("cloud")) turned = false;
+  else if (turned) {
     turned = false;
     fitted(views.cloud.canvas);
     views.cloud.draw(state, page.colours);
   } else views.cloud.point(state, page.colours);
-  drawProfile($("profile"), state, page.colours);
+  if (stage.shows("plots")) drawProfile($("profile"), state, page.colours);
 }
 
 /** Return a unit that gives the limits of a map few digits. */
@@ -205,6 +220,7 @@ async function opened(channel) {
   switches(scene);
   contours();
   tabs();
+  stage.arrange({ across: scene.wide, down: scene.high * scene.aspect });
   await show(
     scene.byName.has(state.layerName) ? state.layerName.replace("_before", "") : scene.main,
   );
@@ -373,7 +389,8 @@ async function point(pixel) {
     if (!state.live) failed(error);
   }
   $("spectrum-title").textContent = state.spectrum?.frequency.length === 1 ? "Phasors" : "Spectrum";
-  return drawSpectrum($("spectrum"), state, page.colours);
+  if (stage.shows("plots")) drawSpectrum($("spectrum"), state, page.colours);
+  return undefined;
 }
 
 function readout() {
@@ -542,6 +559,7 @@ function profileAlong(kind) {
   state.drawing = kind === "section";
   for (const button of $("profile-kind").children)
     button.setAttribute("aria-pressed", String(button.dataset.kind === kind));
+  if (!stage.shows("plots")) stage.toggle();
   if (state.drawing) page.hint("Drag a line over the map, or set its ends with Enter.");
   page.dragsOn("map", state.drawing);
   page.redraw();
@@ -623,6 +641,8 @@ const KEYS = {
   d: () => page.otherTheme(),
   s: () => page.save(),
   l: () => profileAlong("section"),
+  m: () => stage.next(),
+  g: () => stage.toggle(),
   a: automatic,
   n: narrow,
   x: () => state.products?.open(),
@@ -720,8 +740,8 @@ function wired() {
     button.addEventListener("click", () => profileAlong(button.dataset.kind));
   fields();
   new ResizeObserver(() => {
-    thumbnailsLater();
-    page.redraw();
+    stage.arrange();
+    resized();
   }).observe(/** @type {Element} */ (document.querySelector("main")));
 }
 

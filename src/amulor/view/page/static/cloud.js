@@ -108,6 +108,11 @@ export class CloudView {
     this.placed = "";
   }
 
+  /** Put the scene in view again after a change of size, unless the user has moved the view. */
+  refit() {
+    if (!this.moved()) this.#fitted();
+  }
+
   #fitted() {
     const { clientWidth, clientHeight } = this.canvas;
     if (clientHeight) this.camera.fit(this.places, clientWidth / clientHeight);

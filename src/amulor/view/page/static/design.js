@@ -178,7 +178,7 @@ function bar() {
     ink.fillRect(x, 0, 1, high);
   }
   ink.fillStyle = colours.ink;
-  ink.font = `${11 * ratio}px ${colours.font}`;
+  ink.font = `${12 * ratio}px ${colours.font}`;
   ink.textBaseline = "top";
   const [low, top] = LIMITS.map(Math.log);
   for (const value of [0.1, 0.3, 1, 3, 10, 30, 100]) {

@@ -202,7 +202,7 @@ export class Live {
     const most =
       Math.max(0.01, ...change.map((value, k) => Math.abs(value) + Math.min(error[k] ?? 0, 0.2))) *
       1.15;
-    ctx.font = `11px ${colours.font}`;
+    ctx.font = `12px ${colours.font}`;
     // Five parts of an interval about zero give at least one tick on either side.
     const marks = ticks(-most, most, 5).values.map((value) => [
       value,

@@ -187,6 +187,7 @@ export class MapView {
       this.bar = scaleBar(ctx, perMetre, ratio, colours, ` at ${typical}`, {
         right: ends.right,
         bottom,
+        most: 0.6 * (ends.right - ends.left),
       });
     }
   }
@@ -359,7 +360,7 @@ export function colourBar(canvas, gradientStops, [low, high], unit, colours, own
     ctx.fillStyle = `rgb(${gradientStops[at]},${gradientStops[at + 1]},${gradientStops[at + 2]})`;
     ctx.fillRect(x, top, 1, thick);
   }
-  ctx.font = `${11 * ratio}px ${colours.font}`;
+  ctx.font = `${12 * ratio}px ${colours.font}`;
   ctx.fillStyle = colours.soft;
   ctx.textBaseline = "top";
   const marks = ticks(low, high, Math.max(2, Math.floor(width / ratio / 75)));

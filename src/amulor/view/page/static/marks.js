@@ -96,7 +96,7 @@ export function axes(ctx, camera, named, ratio, colours) {
   const inner = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const [x0, y0] = [62 * ratio, ctx.canvas.height - 42 * ratio];
   ctx.save();
-  ctx.font = `${11 * ratio}px ${colours.font}`;
+  ctx.font = `${12 * ratio}px ${colours.font}`;
   ctx.textBaseline = "middle";
   ctx.lineWidth = 2 * ratio;
   named
@@ -126,7 +126,7 @@ export function axes(ctx, camera, named, ratio, colours) {
 and its ticks with positions [canvas pixel]. */
 export function mapAxes(ctx, box, { across, down }, ratio, colours) {
   ctx.save();
-  ctx.font = `${11 * ratio}px ${colours.font}`;
+  ctx.font = `${12 * ratio}px ${colours.font}`;
   ctx.fillStyle = ctx.strokeStyle = colours.soft;
   ctx.lineWidth = ratio;
   ctx.beginPath();
@@ -159,8 +159,8 @@ function whole({ canvas }) {
 /** Draw a scale bar for a number of pixels per meter, with text after its length; return the
 length in meters and pixels. It is in the lower right corner of a box, by default the canvas. */
 export function scaleBar(ctx, perMetre, ratio, colours, words = "", box = whole(ctx)) {
-  const { right: width, bottom: height } = box;
-  const { step } = ticks(0, (150 * ratio) / perMetre, 1.2);
+  const { right: width, bottom: height, most = Infinity } = box;
+  const { step } = ticks(0, Math.min(150 * ratio, most) / perMetre, 1.2);
   const length = step * perMetre;
   const [end, low] = [width - 18 * ratio, height - 20 * ratio];
   const text = `${withUnit(step, "m", 2)}${words}`;

@@ -17,7 +17,7 @@ const ARROWS = {
 };
 
 /** A page with its state. Pages differ in `draw`, `point`, `limited`, `idle`, `said` and `tools`,
-some also in `themed` and `unable`. */
+some also in `themed`, `unable` and `needs`. */
 export class Page {
   colours = {};
   /** Number of times that a hint was shown. */
@@ -105,6 +105,7 @@ export class Page {
 
   /** Make touches draw on a view instead of scrolling the page. */
   dragsOn(id, draws) {
+    if (draws) this.#on.needs?.(id);
     $(id)?.classList.toggle("draws", draws);
   }
 

@@ -10,7 +10,7 @@ export function pictureOf({ view, title, words, bar, colours }) {
   const edge = 14 * ratio;
   const canvas = document.createElement("canvas");
   const ctx = inkOf(canvas);
-  const small = `${11.5 * ratio}px ${colours.font}`;
+  const small = `${12 * ratio}px ${colours.font}`;
   ctx.font = small;
   const lines = words.flatMap((text) => wrapped(ctx, text, width - 2 * edge));
   const head = 36 * ratio;

@@ -21,7 +21,7 @@ function framed({ ctx, width, height }, x, y, colours, top = 10) {
     box.left + ((value - x.low) / (x.high - x.low || 1)) * (box.right - box.left);
   const toY = (value) =>
     box.bottom - ((value - y.low) / (y.high - y.low || 1)) * (box.bottom - box.top);
-  ctx.font = `11px ${colours.font}`;
+  ctx.font = `12px ${colours.font}`;
   ctx.strokeStyle = colours.line;
   ctx.fillStyle = colours.soft;
   ctx.lineWidth = 1;
@@ -252,7 +252,7 @@ function upright(ctx, x, { top, bottom }, colour) {
 }
 
 function legend(ctx, box, entries, colours) {
-  ctx.font = `11px ${colours.font}`;
+  ctx.font = `12px ${colours.font}`;
   ctx.textBaseline = "middle";
   ctx.textAlign = "left";
   // The legend is above the frame, where it hides no line, and denser if narrow.
