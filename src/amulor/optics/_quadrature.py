@@ -1,4 +1,4 @@
-"""Integrals of oscillating functions: Filon weights, and a Bessel function J0."""
+"""Filon quadrature of f(z) exp(i w z) over depth z, and the Bessel function J0."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _COSINE = tuple((-1.0) ** i / math.factorial(2 * i) for i in range(12))
 
 
 class Panel(NamedTuple):
-    """Interval of the depth, with the values of the integrand at its nodes."""
+    """Depth interval with even and odd parts of the integrand at quadrature nodes."""
 
     half: float
     """Half width [m]."""
@@ -83,7 +83,7 @@ def sine_cosine(x: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def expand(values: Array, table: Array, out: Array) -> None:
-    """Fill `out` with the product of a vector of values and a matrix."""
+    """Fill `out` with the product of a vector of node values and a matrix."""
     for m in range(ORDER):
         out[m] = 0.0
     for i in range(ORDER):
@@ -101,7 +101,7 @@ def _add_slow(
     real: Array,
     imaginary: Array,
 ) -> None:
-    """Add one panel's integrals for slow oscillations, by a Chebyshev series."""
+    """Add a panel's integrals of f(z) exp(i w z) for small w, by Chebyshev series."""
     for f in range(phase_per_depth.size):
         u = phase_per_depth[f] * (half / SPLIT)
         t = 4.0 * u * u - 2.0
@@ -128,7 +128,7 @@ def _add_fast(
     real: Array,
     imaginary: Array,
 ) -> None:
-    """Add one panel's integrals for fast oscillations, by spherical Bessel terms."""
+    """Add a panel's integrals of f(z) exp(i w z) for large w, by Bessel functions."""
     for f in range(phase_per_depth.size):
         sine, cosine = sine_cosine(half_turn[f])
         v = 1.0 / (phase_per_depth[f] * half)
@@ -147,7 +147,7 @@ def _add_fast(
 
 @numba.njit(cache=True, error_model="numpy")
 def _turns(phase_per_depth: Array, distance: float, out: Array) -> None:
-    """Fill `out` with the phase over a distance, modulo 2 pi for large phases."""
+    """Fill `out` with phases over a distance, modulo 2 pi if any is large [rad]."""
     for f in range(phase_per_depth.size):
         out[f] = phase_per_depth[f] * distance
     if phase_per_depth.size > 0 and out[phase_per_depth.size - 1] > _FAR:
@@ -164,7 +164,7 @@ def add_panel(
     turn: Array,
     sums: Array,
 ) -> None:
-    """Add a panel's integrals of exp(i w z) times the integrand, for rising w.
+    """Add a panel's integrals of f(z) exp(i w z) to `sums`, for rising w.
 
     Two rows of work and of turn are overwritten. Below SPLIT of phase over half a panel
     exp(i w z) is a Chebyshev series (Jacobi-Anger), above it the moments of the
@@ -209,7 +209,7 @@ NO_WAVE = 26  # argument up to which J0 comes from its table, in unit cells
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def polynomial(table: Array, cell: int, s: float) -> float:
-    """Evaluate the polynomial of degree 9 of one table cell, s from -1 to 1."""
+    """Evaluate a table cell's polynomial of degree 9, at s from -1 to 1."""
     j = np.uint64(cell)
     t = s * s
     even = table[j, 6] + t * table[j, 8]
@@ -234,7 +234,7 @@ def j0(x: float, table: Array) -> float:
 
 
 def monomials(values: Array) -> Array:
-    """Return power-series coefficients for values at Chebyshev nodes, per cell."""
+    """Convert values at Chebyshev nodes to power-series coefficients, cell by cell."""
     size = values.shape[1]
     node = np.cos(np.pi * (np.arange(size) + 0.5) / size)
     order = np.arange(size)
@@ -248,7 +248,7 @@ def monomials(values: Array) -> Array:
 
 @cache
 def bessel() -> Array:
-    """Return polynomial coefficients of J0 in cells of width 1."""
+    """Return polynomials for the Bessel function J0 in cells of width 1."""
     return monomials(special.j0(bessel_nodes()))
 
 
@@ -259,7 +259,7 @@ def bessel_nodes() -> Array:
 
 
 def _rule() -> NDArray[np.float64]:
-    """Return the matrices that convert node values to series terms, and the nodes.
+    """Return matrices from node values to series coefficients, and the nodes.
 
     [0] and [1] give the factors of the spherical Bessel functions of even and odd
     order in the moment of exp(i k s), [2] and [3] those of the Chebyshev

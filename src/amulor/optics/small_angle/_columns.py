@@ -1,4 +1,4 @@
-"""Phase-function tables and water columns of the small-angle model."""
+"""Small-angle model: tables of the phase function, water columns, depth integrals."""
 
 from __future__ import annotations
 
@@ -53,23 +53,23 @@ _SMALLEST = 1e-18  # angle below which a peak counts as forward [rad]
 
 
 class Table(NamedTuple):
-    """Forward fraction and transform table of a phase function."""
+    """Forward fraction of a phase function, and table of its mean Hankel transform."""
 
     split: float
     fraction: float
     cells: Array
 
     def __eq__(self, other: object) -> bool:
-        """Whether both are the same table; its values are not compared."""
+        """Whether `other` is this very object; table values are not compared."""
         return self is other
 
     def __hash__(self) -> int:
-        """Hash of the identity, for caches."""
+        """Hash of the object identity, for use as a key of caches."""
         return id(self)
 
 
 def table(phase_function: PhaseFunction, split_angle: float) -> Table:
-    """Return the transform table of a phase function, cached if hashable."""
+    """Return the Hankel-transform table of a phase function, cached if hashable."""
     split = float(split_angle)
     if isinstance(phase_function, Hashable):
         return _cached_table(phase_function, split)
@@ -77,7 +77,7 @@ def table(phase_function: PhaseFunction, split_angle: float) -> Table:
 
 
 def _computed_table(phase_function: PhaseFunction, split: float) -> Table:
-    """Compute the forward fraction and transform table of a phase function."""
+    """Compute forward fraction and Hankel-transform table of a phase function."""
     fraction, _ = forward_split(phase_function, split_angle=split)
     degree = 10
     node = np.cos(np.pi * (np.arange(degree) + 0.5) / degree)
@@ -103,7 +103,7 @@ _cached_table = lru_cache(maxsize=32)(_computed_table)
 def _spread_by_transform(
     transform: Callable[..., ArrayLike], edge: Array, x: Array, split: float
 ) -> Array:
-    """Return the loss term (1 - mean transform up to x) / x^2, by a given transform."""
+    """Return (1 - mean Hankel transform from 0 to x) / x^2, by a given transform."""
     node, weight = _gauss()
     at_zero = float(np.asarray(transform(np.zeros(1), split_angle=split))[0])
     if not abs(at_zero - 1) < 1e-6:
@@ -131,7 +131,7 @@ def _spread_by_transform(
 def _spread_by_quadrature(
     phase_function: PhaseFunction, x: Array, split: float
 ) -> Array:
-    """Return the loss term (1 - mean transform up to x) / x^2, by quadrature."""
+    """Return (1 - mean Hankel transform from 0 to x) / x^2, by sums over angle."""
     coarse = _angle_panels(phase_function, split)
     angle, weight = _angle_rule(coarse[:-1], coarse[1:])
     forward = np.sum(weight * _density(phase_function, angle))
@@ -156,7 +156,7 @@ def _spread_by_quadrature(
 
 
 def _angle_panels(phase_function: PhaseFunction, split: float) -> Array:
-    """Return edges of intervals in which a phase function is smooth [rad]."""
+    """Return edges of angle intervals in which a phase function is smooth [rad]."""
     count = int(np.ceil(np.log(split / _SMALLEST)))
     edges = np.geomspace(_SMALLEST, split, count + 1)
     edges[-1] = split
@@ -183,7 +183,7 @@ def _angle_panels(phase_function: PhaseFunction, split: float) -> Array:
 
 
 def _angle_rule(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return Gauss angles, placed in log(angle), and weights for sums over angle."""
+    """Return angles at Gauss-Legendre nodes in ln(angle), and weights [rad]."""
     node, weight = _gauss()
     half = np.log(high / low)[:, None] / 2
     angle = low[:, None] * np.exp(half * (node + 1))
@@ -192,7 +192,7 @@ def _angle_rule(low: Array, high: Array) -> tuple[Array, Array]:
 
 
 def _density(phase_function: PhaseFunction, angle: Array) -> Array:
-    """Return the phase function per angle: times 2 pi sin(angle) [1/rad]."""
+    """Return the scattering density per polar angle, 2 pi p sin(angle) [1/rad]."""
     value = np.asarray(phase_function(angle.ravel()), dtype=float)
     return 2 * np.pi * value.reshape(angle.shape) * np.sin(angle)
 
@@ -206,13 +206,13 @@ def _gauss() -> tuple[Array, Array]:
 
 @cache
 def disc() -> Array:
-    """Return polynomial coefficients of 2 J1(x) / x in cells of width 1."""
+    """Return polynomials for the disc transform 2 J1(x) / x in cells of width 1."""
     return monomials(2 * j1(bessel_nodes()) / bessel_nodes())
 
 
 @cache
 def _mean_table() -> Array:
-    """Return polynomials for (1 - mean of J0 up to x) / x^2 in cells of width 1."""
+    """Return polynomials for (1 - mean of J0 from 0 to x) / x^2, cells of width 1."""
     gauss, weight = _gauss()
     node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
     stop = np.append((node + 1) / 2, 1.0)
@@ -235,7 +235,7 @@ _MOST_PANELS = 2048  # waiting to be halved, before the integral counts as unset
 def integral(
     phase_per_depth: Array, edges: Array, values: Array
 ) -> NDArray[np.complex128]:
-    """Return the integrals of exp(i w z) times the overlap F(z), given in panels."""
+    """Integrate exp(i w z) times the overlap F(z) over depth, from F at panel nodes."""
     order = np.argsort(phase_per_depth)
     sums = np.zeros((2, phase_per_depth.size))
     _kernels.add_panels(edges, values, phase_per_depth[order], RULE, sums)
@@ -255,7 +255,7 @@ def panels(
     partial_sum: float,
     breaks: Sequence[float] = (),
 ) -> tuple[Array, Array, float]:
-    """Return edges of depth panels, the overlap F(z) at their nodes, and its integral.
+    """Return edges of depth panels, overlap F(z) at the nodes, and integral of F(z).
 
     light is F(z); on_axis is at least as large but for the loss, and falls with the
     square of the depth beyond the length. The first panel is a step wide; at breaks
@@ -264,7 +264,7 @@ def panels(
     node, weight, tail = depth_rule()
 
     def rest(depth: float) -> float:
-        """Return an upper limit of the water signal from beyond a depth."""
+        """Return an upper limit of the integral of F(z) beyond a depth."""
         reach = min(depth + length, 1 / loss if loss > 0 else np.inf)
         return float(on_axis(np.array(depth)) * np.exp(-loss * depth) * reach)
 
@@ -314,7 +314,7 @@ def panels(
 
 @cache
 def depth_rule() -> tuple[Array, Array, Array]:
-    """Return Gauss-Legendre nodes, weights, and the matrix to the last four terms."""
+    """Return Gauss-Legendre rule, and matrix to the last four Legendre coefficients."""
     size = 2 * ORDER
     node, weight = legendre.leggauss(size)
     order = np.arange(size)
@@ -341,7 +341,7 @@ class Shared(NamedTuple):
 
 
 class Light(NamedTuple):
-    """Table of forward-scattered light over depth and distance from the beam axis."""
+    """Overlap of forward-scattered light, tabulated over depth and axis distance."""
 
     edge: Array
     """Depth intervals in which the light is smooth, shape (panel, 2) [m]."""
@@ -352,7 +352,7 @@ class Light(NamedTuple):
 
 
 def light_of(view: Array, shared: Shared, panels_of: Callable[[Array], Array]) -> Light:
-    """Return tabulated scattered light for the water columns of a scan.
+    """Tabulate the overlap of forward-scattered light for the water columns of a scan.
 
     A row of view is baseline, tilt, cross tilt and end of a column; `panels_of` gives
     the edges of panels in which the light of one such row is smooth.
@@ -366,7 +366,7 @@ def light_of(view: Array, shared: Shared, panels_of: Callable[[Array], Array]) -
 def integrals(
     phase_per_depth: Array, view: Array, shared: Shared, light: Light
 ) -> NDArray[np.complex128]:
-    """Return each water column's integrals of exp(i w z) times the scattered light.
+    """Return depth integrals of exp(i w z) times the tabulated overlap, by column.
 
     A column is the same whatever others come with it.
     """
@@ -393,14 +393,14 @@ def integrals(
 
 
 def _spread(view: Array) -> NDArray[np.intp]:
-    """Return indices of representative views: extremes, and three evenly spaced."""
+    """Return indices of representative receiver views: extremes and three others."""
     extremes = np.concatenate([view.argmin(axis=0), view.argmax(axis=0)])
     even = np.linspace(0, len(view) - 1, 3).astype(np.intp)
     return np.unique(np.concatenate([extremes, even]))
 
 
 def _common(edges: Array) -> Array:
-    """Return depth panels bounded by the edges of all water columns, rising."""
+    """Merge the panel edges of several water columns into common depth panels [m]."""
     distinct = np.unique(edges)
     # Edges that are the same but for rounding, and slivers between two columns.
     keep = np.append(True, np.diff(distinct) > 1e-6 * distinct[1:])
@@ -409,7 +409,7 @@ def _common(edges: Array) -> Array:
 
 
 def _tables(depth: Array, view: Array, shared: Shared) -> tuple[Array, Array]:
-    """Return cell limits in ln(1 + q) at each depth, and polynomials in the cells."""
+    """Tabulate the overlap at each depth, in cells of ln(1 + offset^2 / width^2)."""
     water = shared.water
     path = depth[:, None] + water.standoff
     area = water.radius_squared + water.angle_squared * path**2
@@ -469,7 +469,7 @@ LOOK = ("baseline", "tilt", "cross_tilt", "standoff")
 
 
 class Column(NamedTuple):
-    """Optical properties of a water column, with the instrument's view (SI).
+    """Optical properties of a water column, with beam and receiver geometry (SI).
 
     Where each depth is looked at in its own way, such as the pixels of a target, what
     `LOOK` names has an element for each depth.
@@ -488,7 +488,7 @@ class Column(NamedTuple):
     end: float
 
     def look(self) -> dict[str, float]:
-        """Return the view shared by all depths; zeros if it differs between depths."""
+        """Return the receiver geometry common to all depths; zeros if it varies."""
         view = {name: getattr(self, name) for name in LOOK}
         varies = any(np.ndim(value) for value in view.values())
         return dict.fromkeys(view, 0.0) if varies else view
@@ -499,7 +499,7 @@ class Column(NamedTuple):
 
 
 def looks(depth: Array, column: Column) -> Array:
-    """Return depth and view as rows of an array, for the compiled loops."""
+    """Return an array with a row per depth: depth, baseline, tilts and standoff."""
     rows = np.empty((depth.size, 1 + len(LOOK)))
     rows[:, 0] = depth
     for place, name in enumerate(LOOK, 1):
@@ -515,7 +515,7 @@ def overlap_of(
     phase_function: PhaseFunction,
     split_angle: float,
 ) -> Array:
-    """Return the overlap F(z) for arrays of arguments, computed column by column."""
+    """Return the overlap F(z) for arrays of arguments, one water column at a time."""
     z = np.asarray(checked("depth", depth))
     spread = table(phase_function, split_angle)
     columns = _columns(arguments, depth=z)
@@ -535,7 +535,7 @@ def overlap_of(
 
 
 def _equal_columns(values: list[Array], count: int) -> list[NDArray[np.intp]]:
-    """Return groups of indices of water columns with equal argument values."""
+    """Group the indices of water columns that have equal arguments."""
     if count == 0:
         return []
     if not values:
@@ -557,7 +557,7 @@ def response_of(
     batched: Many | None = None,
     fewest: int = 2,
 ) -> NDArray[np.complex128]:
-    """Return the water signal for arrays of arguments from water-column integrals.
+    """Return the water signal for arrays of arguments, by a given depth integral.
 
     batched gives it for at least the fewest columns that differ only in the view.
     """
@@ -588,7 +588,7 @@ def fit_of(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> _Fitted | None:
-    """Apply a fit function to water columns that differ only in the receiver view."""
+    """Apply `fit` to columns that differ only in receiver view; None for others."""
     phases, columns, spread, _ = _prepared(
         modulation_frequency,
         arguments,
@@ -612,7 +612,7 @@ def _prepared(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> tuple[Array, dict[str, NDArray[Any]], Table, Any]:
-    """Check arguments; return phases per depth, columns, table and backscatter."""
+    """Check arguments; return phases per depth, columns, transform table, and VSF."""
     refuse_behind_receiver(arguments.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     spread = table(phase_function, split_angle)
@@ -629,7 +629,7 @@ def _prepared(
 def _views(
     phases: Array, columns: dict[str, NDArray[Any]], fewest: int
 ) -> tuple[Array, Column, Callable[[Complex], Complex]] | None:
-    """Return distinct views of similar water columns, and a function to expand results.
+    """Return the distinct receiver views, the common column, and an expanding function.
 
     None for too few columns, where they share less, and where frequencies have no axes
     of their own.
@@ -653,7 +653,7 @@ def _views(
     distinct, back = np.unique(view.T, axis=0, return_inverse=True)
 
     def scatter(results: Complex) -> Complex:
-        """Expand results of distinct views, (view, phase), to the arguments' shape."""
+        """Expand results per distinct view to the broadcast shape of the arguments."""
         results = results[back.ravel()].reshape(*wide, phases.size)
         # Original order of the frequencies.
         lifted = np.moveaxis(results, -1, 0).reshape(phases.size, *wide)
@@ -670,7 +670,7 @@ def _views(
 
 
 def _columns(arguments: Arguments, **arrays: Any) -> dict[str, NDArray[Any]]:
-    """Return the arguments as arrays, checked to broadcast with further arrays."""
+    """Convert the arguments to arrays, checked to broadcast with further arrays."""
     columns = {name: np.asarray(value) for name, value in arguments.named().items()}
     if any(np.ndim(value) for value in (*columns.values(), *arrays.values())):
         _bounds.broadcast(**arrays, **columns)
@@ -683,7 +683,7 @@ def _by_column(
     columns: dict[str, NDArray[Any]],
     spread: Table,
 ) -> NDArray[np.complex128]:
-    """Return the integrals at all phases, computed column by column."""
+    """Return depth integrals for arrays of arguments, one water column at a time."""
     inner = np.broadcast_shapes(*(value.shape for value in columns.values()))
     shape = np.broadcast_shapes(phases.shape, inner)
     inner = (1,) * (len(shape) - len(inner)) + inner

@@ -66,7 +66,7 @@ class Water(NamedTuple):
 
 @numba.njit(cache=True, error_model="numpy")
 def spread(x: Array, angle: Array, weight: Array, table: Array, out: Array) -> None:
-    """Fill `out` with the scattering loss over x^2, summed over scattering angles."""
+    """Fill `out` with (1 - mean Hankel transform up to x) / x^2, summed over angles."""
     for i in range(x.size):
         total = 0.0
         for j in range(angle.size):
@@ -82,7 +82,7 @@ def spread(x: Array, angle: Array, weight: Array, table: Array, out: Array) -> N
 
 @numba.njit(cache=True, error_model="numpy")
 def lost(x: float, split: float, table: Array) -> float:
-    """Return 1 minus the mean of the phase function's transform up to x."""
+    """Return 1 minus the mean Hankel transform of the phase function from 0 to x."""
     t = x * split / WIDTH
     if t < LINEAR:
         cell = int(t)
@@ -99,7 +99,7 @@ def lost(x: float, split: float, table: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _scattering_end(depth: float, top: float, water: Water, table: Array) -> float:
-    """Return the spatial frequency beyond which no light remains, at most `top`."""
+    """Return the spatial frequency of negligible light, at most `top` [1/m]."""
     thickness = water.forward * depth
     if thickness > _SCATTERED_END:
         while (
@@ -112,7 +112,7 @@ def _scattering_end(depth: float, top: float, water: Water, table: Array) -> flo
 
 @numba.njit(cache=True, error_model="numpy")
 def _offset(depth: float, water: Water) -> float:
-    """Return the distance between beam axis and receiver axis at a depth."""
+    """Return the distance between beam axis and receiver axis at a depth [m]."""
     path = depth + water.standoff
     return math.hypot(water.baseline - water.tilt * path, water.cross_tilt * path)
 
@@ -127,7 +127,7 @@ def _scattered_at(
     rule: Array,
     work: Array,
 ) -> float:
-    """Return the overlap of forward-scattered light over pi R^2 gamma^2 at a depth."""
+    """Return the overlap of forward-scattered light at a depth, over pi R^2 gamma^2."""
     nodes = rule.shape[1]
     path = z + water.standoff
     area = water.radius_squared + water.angle_squared * path * path
@@ -162,7 +162,7 @@ def _scattered_at(
 
 @numba.njit(cache=True, error_model="numpy")
 def aimed(look: Array, water: Water) -> Water:
-    """Return the water column with the receiver geometry from a row of values."""
+    """Copy a water column with baseline, tilts and standoff from a row of values."""
     return Water(
         water.loss,
         water.forward,
@@ -180,7 +180,7 @@ def aimed(look: Array, water: Water) -> Water:
 def scattered(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill `out` with the overlap of forward-scattered light over pi R^2 gamma^2.
+    """Fill `out` with the overlap of forward-scattered light, over pi R^2 gamma^2.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
     less its unscattered part, docs/theory/water-signal.md: an integral over the spatial
@@ -203,7 +203,7 @@ def scattered(
 def add_panels(
     edge: Array, value: Array, phase_per_depth: Array, rule: Array, sums: Array
 ) -> None:
-    """Add the integrals of exp(i w z) times the overlap F(z) over panels to `sums`.
+    """Add depth integrals of exp(i w z) times the overlap F(z) in panels to `sums`.
 
     A row of value holds a panel at its Gauss-Legendre nodes, rising.
     """
@@ -223,7 +223,7 @@ def add_panels(
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def separation(z: float, view: Array, water: Water) -> float:
-    """Return ln(1 + q) for q, the squared axis distance over the squared width.
+    """Return ln(1 + q), q: squared axis distance over squared beam-receiver width.
 
     A view is baseline, tilt and cross tilt.
     """
@@ -235,7 +235,7 @@ def separation(z: float, view: Array, water: Water) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _shortened(value: Array, part: float, rules: tuple[Array, Array, Array]) -> None:
-    """Resample a panel's node values for the first part of the panel."""
+    """Interpolate a panel's node values to the nodes of its first part, in place."""
     _, node, series = rules
     size = node.size
     term = np.zeros(size)
@@ -263,7 +263,7 @@ def add_columns(
     rules: tuple[Array, Array, Array],
     sums: Array,
 ) -> None:
-    """Add the integrals of exp(i w z) times the overlap F(z) of many columns to `sums`.
+    """Add depth integrals of exp(i w z) times the tabulated overlap to `sums`.
 
     A row of view is baseline, tilt, cross tilt and end of a column; edge has the
     panels, rising; span the start and the width of the cells of each node of them in

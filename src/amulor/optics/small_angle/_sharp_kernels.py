@@ -67,7 +67,7 @@ class Tables(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """Factors of the spatial-frequency integral, eq. (29), at one depth."""
+    """Parameters of the spatial-frequency integral, eq. (29), at one depth."""
 
     depth: float
     """Depth z [m]."""
@@ -87,7 +87,7 @@ class _Place(NamedTuple):
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _wave_0(x: float) -> complex:
-    """Return the amplitude h in J0(x) = Re h exp(i x), for x above 26."""
+    """Return the slow amplitude h of J0(x) = Re h exp(i x), for x above 26."""
     y = 1.0 / (x * x)
     p = 1.0 - y * (9 / 128 - y * (3675 / 32768 - y * (2401245 / 4194304)))
     q = 1 / 8 - y * (75 / 1024 - y * (59535 / 262144 - y * (57972915 / 33554432)))
@@ -96,7 +96,7 @@ def _wave_0(x: float) -> complex:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _wave_1(x: float) -> complex:
-    """Return the amplitude h in 2 J1(x) / x = Re h exp(i x), for x above 26."""
+    """Return the slow amplitude h of 2 J1(x) / x = Re h exp(i x), for x above 26."""
     y = 1.0 / (x * x)
     p = 1.0 + y * (15 / 128 - y * (4725 / 32768 - y * (2837835 / 4194304)))
     q = 3 / 8 - y * (105 / 1024 - y * (72765 / 262144 - y * (66891825 / 33554432)))
@@ -117,7 +117,7 @@ def _disc(x: float, table: Array) -> float:
 def _turned(
     half: float, centre: float, rate: float, value: Complex, rule: Array, series: Array
 ) -> float:
-    """Return the integral of Re value * exp(i rate kappa) over one panel."""
+    """Integrate Re value exp(i rate kappa) over the spatial frequency kappa."""
     turn = rate * half
     total = 0.0
     if abs(turn) < _DIRECT:
@@ -146,7 +146,7 @@ def _turned(
 
 @numba.njit(cache=True, error_model="numpy")
 def _scattering_end(place: _Place, table: Array) -> float:
-    """Return the spatial frequency beyond which no scattered light remains."""
+    """Return the spatial frequency above which scattered light is negligible [1/m]."""
     depth, thickness, split_angle = place.depth, place.thickness, place.split_angle
     if thickness <= _SCATTERED_END:
         return math.inf
@@ -160,7 +160,7 @@ def _scattering_end(place: _Place, table: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _envelope(kappa: float, radius: tuple[float, float, float]) -> float:
-    """Return the estimated envelope of the product of the three Bessel functions."""
+    """Estimate the envelope of the product of the Bessel functions in eq. (29)."""
     bound: float = 1.0
     x: float = kappa * radius[0]
     if x > 0.64:
@@ -174,7 +174,7 @@ def _envelope(kappa: float, radius: tuple[float, float, float]) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _place(look: Array, water: Water) -> _Place:
-    """Return the factors of eq. (29) for a row of depth and view."""
+    """Return the parameters of eq. (29) for a row of depth and receiver geometry."""
     z = look[0]
     path = z + look[4]
     offset = math.hypot(look[1] - look[2] * path, look[3] * path)
@@ -188,7 +188,7 @@ def _place(look: Array, water: Water) -> _Place:
 
 @numba.njit(cache=True, error_model="numpy")
 def _slowest(radius: tuple[float, float, float]) -> float:
-    """Return the lowest oscillation rate in a product of three waves [m]."""
+    """Return the lowest oscillation rate of the product of the Bessel functions [m]."""
     slowest = math.inf
     for j in range(4):
         side = radius[1] if j % 2 == 0 else -radius[1]
@@ -199,7 +199,7 @@ def _slowest(radius: tuple[float, float, float]) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _widest_turn(low: float, place: _Place, wave: Flags) -> tuple[float, float]:
-    """Return oscillation rate of the smooth factors, and largest phase of a panel."""
+    """Return the smooth factors' oscillation rate [m], and a panel's largest phase."""
     turn = place.reach if low * place.reach < _SPLIT_END else 0.0
     waves = 0
     for j in range(3):
@@ -221,7 +221,7 @@ def _plain_factors(
     disc: Array,
     value: Complex,
 ) -> float:
-    """Fill `value[0]` with the smooth factors; return the last value without J0.
+    """Fill `value[0]` with the smooth factors; return the last without Bessel terms.
 
     Tables are separate arguments, as access to an array in a tuple costs a reference
     count.
@@ -255,7 +255,7 @@ def _multiply_waves(
     rate: Array,
     value: Complex,
 ) -> int:
-    """Multiply `value[0]` by the oscillating factors; return the number of terms.
+    """Multiply `value[0]` by the oscillating Bessel factors; return the term count.
 
     The real part of the product of two waves is half that of their product and half
     that of the product of one and the conjugate of the other. rate is how fast the
@@ -290,7 +290,7 @@ def _multiply_waves(
 
 @numba.njit(cache=True, error_model="numpy")
 def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> float:
-    """Return 4 pi times the integral of eq. (29) over spatial frequency."""
+    """Return the integral of eq. (29) over spatial frequency, no prefactor [1/m^2]."""
     radius, beam = place.radius, place.beam
     rule, series, lost = tables.rule, tables.series, tables.lost
     bessel, disc = tables.bessel, tables.disc
@@ -338,7 +338,7 @@ def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> 
 
 @numba.njit(cache=True, error_model="numpy")
 def collected(look: Array, water: Water, tables: Tables, out: Array) -> None:
-    """Fill `out` with the overlap over pi R^2 gamma^2, less a thin beam's direct light.
+    """Fill `out` with overlap / (pi R^2 gamma^2), thin beams without unscattered light.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
     with the transform of two uniform discs, docs/theory/water-signal.md.

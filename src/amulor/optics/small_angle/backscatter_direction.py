@@ -38,7 +38,7 @@ def backscatter_direction(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> tuple[Array, Array]:
-    r"""Return mean and variance of the received light's angle from exact backscatter.
+    r"""Return mean and variance of the received light's deviation from 180 degrees.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def effective_radiance(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return received light per solid angle, against the angle from exact backscatter.
+    r"""Return received light per solid angle, over its deviation from 180 degrees.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def mean_backscatter_vsf(
 
 
 def _rician_rule(mean: Array, deviation: Array) -> tuple[Array, Array]:
-    """Return quadrature angles and weights of a Rice distribution."""
+    """Return quadrature angles and weights for means over a Rice distribution."""
     node, weight = gauss_legendre(16)
     low = np.maximum(mean - 9 * deviation, 0.0)
     width = np.minimum(mean + 9 * deviation, np.pi) - low

@@ -226,7 +226,7 @@ def fit(
     standoff: ArrayLike = 0.0,
     **arguments: Any,
 ) -> SharedLight:
-    """Return the table of scattered light common to all water columns of a scan.
+    """Tabulate the scattered light common to all water columns of a scan.
 
     Parameters
     ----------
@@ -379,14 +379,14 @@ def overlap(
 
 
 def _widths(column: Column) -> tuple[float, float]:
-    """Return the combined 1/e radius and half-angle of receiver and beam."""
+    """Return combined 1/e radius [m] and half-angle [rad] of receiver and beam."""
     radius = np.hypot(column.receiver_radius, column.beam_radius)
     angle = np.hypot(column.acceptance_angle, column.beam_divergence)
     return float(radius), float(angle)
 
 
 def _without_forward_scattering(column: Column) -> dict[str, Any]:
-    """Return the diffusion model's arguments for unscattered light only."""
+    """Return diffusion-model arguments for the overlap of unscattered light alone."""
     radius, angle = _widths(column)
     return {
         "absorption": column.absorption,
@@ -403,7 +403,7 @@ def _without_forward_scattering(column: Column) -> dict[str, Any]:
 
 
 def _beam_loss(column: Column) -> float:
-    """Return the peak overlap relative to an infinitely thin beam."""
+    """Return the peak overlap, relative to that of an infinitely thin beam [1]."""
     radius, angle = _widths(column)
     receiver = column.receiver_radius * column.acceptance_angle
     return (receiver / (radius * angle)) ** 2
@@ -416,7 +416,7 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _scattered(depth: Array, column: Column, spread: Table) -> Array:
-    """Return the overlap F(z) of beam and receiver for forward-scattered light [sr]."""
+    """Return the overlap F(z) of forward-scattered light at each depth [sr]."""
     out = np.empty(depth.size)
     water, rule = _water(column, spread), _frequency_rule()
     _kernels.scattered(looks(depth, column), water, spread.cells, bessel(), rule, out)
@@ -424,7 +424,7 @@ def _scattered(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _water(column: Column, spread: Table) -> _kernels.Water:
-    """Convert a column to the arguments of the compiled loops."""
+    """Convert a water column to an argument of the compiled loops."""
     radius, angle = _widths(column)
     return _kernels.Water(
         loss=column.loss(spread),
@@ -517,7 +517,7 @@ def _shared_light(
     *,
     farthest: float,
 ) -> SharedLight:
-    """Return the scattered light of a scan, tabulated if the error is below 1e-6."""
+    """Tabulate the scattered light of a scan; no table if its error exceeds 1e-6."""
     if len(view) < FEWEST:
         return SharedLight(singly=True)
     if column.scattering == 0:
@@ -540,7 +540,7 @@ def _look_up(
     *,
     light: Light | None,
 ) -> NDArray[np.complex128]:
-    """Return the integrals of many water columns, with scattered light from a table."""
+    """Return depth integrals of water columns, by tabulated scattered light [m sr]."""
     names = dict(zip(VIEW, view.T[:, :, None], strict=True))
     plain = _plain(phase_per_depth, column._replace(**names))
     if light is None:
@@ -551,7 +551,7 @@ def _look_up(
 
 
 def _light_of(view: Array, far: float, column: Column, spread: Table) -> Light:
-    """Return tabulated scattered light for many receiver views, up to a depth."""
+    """Tabulate the scattered light for many receiver views, up to a depth."""
 
     def panels_of(row: Array) -> Array:
         looking = _in_view(column, row)._replace(end=far)
@@ -563,7 +563,7 @@ def _light_of(view: Array, far: float, column: Column, spread: Table) -> Light:
 
 
 def _in_view(column: Column, row: Array) -> Column:
-    """Return the column with one view: baseline, tilts and end."""
+    """Return the water column with baseline, tilts and end from a row of values."""
     return column._replace(**dict(zip(VIEW, map(float, row), strict=True)))
 
 

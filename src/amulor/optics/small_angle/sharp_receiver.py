@@ -299,7 +299,7 @@ def _response(
 def _panels(
     light: Callable[[Array], Array], column: Column, *, loss: float, partial_sum: float
 ) -> tuple[Array, Array, float]:
-    """Return edges of depth panels, overlap F(z) at their nodes, and its integral."""
+    """Return edges of depth panels, overlap F(z) at the nodes, and integral of F(z)."""
     radius, angle = column.receiver_radius, column.acceptance_angle
     scale = loss + column.scattering
     step = 0.3 * (radius / angle + column.baseline)
@@ -324,7 +324,7 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _collected(depth: Array, column: Column, spread: Table) -> Array:
-    """Return the overlap F(z), less the unscattered light of a thin beam [sr]."""
+    """Return the overlap F(z) without the unscattered light of a thin beam [sr]."""
     water = _kernels.Water(
         loss=column.loss(spread),
         forward=2 * column.scattering * spread.fraction,
@@ -348,7 +348,7 @@ def _unscattered(depth: Array, column: Column) -> Array:
 
 
 def _common(offset: Array, column: Column, path: Array) -> Array:
-    """Return the aperture area that receives a thin beam, over the squared path [sr].
+    """Return the solid angle of the aperture area that receives a thin beam [sr].
 
     This is the area that the aperture has in common with the disc that the
     acceptance cone cuts out at the path, over the squared path [sr].
@@ -366,7 +366,7 @@ def _common(offset: Array, column: Column, path: Array) -> Array:
 
 
 def _segment(angle: Array) -> Array:
-    """Return the area of a circular segment over its squared radius."""
+    """Return the area of a circular segment of given half-angle, over radius^2 [1]."""
     power = angle**2
     series = 2 / 3 * angle * power * (1 - power / 5 * (1 - 2 * power / 21))
     return np.where(angle < 0.05, series, angle - np.sin(angle) * np.cos(angle))
@@ -379,7 +379,7 @@ def _on_axis(path: Array, column: Column) -> Array:
 
 
 def _edges_of_view(column: Column) -> list[float]:
-    """Return the depths at which the beam begins to enter or leave the view."""
+    """Return depths at which the beam starts to enter or leave the view [m]."""
     radius, angle = column.receiver_radius, column.acceptance_angle
     edges = [radius / angle]
     turn = column.tilt**2 + column.cross_tilt**2 - angle**2
@@ -391,7 +391,7 @@ def _edges_of_view(column: Column) -> list[float]:
 
 
 def _tables_of(spread: Table) -> _kernels.Tables:
-    """Return the tables of a phase function for the compiled loops."""
+    """Return phase-function and Bessel tables as an argument of the compiled loops."""
     rule, series = _frequency_rule()
     return _kernels.Tables(
         lost=spread.cells, bessel=bessel(), disc=disc(), rule=rule, series=series
@@ -400,7 +400,7 @@ def _tables_of(spread: Table) -> _kernels.Tables:
 
 @cache
 def _frequency_rule() -> tuple[Array, Array]:
-    """Return Gauss-Legendre nodes, weights, and the matrix to Legendre coefficients."""
+    """Return Gauss-Legendre nodes and weights, and matrix to Legendre coefficients."""
     node, weight = legendre.leggauss(_kernels.NODES)
     order = np.arange(node.size)
     series = (order + 0.5) * legendre.legvander(node, node.size - 1) * weight[:, None]

@@ -51,7 +51,7 @@ def layer_transfer(
     phase_function: PhaseFunction,
     split_angle: float,
 ) -> Array:
-    r"""Return a water layer's transfer function for one Fourier component of a beam.
+    r"""Return the transfer function of a water layer, for any phase function.
 
     At zero `direction_frequency` this is the modulation transfer function of the water:
     the contrast of a stripe pattern behind the layer, times the transmission.
@@ -215,7 +215,7 @@ def receiver_sensitivity(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return the sensitivity of a Gaussian receiver to a ray.
+    r"""Return the relative sensitivity of a Gaussian receiver to a ray.
 
     Parameters
     ----------
@@ -349,7 +349,7 @@ def effective_source_transform(
 def _frequencies(
     spatial_frequency: ArrayLike, direction_frequency: ArrayLike
 ) -> tuple[Array, Array]:
-    """Return both frequencies as arrays, checked to be finite."""
+    """Return spatial and direction frequency as arrays, checked to be finite."""
     return (
         finite(spatial_frequency, name="spatial_frequency", unit="1/m"),
         finite(direction_frequency, name="direction_frequency", unit="1/rad"),
@@ -359,7 +359,7 @@ def _frequencies(
 def _mean_along(
     transform: Callable[[Array], Array], first: Array, last: Array, *, split: float
 ) -> Array:
-    """Return the means of an even transform between two frequencies."""
+    """Return mean values of an even transform between pairs of frequencies."""
     ends = np.concatenate([first, last])
     below = np.sign(ends) * _integral(transform, np.abs(ends), split=split)
     start, stop = np.split(below, 2)
@@ -376,7 +376,7 @@ def _mean_along(
 def _integral(
     transform: Callable[[Array], Array], frequency: Array, *, split: float
 ) -> Array:
-    """Return the integral of the transform from 0 to each frequency."""
+    """Return the integral of a transform from 0 to each frequency."""
     # The end of the forward part at the split angle makes it oscillate with 2 pi /
     # split; first panels hold just over one oscillation, later ones half an octave.
     largest = max(float(np.max(frequency, initial=0.0)), _PANEL / split)

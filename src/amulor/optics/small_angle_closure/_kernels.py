@@ -1,4 +1,4 @@
-"""Compiled loops of the small-angle closure."""
+"""Compiled small-angle closure: squared width S, broadening B, exponent A, overlap."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _ASIDE = 30.0  # offset squared over S beyond which a Gaussian has no light
 
 
 class Layout(NamedTuple):
-    """Depth panels of a water column."""
+    """Layout of depth panels: first width, closest approach of the axes, end."""
 
     step: float
     """Width of the first panel [m]."""
@@ -49,7 +49,7 @@ class Layout(NamedTuple):
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _cell(table: Array, cell: int, s: float) -> tuple[float, float]:
-    """Return the polynomial of one cell at s from -1 to 1, and its derivative."""
+    """Evaluate a table cell's polynomial and its derivative, at s from -1 to 1."""
     j = np.uint64(cell)
     value = table[j, 9]
     slope = 0.0
@@ -61,7 +61,7 @@ def _cell(table: Array, cell: int, s: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _lost(x: float, split: float, table: Array) -> tuple[float, float]:
-    """Return 1 minus the mean transform up to x, and its derivative over x."""
+    """Return 1 minus the mean Hankel transform up to x, and its slope divided by x."""
     t = x * split / WIDTH
     if t < LINEAR:
         cell = int(t)
@@ -82,7 +82,7 @@ def _lost(x: float, split: float, table: Array) -> tuple[float, float]:
 def _broadened(
     area: float, z: float, clear: float, water: Water, table: Array
 ) -> float:
-    """Return the squared beam width clear + B for a trial squared width S."""
+    """Return the squared width clear + B(S) for a trial squared width S [m^2]."""
     x = 2.0 * z / math.sqrt(area)
     _, slope = _lost(x, water.split_angle, table)
     return clear + 2.0 * water.forward * z * z * z * slope
@@ -117,14 +117,14 @@ def _solution(
 
 @numba.njit(cache=True, error_model="numpy")
 def _exponent(area: float, z: float, clear: float, water: Water, table: Array) -> float:
-    """Return the exponent A of the forward-scattered light, with B = S - clear."""
+    """Return the loss exponent A of forward-scattered light for squared width S [1]."""
     value, _ = _lost(2.0 * z / math.sqrt(area), water.split_angle, table)
     return water.forward * z * value - (area - clear) / area
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _line(z: float, water: Water, table: Array) -> tuple[float, float, float, float]:
-    """Return squared width S, exponent A, broadening B, squared offset over S."""
+    """Return the light's squared width S, exponent A, broadening B, offset^2 / S."""
     path = z + water.standoff
     clear = water.radius_squared + water.angle_squared * path * path
     offset = (water.baseline - water.tilt * path) ** 2 + (water.cross_tilt * path) ** 2
@@ -145,7 +145,7 @@ def _line(z: float, water: Water, table: Array) -> tuple[float, float, float, fl
 
 @numba.njit(cache=True, error_model="numpy")
 def _overlap(z: float, water: Water, table: Array) -> float:
-    """Return the overlap F(z) over pi R^2 gamma^2."""
+    """Return the overlap F(z), divided by pi R^2 gamma^2 [1/m^2]."""
     area, lost, _, aside = _line(z, water, table)
     return math.exp(-water.loss * z - lost - aside) / area
 
@@ -154,7 +154,7 @@ def _overlap(z: float, water: Water, table: Array) -> float:
 def departures(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill `out` with the difference in light between eq. (29) and the closure.
+    """Fill `out` with overlap by eq. (29) minus the closure's, absolute and relative.
 
     By Gauss-Laguerre nodes: rule has nodes and weights, a row of look is as in
     `collected`. Compiled, as S(z) is found step by step.
@@ -183,7 +183,7 @@ def departures(
 
 @numba.njit(cache=True, error_model="numpy")
 def collected(look: Array, water: Water, table: Array, out: Array) -> None:
-    """Fill `out` with the overlap F(z) over pi R^2 gamma^2.
+    """Fill `out` with the overlap F(z), divided by pi R^2 gamma^2.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff.
     Compiled, as S(z) is found step by step, docs/theory/water-signal.md.
@@ -194,7 +194,7 @@ def collected(look: Array, water: Water, table: Array, out: Array) -> None:
 
 @numba.njit(cache=True, error_model="numpy")
 def _bound(z: float, water: Water) -> float:
-    """Return an upper limit of the overlap F(z) over pi R^2 gamma^2."""
+    """Return an upper limit of the overlap F(z), divided by pi R^2 gamma^2 [1/m^2]."""
     path = z + water.standoff
     area = water.radius_squared + water.angle_squared * path * path
     return math.exp(-water.loss * z) / area
@@ -202,7 +202,7 @@ def _bound(z: float, water: Water) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _unresolved(value: Array, tail: Array) -> float:
-    """Return the largest high-order Legendre coefficient of a panel."""
+    """Return the largest of the last Legendre coefficients of F(z) in a panel."""
     largest = 0.0
     for m in range(tail.shape[1]):
         total = 0.0
@@ -214,7 +214,7 @@ def _unresolved(value: Array, tail: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _edges(start: float, stop: float, layout: Layout, waiting: Array) -> int:
-    """Push depth intervals on the stack, split near the smallest axis distance."""
+    """Split a depth interval near the closest approach of the axes; return count."""
     count = 0
     high = stop
     for factor in (9.0, 3.0, 1.0, 0.0, -1.0, -3.0, -9.0):
@@ -238,7 +238,7 @@ def _add_panels(
     rules: tuple[Array, Array, Array, Array],
     sums: Array,
 ) -> float:
-    """Add integrals over a depth interval; return the integral of F(z) to its end.
+    """Add a depth interval to integrals of F(z) exp(i w z); return that of F(z) from 0.
 
     Rules are those of the quadrature, the nodes, the weights, and the tail.
     """
@@ -288,7 +288,7 @@ def water_column(
     rules: tuple[Array, Array, Array, Array],
     sums: Array,
 ) -> None:
-    """Add the integrals of exp(i w z) times the overlap over pi R^2 gamma^2.
+    """Add depth integrals of exp(i w z) times F(z) / (pi R^2 gamma^2) to `sums`.
 
     Compiled, as panels are halved one by one where F(z) requires it.
     """

@@ -312,7 +312,7 @@ def departure(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Estimate the relative error of the closure against the integral of eq. (29).
+    r"""Estimate the ratio of the overlap of eq. (29) to that of the closure, less 1.
 
     Parameters
     ----------
@@ -387,7 +387,7 @@ def departure(
 
 
 def _water(column: Column, spread: Table) -> small_angle_kernels.Water:
-    """Convert a column to the arguments of the compiled loops."""
+    """Convert a water column to an argument of the compiled loops."""
     return small_angle_kernels.Water(
         loss=column.loss(spread),
         forward=2 * column.scattering * spread.fraction,
@@ -412,12 +412,12 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _departures(depth: Array, column: Column, spread: Table) -> Array:
-    """Return the excess light of eq. (29) relative to the closure at each depth [1]."""
+    """Return the overlap of eq. (29) minus the closure's, over the closure's [1]."""
     return _lacking(depth, column, spread)[:, 1]
 
 
 def _lacking(depth: Array, column: Column, spread: Table) -> Array:
-    """Return the excess light of eq. (29) over the closure, absolute and relative."""
+    """Return the overlap of eq. (29) minus the closure's, absolute and relative."""
     out = np.empty((depth.size, 2))
     _kernels.departures(
         looks(depth, column),
@@ -437,7 +437,7 @@ def _laguerre() -> Array:
 
 
 def _lacked(column: Column, spread: Table) -> float:
-    """Return the relative excess of eq. (29) over the closure, full column [1]."""
+    """Return the closure's error against eq. (29), over the column's light [1]."""
     loss = column.loss(spread) / 2
     across = (column.receiver_radius + column.baseline) / column.acceptance_angle
     faded = _REACH / loss if loss > 0 else np.inf

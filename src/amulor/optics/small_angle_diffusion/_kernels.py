@@ -1,4 +1,4 @@
-"""Compiled depth integrals of the water signal in the diffusion model."""
+"""Compiled depth integrals of the overlap F(z) in the small-angle diffusion model."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _EXP = tuple(1.0 / math.factorial(i) for i in range(14))
 
 
 class Geometry(NamedTuple):
-    """Water column and receiver geometry from one row of a table.
+    """Water column and receiver geometry, in the order of a table row.
 
     The row has the values in the order of these fields, here and in `_columns`.
     """
@@ -89,7 +89,7 @@ class Column(NamedTuple):
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _exponential(x: float) -> tuple[float, float]:
-    """Return mantissa m and whole exponent n of exp(x) = m 2^n."""
+    """Return mantissa m and integer exponent n of exp(x) = m 2^n."""
     power = np.floor(x * (1 / math.log(2)) + 0.5)
     r = (x - power * _LN2_1) - power * _LN2_2
     r2 = r * r
@@ -104,7 +104,7 @@ def _exponential(x: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _area(z: float, column: Column) -> float:
-    """Return the squared width S(z) of beam and receiver, eq. (43)."""
+    """Return the squared width S(z) of beam and receiver, eq. (43) [m^2]."""
     u = z + column.standoff
     return float(
         column.aperture + column.acceptance * u * u + column.spreading * z * z * z
@@ -113,7 +113,7 @@ def _area(z: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _offset(z: float, column: Column) -> float:
-    """Return the squared distance between beam axis and receiver axis."""
+    """Return the squared distance between beam axis and receiver axis [m^2]."""
     u = z - column.nearest
     return float(column.closest + column.slant * u * u)
 
@@ -127,7 +127,7 @@ def _level(z: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _slope(z: float, column: Column) -> float:
-    """Return the derivative by depth of the logarithm of the overlap F(z)."""
+    """Return the depth derivative of the logarithm of the overlap F(z) [1/m]."""
     area = _area(z, column)
     growth = (
         2.0 * column.acceptance * (z + column.standoff) + 3.0 * column.spreading * z * z
@@ -138,7 +138,7 @@ def _slope(z: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _scale(area: float, column: Column) -> float:
-    """Return the depth interval over which the squared width S(z) about doubles."""
+    """Return the depth interval over which the squared width S(z) about doubles [m]."""
     scale = np.sqrt(area / column.acceptance)
     if column.spreading > 0.0:
         scale = min(scale, np.cbrt(area / column.spreading))
@@ -147,7 +147,7 @@ def _scale(area: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _bound(a: float, b: float, column: Column) -> float:
-    """Return an upper limit of the exponent in the overlap F(z), between a and b."""
+    """Return an upper limit of the exponent of the overlap F(z), from depth a to b."""
     offset = column.closest
     if not a < column.nearest < b:
         offset = min(_offset(a, column), _offset(b, column))
@@ -156,7 +156,7 @@ def _bound(a: float, b: float, column: Column) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _geometry(row: Array) -> Geometry:
-    """Convert a table row to a named tuple."""
+    """Convert a table row to a `Geometry`."""
     return Geometry(
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9]
     )
@@ -164,7 +164,7 @@ def _geometry(row: Array) -> Geometry:
 
 @numba.njit(cache=True, error_model="numpy")
 def _prepare(geometry: Geometry) -> Column:
-    """Return the terms of the integrand, excluding depths with negligible light."""
+    """Return the terms of the integrand, ended where the light is negligible."""
     column = Column(
         2.0 * geometry.reduced_attenuation,
         geometry.spreading,
@@ -209,7 +209,7 @@ def _prepare(geometry: Geometry) -> Column:
 
 @numba.njit(cache=True, error_model="numpy")
 def _break_points(column: Column, z_break: Array) -> tuple[int, float, float]:
-    """Fill `z_break`; return its count, and depth and width of the peak of F(z).
+    """Fill `z_break` with panel edges; return count, and peak depth and width of F(z).
 
     The count is -1 if the array is too short.
     """
@@ -282,7 +282,7 @@ def _sample(
     work: Array,
     bits: NDArray[np.int64],
 ) -> None:
-    """Fill two rows of `work` with even and odd parts of F(z), relative to its peak."""
+    """Fill `work` with even and odd part of F(z) in a panel, relative to peak F(z)."""
     loss, spreading, slant = column.loss, column.spreading, column.slant
     aperture, acceptance = column.aperture, column.acceptance
     closest, standoff = column.closest, column.standoff
@@ -316,7 +316,7 @@ def _sample(
 def _unresolved(
     a: float, b: float, peak: float, column: Column, rule: Array, work: Array
 ) -> float:
-    """Return the interpolation error of a panel's polynomials for F(z)."""
+    """Return the interpolation error of F(z) in a panel, relative to peak F(z)."""
     n = ORDER - 1
     error = abs(work[4, n]) + abs(work[5, n])
     error += 0.25 * (abs(work[4, n - 1]) + abs(work[5, n - 1]))
@@ -340,7 +340,7 @@ def _add_column(
     turn: Array,
     sums: Array,
 ) -> float:
-    """Add a column's integrals of exp(i w z) times the overlap relative to its peak.
+    """Add depth integrals of exp(i w z) times the overlap, relative to its peak value.
 
     Return max F over pi R^2 gamma^2, or NaN if the integral cannot be resolved.
     """
@@ -393,7 +393,7 @@ def _add_column(
 def water_column(
     geometry: Array, phase_per_depth: Array, rule: Array, out: NDArray[np.complex128]
 ) -> int:
-    """Fill `out` with integrals of exp(i w z) times the overlap over pi R^2 gamma^2.
+    """Fill `out` with depth integrals of exp(i w z) times F(z) / (pi R^2 gamma^2).
 
     A row of geometry holds the fields of `Geometry` in their order; phase_per_depth,
     w = 2 omega n_g / c [rad/m], has one row for all of them or one for each. Returns

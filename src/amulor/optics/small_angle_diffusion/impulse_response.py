@@ -33,7 +33,7 @@ def impulse_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.float64]:
-    r"""Return the received power over time after a very short laser pulse.
+    r"""Return the impulse response of the water: power over pulse energy by time [1/s].
 
     Parameters
     ----------

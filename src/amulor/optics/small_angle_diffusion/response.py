@@ -128,7 +128,7 @@ def _integral(
 def _integrals(
     rows: NDArray[np.float64], phase_per_depth: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Return the depth integrals, for phases per depth in any order."""
+    """Return depth integrals of exp(i w z) times the overlap, for w in any order."""
     out = np.empty((len(rows), phase_per_depth.shape[1]), dtype=complex)
     # Copied, since a view may be read-only, for which the kernel is compiled again.
     phases = np.array(phase_per_depth, order="C")
