@@ -92,6 +92,19 @@ def ladder(*, rows: int = 20, columns: int = 60, **errors: float) -> xr.Dataset:
     return image_of(best, azimuth, elevation, **errors)
 
 
+def cone(**errors: float) -> xr.Dataset:
+    """Return an upright cone, its tip 0.3 m above the beam and 1.5 m away.
+
+    The radius is a fifth of the distance from the tip.
+    """
+    azimuth, elevation, unit = directions(40, 40, half=0.06)
+    a = unit[..., 1] ** 2 - 1 / 1.04
+    b = 1.5 * unit[..., 2] / 1.04 - unit[..., 1] * -0.3 * (1 - 1 / 1.04)
+    c = 0.09 * (1 - 1 / 1.04) - 2.25 / 1.04
+    ranges = (-b + np.sqrt(np.where(b**2 > a * c, b**2 - a * c, np.nan))) / a
+    return image_of(ranges, azimuth, elevation, **errors)
+
+
 def drawn(image: xr.Dataset, rng: np.random.Generator, own: float) -> xr.Dataset:
     """Return the image with noise of its own on every range."""
     noise = rng.normal(scale=own, size=image["slant_range"].shape)

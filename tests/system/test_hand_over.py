@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (project,) = [block for block in blocks if "[project]" in block]
     (folder / "project.toml").write_text(project)
     commands = re.findall(r"^\$ amulor (.+)$", text, flags=re.MULTILINE)
-    assert len(commands) == 25
+    assert len(commands) == 26
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for command in commands:

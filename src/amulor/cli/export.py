@@ -24,7 +24,15 @@ if TYPE_CHECKING:
     from amulor.imaging import Frame
 
 Product = Literal[
-    "cloud", "mesh", "orthoimage", "dem", "contours", "section", "profile", "deviation"
+    "cloud",
+    "mesh",
+    "orthoimage",
+    "dem",
+    "contours",
+    "section",
+    "profile",
+    "deviation",
+    "drawings",
 ]
 
 #: Endings of clouds.
@@ -76,7 +84,9 @@ def export(
     product
         Kind of product, if the ending and the other options allow several. A mesh is a
         .ply file; a section, or the half-profile of a round object such as a pot, is
-        .dxf, .svg, .pdf or .csv; a deviation is a map, a table or a mesh.
+        .dxf, .svg, .pdf or .csv; a deviation is a map, a table or a mesh. "drawings" is
+        the drawing set of an object: elevation, section, half-profile and deviation in
+        one .pdf file, each also as .svg, lines as .dxf.
     good_only
         Exclude all points that have a quality flag.
     largest_uncertainty

@@ -12,11 +12,13 @@ import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.cube import DOUBTFUL
 from amulor.errors import CubeError
 from amulor.handover.order import Order, in_millimetres
 from amulor.imaging import measure, products
 from amulor.io import drawings as formats
 from amulor.io.files import atomic_output
+from amulor.view.pdf import write_pdf
 from amulor.view.sheet import fitting_scale, line_sheet
 from amulor.view.style import style
 
@@ -254,6 +256,17 @@ def contours(raster: products.Raster, order: Order, remarks: Said) -> LineProduc
     """Return the contour lines of a raster."""
     interval = order.contours if order.contours is not None else 0.01
     lines = products.contours(raster, interval=interval)
+    return contour_product(raster, lines, interval, order, remarks)
+
+
+def contour_product(
+    raster: products.Raster,
+    lines: Sequence[products.Contour],
+    interval: float,
+    order: Order,
+    remarks: Said,
+) -> LineProduct:
+    """Return contour lines with labels, table and a warning about noise."""
     if not lines:
         raise CubeError(
             f"no contour line every {interval * 1e3:g} mm stands out of the noise; "
@@ -354,6 +367,23 @@ def grazing_warning(surface: products.Surface, plane: products.Plane) -> list[st
     ]
 
 
+def flagged_raster(
+    image: xr.Dataset,
+    surface: products.Surface,
+    plane: products.Plane,
+    order: Order,
+    scale: float,
+) -> products.Raster:
+    """Return a raster of a surface with the share of doubtful pixels as a layer."""
+    flags = image["quality_flag"].values.ravel()[surface.pixel]
+    return products.raster(
+        surface,
+        plane,
+        cell=cell_of(order, surface, scale),
+        layers={"doubtful": ((flags & int(DOUBTFUL)) != 0).astype(float)},
+    )
+
+
 def block_of(
     plane: products.Plane, order: Order, title: str, statements: Sequence[str]
 ) -> formats.TitleBlock:
@@ -422,9 +452,26 @@ def save_sheet(
 ) -> None:
     """Write a drawing sheet at its paper size as PDF, SVG or PNG."""
     kind = path.suffix.lower().removeprefix(".")
-    plain = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
+    if kind == "pdf":
+        save_pages([figure], path, block, overwrite=overwrite)
+        return
+    plain = {"svg": {"Date": None}, "png": {}}
     with atomic_output(path, overwrite=overwrite) as temporary, style():
         figure.savefig(temporary, format=kind, dpi=300, metadata=plain[kind])
+
+
+def save_pages(
+    figures: Sequence[Figure], path: Path, block: formats.TitleBlock, *, overwrite: bool
+) -> None:
+    """Write drawing sheets as one PDF file with the texts of a title block."""
+    write_pdf(
+        figures,
+        path,
+        title=block.title,
+        author=block.fields.get("author", ""),
+        subject=". ".join(block.statements),
+        overwrite=overwrite,
+    )
 
 
 def _thumbnail(surface: products.Surface, plane: products.Plane) -> products.Raster:

@@ -18,7 +18,15 @@ from amulor.imaging import error_budget, products
 from amulor.imaging.frame import Frame
 
 Product = Literal[
-    "cloud", "mesh", "orthoimage", "dem", "contours", "section", "profile", "deviation"
+    "cloud",
+    "mesh",
+    "orthoimage",
+    "dem",
+    "contours",
+    "section",
+    "profile",
+    "deviation",
+    "drawings",
 ]
 Unit = Literal["m", "cm", "mm", "inch"]
 
@@ -34,6 +42,7 @@ ENDINGS: dict[Product, tuple[str, ...]] = {
     "section": (".dxf", ".svg", ".pdf", ".csv"),
     "profile": (".dxf", ".svg", ".pdf", ".csv"),
     "deviation": (".csv", *_RASTERS, *_PICTURES, ".ply"),
+    "drawings": (".pdf",),
 }
 
 

@@ -10,6 +10,7 @@ from amulor import imaging, io
 from amulor.cube import DOUBTFUL, error_unknown
 from amulor.errors import FormatError
 from amulor.handover import drawings, references
+from amulor.handover.drawing_set import write_set
 from amulor.handover.order import (
     ENDINGS,
     Order,
@@ -54,18 +55,16 @@ def hand_over(
         return references.write_deviation(
             image, path, order, surface, (title, statements), overwrite=overwrite
         )
+    if order.product == "drawings":
+        return write_set(
+            image, surface, path, order, (title, statements), overwrite=overwrite
+        )
     plane = products.plane_of(frame, order.side)
     if order.product == "section":
         product = drawings.section(surface, plane, order, (title, statements))
         return product.write(path, overwrite=overwrite)
     scale = drawings.scale_of(order, surface, plane)
-    flags = image["quality_flag"].values.ravel()[surface.pixel]
-    raster = products.raster(
-        surface,
-        plane,
-        cell=drawings.cell_of(order, surface, scale),
-        layers={"doubtful": ((flags & int(DOUBTFUL)) != 0).astype(float)},
-    )
+    raster = drawings.flagged_raster(image, surface, plane, order, scale)
     warning = drawings.grazing_warning(surface, plane)
     statements = [drawings.raster_statement(raster), *warning, *statements]
     if order.product == "contours":

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from amulor import imaging, io
@@ -23,6 +24,8 @@ from amulor.view.sheet import sheet
 Floats = NDArray[np.float64]
 Said = tuple[str, list[str]]
 
+#: Largest cell of a map of deviations on paper [m].
+_CELL = 2.5e-4
 #: File endings of readable meshes.
 MESHES = (".ply", ".stl", ".obj", ".off", ".glb")
 
@@ -38,16 +41,8 @@ def write_deviation(
 ) -> str:
     """Compare a scan with a reference; write a table, a map or a mesh of deviations."""
     deviation = compare(surface, order)
-    summary = summary_of(deviation)
-    statements = [
-        f"Deviation along the normal of {order.against.name if order.against else ''}, "
-        "positive towards the instrument",
-        f"{summary}; of the significant pixels 5 % are so by chance (Benjamini and "
-        "Hochberg)",
-        "The reference's own place counts as known",
-        *remarks[1],
-    ]
-    title = f"{remarks[0]}: deviation"
+    name = order.against.name if order.against else ""
+    title, statements = described(deviation, remarks, name, PLACE_KNOWN)
     ending = path.suffix.lower()
     if ending == ".csv":
         _write_table(deviation, path, [title, *statements], overwrite=overwrite)
@@ -71,7 +66,26 @@ def write_deviation(
         )
     else:
         _write_map(deviation, path, order, (title, statements), overwrite=overwrite)
-    return summary
+    return summary_of(deviation)
+
+
+PLACE_KNOWN = "The reference's own place counts as known"
+
+
+def described(
+    deviation: products.Deviation, remarks: Said, name: str, place: str
+) -> Said:
+    """Return title and statements of a comparison with a reference of a name."""
+    return (
+        f"{remarks[0]}: deviation",
+        [
+            f"Deviation along the normal of {name}, positive towards the instrument",
+            f"{summary_of(deviation)}; of the significant pixels 5 % are so by chance "
+            "(Benjamini and Hochberg)",
+            place,
+            *remarks[1],
+        ],
+    )
 
 
 def compare(surface: products.Surface, order: Order) -> products.Deviation:
@@ -181,23 +195,9 @@ def _write_map(
     overwrite: bool,
 ) -> None:
     """Write deviations as a raster map, in a GeoTIFF or on a drawing sheet."""
-    surface = deviation.surface
-    plane = products.plane_of(surface.frame, order.side)
-    scale = drawings.scale_of(order, surface, plane)
-    raster = products.raster(
-        surface,
-        plane,
-        cell=drawings.cell_of(order, surface, scale),
-        layers={
-            "value": deviation.value,
-            "sigma": deviation.uncertainty,
-            "sure": np.where(
-                np.isfinite(deviation.value), deviation.significant, np.nan
-            ),
-        },
-    )
-    value, sigma, sure = (raster.layers[name] for name in ("value", "sigma", "sure"))
     if path.suffix.lower() in (".tif", ".tiff"):
+        raster, _ = _raster(deviation, order)
+        value, sigma, sure = (raster.layers[n] for n in ("value", "sigma", "sure"))
         bands = [
             formats.Band(name="deviation", unit="m", values=value),
             formats.Band(name="its standard uncertainty", unit="m", values=sigma),
@@ -205,10 +205,40 @@ def _write_map(
         ]
         drawings.write_bands(raster, bands, path, statements[1], overwrite=overwrite)
         return
+    figure, block = deviation_sheet(deviation, order, statements)
+    drawings.save_sheet(figure, path, block, overwrite=overwrite)
+
+
+def deviation_sheet(
+    deviation: products.Deviation, order: Order, statements: Said
+) -> tuple[Figure, formats.TitleBlock]:
+    """Draw significant deviations in color on a sheet."""
+    raster, scale = _raster(deviation, order, fine=True)
+    value, sure = raster.layers["value"], raster.layers["sure"]
     shown = np.where(sure >= 0.5, value, np.nan)
     note = "Colored where the deviation is significant, gray elsewhere"
     if not np.isfinite(shown).any():
         shown, note = value, "No deviation is significant: what is shown is chance"
-    block = drawings.block_of(plane, order, statements[0], [note, *statements[1]])
-    figure = sheet(raster, block, scale=scale, show="deviation", values=shown)
-    drawings.save_sheet(figure, path, block, overwrite=overwrite)
+    block = drawings.block_of(
+        raster.plane, order, statements[0], [note, *statements[1]]
+    )
+    return sheet(raster, block, scale=scale, show="deviation", values=shown), block
+
+
+def _raster(
+    deviation: products.Deviation, order: Order, *, fine: bool = False
+) -> tuple[products.Raster, float]:
+    """Return deviations, uncertainties and significance as a raster, and its scale."""
+    surface = deviation.surface
+    plane = products.plane_of(surface.frame, order.side)
+    scale = drawings.scale_of(order, surface, plane)
+    sure = np.where(np.isfinite(deviation.value), deviation.significant, np.nan)
+    layers = {
+        "value": deviation.value,
+        "sigma": deviation.uncertainty,
+        "sure": sure,
+    }
+    cell = drawings.cell_of(order, surface, scale)
+    if fine and order.cell is None:
+        cell = min(cell, scale * _CELL)
+    return products.raster(surface, plane, cell=cell, layers=layers), scale

@@ -66,7 +66,9 @@ _TITLE, _FIELD, _BARS, _KEY = 9.0, 8.5, 16.0, 30.0
 #: Size of small letters [pt], their mean width, and the distance of two lines [mm].
 _LETTERS, _LETTER, _LINE = 7.0, 1.34, 3.1
 _INCH = 25.4
-# Color of a surface without a value to show.
+#: Room around a drawing inside its frame, on paper [m].
+_ROOM = 3e-3
+# Color of a surface without a value to show: #e2e2e2.
 _GREY = (226, 226, 226, 255)
 #: Part of the cells that limits of colors may leave out on either side [%].
 _STRAY = 1.0
@@ -167,10 +169,14 @@ def sheet(
     """Draw a raster on the smallest ISO sheet that fits it at its scale."""
     pixels, limits, unit = colours_of(raster, show, values=values)
     extent = _extent(raster)
+    room = _ROOM * scale
+    around = (extent[0] - room, extent[1] + room, extent[2] - room, extent[3] + room)
     with style():
-        paper = _Paper(extent, content, scale=scale)
+        paper = _Paper(around, content, scale=scale)
         axis = paper.axis
         axis.imshow(pixels, extent=extent, interpolation="none", aspect="auto")
+        axis.set_xlim(around[:2])
+        axis.set_ylim(around[2:])
         _contour_lines(axis, contours)
         doubtful = raster.layers.get("doubtful")
         hatched = doubtful is not None and bool((np.nan_to_num(doubtful) > 0).any())
@@ -183,6 +189,8 @@ def sheet(
         legend = [("#ffffff", "", "no surface measured")]
         if hatched:
             legend.append(("#ffffff", "//////", "doubtful pixels"))
+        if show == "deviation":
+            legend.append(("#e2e2e2", "", "not significant, or not compared"))
         paper.block(legend, arrow=raster.plane.names[1])
         if unit:
             paper.colour_bar(show, limits, unit)
@@ -225,8 +233,7 @@ def line_sheet(
         Sheet in the size of its paper.
     """
     left, right, low, high = drawing.limits
-    # Room of 4 mm of paper around the lines.
-    room = 4e-3 * scale
+    room = _ROOM * scale
     extent = (left, right, low - room / heights, high + room / heights)
     with style():
         bars = _BARS if key is None else _KEY
@@ -427,23 +434,24 @@ class _Paper:
     def key_plan(self, raster: Raster, cut: Floats) -> None:
         """Draw a small view with the section line at the right of the title block."""
         rows, columns = raster.height.shape
-        size = min((_KEY - 8) / rows, 45.0 / columns)
+        size = min((_KEY - 12) / rows, 45.0 / columns)
         wide, high = columns * size, rows * size
         x = self.width - _BORDER - wide - 10
-        y = self.below - _TITLE - 2 * _FIELD - high - 5
+        y = self.below - _TITLE - 2 * _FIELD - high - 8
         axis = self._axes(x, y, wide, high)
         axis.imshow(_relief(raster), extent=_extent(raster), aspect="auto")
         axis.plot(*cut.T, color=_OVER, lw=1.0, clip_on=False)
-        for place, name, side in zip(cut, ("A", "A'"), (-1, 1), strict=True):
+        onward = 6 * (cut[1] - cut[0]) / np.linalg.norm(cut[1] - cut[0])
+        for place, name, shift in zip(cut, ("A", "A'"), (-onward, onward), strict=True):
             axis.annotate(
-                name, (float(place[0]), float(place[1])), xytext=(5 * side, 0),
+                name, (float(place[0]), float(place[1])), xytext=tuple(shift),
                 textcoords="offset points", ha="center", va="center",
                 fontsize=_LETTERS, annotation_clip=False,
             )  # fmt: skip
         axis.set_xticks([])
         axis.set_yticks([])
         axis.spines[["top", "right"]].set_visible(True)
-        axis.set_title("section line", fontsize=_LETTERS, weight="normal", pad=3)
+        axis.set_title("section line", fontsize=_LETTERS, weight="normal", pad=10)
 
 
 def _paper(

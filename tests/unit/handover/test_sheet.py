@@ -215,13 +215,7 @@ def test_doubtful_pixels_are_hatched(ladder, tmp_path) -> None:
 
 
 def test_a_half_profile_has_the_diameters_of_a_cone(tmp_path) -> None:
-    # A cone that stands upright: its radius is a fifth of the distance from the tip.
-    azimuth, elevation, unit = scenes.directions(40, 40, half=0.06)
-    a = unit[..., 1] ** 2 - 1 / 1.04
-    b = 1.5 * unit[..., 2] / 1.04 - unit[..., 1] * -0.3 * (1 - 1 / 1.04)
-    c = 0.09 * (1 - 1 / 1.04) - 2.25 / 1.04
-    ranges = (-b + np.sqrt(np.where(b**2 > a * c, b**2 - a * c, np.nan))) / a
-    image = scenes.image_of(ranges, azimuth, elevation, own=1e-5)
+    image = scenes.cone(own=1e-5)
     order = Order(product="profile")
     text = hand_over(image, tmp_path / "p.csv", order)
     lines = (tmp_path / "p.csv").read_text().splitlines()

@@ -37,6 +37,8 @@ _LOCAL = 1.5
 _HEIGHTS = 81
 #: Scatter around a surface of revolution, of its largest radius, that is not round [1].
 _ROUND = 0.02
+#: Share of the points behind the axis, which hides them, that is not round [1].
+_BEHIND = 0.05
 #: Pixels farther from the surface, in standard deviations, belong to other parts [1].
 _OTHER = 5.0
 
@@ -87,7 +89,8 @@ def revolution(image: xr.Dataset, region: ArrayLike) -> Revolution:
     than five standard deviations off the surface are excluded, so that handles do not
     move the axis. Where an edge is sharper than the spline, the uncertainty of the
     radius includes the spread of the points. `fit.doubt` states that an object is not
-    round, or that the pixels do not constrain its radius.
+    round, or that the pixels do not constrain its radius. An object with more than 5 %
+    of the points behind the axis is not round.
 
     Examples
     --------
@@ -135,7 +138,7 @@ def revolution(image: xr.Dataset, region: ArrayLike) -> Revolution:
             uncertainties={
                 k: v for k, v in fit.uncertainties.items() if k not in names
             },
-            doubt=_doubt(fit, radius, error),
+            doubt=_doubt(fit, radius, error, _behind(chosen, fit)),
         ),
         height=chosen.heights,
         radius=radius,
@@ -144,9 +147,18 @@ def revolution(image: xr.Dataset, region: ArrayLike) -> Revolution:
     )
 
 
-def _doubt(fit: Fit, radius: Floats, error: Floats) -> str:
+def _behind(turned: _Turned, fit: Fit) -> float:
+    """Share of the points of a fit that lie beyond its axis [1]."""
+    point = np.array([fit.values[f"point_{at}"] for at in "xyz"])
+    away = turned.points.position - point
+    return float(np.mean(away @ turned.back < 0))
+
+
+def _doubt(fit: Fit, radius: Floats, error: Floats, behind: float) -> str:
     """Reason not to use a profile, empty if there is none."""
     widest = int(np.argmax(radius))
+    if behind > _BEHIND:
+        return f"not round: {behind:.0%} of the pixels lie behind the axis"
     if fit.residual > _ROUND * radius[widest] and fit.misfit > _LOCAL:
         return f"not round: pixels lie {fit.residual * 1e3:.2g} mm off (rms)"
     if SURE * error[widest] > radius[widest]:
