@@ -45,7 +45,7 @@ def require(
     unit: str = "",
     hint: str = "",
 ) -> None:
-    """Raise a ValueError unless every element of a value is allowed.
+    """Raise a ValueError unless `allowed` is true for every element of `value`.
 
     Examples
     --------
@@ -170,7 +170,7 @@ def within(
 
 
 def reach(value: ArrayLike, *, name: str, unit: str = "m") -> Array:
-    """Return a length, which may be infinite; ValueError if negative.
+    """Return a length, possibly infinite; ValueError if negative or not a number.
 
     Examples
     --------
@@ -206,7 +206,7 @@ def above_zero(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -
 
 
 def checked_angle(value: ArrayLike, *, name: str) -> Array:
-    """Return scattering angles; ValueError if outside of 0..pi.
+    """Return scattering angles as an array; ValueError if outside of 0..pi [rad].
 
     Examples
     --------
@@ -220,7 +220,7 @@ def checked_angle(value: ArrayLike, *, name: str) -> Array:
 
 
 def checked_split_angle(value: ArrayLike, *, above: float = 0.0) -> Array:
-    """Return split angles; ValueError unless above a limit and at most pi.
+    """Return split angles as an array; ValueError unless above a limit, at most pi.
 
     Examples
     --------
@@ -238,7 +238,7 @@ def checked_split_angle(value: ArrayLike, *, above: float = 0.0) -> Array:
 
 
 def broadcast(**arguments: ArrayLike) -> tuple[int, ...]:
-    """Return the common shape of the arguments, or raise a ValueError.
+    """Return the broadcast shape of the arguments; ValueError if they cannot broadcast.
 
     Examples
     --------
@@ -256,7 +256,7 @@ def broadcast(**arguments: ArrayLike) -> tuple[int, ...]:
 
 
 def one_axis(least: int, **columns: ArrayLike) -> None:
-    """Raise a ValueError unless arrays are 1-D, of equal and sufficient length.
+    """Raise a ValueError unless arrays are 1-D, equally long and long enough.
 
     Examples
     --------
@@ -275,7 +275,7 @@ def one_axis(least: int, **columns: ArrayLike) -> None:
 def last_axes(
     value: ArrayLike, shape: tuple[int, ...], *, name: str, meaning: str = ""
 ) -> Array:
-    """Return an array; ValueError unless its last axes have a given shape.
+    """Return a value as an array; ValueError unless its last axes have a given shape.
 
     Examples
     --------

@@ -41,7 +41,7 @@ class Geometry:
         )
 
     def depth(self, slant_range: Floats) -> Floats:
-        """Part of each slant range that lies in water [m]."""
+        """Length of each slant range within the water [m]."""
         return slant_range - self.beam.length_before
 
     def position(self, slant_range: Floats) -> Floats:
@@ -74,7 +74,7 @@ class Geometry:
         )
 
     def slant_range_and_slope(self, path: Floats) -> tuple[Floats, Floats]:
-        """Slant ranges for optical paths, and their derivatives by the path."""
+        """Slant ranges for optical paths [m], and their derivatives by path [1]."""
         slant_range = self.slant_range(path)
         farther = self.slant_range(path + _DIFFERENCE)
         return slant_range, (farther - slant_range) / _DIFFERENCE
@@ -98,7 +98,7 @@ class Geometry:
     def error_by_place(
         self, path: Floats, place: float, turn: float, *, axes: int = 3
     ) -> Floats:
-        """Range error caused by errors of receiver position and beam direction."""
+        """Range error due to errors of receiver position and beam direction [m]."""
         total = np.zeros(path.shape)
         if place > 0:
             for axis in np.eye(3)[:axes]:

@@ -28,7 +28,7 @@ def numbers(name: str) -> NDArray[np.float64]:
 
 @cache
 def rows(name: str) -> tuple[dict[str, str], ...]:
-    """Return the rows of a table with column names, as dictionaries of texts.
+    """Return the rows of a data table as dictionaries of strings, by column name.
 
     Examples
     --------

@@ -67,7 +67,7 @@ _RULES: dict[str, tuple[_Check, str, float, float]] = {
 
 
 def checked(name: str, value: ArrayLike) -> Any:
-    """Return an argument as float or array, checked against its allowed range."""
+    """Return an argument as float or array; ValueError if outside its allowed range."""
     check, unit, above, most = _RULES[name]
     if type(value) is float and above < value <= most:
         return value
@@ -81,7 +81,7 @@ def checked(name: str, value: ArrayLike) -> Any:
 
 
 def refuse_behind_receiver(standoff: Any, depth: Any = None) -> None:
-    """Raise a ValueError for a water column or surface behind the receiver."""
+    """Raise a ValueError if water or surface would lie behind the receiver."""
     if depth is None:
         path, name = standoff, "standoff"
     else:
@@ -111,7 +111,7 @@ class _Checked:
             values[name] = checked(name, value)
 
     def named(self) -> dict[str, Any]:
-        """Return the arguments as a dictionary by name."""
+        """Return the arguments as a dictionary, by argument name."""
         return dict(self.__dict__)
 
 

@@ -70,7 +70,7 @@ class Path:
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """Decisions about outliers and frequency order, shared by all pixels of a scan.
+    """Outlier search and frequency order, chosen once for all pixels of a scan.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def optical_path(
     doubt: Floats | float = 0.0,
     choices: Choices | None = None,
 ) -> Path:
-    """Return the optical path that best fits the phases at all frequencies.
+    """Return the two-way optical path that best fits the phases at all frequencies.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def fit(
     longest: Floats,
     doubt: Floats | float = 0.0,
 ) -> tuple[Path, Choices]:
-    """Return the optical path of each pixel, and decisions for the whole scan.
+    """Return the two-way optical path of each pixel, and choices for the whole scan.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def _solved(
     doubt: Floats | float,
     choices: Choices | None,
 ) -> tuple[Path, Choices]:
-    """Return optical paths and scan-wide decisions, which are computed if not given."""
+    """Return two-way optical paths and scan-wide choices, as given or computed."""
     if choices is None:
         order = _by_error(uncertainty, modulation_frequency)
     else:
@@ -268,7 +268,7 @@ def _solved(
 
 
 def _by_error(uncertainty: Floats, modulation_frequency: Floats) -> tuple[int, ...]:
-    """Return frequency indices in order of rising path error."""
+    """Return frequency indices, sorted by rising median path error."""
     per_phase = speed_of_light / modulation_frequency / (2 * np.pi)
     sigma = np.maximum(uncertainty, _SMALLEST_PHASE_ERROR).reshape(len(per_phase), -1)
     return tuple(int(k) for k in np.argsort(np.nanmedian(sigma, axis=1) * per_phase))
@@ -276,7 +276,7 @@ def _by_error(uncertainty: Floats, modulation_frequency: Floats) -> tuple[int, .
 
 @dataclass(frozen=True, kw_only=True)
 class _Phases:
-    """Measured phases with their errors and path limits, over (frequency, ...)."""
+    """Measured phases over (frequency, ...), with their errors and path limits."""
 
     phase: Floats
     uncertainty: Floats
@@ -305,7 +305,7 @@ class _Phases:
 def _wrong(
     path: Path, unsettled: NDArray[np.bool_], phases: _Phases
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the outliers of ambiguous pixels, and the pixels resolved without them."""
+    """Return masks: outlying phases, and ambiguous pixels resolved without them."""
     left_out = path.left_out[:, unsettled]
     strain = path.strain[unsettled]
     cured = np.zeros(strain.size, dtype=bool)
@@ -337,7 +337,7 @@ def _leave_out(
     left_out: NDArray[np.bool_],
     cured: NDArray[np.bool_],
 ) -> None:
-    """Recompute the paths of some pixels in place, without their outlying phases."""
+    """Recompute, in place, the paths of pixels that are resolved without outliers."""
     if not cured.any():
         return
     places = np.zeros(unsettled.shape, dtype=bool)
@@ -352,7 +352,7 @@ def _leave_out(
 def _without_each(
     phases: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return misfit and phase consistency with each frequency omitted in turn."""
+    """Return chi-square, and whether resolved, with each frequency omitted in turn."""
     strains = np.full(left_out.shape, np.inf)
     settled = np.zeros(left_out.shape, dtype=bool)
     for index in range(len(left_out)):
@@ -368,7 +368,7 @@ def _without_each(
 def _grouped(
     phases: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> Path:
-    """Return the best path of each pixel, with its outliers excluded."""
+    """Return the best-fitting path of each pixel, with its outliers excluded."""
     masks, group = np.unique(left_out, axis=1, return_inverse=True)
     places = np.flatnonzero(pixels)
     parts: dict[str, NDArray[Any]] = {}
@@ -385,7 +385,7 @@ def _grouped(
 
 
 def _best_path(phases: _Phases) -> Path:
-    """Return the path of least misfit, without phases of infinite error."""
+    """Return the path of least chi-square; phases of infinite error are ignored."""
     phase, modulation_frequency = phases.phase, phases.modulation_frequency
     shortest, longest = phases.shortest, phases.longest
     wavelength = speed_of_light / modulation_frequency
@@ -450,7 +450,7 @@ def _best_path(phases: _Phases) -> Path:
 
 
 def _chi_square_limits(count: int) -> Floats:
-    """Return the largest acceptable misfit for 0, 1, 2, ... degrees of freedom."""
+    """Return the largest acceptable chi-square for 0, 1, 2, ... degrees of freedom."""
     from scipy.special import chdtri
 
     return np.asarray(chdtri(np.arange(count), DISAGREEMENT), dtype=float)

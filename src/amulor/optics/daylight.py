@@ -19,7 +19,7 @@ __all__ = ["daylight_radiance", "daylight_rate"]
 def daylight_radiance(
     radiance: ArrayLike, *, depth: ArrayLike, diffuse_attenuation: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the spectral radiance of daylight at a depth.
+    r"""Return the spectral radiance of daylight at a depth [W/(m^2 sr m)].
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def daylight_rate(
     transmission: ArrayLike,
     quantum_efficiency: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the photoelectron rate that daylight causes in a receiver.
+    r"""Return the photoelectron rate due to daylight in a receiver [1/s].
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ ERROR_OF_MEDIAN = 1.2533
 def photoelectron_rate(
     power: ArrayLike, *, wavelength: ArrayLike, quantum_efficiency: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the photoelectron rate for an optical power.
+    r"""Return the photoelectron rate for an optical power [1/s].
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def photoelectron_rate(
 def effective_integration_time(
     duration: ArrayLike, *, time_constant: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the white-noise integration time of an averaged lock-in output.
+    r"""Return the white-noise integration time of an averaged lock-in output [s].
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def effective_integration_time(
 def settled_integration_time(
     dwell: ArrayLike, *, time_constant: ArrayLike, settling: float = 5.0
 ) -> NDArray[np.float64]:
-    r"""Return the white-noise integration time of a sample after settling.
+    r"""Return the white-noise integration time of a lock-in sample after settling [s].
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def quadrature_variance(
     excess_noise_factor: ArrayLike = 1.0,
     dark_rate: ArrayLike = 0.0,
 ) -> NDArray[np.float64]:
-    r"""Return the shot-noise variance of each lock-in output, per quadrature.
+    r"""Return the shot-noise variance of each lock-in quadrature [1/s^2].
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def quadrature_variance(
 def photon_noise(
     integration_time: ArrayLike, *, volt_per_photoelectron_rate: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the photon noise of a detector output per volt of mean output.
+    r"""Return the photon-noise variance of a detector output, per volt of mean output.
 
     Parameters
     ----------
@@ -336,7 +336,7 @@ def speckle_contrast(speckle_cells: ArrayLike) -> NDArray[np.float64]:
 def phase_floor_covariance(
     signal: ArrayLike, *, phase_floor: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    r"""Return the covariance of a signal caused by a random phase error.
+    r"""Return variances and covariance of a signal due to a random phase error.
 
     Parameters
     ----------

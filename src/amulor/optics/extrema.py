@@ -24,7 +24,7 @@ __all__ = ["Extrema", "find", "group_depth", "ripple", "separation"]
 
 @dataclass(frozen=True)
 class Extrema:
-    """Maxima and minima of a curve over modulation frequency, in rising order.
+    """Modulation frequencies of the maxima and minima of a curve, in rising order.
 
     Examples
     --------
@@ -43,12 +43,12 @@ class Extrema:
 
     @property
     def separations(self) -> NDArray[np.float64]:
-        """Spacing of successive maxima, and of successive minima [Hz]."""
+        """Spacings of successive maxima, then those of successive minima [Hz]."""
         return np.concatenate([np.diff(self.maxima), np.diff(self.minima)])
 
 
 def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
-    """Return the maxima and minima of a curve over modulation frequency.
+    """Return the modulation frequencies of the maxima and minima of a curve.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def group_depth(
     *,
     group_index: float,
 ) -> NDArray[np.float64]:
-    r"""Return the apparent depth of a water signal from the slope of its phase.
+    r"""Return the apparent depth of a water signal from the slope of its phase [m].
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def group_depth(
 def separation(
     distance: ArrayLike, *, group_depth: ArrayLike, group_index: float
 ) -> NDArray[np.float64]:
-    r"""Return the frequency period of the interference of target and water signal.
+    r"""Return the frequency period of target and water-signal interference [Hz].
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def ripple(value: ArrayLike) -> float:
 def _sweep(
     modulation_frequency: ArrayLike, value: ArrayLike, *, name: str
 ) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Return checked frequencies and values of a curve."""
+    """Return frequencies and values of a curve; ValueError unless frequencies rise."""
     f = not_negative(modulation_frequency, name="modulation_frequency", unit="Hz")
     y = np.asarray(value)
     one_axis(3, modulation_frequency=f, **{name: y})
@@ -271,7 +271,7 @@ def _sweep(
 def _vertex(
     f: NDArray[np.float64], y: NDArray[np.float64], at: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Return the vertices of parabolas through three neighboring samples."""
+    """Return the frequencies at which parabolas through three samples peak [Hz]."""
     before, after = f[at - 1] - f[at], f[at + 1] - f[at]
     low, high = y[at - 1] - y[at], y[at + 1] - y[at]
     curve = (high / after - low / before) / (after - before)

@@ -91,7 +91,7 @@ def target_signal(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.comp
 def phase_error(
     target_signal: ArrayLike, water_signal: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the phase error of the target signal caused by the water signal.
+    r"""Return the phase error of the target signal caused by the water signal [rad].
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def signal_to_optical_noise_ratio(
 
 
 def contrast(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the contrast between a signal and the water signal.
+    r"""Return the contrast (|s| - |w|) / (|s| + |w|) of signal s and water signal w.
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ def target_amplitude_and_phase(
     water_amplitude: ArrayLike,
     water_phase: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    r"""Return amplitude and phase after subtraction of the water signal.
+    r"""Return amplitude and phase of the target signal: the water signal is subtracted.
 
     Parameters
     ----------

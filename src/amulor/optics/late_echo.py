@@ -59,7 +59,7 @@ def late_echo(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return the range excess of an echo caused by forward scattering.
+    r"""Return the range excess of an echo due to forward scattering and aperture [m].
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def late_echo(
 
 
 def _at_frequency(rate: Array, excess: Array, unscattered: Array) -> Array:
-    """Return the excess path that explains the phase of the echo [m].
+    """Return the apparent excess path at a frequency, from the phase of the echo [m].
 
     The rate is that of the phase with the way [rad/m].
     """
@@ -208,7 +208,7 @@ def _at_frequency(rate: Array, excess: Array, unscattered: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class _Table:
-    """Hankel transform of a phase function, its derivative and integrals."""
+    """Interpolated Hankel transform of a phase function, its slope and integrals."""
 
     value: CubicSpline
     slope: PPoly
@@ -223,7 +223,7 @@ class _Table:
 
 @lru_cache(maxsize=8)
 def _table(phase_function: PhaseFunction, split_angle: float, octave: int) -> _Table:
-    """Return the transform table up to a frequency of 2 to the power octave [1/rad]."""
+    """Tabulate the Hankel transform of a phase function up to 2^octave [1/rad]."""
     from scipy.interpolate import CubicSpline
 
     top = 2.0**octave
@@ -261,7 +261,7 @@ def _excess(
     cross_tilt: Array,
     standoff: Array,
 ) -> Array:
-    """Return excess paths of scattering and aperture [m], and unscattered fraction."""
+    """Return excess paths by scattering and aperture [m], and unscattered fraction."""
     way = depth + standoff
     width = receiver_radius**2 + beam_radius**2
     width = width + (acceptance_angle * way) ** 2 + (beam_divergence * depth) ** 2
@@ -309,7 +309,7 @@ def _excess(
 def _scattering_terms(
     table: _Table, rate: Array, kappa: Array, depth: Array
 ) -> tuple[Array, Array, Array]:
-    """Return path integrals of the scattering terms in the excess-path formula.
+    """Return path integrals of the three scattering terms of the excess path.
 
     A is the gradient along kappa of the exponent, b_f / kappa times the difference of
     the transform at the end of the way and at the depth.

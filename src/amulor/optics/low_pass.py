@@ -46,7 +46,7 @@ def cut_off(
     *,
     maximum_frequency: float = 1e9,
 ) -> float:
-    r"""Return the frequency at which a response falls to half of its power.
+    r"""Return the frequency at which a response falls to half of its power at 0 Hz.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def cut_off(
 
 
 def cut_off_of_sweep(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> float:
-    r"""Return the half-power frequency of a measured sweep.
+    r"""Return the half-power frequency of a measured sweep [Hz].
 
     Parameters
     ----------
@@ -368,7 +368,7 @@ def fit_of_power(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPa
 def _checked(
     modulation_frequency: ArrayLike, amplitude: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return checked frequencies and amplitudes of a frequency sweep."""
+    """Return frequencies and amplitudes of a sweep, checked for at least 3 samples."""
     f = not_negative(modulation_frequency, name="modulation_frequency", unit="Hz")
     a = not_negative(amplitude, name="amplitude")
     one_axis(3, modulation_frequency=f, amplitude=a)
@@ -382,12 +382,12 @@ def _checked(
 
 
 def _grid(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return logarithms of trial cut-offs, relative to the highest frequency."""
+    """Return natural logarithms of trial cut-offs over the highest frequency."""
     return np.linspace(np.log(x[x > 0].min()) - 7, 7, 400)
 
 
 def _closest(residual_sum: NDArray[np.float64], f: NDArray[np.float64]) -> int:
-    """Return the index of the least sum of squares; ValueError at the grid's ends."""
+    """Return the index of the least residual sum; ValueError at the grid's ends."""
     closest = int(np.argmin(residual_sum))
     if closest in (0, residual_sum.size - 1):
         raise _not_shown(f)
@@ -395,7 +395,7 @@ def _closest(residual_sum: NDArray[np.float64], f: NDArray[np.float64]) -> int:
 
 
 def _not_shown(f: NDArray[np.float64]) -> ValueError:
-    """Return the exception for a sweep without visible low-pass behavior."""
+    """Return the exception for a sweep that does not show low-pass behavior."""
     return ValueError(
         f"the amplitudes between {f.min():g} and {f.max():g} Hz do not show where "
         "they fall to 1/sqrt(2); a cut-off cannot be fitted to them"
@@ -405,7 +405,7 @@ def _not_shown(f: NDArray[np.float64]) -> ValueError:
 def fit_if_shown(
     modulation_frequency: ArrayLike, amplitude: ArrayLike
 ) -> LowPassFit | None:
-    """Return a first-order low-pass fit; None if the cut-off is outside the sweep.
+    """Fit a first-order low-pass to a sweep; None if the cut-off is outside the sweep.
 
     Parameters
     ----------
@@ -491,7 +491,7 @@ def first_order_response(
 def cut_off_of_narrow_receiver(
     *, reduced_attenuation: ArrayLike, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the cut-off of the water signal for a narrow coaxial receiver.
+    r"""Return the cut-off of the water signal for a narrow coaxial receiver [Hz].
 
     Parameters
     ----------

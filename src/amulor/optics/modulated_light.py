@@ -34,7 +34,7 @@ def launched_power(
     modulation_depth: ArrayLike,
     modulation_frequency: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the power of an intensity-modulated laser over time.
+    r"""Return the power of an intensity-modulated laser over time [W].
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def received_power(
     modulation_depth: ArrayLike,
     modulation_frequency: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the received power over time, from water or target.
+    r"""Return the power received over time from water or target [W].
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def complex_attenuation(
     modulation_frequency: ArrayLike,
     group_index: ArrayLike,
 ) -> NDArray[np.complex128]:
-    r"""Return the complex attenuation coefficient of modulated light.
+    r"""Return the complex attenuation coefficient of modulated light [1/m].
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ __all__ = [
 def phase(
     slant_range: ArrayLike, *, modulation_frequency: ArrayLike, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the modulation phase delay of an echo from a slant range.
+    r"""Return the modulation phase delay of an echo from a slant range [rad].
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def phase(
 def slant_range(
     phase: ArrayLike, *, modulation_frequency: ArrayLike, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the slant range for a modulation phase delay.
+    r"""Return the slant range for a modulation phase delay [m].
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def slant_range(
 def ambiguity_interval(
     modulation_frequency: ArrayLike, *, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the range interval after which the modulation phase repeats.
+    r"""Return the range interval after which the modulation phase repeats [m].
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def slant_range_uncertainty(
     modulation_frequency: ArrayLike,
     group_index: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the standard uncertainty of a range from its phase uncertainty.
+    r"""Return the standard uncertainty of a slant range due to that of the phase [m].
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def slant_range_uncertainty(
 def phase_per_range(
     modulation_frequency: ArrayLike, *, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the phase delay per unit of slant range.
+    r"""Return the phase delay per unit of slant range [rad/m].
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def phase_per_range(
 def range_per_phase(
     modulation_frequency: ArrayLike, *, group_index: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the slant range per unit of phase delay.
+    r"""Return the slant range per unit of phase delay [m/rad].
 
     It converts phase errors to errors of the slant range, including their sign, for
     each frequency. Twice the value at a group index of 1 is the two-way optical path
@@ -311,7 +311,7 @@ def range_per_phase(
 
 
 def phase_shift(signal: ArrayLike, *, residual: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the phase error that a residual water signal causes in a signal.
+    r"""Return the phase error of a signal due to a residual water signal [rad].
 
     Parameters
     ----------
@@ -393,7 +393,7 @@ def photon_limited_uncertainty(
     modulation_frequency: ArrayLike,
     group_index: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the photon-limited standard uncertainty of a slant range.
+    r"""Return the photon-limited standard uncertainty of a slant range [m].
 
     Parameters
     ----------

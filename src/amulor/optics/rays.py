@@ -47,7 +47,7 @@ class Medium:
 
 @dataclass(frozen=True, kw_only=True)
 class Beam:
-    """Laser beam in the water, with its path before the water.
+    """Refracted laser beam in the water, with path lengths from emitter to water.
 
     Examples
     --------
@@ -69,7 +69,7 @@ class Beam:
 
 
 def direction(azimuth: ArrayLike, elevation: ArrayLike) -> NDArray[np.float64]:
-    """Return the unit vector for an azimuth and an elevation.
+    """Return the unit vector (right, down, forward) for an azimuth and an elevation.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def enter_water(position: ArrayLike, unit_vector: ArrayLike, *, medium: Medium) 
 def return_length(
     point: ArrayLike, receiver: ArrayLike, *, medium: Medium
 ) -> NDArray[np.float64]:
-    """Return the optical path length from a point to the receiver.
+    """Return the optical path length from a point to the receiver [m].
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def return_length(
 def return_distance(
     point: ArrayLike, receiver: ArrayLike, *, medium: Medium
 ) -> NDArray[np.float64]:
-    """Return the geometric path length in water from a point to the receiver.
+    """Return the geometric path length in water from a point to the receiver [m].
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def return_distance(
 def _ways_back(
     point: ArrayLike, receiver: ArrayLike, medium: Medium
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | float]:
-    """Return path length in water to the window, and optical length after it."""
+    """Return path length in water, and optical length after it, to the receiver [m]."""
     source = last_axes(point, (3,), name="point", meaning="(x, y, z)")
     sink = last_axes(receiver, (3,), name="receiver", meaning="(x, y, z)")
     broadcast(point=source, receiver=sink)
@@ -313,7 +313,7 @@ def optical_path(
     *,
     medium: Medium,
 ) -> NDArray[np.float64]:
-    """Return the two-way optical path to a point at a slant range on a beam.
+    """Return the two-way optical path to a point at a slant range on a beam [m].
 
     Parameters
     ----------
@@ -362,7 +362,7 @@ def slant_range_of_path(
     *,
     medium: Medium,
 ) -> NDArray[np.float64]:
-    r"""Return the slant range of a surface for a two-way optical path.
+    r"""Return the slant range of a surface for a two-way optical path [m].
 
     Parameters
     ----------
@@ -443,7 +443,7 @@ def path_limits(
     medium: Medium,
     modulation_frequency: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the shortest and longest two-way optical path for range limits.
+    """Return the shortest and longest two-way optical path for range limits [m].
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ def oren_nayar(
     roughness: ArrayLike,
     reflectance: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the Oren-Nayar BRDF of a rough, matte surface.
+    r"""Return the Oren-Nayar BRDF of a rough, matte surface [1/sr].
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def fresnel_transmission(
     refractive_index: ArrayLike,
     refractive_index_behind: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the Fresnel transmission of an interface for unpolarized light.
+    r"""Return the Fresnel transmission of an interface for unpolarized light [1].
 
     Parameters
     ----------

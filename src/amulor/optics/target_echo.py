@@ -535,7 +535,7 @@ def _place(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> tuple[dict[str, ArrayLike], NDArray[np.float64] | float]:
-    """Return overlap arguments for a surface, and the cosine of its return angle."""
+    """Return overlap arguments for a surface, and obliquity factor of its return."""
     place: dict[str, ArrayLike] = {
         "depth": depth,
         "baseline": baseline,
@@ -582,7 +582,7 @@ def _echo(
     reflectance: ArrayLike,
     cosine: ArrayLike,
 ) -> NDArray[np.complex128]:
-    """Return the echo of a Lambertian plane from the overlap at its depth."""
+    """Return the echo of a Lambertian plane from the overlap F at its depth."""
     frequency = not_negative(
         modulation_frequency, name="modulation_frequency", unit="Hz"
     )

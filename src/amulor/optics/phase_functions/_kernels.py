@@ -1,4 +1,4 @@
-"""Compiled Hankel sums: phase function times J0 over narrow intervals of angle.
+"""Compiled Hankel transform of a phase function over narrow intervals of angle.
 
 Compiled, as tables of a phase function have thousands of panels, and each is met at
 each of thousands of direction frequencies.
@@ -31,7 +31,7 @@ def narrow_panels(
     legendre: Array,
     out: Array,
 ) -> None:
-    """Add the sums of fraction * J0(k angle) over intervals of angle, for each k.
+    """Add the Hankel transform over narrow angle intervals to `out`, by frequency.
 
     A row of angle holds the nodes of a panel no wider than a tenth of where it starts,
     bessel the table of J0, row l of legendre (2 l + 1) times the Legendre polynomial at
@@ -67,7 +67,7 @@ def _spherical_bessel(x: float, out: Array) -> None:
 def _fast_panel(
     k: float, angle: Array, fraction: Array, terms: Array, legendre: Array
 ) -> float:
-    """Return a panel's sum of phase function times J0, over half a cycle or more.
+    """Return the Hankel transform over one angle interval, for fast oscillations.
 
     J0 is the real part of Hankel's function, by his expansion, as k angle is above 28;
     its slow factor becomes a Legendre series, and i^l P_l transforms into j_l.

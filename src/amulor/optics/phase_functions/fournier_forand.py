@@ -33,7 +33,7 @@ __all__ = [
 def fournier_forand_phase(
     angle: ArrayLike, *, relative_index: float, slope: float
 ) -> NDArray[np.float64]:
-    r"""Return the Fournier-Forand phase function.
+    r"""Return the Fournier-Forand phase function at scattering angles [1/sr].
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def fournier_forand_phase(
 def fournier_forand_cumulative(
     angle: ArrayLike, *, relative_index: float, slope: float
 ) -> NDArray[np.float64]:
-    r"""Return the fraction of Fournier-Forand scattering below an angle.
+    r"""Return the fraction of Fournier-Forand scattering below an angle [1].
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def fournier_forand_backscatter_fraction(
 
 
 def _growth(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the term (delta^power - 1) / log(delta), with its limit at delta = 1."""
+    """Return (delta^power - 1) / log(delta), with its limit at delta = 1."""
     safe = np.where(log_delta == 0, 1.0, log_delta)
     growth: NDArray[np.float64] = np.where(
         log_delta == 0, power, np.expm1(power * safe) / safe
@@ -198,7 +198,7 @@ def _growth(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def _remainder(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the term (delta^power - 1 - power (delta - 1)) / log(delta)^2."""
+    """Return (delta^power - 1 - power (delta - 1)) / log(delta)^2."""
     close = np.abs(log_delta) < 0.1
     safe = np.where(close, 1.0, log_delta)
     direct = (np.expm1(power * safe) - power * np.expm1(safe)) / safe**2
@@ -225,7 +225,7 @@ def _log_delta_pi(relative_index: float) -> float:
 
 
 def _checked(relative_index: float, slope: float) -> float:
-    """Return the exponent nu, after range checks of index and slope."""
+    """Return the exponent nu; ValueError if index or slope is out of range."""
     within(
         relative_index,
         1,

@@ -36,7 +36,7 @@ __all__ = [
 
 
 def henyey_greenstein(angle: ArrayLike, *, asymmetry: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the Henyey-Greenstein phase function.
+    r"""Return the Henyey-Greenstein phase function at scattering angles [1/sr].
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def henyey_greenstein_backscatter_fraction(
 def henyey_greenstein_second_moment(
     *, asymmetry: ArrayLike, split_angle: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the mean squared angle of forward Henyey-Greenstein scattering.
+    r"""Return the mean squared angle of forward Henyey-Greenstein scattering [rad^2].
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def henyey_greenstein_second_moment(
 
 
 def similarity_second_moment(*, asymmetry: ArrayLike) -> NDArray[np.float64]:
-    r"""Estimate the second moment of the scattering angle from the mean cosine.
+    r"""Estimate the mean squared scattering angle from the mean cosine [rad^2].
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def similarity_second_moment(*, asymmetry: ArrayLike) -> NDArray[np.float64]:
 def _distance(
     theta: NDArray[np.float64], g: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the root term sqrt(1 + g^2 - 2 g cos theta), accurate near 0 and pi."""
+    """Return sqrt(1 + g^2 - 2 g cos theta), accurate near 0 and pi."""
     from_peak = np.where(g >= 0, theta, np.pi - theta)
     return _distance_from_peak(from_peak, g)
 
@@ -306,7 +306,7 @@ def _distance(
 def _distance_from_peak(
     from_peak: NDArray[np.float64], g: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the root term of the phase function, from the angle to the peak."""
+    """Return sqrt(1 + g^2 - 2 g cos theta) for an angle from the scattering peak."""
     strength = np.abs(g)
     half_chord = np.sin(from_peak / 2)
     square: NDArray[np.float64] = (1 - strength) ** 2 + 4 * strength * half_chord**2

@@ -66,7 +66,7 @@ class Panels:
     head_exponent: float = 0.0
 
     def cumulative(self, angle: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the integral of the phase function up to each angle [1]."""
+        """Return the solid-angle integral of the phase function up to angles [1]."""
         flat = angle.ravel()
         panel = np.searchsorted(self.edges, flat, side="right") - 1
         panel = np.minimum(panel, self.edges.size - 2)
@@ -81,7 +81,7 @@ class Panels:
         return total.reshape(angle.shape)
 
     def mean(self, weight: Density, *, low: float = 0.0, high: float = np.pi) -> float:
-        """Return the solid-angle integral of phase function times a weight.
+        """Return the solid-angle integral of the phase function times a weight.
 
         Parameters
         ----------
@@ -170,7 +170,7 @@ class Panels:
         return total.reshape(direction_frequency.shape)
 
     def _innermost(self) -> float:
-        """Return the integral of the phase function below the first edge [1]."""
+        """Return the phase-function integral over angles below the first edge [1]."""
         end = self.edges[:1]
         fraction = 2 * np.pi * self.value(end) * end**2 / (2 - self.head_exponent)
         return float(fraction[0])
@@ -190,7 +190,7 @@ def _oscillating(
     angle: NDArray[np.float64],
     fraction: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return Hankel sums of fraction * J0(k angle), precise for fast oscillations."""
+    """Return the Hankel transform over angle panels, precise for fast oscillations."""
     from amulor.optics.phase_functions import _kernels
 
     order = angle.shape[1]
@@ -297,7 +297,7 @@ _SMALLEST_ANGLE = 1e-18
 def _weighted_integrals(
     phase_function: Callable[[NDArray[np.float64]], ArrayLike], low: float, high: float
 ) -> tuple[float, float]:
-    """Return the solid-angle integrals of p and p times angle^2 between two angles."""
+    """Return solid-angle integrals of a phase function, plain and times angle^2."""
     nodes, weights = gauss_legendre(12)
     tolerance = np.array([1e-11, 1e-11])  # of the whole sphere, and of its fraction
     panels = max(4, int(np.ceil(np.log(high / low))))

@@ -41,7 +41,7 @@ LARGEST_SIZE_PARAMETER = 2e4
 
 
 class Sphere(NamedTuple):
-    """Mie efficiencies of a sphere: cross sections relative to the geometric one.
+    """Mie efficiencies of a sphere: cross sections over its geometric cross section.
 
     Examples
     --------
@@ -189,7 +189,7 @@ class Suspension:
         return tabulated(self.angle, value=self.value, name="Mie suspension")
 
     def mueller(self, angle: ArrayLike) -> NDArray[np.float64]:
-        r"""Return the reduced Mueller matrix at angles, by linear interpolation.
+        r"""Return the reduced Mueller matrix at scattering angles, interpolated.
 
         Parameters
         ----------
@@ -334,7 +334,7 @@ def size_distribution(
 def _amplitudes(
     cosine: NDArray[np.float64], *, x: NDArray[np.float64], m: complex
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return the amplitudes S1 and S2, shape (size, angle), of spheres."""
+    """Return the scattering amplitudes S1 and S2 of spheres, shape (size, angle)."""
     package = _miepython()
     pairs = [package.coefficients(m.conjugate(), float(size)) for size in x]
     terms = max(len(electric) for electric, _ in pairs)
@@ -357,7 +357,7 @@ def _amplitudes(
 
 
 def _angles(angle: ArrayLike | None, *, largest: float) -> NDArray[np.float64]:
-    """Return the angles of the table; ValueError unless rising from 0 to pi."""
+    """Return table angles, evenly spaced by default; ValueError unless from 0 to pi."""
     if angle is None:
         count = max(721, 1 + int(np.ceil(32 * largest)))
         return np.linspace(0, np.pi, count)
@@ -381,7 +381,7 @@ def _checked_size(value: float) -> float:
 
 
 def _checked_index(value: complex) -> complex:
-    """Return a relative index; ValueError for the wrong sign of absorption."""
+    """Return a relative index n + ik; ValueError unless n > 0 and k >= 0."""
     m = complex(value)
     require(
         m,

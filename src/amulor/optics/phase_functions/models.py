@@ -91,7 +91,7 @@ def rayleigh_phase(*, depolarization: float = 0.0) -> PhaseFunction:
 
 
 def henyey_greenstein_function(*, asymmetry: float) -> PhaseFunction:
-    """Return the Henyey-Greenstein phase function.
+    """Return the Henyey-Greenstein phase function of a given mean cosine.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def two_term(
 
 
 def fournier_forand(*, relative_index: float, slope: float) -> PhaseFunction:
-    """Return the Fournier-Forand phase function.
+    """Return the Fournier-Forand phase function of a given index and size slope.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def _closed(
     *,
     head_exponent: float = 0.0,
 ) -> PhaseFunction:
-    """Return a phase function from formulas, with fine quadrature near 0 and pi."""
+    """Return a phase function from formulas, with panels that narrow to 0 and pi."""
     forward = np.geomspace(INNERMOST_ANGLE, np.pi / 2, 42)
     backward = np.pi - np.geomspace(1e-7, np.pi / 2, 25)[-2::-1]
     panels = Panels(value, np.concatenate([forward, backward, [np.pi]]), head_exponent)

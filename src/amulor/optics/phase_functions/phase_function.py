@@ -52,7 +52,7 @@ class SamplingTable:
     """Largest interpolation error, from 15 points inside each cell [1]."""
 
     def angle(self, fraction: ArrayLike) -> NDArray[np.float64]:
-        r"""Return the angle below which a given fraction of scattering lies.
+        r"""Return the angle below which a given fraction of scattering lies [rad].
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class PhaseFunction:
     """Closed form of `asymmetry`, if available [1]."""
 
     def __call__(self, angle: ArrayLike) -> NDArray[np.float64]:
-        """Return the phase function at scattering angles.
+        """Return the phase function at scattering angles [1/sr].
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class PhaseFunction:
 
     @property
     def head_exponent(self) -> float:
-        r"""Exponent s of the power law :math:`\theta^{-s}` near 0, else 0 [1]."""
+        r"""Exponent s of the small-angle law :math:`\theta^{-s}`; 0 if none [1]."""
         return self.panels.head_exponent
 
     @property
@@ -241,7 +241,7 @@ class PhaseFunction:
     def hankel(
         self, direction_frequency: ArrayLike, *, split_angle: float
     ) -> NDArray[np.float64]:
-        r"""Return the normalized Hankel transform of the forward scattering.
+        r"""Return the Hankel transform of the forward scattering, 1 at frequency 0.
 
         Parameters
         ----------
@@ -337,5 +337,5 @@ class PhaseFunction:
 
 
 def _split(value: float) -> float:
-    """Return a split angle; ValueError if too close to 0."""
+    """Return a split angle; ValueError if too close to 0 or above pi."""
     return float(checked_split_angle(value, above=INNERMOST_ANGLE))

@@ -167,7 +167,7 @@ def size_parameter(
 def scattering_regime(
     size_parameter: ArrayLike, *, rayleigh_below: float = 0.1, mie_above: float = 10.0
 ) -> NDArray[np.str_]:
-    r"""Return the scattering regime: `rayleigh`, `intermediate` or `mie`.
+    r"""Return the scattering regime of particles: `rayleigh`, `intermediate` or `mie`.
 
     Parameters
     ----------

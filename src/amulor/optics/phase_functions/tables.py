@@ -51,7 +51,7 @@ def tabulated(
     head_exponent: float | None = None,
     name: str = "tabulated",
 ) -> PhaseFunction:
-    r"""Return a phase function from a table of values.
+    r"""Return a phase function from a table of its values.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def from_cumulative(
 
 
 def petzold(station: str) -> PhaseFunction:
-    """Return one of the phase functions of natural water measured by Petzold.
+    """Return a phase function of natural water measured by Petzold, by station.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def _table_value(
     logs: NDArray[np.float64],
     head: float,
 ) -> NDArray[np.float64]:
-    """Interpolate a table by power laws, also below its smallest angle."""
+    """Evaluate a table: power laws between angles, power law or lobe near 0."""
     start = 1 if node[0] == 0 else 0
     with np.errstate(divide="ignore"):  # log(0) meets the lobe, or a head refused
         log_angle = np.log(angle)
@@ -274,7 +274,7 @@ def _slope_value(
     node: NDArray[np.float64],
     slope: float,
 ) -> NDArray[np.float64]:
-    """Return the phase function as the derivative of a cumulative table."""
+    """Return the phase function as the slope of a cumulative table [1/sr]."""
     tiny = np.maximum(np.sin(angle / 2) ** 2, 1e-300)
     first = np.sin(node[0] / 2) ** 2
     position = np.log(np.clip(tiny, first, 1.0))
@@ -289,7 +289,7 @@ def _slope_value(
 def _edges(
     node: NDArray[np.float64], change: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return panel edges at most a factor of 2 apart, with limited change of value."""
+    """Return edges of angle panels, at most a factor of 2 wide in angle [rad]."""
     start = 1 if node[0] == 0 else 0
     first = node[start]
     parts = [np.geomspace(INNERMOST_ANGLE, first, 2 + int(np.log2(first) + 40))[:-1]]
@@ -304,7 +304,7 @@ def _edges(
 def _checked(
     angle: ArrayLike, table: ArrayLike, *, name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the columns of a table, checked to reach an angle of pi."""
+    """Return angles and values of a table; ValueError unless angles rise to pi."""
     theta = checked_angle(angle, name="angle")
     column = finite(table, name=name)
     one_axis(2, angle=theta, **{name: column})
@@ -323,7 +323,7 @@ def _checked(
 
 
 def _refuse_heavy(head_exponent: float) -> None:
-    """Raise a ValueError for a power law with infinite scattering."""
+    """Raise a ValueError if a small-angle power law has an infinite integral."""
     if not (np.isfinite(head_exponent) and head_exponent < 2):
         raise ValueError(
             "the head below the first angle must be a power law with an exponent "

@@ -159,7 +159,7 @@ def retarder(
 
 
 def largest_transmission(mueller: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the largest transmission of an element over all input states.
+    r"""Return an element's largest transmission over all input polarization states.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def depolarization_index(mueller: ArrayLike) -> NDArray[np.float64]:
 
 
 def depolarization_effect(mueller: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the mean modulus of the last three diagonal elements.
+    r"""Return the mean modulus of the reduced elements m22, m33 and m44.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def coherency_matrix(mueller: ArrayLike) -> NDArray[np.complex128]:
 
 
 def realizability_defect(mueller: ArrayLike) -> NDArray[np.float64]:
-    """Return the realizability defect of a Mueller matrix.
+    """Return the modulus of the most negative coherency eigenvalue, 0 if realizable.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def is_realizable(mueller: ArrayLike, *, tolerance: float = 1e-9) -> NDArray[np.
 
 
 def _pauli_products() -> NDArray[np.complex128]:
-    """Return sigma_i (x) conj(sigma_j) for Pauli matrices, in the order IQUV."""
+    """Return Kronecker products of Pauli matrices with conjugate Pauli matrices."""
     pauli = np.array(
         [
             [[1, 0], [0, 1]],

@@ -304,7 +304,7 @@ def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
 
 
 def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
-    """Return the Stokes vector after an optical element or a target.
+    """Return the Stokes vector of light after an optical element or a target.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
-    r"""Return the fraction of the light that an ideal polarizer pair detects.
+    r"""Return the detected fraction of launched light for an ideal polarizer pair [1].
 
     Parameters
     ----------
@@ -386,7 +386,7 @@ def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
 
 
 def _axes_turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix that converts a Stokes vector to rotated axes."""
+    """Return the Mueller matrix that converts a Stokes vector to rotated axes."""
     cosine, sine = np.cos(2 * angle), np.sin(2 * angle)
     matrix = np.zeros((*angle.shape, 4, 4))
     matrix[..., 0, 0] = matrix[..., 3, 3] = 1

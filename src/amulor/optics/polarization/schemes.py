@@ -80,7 +80,7 @@ _CIRCULAR = {"R": np.pi / 4, "L": -np.pi / 4}
 
 
 def generator(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64]:
-    """Return the Mueller matrix of the emitter optics set to a state.
+    """Return the Mueller matrix of emitter optics set to a polarization state.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def generator(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64
 
 
 def analyser(state: str, *, arm: PolarizationArm = IDEAL) -> NDArray[np.float64]:
-    """Return the Mueller matrix of the receiver optics set to a state.
+    """Return the Mueller matrix of receiver optics set to a polarization state.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def launched_stokes(
     arm: PolarizationArm = IDEAL,
     laser: ArrayLike = (1.0, 0.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:
-    """Return the Stokes vector launched by a real emitter set to a state.
+    """Return the Stokes vector behind real emitter optics, scaled to unit intensity.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def received_fraction(
     receiver: PolarizationArm = IDEAL,
     laser: ArrayLike = (1.0, 0.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:
-    r"""Return the fraction of the scene's light received by a real polarizer pair.
+    r"""Return the received fraction of launched light for a real polarizer pair [1].
 
     Parameters
     ----------
@@ -382,7 +382,7 @@ def linear_leak(
 def circular_leak(
     *, retardance_error: ArrayLike, plate_error: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the leakage of the opposite helicity through a circular analyzer.
+    r"""Return the fraction of opposite circular light that passes a circular analyzer.
 
     Parameters
     ----------

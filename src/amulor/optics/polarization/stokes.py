@@ -128,7 +128,7 @@ def pair_states(pair: str) -> tuple[str, str]:
 
 
 def from_field(parallel: ArrayLike, perpendicular: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the Stokes vector of two complex field amplitudes.
+    r"""Return the Stokes vector of light with two complex field amplitudes.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def degree_of_circular_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def polarization_angle(stokes: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the orientation angle of the polarization ellipse.
+    r"""Return the orientation angle of the polarization ellipse [rad].
 
     Parameters
     ----------
@@ -294,7 +294,7 @@ def polarization_angle(stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def ellipticity_angle(stokes: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the ellipticity angle of the polarization ellipse.
+    r"""Return the ellipticity angle of the polarization ellipse [rad].
 
     Parameters
     ----------
@@ -328,7 +328,7 @@ def ellipticity_angle(stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def _stokes(stokes: ArrayLike) -> NDArray[np.float64]:
-    """Return Stokes vectors as an array, checked for shape (..., 4) and intensity."""
+    """Return Stokes vectors as an array; ValueError unless intensities are above 0."""
     vector = last_axes(stokes, (4,), name="stokes", meaning="(I, Q, U, V)")
     above_zero(vector[..., 0], name="the intensity I of stokes")
     return vector

@@ -31,7 +31,7 @@ def index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Arra
 
 
 def group_index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Array:
-    """Return the group index n - L dn/dL for wavelength L."""
+    """Return n - L dn/dL, the group index of sea water over air; L: wavelength."""
     inverse = 1e-9 / wavelength
     offset, slope = _terms(temperature, salinity)
     curvature = -3 * 4382.0 * inverse**2 + 4 * 1.1455e6 * inverse**3
@@ -44,7 +44,7 @@ def salinity_slope(wavelength: _Array, *, temperature: _Array) -> _Array:
 
 
 def _terms(t: _Array, s: _Array) -> tuple[_Array, _Array]:
-    """Return coefficients of the fit: constant term, factor of 1 / wavelength [nm]."""
+    """Return two fit coefficients: constant term, and factor of 1 / wavelength [nm]."""
     offset = 1.31405 - 2.02e-6 * t**2 + _salt(t) * s
     return offset, 15.868 + 0.01155 * s - 0.00423 * t
 

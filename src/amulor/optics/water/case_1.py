@@ -240,7 +240,7 @@ def particle_backscattering(
 
 
 def _power_law(wavelength: ArrayLike, chlorophyll: ArrayLike, *, column: int) -> _Array:
-    """Return the power law A Chl^E, with A and E from two table columns [1/m]."""
+    """Return the absorption A Chl^E, with A and E from two table columns [1/m]."""
     vacuum, pigment = _checked(wavelength, chlorophyll)
     table = _tables.numbers("bricaud_1998.csv")
     grid = table[:, 0] * 1e-9

@@ -67,7 +67,7 @@ class MilkSuspension(NamedTuple):
 
 
 class MeasuredMilk(NamedTuple):
-    """Measured properties of undiluted milk in one camera band.
+    """Absorption and reduced scattering of undiluted milk in one camera band.
 
     Examples
     --------
@@ -164,7 +164,7 @@ def milk_suspension(
 
 
 def measured_milk(wavelength: float, *, kind: str) -> MeasuredMilk:
-    """Return measured properties of undiluted milk in a camera band.
+    """Return measured absorption and reduced scattering of undiluted milk.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def _spheres(
     index: complex,
     light: tuple[float, float],
 ) -> mie.Suspension:
-    """Return Mie scattering by spheres that fill a volume fraction."""
+    """Return the Mie scattering of spheres that fill a given volume fraction."""
     filled = float(np.sum(number * 4 / 3 * np.pi * radius**3))
     return mie.size_distribution(
         2 * radius,
@@ -225,7 +225,7 @@ def _spheres(
 
 
 def _log_normal(surface_mean: float, *, width: float) -> tuple[_Array, _Array]:
-    """Return radii and numbers of a log-normal size distribution."""
+    """Return radii and relative numbers of a log-normal size distribution."""
     spread = np.sqrt(np.log(width**2 + 1))
     centre = np.log(surface_mean) - 2.5 * spread**2
     # The volume lies three squares of the spread above the numbers.

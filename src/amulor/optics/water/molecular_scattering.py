@@ -135,7 +135,7 @@ def molecular_vsf(
     temperature: ArrayLike,
     salinity: ArrayLike,
 ) -> NDArray[np.float64]:
-    r"""Return the volume scattering function of pure fresh or sea water.
+    r"""Return the volume scattering function of pure fresh or sea water [1/(m sr)].
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def _vsf_at_90(
 
 
 def _density_derivative(n: _Array) -> _Array:
-    """Return rho dn^2/drho of water after Proutiere et al., as in ref. [1]."""
+    """Return density times d(n^2)/d(density) of water, Proutiere et al., ref. [1]."""
     square = n * n
     local_field = 1 + 2 / 3 * (square + 2) * ((n - 1 / n) / 3) ** 2
     return np.asarray((square - 1) * local_field)
@@ -321,7 +321,7 @@ def _compressibility(t: _Array, s: _Array) -> _Array:
 
 
 def _activity_slope(t: _Array, s: _Array) -> _Array:
-    """Return the decrease -d ln(a_w)/dS of water activity with salinity, ref. [4]."""
+    """Return minus the salinity derivative of ln(water activity), ref. [4]."""
     polyval = np.polynomial.polynomial.polyval
     first = polyval(t, [-5.58651e-4, 2.40452e-7, -3.12165e-9, 2.40808e-11])
     second = polyval(t, [1.79613e-5, -9.9422e-8, 2.08919e-9, -1.39872e-11])

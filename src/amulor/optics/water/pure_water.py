@@ -163,7 +163,7 @@ def mason_absorption_uncertainty(
 def _mason(
     wavelength: ArrayLike, temperature: ArrayLike, salinity: ArrayLike
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64], NDArray[np.float64]]:
-    """Return interpolated table columns, temperature minus 20 degC, and salinity."""
+    """Return interpolated table columns, temperature above 20 degC, and salinity."""
     table = _tables.numbers("wopp_v3_mason_2016.csv")
     grid = table[:, 0] * 1e-9
     inside = within(wavelength, grid[0], grid[-1], name="wavelength", unit="m")

@@ -290,7 +290,7 @@ def iapws_group_index(
 def _lorentz_lorenz(
     wavelength: ArrayLike, temperature: ArrayLike, density: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the IAPWS ratio (n^2 - 1)/(n^2 + 2), and its slope times wavelength."""
+    """Return (n^2 - 1)/(n^2 + 2) by IAPWS, and its derivative times wavelength."""
     vacuum = within(wavelength, 200e-9, 1100e-9, name="wavelength", unit="m")
     degrees = within(temperature, -12, 500, name="temperature", unit="degC")
     mass = within(density, 0, 1060, name="density", unit="kg/m^3", above=True)
