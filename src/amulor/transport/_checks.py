@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def at_least(value: float, limit: float, *, name: str, unit: str) -> float:
-    """Return a finite number; ValueError if below a limit."""
+    """Return a number as float; ValueError if below a limit or not finite."""
     number = float(value)
     if not (math.isfinite(number) and number >= limit):
         raise ValueError(f"{name} must be at least {limit:g} {unit}, got {value!r}")
@@ -17,7 +17,7 @@ def at_least(value: float, limit: float, *, name: str, unit: str) -> float:
 
 
 def above(value: float, limit: float, *, name: str, unit: str) -> float:
-    """Return a finite number; ValueError unless above a limit."""
+    """Return a number as float; ValueError unless above a limit and finite."""
     number = float(value)
     if not (math.isfinite(number) and number > limit):
         raise ValueError(f"{name} must be above {limit:g} {unit}, got {value!r}")
@@ -25,7 +25,7 @@ def above(value: float, limit: float, *, name: str, unit: str) -> float:
 
 
 def at_most(value: float, limit: float, *, name: str, unit: str) -> float:
-    """Return a number; ValueError unless above zero and at most the limit."""
+    """Return a number as float; ValueError unless above 0 and at most the limit."""
     number = above(value, 0.0, name=name, unit=unit)
     if number > limit:
         raise ValueError(f"{name} must not exceed {limit:g} {unit}, got {value!r}")
@@ -33,7 +33,7 @@ def at_most(value: float, limit: float, *, name: str, unit: str) -> float:
 
 
 def place(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
-    """Return three coordinates as a vector; ValueError unless finite."""
+    """Return a position (right, down, forward) as array; ValueError unless finite."""
     vector = np.array(value, dtype=np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise ValueError(
@@ -43,7 +43,7 @@ def place(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
 
 
 def unit_vector(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
-    """Return a vector of three coordinates, normalized to unit length."""
+    """Return a vector (right, down, forward) normalized to unit length."""
     vector = place(value, name=name)
     norm = float(np.linalg.norm(vector))
     if norm == 0:
@@ -53,7 +53,7 @@ def unit_vector(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
 
 
 def axes_of(direction: NDArray[np.float64], *, name: str) -> NDArray[np.float64]:
-    """Return right, down and forward axes of a view along a direction, as rows.
+    """Return right, down and forward unit vectors of a view along a direction, as rows.
 
     The first axis is the part of "right" that is perpendicular to the direction.
     """

@@ -40,7 +40,7 @@ _DEPTHS = 8.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
-    """Medium, source, receiver and target, checked for consistency."""
+    """Medium, source, receiver and target of a transport problem, checked together."""
 
     medium: Medium
     source: Source
@@ -146,18 +146,18 @@ class Problem:
 
     @cached_property
     def axes(self) -> Array:
-        """Right, down and forward axis of the receiver, as rows."""
+        """Right, down and forward unit vectors of the receiver, as rows."""
         direction = unit_vector(self.receiver.direction, name="direction")
         return axes_of(direction, name="direction of the receiver")
 
     @cached_property
     def layers(self) -> tuple[Layer, ...]:
-        """Water layers, ordered along the receiver's axis."""
+        """Water layers, in order along the receiver axis."""
         return self.medium.layers if self.axes[2, 2] >= 0 else self.medium.layers[::-1]
 
     @cached_property
     def edges(self) -> Array:
-        """Boundaries of the water layers along the receiver's axis [m]."""
+        """Boundaries of the water layers along the receiver axis [m]."""
         edges = np.array(self.medium.edges)
         if self.medium.unbounded:
             return edges
@@ -166,7 +166,7 @@ class Problem:
         return np.sort(sign * (edges - depth))
 
     def _turned(self, position: Array) -> Array:
-        """Return positions in the coordinates of the receiver."""
+        """Convert positions to receiver coordinates (right, down, forward) [m]."""
         offset = position - place(self.receiver.position, name="position")
         result: Array = offset @ self.axes.T
         return result
@@ -201,7 +201,7 @@ class Problem:
 
     @cached_property
     def surface(self) -> Surface:
-        """Target as an argument of the compiled loops, empty without target."""
+        """Target as an argument of the compiled loops; empty if there is none."""
         target = self.target
         plane = isinstance(target, PlaneTarget)
         right = [float(component) for component in self.axes[:, 0]]
@@ -227,7 +227,7 @@ class Problem:
 
     @property
     def joined_touch(self) -> float:
-        """Estimated light of a target reflection joined with adjoint paths [1].
+        """Estimated light of one target reflection joined with adjoint paths [1].
 
         Omega times reflectance over pi, for a target that faces the receiver; 0 where
         no path of light from the target is scattered on its way. Several times as much
@@ -249,7 +249,7 @@ class Problem:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 digest of all numbers of the problem."""
+        """SHA-256 digest of the numbers that define the problem."""
         return digest_of(
             *self.water,
             *self.beam[:5],
@@ -271,7 +271,7 @@ def digest_of(*parts: Any) -> str:
 
 
 def water_tables(layers: tuple[Layer, ...], edges: Array) -> Water:
-    """Return layer boundaries, coefficients and angle tables of the water."""
+    """Return the layer boundaries, coefficients and angle tables of the water."""
     functions: list[Any] = []
     table = []
     for layer in layers:
@@ -309,14 +309,14 @@ def water_tables(layers: tuple[Layer, ...], edges: Array) -> Water:
 
 @lru_cache(maxsize=8)
 def _cells_of(function: Any) -> AngleCells:
-    """Return the angle cells of a phase function or scattering matrix, cached."""
+    """Return the angle cells of a phase function or scattering matrix; cached."""
     matrix = isinstance(function, ScatteringMatrix)
     return AngleCells(function.phase_function if matrix else function)
 
 
 @lru_cache(maxsize=8)
 def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
-    """Return alias table, phase function and matrix elements for all angle cells."""
+    """Return alias table, phase function and matrix elements by angle cell."""
     cells = _cells_of(function)
     element = np.zeros((_cells.SIZE, 5))
     if isinstance(function, ScatteringMatrix):
@@ -325,5 +325,5 @@ def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
 
 
 def integrals_of(layers: tuple[Layer, ...]) -> tuple[float, ...]:
-    """Return the integral of each layer's phase function before normalization [1]."""
+    """Return each layer's phase-function integral, before normalization [1]."""
     return tuple(_cells_of(layer.phase_function).integral for layer in layers)

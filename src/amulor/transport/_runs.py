@@ -33,7 +33,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Batch:
-    """Result of one batch of histories, as means per history."""
+    """Result of a batch of photon histories, as means per history."""
 
     number: int
     histories: int
@@ -46,7 +46,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Accumulator:
-    """Accumulated batch results; neighboring batches are merged if many.
+    """Batch results accumulated in a run; neighboring batches are merged if many.
 
     What is kept depends on the batches alone, so a run that was resumed has the same
     numbers as one that was not. A batch makes a new accumulator, so an interruption at
@@ -66,7 +66,7 @@ class Accumulator:
 
     @classmethod
     def start(cls, frame: Tally, resume: Tally | None) -> Self:
-        """Return an accumulator, empty or with the batches of a resumed run."""
+        """Return an accumulator without batches, or with those of a resumed run."""
         if resume is None:
             return cls(frame=frame, full=frame.batch_size)
         if resume.problem != frame.problem or resume.parts != frame.parts:
@@ -105,7 +105,7 @@ class Accumulator:
         return sum(self.counts)
 
     def with_batch(self, batch: Batch) -> Self:
-        """Return the accumulator after one more batch."""
+        """Return a new accumulator that includes one more batch."""
         values, counts, full = [*self.values], [*self.counts], self.full
         if counts and counts[-1] < full:
             mean, count = values[-1], counts[-1]
@@ -134,7 +134,7 @@ class Accumulator:
         )
 
     def _with_record(self, batch: Batch) -> tuple[Array, Array] | None:
-        """Return the path-length record after one more batch."""
+        """Return the sum of path-length records, one more batch included."""
         if batch.mass is None or batch.edge is None:
             return None
         if self.record is not None:
@@ -147,7 +147,7 @@ class Accumulator:
         return batch.mass, batch.edge
 
     def tally(self, seconds: float, interrupted: bool) -> Tally:
-        """Return the tally of the batches so far."""
+        """Return the tally of the batches accumulated so far."""
         return replace(
             self.frame,
             batches=np.array(self.values),
@@ -163,14 +163,14 @@ class Accumulator:
 
     @property
     def contribution(self) -> tuple[float, float, float]:
-        """Sum, sum of squares and maximum of all group contributions."""
+        """Sum, sum of squares and maximum of the group contributions [1]."""
         if self.contributions is None:
             return (0.0, 0.0, 0.0)
         total, square, largest = (float(value) for value in self.contributions[0, 0])
         return total, square, largest
 
     def _path_record(self, masses: Array, edges: Array) -> PathRecord:
-        """Return the mean path-length record over all histories."""
+        """Return the path-length record as mean over the histories."""
         mass, edge = masses / self.next_batch, edges / self.next_batch
         # Light spread over a bin, and half of what lies at each of its two nodes.
         spread = np.cumsum(edge, axis=-1)[..., :-1] * self.spacing
@@ -190,7 +190,7 @@ class Accumulator:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Progress of a transport run.
+    """Progress of a transport run: histories, relative error, time.
 
     Examples
     --------
@@ -215,7 +215,7 @@ class Progress:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorGoal:
-    """Required relative error of a transport run.
+    """Relative standard error at which a transport run stops.
 
     Raises
     ------
@@ -248,7 +248,7 @@ class ErrorGoal:
         _refuse_fractions(self.frequency, least=0, name="frequency")
 
     def of(self, tally: Tally) -> float:
-        """Return a tally's relative error; infinite for fewer than 8 batches."""
+        """Return a tally's relative standard error; infinite below 8 batches [1]."""
         if tally.histories_of.size < 8:  # too few batches
             return math.inf
         errors = tally.relative_error_of(self.light, analyser=self.analyser)
@@ -297,7 +297,7 @@ class Limits:
 
 
 def frequencies(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
-    """Return modulation frequencies as an array; ValueError if invalid."""
+    """Return modulation frequencies as an array; ValueError unless finite and >= 0."""
     frequency = np.array(modulation_frequency, dtype=np.float64)
     if frequency.ndim != 1 or frequency.size == 0:
         raise ValueError(
@@ -314,13 +314,13 @@ def frequencies(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
 
 
 def checked_seed(seed: int) -> int:
-    """Return a seed; ValueError if invalid for the random number generator."""
+    """Return a random seed; ValueError unless a whole number of at least 0."""
     _refuse_fractions(seed, least=0, name="seed")
     return int(seed)
 
 
 def _refuse_fractions(value: float, *, least: int, name: str) -> None:
-    """Raise a ValueError unless a number is an integer of at least a minimum."""
+    """Raise a ValueError unless a number is whole and at least a minimum."""
     if not (value >= least and value % 1 == 0):
         raise ValueError(
             f"{name} must be a whole number of at least {least}, got {value}"
@@ -333,7 +333,7 @@ def conduct(
     limits: Limits,
     resume: Tally | None = None,
 ) -> Tally:
-    """Run batches until the first limit is reached; return their tally."""
+    """Run batches until a limit of histories, time or error; return their tally."""
     started = time.monotonic()
     done = Accumulator.start(frame, resume)
     size = frame.batch_size
@@ -372,7 +372,7 @@ def conduct(
 def _in_order(
     batch_of: Callable[[int], Batch], first: int, end: int, workers: int
 ) -> Iterator[Batch]:
-    """Yield batches in the order of their numbers, computed in parallel."""
+    """Yield batches in the order of their numbers, computed by parallel threads."""
     waiting: deque[Future[Batch]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         try:
@@ -394,14 +394,14 @@ _STEP = 0.05
 
 
 def random_state(seed: int, number: int) -> NDArray[np.uint64]:
-    """Return the random-number state of one batch."""
+    """Return the initial state of the random generator for one batch."""
     sequence = np.random.SeedSequence(seed, spawn_key=(number,))
     return sequence.generate_state(4, np.uint64).astype(np.uint64)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Record:
-    """Arrays for the received light of a batch."""
+    """Arrays for the light received in a batch, by part and path length."""
 
     mass: Array
     edge: Array
@@ -413,7 +413,7 @@ class Record:
     def empty(
         cls, attenuation: Array, group_index: float, frequency: Array, frame: Tally
     ) -> Self:
-        """Return an empty record with an array for each kind of light in a tally."""
+        """Return an empty record, with a row for each part of a tally's light."""
         wavenumber = 2j * np.pi * frequency * group_index / speed_of_light
         steepest = max(float(np.abs(wavenumber).max()), float(attenuation.max()))
         spacing = _STEP / steepest
@@ -429,7 +429,7 @@ class Record:
         )
 
     def arrays(self, orders: int) -> Deposits:
-        """Return the record's arrays as an argument of the compiled loops."""
+        """Return the arrays as an argument of the compiled loops."""
         return Deposits(
             mass=self.mass,
             edge=self.edge,

@@ -15,7 +15,7 @@ __all__ = ["Layer", "Medium"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Layer:
-    """Homogeneous layer of water, or of empty space, between two planes.
+    """Homogeneous layer of water, or of empty space, between two parallel planes.
 
     Raises
     ------
@@ -42,7 +42,7 @@ class Layer:
     """Thickness of the layer [m]."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for invalid values."""
+        """Raise a ValueError for invalid coefficients or thickness."""
         for name in ("absorption", "scattering"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
@@ -95,7 +95,7 @@ class Medium:
     """Forward coordinate at which the first layer starts [m]."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for invalid values."""
+        """Raise a ValueError for an invalid index or stack of layers."""
         if not (math.isfinite(self.group_index) and self.group_index >= 1):
             raise ValueError(
                 f"group_index must be at least 1, got {self.group_index!r}"
@@ -167,7 +167,7 @@ class Medium:
     def layered(
         cls, layers: Sequence[Layer], *, group_index: float, top: float = 0.0
     ) -> Self:
-        """Return a medium of several layers of water.
+        """Return a medium of several water layers in forward order.
 
         Parameters
         ----------

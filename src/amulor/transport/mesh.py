@@ -26,7 +26,7 @@ _PROBES = np.array(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeshTarget:
-    """Lambertian surface of triangles, reflective on both sides.
+    """Target made of Lambertian triangles, which reflect on both sides.
 
     The surface is opaque. Both sides of a triangle reflect, so the order of its corners
     does not matter. Light may be reflected any number of times.
@@ -65,13 +65,13 @@ class MeshTarget:
     """Reduced Mueller matrix, shape (4, 4)."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for invalid values."""
+        """Raise a ValueError for an invalid mesh, reflectance or matrix."""
         object.__setattr__(self, "corners", _corners(self.vertices, self.faces))
         matrix = reflection_matrix(self.reflectance, self.mueller)
         object.__setattr__(self, "matrix", matrix)
 
     def depth_inside(self, point: Array) -> float:
-        """Return the depth of a point inside a closed part of the mesh, 0 outside [m].
+        """Return a point's depth in a closed part of the mesh; 0 if outside [m].
 
         A part is a set of triangles that share edges; it is closed if each of its
         edges has two triangles.
@@ -86,7 +86,7 @@ class MeshTarget:
         return inside
 
     def reach_into(self, centre: Array, axis: Array, radius: float) -> float:
-        """Return the penetration of a mesh into a disc from the rim; 0 if outside [m].
+        """Return how far a mesh reaches into a disc from its rim; 0 if outside [m].
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class MeshTarget:
 
     @cached_property
     def _closed_parts(self) -> list[Array]:
-        """Triangle corners of each closed part of the mesh."""
+        """Triangle corners of each closed part of the mesh [m]."""
         shape = self.corners.shape
         _, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
         vertex = number.reshape(shape[0], 3)
@@ -141,7 +141,7 @@ class MeshTarget:
 
 
 def _corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Return the corner positions of all triangles, checked."""
+    """Return the corner positions of triangles; ValueError for an invalid mesh."""
     place = np.array(vertices, dtype=np.float64)
     if place.ndim != 2 or place.shape[1] != 3:
         raise ValueError(
@@ -185,7 +185,7 @@ def _corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
 
 
 def _refuse_twins(corner: Array) -> None:
-    """Raise a ValueError for coincident triangles."""
+    """Raise a ValueError if two triangles coincide."""
     _, number = np.unique(corner.reshape(-1, 3), axis=0, return_inverse=True)
     _, first, face_of = np.unique(
         np.sort(number.reshape(-1, 3), axis=1),
@@ -219,7 +219,7 @@ def _crossings(corner: Array, point: Array, direction: Array) -> int:
 
 
 def _to_segments(point: Array, start: Array, end: Array) -> Array:
-    """Return the distances of a point from line segments."""
+    """Return the distances of a point from line segments [m]."""
     way = end - start
     square = np.einsum("ij,ij->i", way, way)
     along = np.einsum("ij,ij->i", point - start, way)

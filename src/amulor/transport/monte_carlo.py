@@ -73,7 +73,7 @@ class Technique:
     """Number of separate scattering orders; the last includes higher ones."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for invalid values."""
+        """Raise a ValueError unless numbers are whole and at least 1."""
         for name in ("paths", "partners", "scattering_orders"):
             value = getattr(self, name)
             if value < 1 or value != int(value):
@@ -223,7 +223,7 @@ def _batch_size(histories: int, technique: Technique) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """Batches of one transport problem, each with its random numbers."""
+    """Transport problem in batches, each with its own random numbers."""
 
     problem: Problem
     technique: Technique
@@ -234,7 +234,7 @@ class _Run:
 
     @property
     def stated(self) -> dict[str, Any]:
-        """Settings that determine the batch results, by name."""
+        """Settings that determine the results of the batches, by name."""
         return {
             "problem": self.problem.digest,
             "technique": asdict(self.technique),
@@ -245,7 +245,7 @@ class _Run:
         }
 
     def frame(self) -> Tally:
-        """Return an empty tally."""
+        """Return a tally of the run without batches."""
         orders = self.technique.scattering_orders
         names = [f"water, order {k}" for k in range(1, orders)]
         parts = (
@@ -273,7 +273,7 @@ class _Run:
         )
 
     def __call__(self, number: int) -> Batch:
-        """Run one batch of histories."""
+        """Run one batch of photon histories."""
         frame = self.frame()
         record = Record.empty(
             self.problem.water.attenuation,

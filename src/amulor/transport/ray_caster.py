@@ -20,7 +20,7 @@ RELATIVE_GAP = 1e-9
 
 
 class RayCaster:
-    """Triangle mesh for ray intersection; triangles are two-sided.
+    """Triangle mesh with two-sided triangles, prepared for ray intersection.
 
     Examples
     --------
@@ -37,11 +37,11 @@ class RayCaster:
 
     @property
     def gap(self) -> float:
-        """Distance regarded as zero: 1e-9 of the largest coordinate [m]."""
+        """Least hit distance of a ray that starts on a triangle [m]."""
         return self._mesh.least
 
     def first(self, start: Array, direction: Array) -> Integers:
-        """Return the index of the first triangle on each ray, -1 for none."""
+        """Return the index of the first triangle on each ray; -1 for none."""
         met = np.full(len(start), -1, dtype=np.int64)
         _kernels.first_triangles(
             np.ascontiguousarray(start, dtype=float),
@@ -54,7 +54,7 @@ class RayCaster:
         return met
 
     def free(self, start: Array, end: Array, triangle: Integers) -> NDArray[np.bool_]:
-        """Return whether the lines between points are unobstructed by triangles."""
+        """Return whether lines between pairs of points meet no triangle."""
         free = np.empty(len(start), dtype=np.bool_)
         _kernels.free_ways(
             np.ascontiguousarray(start, dtype=float),
@@ -67,7 +67,7 @@ class RayCaster:
 
 
 def hierarchy(corner: Array) -> tuple[Mesh, Integers]:
-    """Build the hierarchy of boxes around triangles, for the compiled loops.
+    """Build the hierarchy of boxes around triangles; return it and triangle order.
 
     A box is split at the median of the triangles' centres along the axis on which
     those spread the most.

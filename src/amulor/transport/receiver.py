@@ -60,7 +60,7 @@ class Source:
     """Stokes vector of the launched light."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for invalid values."""
+        """Raise a ValueError for an invalid beam or polarization."""
         place(self.position, name="position")
         axes_of(unit_vector(self.direction, name="direction"), name="direction")
         at_least(self.radius, 0.0, name="radius", unit="m")
@@ -100,7 +100,7 @@ class _Receiver:
     """Viewing direction, a vector of any length."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for invalid values."""
+        """Raise a ValueError for an invalid size, position or direction."""
         above(self.radius, 0.0, name="radius", unit="m")
         at_most(self.acceptance_angle, np.pi / 2, name="acceptance_angle", unit="rad")
         place(self.position, name="position")
@@ -143,7 +143,7 @@ class GaussianReceiver(_Receiver):
 def reflection_matrix(
     reflectance: float, mueller: ArrayLike | None
 ) -> NDArray[np.float64]:
-    """Return the reduced Mueller matrix of a surface, checked with its reflectance."""
+    """Return a surface's reduced Mueller matrix; ValueError if not physical."""
     if not 0 <= reflectance <= 1:
         raise ValueError(f"reflectance must be from 0 to 1, got {reflectance!r}")
     elements = np.diag([1.0, 0, 0, 0]) if mueller is None else mueller
@@ -166,7 +166,7 @@ def reflection_matrix(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlaneTarget:
-    """Infinite Lambertian plane.
+    """Infinite Lambertian plane as a target.
 
     Raises
     ------
@@ -196,7 +196,7 @@ class PlaneTarget:
     """Reduced Mueller matrix, shape (4, 4)."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for invalid values."""
+        """Raise a ValueError for an invalid plane, reflectance or matrix."""
         place(self.position, name="position")
         unit_vector(self.normal, name="normal")
         matrix = reflection_matrix(self.reflectance, self.mueller)

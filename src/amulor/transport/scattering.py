@@ -73,7 +73,7 @@ class ScatteringMatrix:
     elements: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for invalid values."""
+        """Raise a ValueError for invalid angles or elements."""
         angle = np.asarray(self.angle, dtype=np.float64)
         elements = np.asarray(self.elements, dtype=np.float64)
         if angle.ndim != 1 or angle.size < 2 or elements.shape != (angle.size, 5):
@@ -104,7 +104,7 @@ class ScatteringMatrix:
 
     @classmethod
     def rayleigh(cls, *, cells: int = 3600) -> ScatteringMatrix:
-        """Return the scattering matrix of Rayleigh particles, eq. (64).
+        """Return the scattering matrix of particles much smaller than the wavelength.
 
         Parameters
         ----------
@@ -121,7 +121,7 @@ class ScatteringMatrix:
 
     @classmethod
     def spheres(cls, suspension: Suspension) -> ScatteringMatrix:
-        """Return the scattering matrix of spheres, from Mie theory.
+        """Return the scattering matrix of suspended spheres, from Mie theory.
 
         Parameters
         ----------
@@ -201,7 +201,7 @@ class ScatteringMatrix:
 
 @dataclass(frozen=True, eq=False)
 class AngleCells:
-    """Phase function averaged in angle cells, for random scattering angles.
+    """Phase function averaged over cells of angle, for random scattering angles.
 
     Within a cell the phase function is constant per solid angle, with the true mean.
     Random angles and tabulated values therefore have the same distribution. The width
@@ -224,7 +224,7 @@ class AngleCells:
 
     @cached_property
     def _integrals(self) -> NDArray[np.float64]:
-        """Integral of the phase function over each cell [1]."""
+        """Solid-angle integral of the phase function over each cell [1]."""
         edges = self.edges
         integrals = 4 * np.pi * self._values.sum(axis=0) * np.diff(edges)
         # The innermost cell may contain a steep head.
@@ -238,7 +238,7 @@ class AngleCells:
 
     @cached_property
     def integral(self) -> float:
-        """Integral of the phase function over the sphere, before normalization [1]."""
+        """Sphere integral of the phase function before normalization [1]."""
         total = float(self._integrals.sum())
         if abs(total - 1) > INTEGRAL_TOLERANCE:
             raise ValueError(
@@ -262,14 +262,14 @@ class AngleCells:
 
     @cached_property
     def _values(self) -> NDArray[np.float64]:
-        """Weighted phase function at Simpson's nodes of each cell [1/sr]."""
+        """Phase function at each cell's Simpson nodes, times weight [1/sr]."""
         value = np.zeros(self.edges.size)
         value[1:] = self.phase_function(_angle(self.edges)[1:])
         middle = self.phase_function(self.middle)
         return np.stack([value[:-1], 4 * middle, value[1:]]) / 6
 
     def elements(self, matrix: ScatteringMatrix) -> NDArray[np.float64]:
-        """Return mean matrix elements in each cell, shape (cells, 5) [1].
+        """Return mean scattering-matrix elements by cell, shape (cells, 5) [1].
 
         The elements are weighted by the phase function, so that a cell has the right
         mean of their product, also where both vary within it.
@@ -288,7 +288,7 @@ class AngleCells:
 
     @cached_property
     def urn(self) -> NDArray[np.float64]:
-        """Alias table for drawing scattering angles, shape (cells, 8).
+        """Walker alias table for random scattering angles, shape (cells, 8).
 
         A row holds a threshold, and lower end, width and number first of its own
         cell, then of the partner.
@@ -316,7 +316,7 @@ def cell_edges() -> NDArray[np.float64]:
 def alias_table(
     probability: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return thresholds and alias indices for Walker's alias method.
+    """Return thresholds and alias indices for Walker's method of random choice.
 
     A. J. Walker, ACM Trans. Math. Softw. 3, 253 (1977), in the form of M. D. Vose,
     IEEE Trans. Softw. Eng. 17, 972 (1991).
@@ -336,7 +336,7 @@ def alias_table(
 
 
 def _angle(height: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the angle for a given sin^2(angle / 2)."""
+    """Return the angle for a given sin^2(angle / 2) [rad]."""
     result: NDArray[np.float64] = 2 * np.arctan2(np.sqrt(height), np.sqrt(1 - height))
     return result
 

@@ -142,7 +142,7 @@ def reflection_and_transmission(
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """Batches of one slab problem, each with its random numbers."""
+    """Slab problem in batches, each with its own random numbers."""
 
     medium: Medium
     water: Water
@@ -154,7 +154,7 @@ class _Run:
     outward: Array
 
     def frame(self) -> Tally:
-        """Return an empty tally."""
+        """Return a tally of the run without batches."""
         directions = [f"direction {k + 1}" for k in range(len(self.outward))]
         parts = ("reflected", "transmitted", *directions)
         components = 4 if self.medium.polarized else 1
@@ -181,7 +181,7 @@ class _Run:
         )
 
     def __call__(self, number: int) -> Batch:
-        """Run one batch of histories."""
+        """Run one batch of photon histories."""
         frame = self.frame()
         record = Record.empty(
             self.water.attenuation, self.medium.group_index, self.frequency, frame
@@ -203,7 +203,7 @@ class _Run:
 
 
 def _axes(outward: Array) -> Array:
-    """Return exit directions with their polarization axes, shape (direction, 6)."""
+    """Return unit vectors of exit directions and polarization axes, shape (m, 6)."""
     polar, azimuth = outward.T
     columns = [
         np.sin(polar) * np.cos(azimuth),

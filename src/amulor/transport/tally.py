@@ -1,4 +1,4 @@
-"""Result of a transport run: signals, standard errors, group contributions."""
+"""Result of a transport run: received light, standard errors, group contributions."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ _FEWEST = 30
 
 
 def analyser_vector(name: str) -> Array:
-    """Return the row vector that gives an analyzer's power from a Stokes vector."""
+    """Return the row vector from a Stokes vector to the power behind an analyzer."""
     vector = _stokes.state(name)
     result: Array = vector if name == "none" else 0.5 * vector
     return result
 
 
 def sums_of(weight: Array) -> Array:
-    """Return sum, sum of squares and maximum of the group contributions."""
+    """Return sum, sum of squares and maximum of contributions, by kind of light."""
     light = np.stack([weight.sum(axis=1), weight[:, 0], weight[:, 1]])
     if weight.shape[2] == 4:
         vectors = np.stack([analyser_vector(name) for name in ANALYSERS], axis=-1)
@@ -62,7 +62,7 @@ def sums_of(weight: Array) -> Array:
 
 
 def together(first: Array, second: Array) -> Array:
-    """Combine the sums and maxima of two sets of group contributions."""
+    """Add the sums of two sets of group contributions, and take the larger maxima."""
     result = first + second
     result[..., LARGEST] = np.maximum(first[..., LARGEST], second[..., LARGEST])
     return result
@@ -89,7 +89,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PathRecord:
-    """Received light by path length, for evaluation at other frequencies.
+    """Received light by path length, for evaluation at other modulation frequencies.
 
     All light in a bin is assigned to the middle of the bin. A phasor summed over the
     bins is wrong by at most an eighth of the squared phase across a bin, relative to
@@ -128,7 +128,7 @@ class PathRecord:
         group_index: float,
         more_absorption: float = 0.0,
     ) -> Complex:
-        r"""Return the received light at other frequencies or with more absorption.
+        r"""Return the received Stokes vector at other frequencies or more absorption.
 
         Parameters
         ----------
@@ -244,7 +244,7 @@ class Tally:
 
     @property
     def histories(self) -> int:
-        """Number of histories."""
+        """Number of photon histories."""
         return int(self.histories_of.sum())
 
     @property
@@ -253,14 +253,14 @@ class Tally:
         return bool(self.batches.shape[2] == 4)
 
     def _select(self, which: str) -> Complex:
-        """Return batch means of one kind of light, (batch, component, frequency)."""
+        """Return batch means of a kind of light, (batch, component, frequency)."""
         target = np.array([name.startswith("target") for name in self.parts])
         chosen = dict(zip(LIGHT, (np.ones_like(target), ~target, target), strict=True))
         summed: Complex = self.batches[:, chosen[which]].sum(axis=1)
         return summed
 
     def _mean(self, values: Complex) -> Complex:
-        """Return the mean over batches, weighted by histories."""
+        """Return the mean over batches, weighted by numbers of histories."""
         weight = self.histories_of / self.histories
         mean: Complex = np.tensordot(weight, values, axes=1)
         return mean
@@ -273,24 +273,24 @@ class Tally:
 
     @property
     def signal(self) -> Complex:
-        """Received intensity at each frequency, complex, shape (n,) [1]."""
+        """Complex received intensity at each modulation frequency, shape (n,) [1]."""
         signal: Complex = self._mean(self._select("all"))[0]
         return signal
 
     @property
     def water_signal(self) -> Complex:
-        """Received light scattered by water only, shape (n,) [1]."""
+        """Complex received light scattered by water only, shape (n,) [1]."""
         signal: Complex = self._mean(self._select("water"))[0]
         return signal
 
     @property
     def target_signal(self) -> Complex:
-        """Received light reflected by the target, shape (n,) [1]."""
+        """Complex received light reflected by the target, shape (n,) [1]."""
         signal: Complex = self._mean(self._select("target"))[0]
         return signal
 
     def part(self, name: str) -> tuple[Complex, Array]:
-        """Return the Stokes vector of one part of the light, with covariance.
+        """Return the Stokes vector of a part of the light, and the part's covariance.
 
         Parameters
         ----------
@@ -317,7 +317,7 @@ class Tally:
 
     @property
     def by_part(self) -> dict[str, Complex]:
-        """Received light by scattering order and target part, shape (n,) each [1]."""
+        """Complex received light of each part, shape (n,), by name of the part [1]."""
         mean = self._mean(self.batches)
         return {name: mean[k, 0] for k, name in enumerate(self.parts)}
 
@@ -328,12 +328,12 @@ class Tally:
 
     @property
     def water_covariance(self) -> Array:
-        """Covariance of real and imaginary part of `water_signal` [1]."""
+        """Covariance of real and imaginary part of `water_signal`, (n, 2, 2) [1]."""
         return self.covariance_of(self._select("water")[:, 0])
 
     @property
     def target_covariance(self) -> Array:
-        """Covariance of real and imaginary part of `target_signal` [1]."""
+        """Covariance of real and imaginary part of `target_signal`, (n, 2, 2) [1]."""
         return self.covariance_of(self._select("target")[:, 0])
 
     @property
@@ -347,7 +347,7 @@ class Tally:
         return self._scatter(np.concatenate([values.real, values.imag], axis=1))
 
     def covariance_of(self, values: ArrayLike) -> Array:
-        """Return the covariance of the mean over batches.
+        """Return the covariance of the mean over batches of complex values.
 
         Parameters
         ----------
@@ -372,20 +372,20 @@ class Tally:
         return result
 
     def _weight(self) -> Array:
-        """Weights of the batches' squared deviations in the variance of the mean."""
+        """Weight of each batch's squared deviation in the variance of the mean."""
         if self.histories_of.size < 2:
             raise ValueError("an error needs at least two batches, got one")
         return variance_weight(self.histories_of)
 
     def _scatter(self, values: Array) -> Array:
-        """Return the covariance of the mean over batches of real vectors."""
+        """Return the covariance matrix of the mean over batches of real vectors."""
         weight = self.histories_of / self.histories
         centred = values - weight @ values
         result: Array = (centred * self._weight()[:, np.newaxis]).T @ centred
         return result
 
     def detected(self, analyser: str) -> tuple[Complex, Array]:
-        """Return the light behind an ideal analyzer, with covariance.
+        """Return the light behind an ideal analyzer, and its covariance.
 
         Parameters
         ----------
@@ -409,7 +409,7 @@ class Tally:
         return self._mean(values), self.covariance_of(values)
 
     def passed(self, light: str = "all", *, analyser: str = "none") -> Complex:
-        """Return each batch's light behind an ideal analyzer.
+        """Return the light behind an ideal analyzer, batch by batch.
 
         Parameters
         ----------
@@ -445,7 +445,7 @@ class Tally:
         return passed
 
     def relative_error_of(self, light: str = "all", *, analyser: str = "none") -> Array:
-        """Return the relative standard error of one kind of light.
+        """Return the relative standard error of a kind of light, by frequency.
 
         Parameters
         ----------
@@ -492,19 +492,19 @@ class Tally:
 
     @property
     def effective_contributions(self) -> float:
-        """Effective number of contributions, from their sum and sum of squares [1]."""
+        """Effective number of equal contributions: sum^2 / sum of squares [1]."""
         total, square, _ = self.contribution
         return total**2 / square if square > 0 else 0.0
 
     @property
     def largest_fraction(self) -> float:
-        """Largest fraction of the light from one group of photon histories [1]."""
+        """Largest fraction of the received light from one group of histories [1]."""
         total, _, largest = self.contribution
         return largest / total if total > 0 else 0.0
 
     @property
     def heavy_tailed(self) -> bool:
-        """Whether a single group of histories dominates the error of a kind of light.
+        """Whether a single group of histories dominates a standard error.
 
         If so, the stated error of at least one of them is likely too small;
         `heavy_tail_of` determines which.
@@ -513,7 +513,7 @@ class Tally:
         return any(self.heavy_tail_of(light) for light in kinds)
 
     def heavy_tail_of(self, light: str = "all", *, analyser: str = "none") -> bool:
-        """Return whether a single group of histories dominates the standard error.
+        """Return whether one group of histories dominates the error of a kind of light.
 
         Parameters
         ----------
@@ -563,7 +563,7 @@ class Tally:
         )
 
     def delayed(self, path: float, *, group_index: float) -> Tally:
-        """Return the tally with an additional optical path.
+        """Return the tally of the light after an additional path length.
 
         Parameters
         ----------
@@ -587,7 +587,7 @@ class Tally:
         )
 
     def merged(self, other: Tally) -> Tally:
-        """Return the merged tally of two runs of the same problem.
+        """Merge the tallies of two independent runs of one transport problem.
 
         Parameters
         ----------
@@ -654,7 +654,7 @@ def paired(
 
 
 def variance_weight(histories_of: NDArray[np.int64]) -> Array:
-    """Return weights of the batches' squared deviations in the variance of the mean.
+    """Return the weight of each batch's squared deviation in the mean's variance.
 
     Free of bias for batches of any sizes; fraction / (batches - 1) for equal ones.
     """
@@ -664,7 +664,7 @@ def variance_weight(histories_of: NDArray[np.int64]) -> Array:
 
 
 def _over(error: Array, modulus: Array) -> Array:
-    """Return the ratio of error to modulus, infinite for a modulus of 0."""
+    """Return the ratio of standard error to modulus; infinite for a modulus of 0."""
     lit = modulus > 0
     result: Array = np.full(error.shape, math.inf)
     np.divide(error, modulus, out=result, where=lit)
@@ -672,7 +672,7 @@ def _over(error: Array, modulus: Array) -> Array:
 
 
 def _along(signal: Complex, covariance: Array, *, turn: complex) -> Array:
-    """Return the standard error of a signal's component along signal * turn."""
+    """Return the standard error of the signal's component along signal * turn."""
     modulus = np.abs(signal)
     unit = (
         np.divide(signal, modulus, out=np.ones_like(signal), where=modulus > 0) * turn

@@ -1,4 +1,4 @@
-"""Compiled batches of photon histories: tracing, joining of paths, and recording.
+"""Compiled batches of photon histories: tracing, joining and recording of paths.
 
 Theory: docs/theory/photon-transport.md. Compiled, so that a batch of thousands of
 groups runs without Python, and without the lock that keeps its threads apart.
@@ -53,7 +53,7 @@ _ROWS = 64
 
 @step
 def launch(state: States, beam: Beam) -> Ray:
-    """Draw a random ray of the source, with its polarization axis."""
+    """Draw a random ray of the laser beam, with its polarization axis."""
     centre, axis, u = beam.centre, beam.axis, beam.across
     n = (axis[0], axis[1], axis[2])
     e = (u[0], u[1], u[2])
@@ -96,7 +96,7 @@ def launch(state: States, beam: Beam) -> Ray:
 
 @step
 def look(state: States, fraction: float, largest: float) -> Ray:
-    """Draw a random ray from the center of the receiver face, for an adjoint path.
+    """Draw a random ray from the receiver-face center, as start of an adjoint path.
 
     Directions are drawn by the cosine law, with a squared sine up to largest, of which
     fraction is the part that this one has.
@@ -110,7 +110,7 @@ def look(state: States, fraction: float, largest: float) -> Ray:
 
 @allocating
 def without_segments(light: Array) -> Paths:
-    """Return empty path arrays with a given array for the light of the segments."""
+    """Allocate empty path arrays; segments use the given array for their light."""
     return Paths(
         np.empty((_ROWS, SEGMENT_COLUMNS)),
         light,
@@ -124,7 +124,7 @@ def without_segments(light: Array) -> Paths:
 def begin_forward(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray]:
-    """Draw ray and first flight of a forward path; write its Stokes vector to `now`.
+    """Draw ray and optical thickness of a forward path's first flight; set its light.
 
     The optical thickness of the flight is exponential. Those of the paths of a group,
     of which this is the number-th, are spread evenly if the plan is stratified.
@@ -142,7 +142,7 @@ def begin_forward(
 def begin_adjoint(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray, Kind]:
-    """Draw ray, first flight and kind of an adjoint path; set its Mueller matrix.
+    """Draw ray, optical thickness and kind of an adjoint path; set its Mueller matrix.
 
     The direction is drawn by the cosine law within the acceptance gamma. The weight of
     a pair is Omega = pi sin^2 gamma over the number of pairs in the group.
@@ -169,7 +169,7 @@ def join(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join all forward and adjoint paths of a group, and record their contributions."""
+    """Join forward and adjoint paths of a group, and record the received light."""
     water, target = scene.water, scene.target
     join_segments(state, forward, adjoint, water, target, plan, record, arrival)
     if plan.direct:

@@ -1,4 +1,4 @@
-"""Contributions of photon paths: local estimates, joined paths, and their record."""
+"""Contributions of photon paths to the received light: estimates and their record."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ from amulor.transport._kernels.types import (
 def add_at(
     array: Array, part: int, scaled: float, component: int, light: float
 ) -> None:
-    """Distribute light over the four nearest path-length nodes, with cubic weights."""
+    """Distribute light over the four nearest path-length nodes, by cubic weights."""
     node = max(int(scaled) - 1, 0)
     a = scaled - node
     b, c, d = a - 1.0, a - 2.0, a - 3.0
@@ -96,7 +96,7 @@ WATER, TARGET = range(2)
 
 @kernel
 def add_to(total: Array, kind: int, light: Array) -> None:
-    """Add light to the group sum of its kind: water or target."""
+    """Add received light to a group's sum for light from water, or from the target."""
     for k in range(light.size):
         total[kind, k] += light[k]
 
@@ -119,7 +119,7 @@ def add_beyond(
 
 @kernel
 def add_point(record: Record, part: int, length: float, light: Array) -> None:
-    """Record light with a single path length."""
+    """Record received light that has a single path length."""
     mass = record.mass
     scaled = length / record.spacing
     if scaled < mass.shape[2] - 3:
@@ -131,7 +131,7 @@ def add_point(record: Record, part: int, length: float, light: Array) -> None:
 
 @kernel
 def add_range(record: Record, part: int, low: float, high: float, light: Array) -> None:
-    """Record light distributed uniformly over an interval of path lengths."""
+    """Record received light distributed uniformly over path lengths low to high."""
     edge, spacing = record.edge, record.spacing
     if high - low < 0.05 * spacing:
         add_point(record, part, 0.5 * (low + high), light)
@@ -188,7 +188,7 @@ def transform(
 
 @kernel
 def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
-    """Return radius and acceptance of a receiver, drawn at random if it is Gaussian.
+    """Return radius and acceptance angle of a receiver; random if it is Gaussian.
 
     A Gaussian exp(-s^2 / w^2) is the mean of discs of radius w sqrt(-ln u) over u
     from 0 to 1; so a Gaussian receiver is a sharp one of random size.
@@ -202,7 +202,7 @@ def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
 
 @kernel
 def face_point(state: States, place: Vector, radius: float, slope: float) -> Vector:
-    """Draw a receiver-face point that accepts light from a place, with its area.
+    """Draw a receiver-face point that accepts light from a place; return it with area.
 
     Returns two coordinates and the represented area, 0 if the point does not see the
     place.
@@ -237,7 +237,7 @@ def direct_from_segments(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Record light scattered from each path segment directly to the receiver.
+    """Record local estimates of light scattered from path segments to the receiver.
 
     At z on a segment it is b p(theta) dz / |n_z| times the solid angle of the face,
     the transmission and the weight w_k.
@@ -322,7 +322,7 @@ def direct_from_touches(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Record light from each target reflection that reaches the receiver directly.
+    """Record local estimates of light reflected by the target to the receiver.
 
     It is (reflectance / pi) cos times the solid angle of the face and the
     transmission, the cosine that between the target's normal and the way.
@@ -411,7 +411,7 @@ def path_blocked(
 def meeting_depths(
     forward: Array, i: int, adjoint: Array, j: int, target: Target
 ) -> tuple[float, float]:
-    """Return the interval of depths z in which two path segments can be joined.
+    """Return the interval of depths at which a forward and an adjoint segment can join.
 
     At these both segments have a point, the shift rho(z) - rho'(z) is on the face of
     the receiver, and the shifted scatterings are in front of the target's plane. There
@@ -466,7 +466,7 @@ def join_segments(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join each forward segment with each adjoint segment; record contributions.
+    """Join forward with adjoint segments by a scattering event; record the light.
 
     The light of a pair is Omega b p(theta) dz / |n_z n'_z| times its weight w_k. FACE
     of an adjoint segment is the radius R of the face, SCALE is Omega over the number
@@ -540,7 +540,7 @@ def join_touches(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join each target reflection with each adjoint segment; record contributions.
+    """Join target reflections with adjoint segments; record the light.
 
     The light of a pair is Omega (reflectance / pi) cos / |n'_z|, the cosine that
     between the target's normal and the way to the receiver.

@@ -31,7 +31,7 @@ _STEEP = 1e300  # in place of 1/0, so that 0 times it is not "not a number"
 
 @kernel
 def inverse(component: float) -> float:
-    """Return the reciprocal of a direction component, with a finite value for 0."""
+    """Return the reciprocal of a direction component; a large finite number for 0."""
     if abs(component) * _STEEP > 1.0:
         return 1.0 / component
     return math.copysign(_STEEP, component)
@@ -39,7 +39,7 @@ def inverse(component: float) -> float:
 
 @kernel
 def triangle_at(place: Vector, way: Vector, triangle: Array, k: int) -> float:
-    """Return the distance at which a ray meets a triangle, NaN for a miss.
+    """Return the distance along a ray to a triangle; NaN if the ray misses it.
 
     The determinant form of Möller and Trumbore, in lengths of way.
     """
@@ -66,7 +66,7 @@ def triangle_at(place: Vector, way: Vector, triangle: Array, k: int) -> float:
 def first_hit(
     place: Vector, way: Vector, limit: float, enough: float, start: float, mesh: Mesh
 ) -> tuple[float, float]:
-    """Return distance and index of the nearest triangle on a ray.
+    """Return distance and index of the nearest triangle on a ray; -1 for none.
 
     Distances are in lengths of way. limit bounds them, and is returned with a number
     of -1 if nothing is met. The search ends at any hit nearer than enough. start is
@@ -119,7 +119,7 @@ def facing_normal(number: float, way: Vector, mesh: Mesh) -> Vector:
 
 @kernel
 def blocked(place: Vector, end: Vector, start: float, mesh: Mesh) -> bool:
-    """Return whether a triangle blocks the line between two points."""
+    """Return whether a triangle blocks the straight line between two points."""
     way = (end[0] - place[0], end[1] - place[1], end[2] - place[2])
     distance, _ = first_hit(place, way, 1.0, 1.0, start, mesh)
     return distance < 1.0
@@ -143,7 +143,7 @@ def free_ways(
     mesh: Mesh,
     free: NDArray[np.bool_],
 ) -> None:
-    """Fill `free` with whether lines between points are unobstructed by triangles."""
+    """Fill `free` with whether the lines between pairs of points meet no triangle."""
     for i in range(start.shape[0]):
         place = (start[i, 0], start[i, 1], start[i, 2])
         stop = (end[i, 0], end[i, 1], end[i, 2])
@@ -156,7 +156,7 @@ LEAF = 4
 
 @kernel
 def widest(centre: Array, number: Integers, first: int, last: int) -> int:
-    """Return the axis along which the triangle centers are spread most."""
+    """Return the coordinate axis along which triangle centers are spread the most."""
     axis = 0
     most = -1.0
     for k in range(3):
@@ -174,7 +174,7 @@ def widest(centre: Array, number: Integers, first: int, last: int) -> int:
 def part(
     centre: Array, number: Integers, axis: int, first: int, last: int, middle: int
 ) -> None:
-    """Partition triangles along an axis at the median center.
+    """Partition the triangles of a box at their median center along an axis.
 
     C. A. R. Hoare's Find, Commun. ACM 4, 321 (1961), doi:10.1145/366622.366647.
     """
@@ -199,7 +199,7 @@ def part(
 
 @allocating_entry
 def split(centre: Array, number: Integers, link: Integers, sibling: Integers) -> int:
-    """Build the hierarchy of boxes in the link arrays, and return the box count.
+    """Build the hierarchy of triangle boxes in the link arrays; return the box count.
 
     A box has a lower index than the boxes in it. `sibling` contains the index of the
     second of the two boxes in each box.
@@ -244,7 +244,7 @@ def enclose(
     sibling: Integers,
     box: Array,
 ) -> None:
-    """Fill the corners of all boxes, with a safety gap around their triangles."""
+    """Fill `box` with the corners of boxes around triangles, with a safety gap."""
     for k in range(len(box) - 1, -1, -1):
         for axis in range(3):
             if sibling[k] < 0:
@@ -263,7 +263,7 @@ def enclose(
 def transmission_depth(
     z_start: float, z_end: float, length: float, edge: Array, attenuation: Array
 ) -> float:
-    """Return the optical thickness along a straight path between two depths."""
+    """Return the optical thickness along a straight path between two depths [1]."""
     low, high = min(z_start, z_end), max(z_start, z_end)
     if high - low < 1e-9 * length or attenuation.size == 1:
         for k in range(attenuation.size):
@@ -288,7 +288,7 @@ def cone_window(
     z_low: float,
     z_high: float,
 ) -> tuple[float, float]:
-    """Return the part of a line inside a cone that opens along z.
+    """Return the depths between which a line lies inside a cone that opens along z.
 
     The line is (x + slope_x z, y + slope_y z), the cone has the radius radius +
     slope z. The part is empty if the second number is not above the first.

@@ -1,4 +1,4 @@
-"""Compiled Stokes vectors along a path: reference axes, rotation, scattering.
+"""Compiled Stokes vectors along photon paths: axes, rotation, scattering, reflection.
 
 The frame of light that travels along n is a parallel axis e, perpendicular to n; the
 perpendicular axis is n x e. A scattering matrix enters as its elements m12, m22, m33,
@@ -42,7 +42,7 @@ def turned_frame(turn: Turn, n: Vector, e: Vector) -> Vector:
 
 @kernel
 def any_frame(n: Vector) -> Vector:
-    """Return an arbitrary unit vector perpendicular to n."""
+    """Return an arbitrary polarization axis: a unit vector perpendicular to n."""
     sign = 1.0 if n[2] >= 0 else -1.0
     factor = -1.0 / (sign + n[2])
     return 1.0 + sign * n[0] * n[0] * factor, sign * n[0] * n[1] * factor, -sign * n[0]
@@ -50,7 +50,7 @@ def any_frame(n: Vector) -> Vector:
 
 @kernel
 def projected_frame(n: Vector, right: Vector) -> Vector:
-    """Return the unit projection of an axis onto the plane perpendicular to n."""
+    """Return the unit vector along an axis' projection perpendicular to n."""
     c = cross(right, n)
     across = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
     if across < 1e-24:  # along that axis, where it has no part to the side
@@ -62,7 +62,7 @@ def projected_frame(n: Vector, right: Vector) -> Vector:
 
 @kernel
 def returning_frame(m: Vector) -> Vector:
-    """Return the polarization axis for light that returns along direction m."""
+    """Return the receiver's polarization axis for light arriving along direction m."""
     # Rotation that takes a = (0, 0, -1) to m: e - (e.m) (a + m) / (1 + a.m), as e.a=0.
     factor = m[0] / max(1.0 - m[2], 1e-300)
     return 1.0 - factor * m[0], -factor * m[1], -factor * (m[2] - 1.0)
@@ -72,7 +72,7 @@ def returning_frame(m: Vector) -> Vector:
 def deflected(
     n: Vector, e: Vector, drawn: float, turn: Turn, sign: float
 ) -> tuple[Vector, Vector]:
-    """Return direction and polarization axis after a scattering event.
+    """Return photon direction and polarization axis after a scattering event.
 
     drawn is sin^2(theta / 2), turn that of the axis e to the plane of scattering; the
     light travels along sign x n. The axis stays in that plane: cos e - sin n forward,
@@ -110,7 +110,7 @@ def scattered(
 
 @kernel
 def see_through(row: Array, turn: Turn, element: Array, table: int, cell: int) -> None:
-    """Multiply an adjoint path's Mueller matrix by a scattering event's matrix.
+    """Multiply an adjoint path's Mueller matrix by that of a scattering event.
 
     The light is scattered first and its frame then turned back, so the matrix is
     multiplied from the right: A L(-azimuth) M.
@@ -130,7 +130,7 @@ def see_through(row: Array, turn: Turn, element: Array, table: int, cell: int) -
 
 @kernel
 def between_frames(n: Vector, e: Vector, axis: Vector) -> Turn:
-    """Return the rotation angle between two polarization axes perpendicular to n."""
+    """Return cosine and sine of the angle between two polarization axes around n."""
     p = cross(n, e)
     return (
         e[0] * axis[0] + e[1] * axis[1] + e[2] * axis[2],
@@ -140,7 +140,7 @@ def between_frames(n: Vector, e: Vector, axis: Vector) -> Turn:
 
 @kernel
 def turned_stokes(q: float, u: float, turn: Turn) -> tuple[float, float]:
-    """Return Q and U relative to a rotated polarization axis."""
+    """Return Stokes parameters Q and U relative to a rotated polarization axis."""
     cos2 = turn[0] * turn[0] - turn[1] * turn[1]
     sin2 = 2.0 * turn[0] * turn[1]
     return q * cos2 + u * sin2, u * cos2 - q * sin2
@@ -157,7 +157,7 @@ def connected(
     cell: int,
     out: Array,
 ) -> None:
-    """Fill `out` with the received Stokes vector after scattering from n to m.
+    """Fill `out` with the received Stokes vector of light scattered from n to m.
 
     light holds frame and Stokes vector of the light along n, path_matrix frame and
     Mueller matrix from the light along m to the receiver.
@@ -187,7 +187,7 @@ def connected(
 
 @kernel
 def received(path_matrix: Array, stokes: Stokes, out: Array) -> None:
-    """Fill `out` with the product of a path's Mueller matrix and a Stokes vector."""
+    """Fill `out` with the product of an adjoint path's matrix and a Stokes vector."""
     for k in range(4):
         at = 3 + 4 * k
         out[k] = (
@@ -202,7 +202,7 @@ def received(path_matrix: Array, stokes: Stokes, out: Array) -> None:
 def reflected(
     n: Vector, light: Array, mueller: Array, right: Vector, m: Vector, frame: Vector
 ) -> Stokes:
-    """Return the Stokes vector after a target reflection from n to m.
+    """Return the Stokes vector of light reflected by the target from n to m.
 
     The matrix of the surface leads from axes that lie as near as can be to the axis
     right, which belongs to the scene, before to after.

@@ -14,7 +14,7 @@ _PER_UNIT = 2.0**-53
 
 @kernel
 def next_integer(state: States) -> Any:
-    """Return 64 random bits, and advance the state of the generator."""
+    """Return 64 random bits (xoshiro256++), and advance the generator's state."""
     total = state[0] + state[3]
     value = ((total << np.uint64(23)) | (total >> np.uint64(41))) + state[0]
     shifted = state[1] << np.uint64(17)
@@ -35,13 +35,13 @@ def uniform(state: States) -> float:
 
 @kernel
 def exponential(state: States) -> float:
-    """Return an exponentially distributed random number of mean 1."""
+    """Return an exponentially distributed random number with a mean of 1."""
     return -math.log(1.0 - uniform(state))
 
 
 @kernel
 def fill_uniform(state: States, out: Array) -> None:
-    """Fill `out` with uniformly distributed random numbers from 0 to 1."""
+    """Fill `out` with uniformly distributed random numbers in [0, 1)."""
     for k in range(out.size):
         out[k] = uniform(state)
 
@@ -61,7 +61,7 @@ _BACKWARD_OFFSET = (1023 - BACKWARD_OCTAVES - 1) * PER_OCTAVE - 1
 
 @kernel
 def cell_of(height: float) -> Any:
-    """Return the index of the angle cell for a value of sin^2(angle / 2)."""
+    """Return the index of the angle cell that contains a given sin^2(angle / 2)."""
     if height < 0.5:
         if height < _FORWARD_LOW:
             return 0
@@ -76,7 +76,7 @@ def cell_of(height: float) -> Any:
 
 @kernel
 def draw_height(state: States, urn: Array, table: int) -> tuple[float, int]:
-    """Draw a random sin^2(angle / 2): a cell by Walker's alias method, uniform inside.
+    """Draw sin^2(angle / 2) of a random scattering angle; return it with its cell.
 
     A row of the urn holds a threshold, and lower end, width and number of two cells.
     """
@@ -89,7 +89,7 @@ def draw_height(state: States, urn: Array, table: int) -> tuple[float, int]:
 
 @kernel
 def height_between(cosine: float) -> float:
-    """Return sin^2(angle / 2) for the cosine of an angle, within 0 to 1."""
+    """Return sin^2(angle / 2) for a given cos(angle), limited to 0..1."""
     return min(max(0.5 * (1.0 - cosine), 0.0), 1.0)
 
 

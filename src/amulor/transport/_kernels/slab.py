@@ -1,4 +1,4 @@
-"""Compiled photon paths in a slab, with light recorded at random or fixed directions.
+"""Compiled photon paths in a slab; light recorded at exit or at fixed directions.
 
 The slab is the same all over its planes, so only the depth of a photon is known.
 Theory: docs/theory/photon-transport.md, "What it is checked against". Compiled, as the
@@ -47,7 +47,7 @@ REFLECTED, TRANSMITTED, FIRST_DIRECTION = 0, 1, 2
 
 
 class Light(NamedTuple):
-    """Incident light of a slab, and fixed directions of recorded light."""
+    """Incident light of a slab, and fixed directions in which light is recorded."""
 
     incidence: Array
     """Unit vector along the propagation of the incident light."""
@@ -63,7 +63,7 @@ class Light(NamedTuple):
 def way_out(
     z: float, mz: float, edge: Array, attenuation: Array
 ) -> tuple[float, float]:
-    """Return optical thickness and length of the straight path out of the slab."""
+    """Return optical thickness [1] and length [m] of the straight way out of a slab."""
     depth, length = 0.0, 0.0
     for k in range(attenuation.size):
         low, high = edge[k], edge[k + 1]
@@ -79,7 +79,7 @@ def way_out(
 
 @kernel
 def meridian(n: Vector) -> Vector:
-    """Return the polarization axis of direction n in the plane of n and z.
+    """Return the polarization axis for direction n that lies in the plane of n and z.
 
     The angle is counted from +z. Along z it is taken at an azimuth of zero.
     """
@@ -120,7 +120,7 @@ def cross_layers(
 def add_exit(
     n: Vector, now: Array, part: int, length: float, record: Record, out: Array
 ) -> None:
-    """Record a photon that leaves along n, with its Stokes vector."""
+    """Record a photon that leaves the slab along n, with its Stokes vector."""
     out[0] = 1.0
     if out.size == 4:
         turn = between_frames(n, (now[0], now[1], now[2]), meridian(n))
@@ -145,7 +145,7 @@ def add_directions(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Record the local estimate of a scattering event for each fixed direction.
+    """Record local estimates of scattered light in the fixed directions.
 
     A local estimate: p(theta) times exp(-tau) on the straight way out. The collision
     is given by its depth, layer and path length.
@@ -179,7 +179,7 @@ def follow_photon(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Trace a photon along n until it is absorbed, or leaves and is recorded.
+    """Trace a photon from the slab's entrance to its absorption or recorded exit.
 
     now holds the frame and Stokes vector of its light, which counts instead of 1.
     """
@@ -232,7 +232,7 @@ def follow_photons(
     arrival: Arrival,
     now: Array,
 ) -> None:
-    """Trace incident photons one by one, with work array `now` for Stokes vectors."""
+    """Trace incident photons one by one; `now` is a work array for axis and light."""
     n = (light.incidence[0], light.incidence[1], light.incidence[2])
     axis = projected_frame(n, (1.0, 0.0, 0.0))
     for _ in range(histories):
@@ -246,7 +246,7 @@ def follow_photons(
 def run_slab(
     state: States, histories: int, light: Light, water: Water, record: Record
 ) -> None:
-    """Trace photon histories through a slab, and add them to the record."""
+    """Trace photon histories through a slab, and add exiting light to the record."""
     path_matrix = np.zeros(19)
     for k in range(4):
         path_matrix[3 + 5 * k] = 1.0

@@ -1,4 +1,4 @@
-"""Compiled photon paths: straight flights between scattering events.
+"""Compiled photon paths: straight flights between scattering or reflection events.
 
 A path is traced forward from the source, or against the light from the receiver (an
 adjoint path). The axis z is that of the receiver, which looks along +z from z = 0.
@@ -64,7 +64,7 @@ _LEVEL = 1e-9  # segments with less of a slope have no z to be joined at
 
 @step
 def has_room(paths: Paths, water: Water) -> bool:
-    """Return whether the arrays have enough free rows for another flight."""
+    """Return whether the path arrays have enough free rows for another flight."""
     return bool(
         paths.used[USED_SEGMENTS] + water.attenuation.size < paths.segment.shape[0]
         and paths.used[USED_TOUCHES] < paths.touch.shape[0]
@@ -73,7 +73,7 @@ def has_room(paths: Paths, water: Water) -> bool:
 
 @allocating
 def more_rows(array: Array, layers: int) -> Array:
-    """Copy an array into a longer one, with rows for further flights."""
+    """Copy an array into one with more than twice as many rows."""
     rows = array.shape[0]
     longer = np.empty((2 * (rows + layers), array.shape[1]))
     for row in range(rows):
@@ -84,7 +84,7 @@ def more_rows(array: Array, layers: int) -> Array:
 
 @allocating
 def longer(paths: Paths, layers: int, polarized: bool) -> Paths:
-    """Copy paths into longer arrays; light arrays only if polarization is computed."""
+    """Copy path arrays into longer ones; light arrays only for polarized paths."""
     light, touch_light = paths.light, paths.touch_light
     if polarized:
         light, touch_light = more_rows(light, layers), more_rows(touch_light, layers)
@@ -99,7 +99,7 @@ def longer(paths: Paths, layers: int, polarized: bool) -> Paths:
 
 @kernel
 def layer_of(z: float, edge: Array) -> int:
-    """Return the layer at z; -1 before the first, the layer count beyond the last."""
+    """Return the layer index at z; -1 before the first, layer count beyond the last."""
     k = 0
     while k < edge.size and z >= edge[k]:
         k += 1
@@ -149,7 +149,7 @@ def fly(
     paths: Paths,
     now: Array,
 ) -> tuple[int, Vector, int, float]:
-    """Record the segments of a flight; return end type, end point, layer, path length.
+    """Record a flight's segments; return how it ends, end point, layer, path length.
 
     The fourth number is the length of the path up to there. thickness is the optical
     one of the flight, tau = c L summed over the layers, to_target the way to the
@@ -271,7 +271,7 @@ def reflect(
 def scatter(
     state: States, ray: Ray, layer: int, kind: Kind, water: Water, now: Array
 ) -> tuple[Ray, float]:
-    """Draw a scattered ray; return it with its term in the balance heuristic.
+    """Draw a scattered ray; return it, and its term of the balance-heuristic weight.
 
     The angle is drawn from the phase function p, and |n_z m_z| / (b p) is added, the
     denominator of the weight w_k. The frame in now and the Stokes vector, or the
@@ -312,7 +312,7 @@ def trace(
     paths: Paths,
     now: Array,
 ) -> tuple[bool, Walk]:
-    """Trace a path until it ends or the arrays are full.
+    """Trace a path until it ends or its arrays are full; return whether it ended.
 
     Returns whether it has ended, and its position. `now` contains frame and Stokes
     vector, or Mueller matrix, of its light. Adjoint paths pass through the target;
@@ -370,7 +370,7 @@ def follow(
     paths: Paths,
     now: Array,
 ) -> Paths:
-    """Trace a path to its end, extending the arrays as needed, and return the arrays.
+    """Trace a path to its end, with arrays extended as needed; return the arrays.
 
     thickness is the optical one of the first flight; now holds the light at its start.
     """

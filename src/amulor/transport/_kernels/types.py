@@ -14,10 +14,10 @@ Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
 class Compiler(Protocol):
-    """Type of a compiling decorator that preserves the function's type."""
+    """Type of a decorator that compiles a loop and preserves its function type."""
 
     def __call__(self, loop: Loop, /) -> Loop:
-        """Return the compiled function."""
+        """Return the compiled loop."""
 
 
 # The types that come with numba do not know all of these options.
@@ -63,7 +63,7 @@ Turn: TypeAlias = tuple[float, float]
 
 
 class Water(NamedTuple):
-    """Water layers across z, with coefficients and scattering-angle tables."""
+    """Water layers across z: coefficients and scattering-angle tables."""
 
     edge: Array
     """Boundaries of the layers, z rising, shape (layers + 1,) [m]."""
@@ -82,7 +82,7 @@ class Water(NamedTuple):
 
 
 class Mesh(NamedTuple):
-    """Triangles in a hierarchy of boxes, empty without a mesh."""
+    """Triangles of a mesh in a hierarchy of boxes; empty if the target is no mesh."""
 
     box: Array
     """Lower and upper corner of each box, shape (boxes, 6) [m]."""
@@ -95,7 +95,7 @@ class Mesh(NamedTuple):
 
 
 class Target(NamedTuple):
-    """Lambertian surface: a plane, a mesh, or none."""
+    """Lambertian target: a plane, a mesh, or none."""
 
     has_plane: bool
     """Whether the target is a plane."""
@@ -168,7 +168,7 @@ class Plan(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Received light by scattering order or target part, and path length."""
+    """Received light by path length, and by scattering order or target part."""
 
     mass: Array
     """Light with single path lengths, shape (parts, components, nodes) [1]."""
@@ -196,7 +196,7 @@ class Ray(NamedTuple):
 
 
 class Past(NamedTuple):
-    """State of a path at its last scattering event or reflection."""
+    """Photon path up to the last scattering or reflection: length, order, weights."""
 
     first: int
     """Row of the path's first segment."""
@@ -215,7 +215,7 @@ class Past(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """State of a path during tracing."""
+    """Photon path during tracing: present ray, past events, next optical thickness."""
 
     ray: Ray
     """Ray from the last scattering event or reflection."""
@@ -256,7 +256,7 @@ class Paths(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """Work arrays for light at the receiver, allocated once."""
+    """Work arrays for the light at the receiver, allocated once per batch."""
 
     light: Array
     """Received Stokes vector, or intensity."""
