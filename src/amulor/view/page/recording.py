@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor import pipeline, rejection
 from amulor.cube import WATER_NOT_REMOVED, without_groups
+from amulor.cube.provenance import software_versions
 from amulor.cube.schema import RANGE_PREFIX, TERMS
 from amulor.errors import AmulorError, CubeError
 from amulor.imaging.common import own_variance
@@ -120,6 +121,8 @@ class Recording:
         notes: list[str] | None = None,
     ) -> None:
         self.name = name
+        #: Data file; None for data in memory.
+        self.path: Path | None = None
         self.notes = [] if notes is None else notes
         self._given: Picture | None = (
             MemoryPicture(image) if isinstance(image, xr.Dataset) else image
@@ -129,6 +132,7 @@ class Recording:
         self._channels: dict[str, Channel] = {}
         self._kept: xr.Dataset | None = None
         self._nodes: dict[str, Nodes] = {}
+        self._digest = ""
         self._lock = threading.Lock()
 
     @property
@@ -144,6 +148,14 @@ class Recording:
             name = str(self._given.attributes.get("polarization", "none"))
             return [name]
         return names
+
+    def digest(self) -> str:
+        """SHA-256 digest of the data file; empty for data in memory."""
+        if self.path is None:
+            return ""
+        if not self._digest:
+            self._digest = cubes.digest(self.path)
+        return self._digest
 
     @property
     def samples(self) -> xr.Dataset | None:
@@ -299,6 +311,7 @@ class Recording:
             "water_in": pictures.after is not None and _water_in(picture),
             "spectrum": self.has_spectrum,
             "history": str(attributes.get("history", "")),
+            "version": software_versions()["amulor"],
             "notes": [*self.notes, *_notes(pictures)],
         }
 
@@ -351,12 +364,16 @@ def opened(
 ) -> Recording:
     """Open a data file for the browser page."""
     if is_large(path, variables=["slant_range"]):
-        return Recording(path.name, image=large_picture(path), interval=interval)
-    cube = read_cube(path)
-    if samples is None:
-        return recording_of(cube, name=path.name, interval=interval)
-    beside = read_cube(samples)
-    return recording_of(cube, name=path.name, samples=beside, interval=interval)
+        recording = Recording(path.name, image=large_picture(path), interval=interval)
+    else:
+        recording = recording_of(
+            read_cube(path),
+            name=path.name,
+            samples=None if samples is None else read_cube(samples),
+            interval=interval,
+        )
+    recording.path = path
+    return recording
 
 
 def recording_of(

@@ -73,6 +73,7 @@ def saved_page(
         "scenes": scenes,
         "measurements": [dict(measurement) for measurement in measurements],
         "limits": limits,
+        "digest": recording.digest(),
     }
     scripts = [_data("amulor-scene", json.dumps(content, allow_nan=False))]
     for channel in scenes:

@@ -271,6 +271,7 @@ def _routes(content: Recording | Live, products: Products | None) -> list[Any]:
         Route("/spectrum/{channel}/{row:int}/{column:int}", pages.spectrum),
         Route("/measure", pages.measure, methods=["POST"]),
         Route("/save", pages.save, methods=["POST"]),
+        Route("/digest", pages.digest),
         Route("/products", pages.products),
         Route("/product", pages.product, methods=["POST"]),
         WebSocketRoute("/live", pages.live),
@@ -345,6 +346,9 @@ class _Pages:
             return Response(page.encode(), media_type="application/octet-stream")
 
         return await explained(answer())
+
+    async def digest(self, request: Request) -> Response:
+        return await answered(lambda: JSONResponse(self._recording.digest()))
 
     async def products(self, request: Request) -> Response:
         offered = [] if self._products is None else self._products.offered()

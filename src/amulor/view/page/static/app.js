@@ -11,6 +11,7 @@ import { along, drawHistogram, drawProfile, drawSpectrum, profileOf } from "./pl
 import { Products } from "./products.js";
 import { Renderer } from "./renderer.js";
 import { ROUNDING, sampled, Scene } from "./scene.js";
+import { printable } from "./sheet.js";
 import { source } from "./source.js";
 import { Stage } from "./stage.js";
 import { scaled, short, withError, withUnit } from "./text.js";
@@ -39,6 +40,7 @@ const state = {
   profileKind: "row",
   profileLayer: "range",
   spectrum: /** @type {any} */ (null),
+  digest: "",
   contour: 0,
   look: { light: [0, 0, 0], relief: 1, contour: 0, raw: false },
   tables: {},
@@ -585,6 +587,46 @@ async function picture(view) {
   await page.picture(view, view.id === "cloud" ? "view" : layer.name, words, bar);
 }
 
+/** Return the content of the printed sheet; null before the maps are loaded. */
+function sheet() {
+  const { scene } = state;
+  if (!scene?.maps.has(state.layerName)) return null;
+  light();
+  const layer = scene.byName.get(state.layerName);
+  const flags = layer.kind === "flags";
+  const at = `Axes and scale bar are valid at ${withUnit(scene.typical, "m", 3)}.`;
+  const names = {
+    map: `Map: ${layer.label.toLowerCase()}. ${at}`,
+    cloud: views.cloud.camera.orthographic ? "In space." : "In space, in perspective: no scale.",
+  };
+  const look = { ...state.look };
+  const drawn = (name) => (colours) => {
+    Object.assign(state.look, { ground: colours.ground, missing: colours.missing });
+    views[name].draw(state, colours);
+    Object.assign(state.look, look);
+  };
+  return {
+    title: scene.title,
+    words: [$("subtitle").textContent, ...tools.provenance(state)],
+    pictures: ["map", "cloud"]
+      .filter((name) => stage.shows(name))
+      .map((name) => ({
+        canvas: views[name].canvas,
+        name: names[name],
+        high: (width) => views[name].high(scene, width),
+        draw: drawn(name),
+      })),
+    shape: { across: scene.wide, down: scene.high * scene.aspect },
+    bar: flags ? null : page.bar(layer, unitOf(layer)),
+    rows: state.measurements.map(tools.tabled),
+    notes: [
+      ...scene.notes,
+      ...(flags ? [[...$("legend").children].map((one) => one.textContent).join("; ")] : []),
+      ...($("light").checked || state.look.contour ? [$("light-note").textContent] : []),
+    ],
+  };
+}
+
 function csv() {
   const { scene } = state;
   const { profileKind: kind, cursor, section } = state;
@@ -828,6 +870,7 @@ async function main() {
     },
   });
   state.views = views;
+  printable(sheet, () => page.redraw());
   wired();
   await opened();
   state.record.open(state.scene.name);
@@ -842,6 +885,7 @@ async function main() {
     $("products").hidden = false;
   }
   document.documentElement.dataset.complete = "yes";
+  state.digest = await state.source.digest().catch(() => "");
 }
 
 // Inside a report only map and points are shown; measuring works in the map.

@@ -52,6 +52,11 @@ export class CloudView {
     });
   }
 
+  /** Return the height of the view for a width, in the proportions of the screen. */
+  high(_scene, width) {
+    return (width * this.canvas.clientHeight) / Math.max(this.canvas.clientWidth, 1);
+  }
+
   /** Show a whole scene. */
   home(scene, shape = scene.main) {
     const places = [];

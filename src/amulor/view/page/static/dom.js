@@ -39,11 +39,11 @@ export function over(canvas) {
 }
 
 /**
- * Return the number of canvas pixels per page pixel.
+ * Return the number of canvas pixels per page pixel; drawings for paper state it.
  * @param {HTMLCanvasElement} canvas
  */
 export function ratioOf(canvas) {
-  return canvas.width / Math.max(canvas.clientWidth, 1);
+  return Number(canvas.dataset.ratio) || canvas.width / Math.max(canvas.clientWidth, 1);
 }
 
 /**

@@ -18,6 +18,8 @@ export function fitted(canvas) {
 
 /** Margins for the axes of a map [page pixel]. */
 const MARGIN = { left: 46, top: 7, right: 7, bottom: 34 };
+/** Height for a scale bar below a map [page pixel]. */
+const BAR = 46;
 
 /** Return the overlay of a canvas, cleared and of equal size. */
 export function clearedOver(ctx, canvas) {
@@ -45,6 +47,12 @@ export class MapView {
   home() {
     this.zoom = 1;
     this.middle = null;
+  }
+
+  /** Return the height of a map of a given width, with axes and scale bar [page pixel]. */
+  high(scene, width) {
+    const map = ((width - MARGIN.left - MARGIN.right) * scene.high * scene.aspect) / scene.wide;
+    return map + MARGIN.top + MARGIN.bottom + BAR;
   }
 
   /** Return the part of the canvas between the axes [canvas pixel]. */

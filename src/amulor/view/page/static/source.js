@@ -47,6 +47,11 @@ class Served {
     return (await this.#post("save", { measurements, limits })).blob();
   }
 
+  /** Return the digest of the data file; empty without a file. */
+  async digest() {
+    return (await this.#answer("digest")).json();
+  }
+
   /** Return the products that the server can make. */
   async products() {
     return (await this.#answer("products")).json();
@@ -83,6 +88,7 @@ class Saved {
     this.#scenes = content.scenes;
     this.measurements = content.measurements;
     this.limits = content.limits;
+    this.digest = async () => content.digest ?? "";
   }
 
   async scene(channel) {

@@ -76,6 +76,8 @@ export class Stage {
   arrange(shape = this.#shape) {
     this.#shape = shape;
     const { clientWidth: width, clientHeight: height } = $("stages");
+    // Paper shows no stage.
+    if (!width) return;
     const narrow = width < NARROW;
     const alone = narrow && this.#choice === "both" ? "map" : this.#choice;
     $("stage-card").dataset.split = alone === "both" ? splitOf(shape, { width, height }) : alone;

@@ -21,8 +21,7 @@ export function firstTheme() {
 
 /** Apply the theme after the present one, and remember it; return its colors. */
 export function nextTheme() {
-  const present = document.documentElement.dataset.theme ?? "light";
-  const next = following(present);
+  const next = following(document.documentElement.dataset.theme ?? "light");
   try {
     sessionStorage.setItem(KEPT, next);
   } catch {
@@ -40,6 +39,21 @@ export function themed(name) {
   document.documentElement.dataset.theme = name;
   const words = `Theme: ${NAMES[name]}. Next: ${NAMES[following(name)]} (D)`;
   Object.assign($("theme"), { title: words, ariaLabel: words });
+  return present();
+}
+
+/** Return the colors for drawings on paper, whatever the theme of the screen. */
+export function paperColours() {
+  const { dataset } = document.documentElement;
+  const { theme } = dataset;
+  dataset.theme = "light";
+  const colours = present();
+  dataset.theme = theme;
+  return { ...colours, stage: "#ffffff", plate: "#ffffff", ground: [1, 1, 1] };
+}
+
+/** Return the colors of the present theme for drawings. */
+function present() {
   const style = getComputedStyle(document.documentElement);
   const get = (key) => style.getPropertyValue(`--${key}`).trim();
   const rgb = (text) => [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16) / 255);

@@ -178,6 +178,31 @@ export function captioned(kept) {
   return `${kept.number}: ${name} ${worded(kept.found).main.join(", ")}${channelOf(kept) && ` (channel ${channelOf(kept)})`}`;
 }
 
+/** Return statements on the data of a sheet: settings, file with its digest, program, date. */
+export function provenance(state, now = new Date()) {
+  const { scene, raw, digest } = state;
+  const water = raw || scene.water_in ? "water in" : "water removed";
+  return [
+    `Channel ${scene.channel}, ${water}. ${scene.error_unknown || "± is one standard uncertainty, errors that pixels share included"}.`,
+    `File ${scene.name}${digest && `, ${digest}`}. amulor ${scene.version}, printed ${now.toISOString().slice(0, 10)}.`,
+  ];
+}
+
+/** Return a measurement as a row of the printed table. */
+export function tabled(kept) {
+  const { main, rests } = worded(kept.found);
+  const place = kept.place?.map((part) => (part * 1e3).toFixed(1).replace("-", "−")).join(", ");
+  return {
+    "No.": String(kept.number),
+    name: kept.name ?? "",
+    measurement: toolOf(kept.kind).name,
+    result: main.join("; "),
+    details: rests,
+    channel: channelOf(kept),
+    "right, down, forward [mm]": place ?? "",
+  };
+}
+
 function where(kept) {
   if (kept.region)
     return `rows ${kept.region[0]} to ${kept.region[2]}, columns ${kept.region[1]} to ${kept.region[3]}`;
