@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import underwater_sites as oracle
 from drawn_sites import known_registration, two_visits
-from scipy import sparse
 
 from amulor.site.change import moved
 from amulor.site.change.distances import Region
@@ -36,7 +35,7 @@ def pair_of(first: float, last: float, **changes: Any) -> Pair:
         "by_source": rows, "along": np.ones(size), "source_pixel": np.arange(size),
         "target_pixel": np.zeros(size, dtype=int), "along_apart": np.ones(size),
         "target_pixel_apart": np.zeros(size, dtype=int),
-        "window": sparse.csr_matrix((size, 1)), "misfit": 1.0, "held": np.eye(6),
+        "patches": None, "off": np.zeros((size, 2)), "misfit": 1.0, "held": np.eye(6),
         "loose": (), "unsure": 1e-3, "moved": np.zeros(0, dtype=int),
     }  # fmt: skip
     return Pair(**{**fields, **changes})

@@ -14,7 +14,7 @@ from amulor._progress import tell
 from amulor.errors import CubeError
 from amulor.site.registration import network
 from amulor.site.registration.network import KnownPose, Layout, State, Ties
-from amulor.site.registration.pair import Pair, compared, tree_of
+from amulor.site.registration.pair import MOST_POINTS, Pair, compared, tree_of
 from amulor.site.registration.patterns import PatternTest, Undetected, pattern_tests
 from amulor.site.registration.pose import ScanPose, aligned, departure
 from amulor.site.registration.surface import ScanSurface
@@ -43,6 +43,10 @@ _ASIDE = 1.0
 #: Probability of a distance from the start pose below which a pose is used only if no
 #: nearer pose fits [1].
 _UNLIKELY = 1e-4
+#: Largest number of compared points in all pairs of a site [1].
+_MOST_COMPARED = 600_000
+#: Largest number of points of a scan, and of all others, in rough alignment [1].
+_MOST_ROUGH, _MOST_OTHERS = 20_000, 120_000
 #: Number of points that rank rough poses [1].
 _JUDGES = 1500
 #: Prior standard uncertainty of a pose without a start [m, rad].
@@ -123,6 +127,7 @@ def align(
     trees = {name: tree_of(surface) for name, surface in surfaces.items()}
     overlaps = _neighbours(surfaces, poses, trees, overlap)
     _refuse_islands(names, overlaps, ties)
+    most = min(MOST_POINTS, _MOST_COMPARED // max(len(overlaps), 1))
     gates: list[float | None] = []
     if overlaps:
         largest = 6 * max(surface.spacing for surface in surfaces.values())
@@ -134,7 +139,9 @@ def align(
     for number, gate in enumerate(gates):
         tell("fitting all scans to each other", 0.3 + 0.5 * number / len(gates))
         late = number >= _WIDE_STEPS + _FREE_STEPS
-        pairs = _pairs(surfaces, overlaps, state, trees, gate, pairs if late else ())
+        pairs = _pairs(
+            surfaces, overlaps, state, trees, gate, pairs if late else (), most
+        )
         trust = [1.0] * len(pairs)
         steps = number + 1
         outcome = network.step(
@@ -155,7 +162,7 @@ def align(
     if len(pairs) > 1:
         trust, disagreements = _pair_weights(pairs, state, surfaces)
         for _ in range(4 if disagreements else 0):
-            pairs = _pairs(surfaces, overlaps, state, trees, None, pairs)
+            pairs = _pairs(surfaces, overlaps, state, trees, None, pairs, most)
             trust, disagreements = _pair_weights(pairs, state, surfaces)
             state = network.step(state, pairs, ties, trust, free=free).state
     tell("covariance of all poses", 0.85)
@@ -210,12 +217,15 @@ def _rough_poses(
     first = ties.fixed or _best_started(ties, guess, list(surfaces))
     placed = {first: starts[first]}
     waiting = [name for name in surfaces if name != first]
-    clouds = {
-        name: surface.position[surface.usable] for name, surface in surfaces.items()
-    }
+    clouds, spacings = {}, []
+    for name, surface in surfaces.items():
+        clouds[name], step = _thinned(surface)
+        spacings.append(step * surface.spacing)
+    spacing = max(spacings)
     while waiting:
         tell("aligning roughly", 0.3 * len(placed) / len(surfaces))
         others = np.concatenate([placed[n].place(clouds[n]) for n in placed])
+        others = others[:: -(-len(others) // _MOST_OTHERS)]
         tree = cKDTree(others)
         shares = {}
         for name in waiting:
@@ -230,7 +240,6 @@ def _rough_poses(
         if shares[name] < 0.02:
             placed[name] = starts[name]
             continue
-        spacing = max(surface.spacing for surface in surfaces.values())
         placed[name] = _rough_pose(
             clouds[name],
             others,
@@ -241,6 +250,16 @@ def _rough_poses(
             spacing=spacing,
         )
     return {name: placed[name] for name in surfaces}
+
+
+def _thinned(surface: ScanSurface) -> tuple[Floats, int]:
+    """Return usable points of a scan, thinned if many, and the step in pixels."""
+    step = int(np.ceil(np.sqrt(surface.usable.sum() / _MOST_ROUGH)))
+    usable = surface.usable
+    if step > 1:
+        usable = np.zeros_like(usable)
+        usable[::step, ::step] = surface.usable[::step, ::step]
+    return surface.position[usable], step
 
 
 def _rough_pose(
@@ -398,6 +417,7 @@ def _pairs(
     trees: Mapping[str, cKDTree],
     gate: float | None,
     before: Sequence[Pair],
+    most: int,
 ) -> list[Pair]:
     """Compare overlapping scans; repeat earlier comparisons at the same points."""
     among = {(p.source, p.target): p.source_pixel[p.weight > 0] for p in before}
@@ -410,6 +430,7 @@ def _pairs(
             errors=state.errors,
             tree=trees[target],
             among=among.get((source, target)),
+            most=most,
         )
         for source, target in overlaps
     )

@@ -400,10 +400,8 @@ def _noise_variance(
             of_pixel[np.ix_(pair.source_pixel, local)] += rows * pair.along[:, None]
         else:
             of_pixel[:, local] += pair.window.T @ rows
-    sigma = np.nan_to_num(surface.own.ravel())
-    used = of_pixel.any(axis=1)
-    noise = of_pixel[used] * sigma[used, None]
-    variance[np.ix_(columns, columns)] = noise.T @ noise
+    of_pixel *= np.nan_to_num(surface.own.ravel())[:, None]
+    variance[np.ix_(columns, columns)] = of_pixel.T @ of_pixel
     return variance
 
 

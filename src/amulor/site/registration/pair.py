@@ -69,9 +69,10 @@ class Pair:
     target_pixel_apart: Numbers
     """Numbers of the target's pixels for points located from the neighbors of their
     pixels, independent of the pixels' own noise, shape (n,)."""
-    window: sparse.csr_matrix
-    """Derivatives of the distance by the ranges of the target's pixels, negative, shape
-    (n, pixels)."""
+    patches: ScanSurface
+    """Surface of the target."""
+    off: Floats
+    """Offsets of the points from the target's pixels, in pixels, shape (n, 2) [1]."""
     misfit: float
     """Scatter of the distances over their stated noise; at least 1 [1]."""
     held: Floats
@@ -83,6 +84,14 @@ class Pair:
     by the mean distance from the pivot [1/m^2]."""
     moved: Numbers
     """Pixels of the source on another or a moved object."""
+
+    @property
+    def window(self) -> sparse.csr_matrix:
+        """Negative derivatives of the distance by the ranges of the target's pixels.
+
+        The shape is (n, pixels). They need more memory than all other arrays.
+        """
+        return -_window(self.patches, self.target_pixel, self.off)
 
     @property
     def mean_square(self) -> Floats:
@@ -109,6 +118,7 @@ def compared(
     errors: dict[str, float],
     tree: cKDTree | None = None,
     among: Numbers | None = None,
+    most: int = MOST_POINTS,
 ) -> Pair | None:
     r"""Compare the points of one scan with the surface patches of another.
 
@@ -118,8 +128,8 @@ def compared(
     of the pixels in the patch; neighboring points share patches. Only source pixels in
     `among` have a weight.
     """
-    pixel = _chosen(source)
-    point = source.position.reshape(-1, 3)[pixel]
+    pixel = _chosen(source, most)
+    point = source.points(pixel)
     placed = poses[0].place(point)
     local = poses[1].back(placed)
     tree = tree or tree_of(target)
@@ -156,7 +166,7 @@ def compared(
         return None
     pivot = placed[good].mean(axis=0)
     keys = tuple(dict.fromkeys((*source.shared.keys, *target.shared.keys)))
-    window = _window(target, at)
+    window = _window(target, at.pixel, at.off)
     noises = [one.own.ravel() for one in (source, target)]
     # Derivatives must be independent of the noise of the distances, also through the
     # position: points are placed from neighbors of their pixels.
@@ -224,7 +234,8 @@ def compared(
         target_pixel=at.pixel,
         along_apart=alongs[1],
         target_pixel_apart=at_guess.pixel,
-        window=-window,
+        patches=target,
+        off=at.off,
         misfit=outcome.misfit,
         held=held,
         loose=loose,
@@ -238,10 +249,10 @@ def tree_of(surface: ScanSurface) -> cKDTree:
     return cKDTree(surface.position[surface.smooth])
 
 
-def _chosen(source: ScanSurface) -> Numbers:
+def _chosen(source: ScanSurface, most: int) -> Numbers:
     """Return the pixels on smooth surfaces, evenly thinned if they are many."""
     row, column = np.nonzero(source.smooth)
-    step = int(np.ceil(np.sqrt(len(row) / MOST_POINTS)))
+    step = int(np.ceil(np.sqrt(len(row) / most)))
     if step > 1:
         coarse = (row % step == 0) & (column % step == 0)
         row, column = row[coarse], column[coarse]
@@ -273,29 +284,29 @@ def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
     """Locate points on the grid of a scan: pixel, offset, and distance from patch."""
     shape = target.smooth.shape
     origin, direction = target.origin.reshape(-1, 3), target.direction.reshape(-1, 3)
-    slopes = target.steps.reshape(2, 2, -1, 3)
     row, column = np.divmod(pixel, shape[1])
     off = np.zeros((len(point), 2))
     for _ in range(4):
         pixel = row * shape[1] + column
         start, ahead = origin[pixel], direction[pixel]
-        off = _pixels_off(point - start, ahead, slopes[:, :, pixel])
+        slopes = target.steps(pixel)
+        off = _pixels_off(point - start, ahead, slopes)
         jump = np.clip(np.rint(off), -8, 8).astype(np.intp)
         row = np.clip(row + jump[:, 0], 0, shape[0] - 1)
         column = np.clip(column + jump[:, 1], 0, shape[1] - 1)
         if not jump.any():
             break
     inside = (np.abs(off) <= 0.6).all(axis=1) & target.smooth.ravel()[pixel]
-    start = start + off[:, :1] * slopes[0][0][pixel] + off[:, 1:] * slopes[0][1][pixel]
-    ahead = ahead + off[:, :1] * slopes[1][0][pixel] + off[:, 1:] * slopes[1][1][pixel]
+    start = start + off[:, :1] * slopes[0][0] + off[:, 1:] * slopes[0][1]
+    ahead = ahead + off[:, :1] * slopes[1][0] + off[:, 1:] * slopes[1][1]
     # Rows of beams are curved away from the horizon: by 5 um of range on a grazing
     # plane, with the sign of the elevation. Poses absorb most of such a pattern, so the
     # remainder matters.
     ahead += _bend(direction, shape, pixel, off)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    more = _pixels_off(point - start, ahead, slopes[:, :, pixel])
-    start = start + np.einsum("ni,ink->nk", more, slopes[0][:, pixel])
-    ahead = ahead + np.einsum("ni,ink->nk", more, slopes[1][:, pixel])
+    more = _pixels_off(point - start, ahead, slopes)
+    start = start + np.einsum("ni,ink->nk", more, slopes[0])
+    ahead = ahead + np.einsum("ni,ink->nk", more, slopes[1])
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     off = off + more
     patch = target.patch.reshape(len(target.powers), -1)[:, pixel]
@@ -347,21 +358,21 @@ def _terms(target: ScanSurface, off: Floats) -> Floats:
     return np.array([row**i * column**j for i, j in target.powers])
 
 
-def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
+def _window(target: ScanSurface, pixel: Numbers, off: Floats) -> sparse.csr_matrix:
     """Return derivatives of fitted ranges with respect to ranges in their windows."""
     size = target.kernels.shape[1]
     half = size // 2
     shape = target.smooth.shape
     kernels = target.kernels.reshape(len(target.powers), -1)
-    weight = np.einsum("ki,kj->ij", _terms(target, at.off), kernels)
-    row, column = np.divmod(at.pixel, shape[1])
+    weight = np.einsum("ki,kj->ij", _terms(target, off), kernels)
+    row, column = np.divmod(pixel, shape[1])
     away = np.arange(-half, half + 1)
     rows = (row[:, None, None] + away[:, None]).repeat(size, axis=2)
     columns = (column[:, None, None] + away).repeat(size, axis=1)
     index = (rows * shape[1] + columns).reshape(len(row), -1)
     distance = target.distance.ravel()
     with np.errstate(invalid="ignore"):
-        weight = weight * (distance[at.pixel][:, None] / distance[index]) ** 2
+        weight = weight * (distance[pixel][:, None] / distance[index]) ** 2
     starts = np.arange(len(row) + 1) * size**2
     return sparse.csr_matrix(
         (weight.ravel(), index.ravel(), starts), shape=(len(row), distance.size)

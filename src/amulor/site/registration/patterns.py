@@ -25,6 +25,7 @@ from scipy.stats import norm
 from amulor.site.registration.network import (
     Layout,
     State,
+    System,
     Ties,
     pair_unknowns,
     projector,
@@ -152,25 +153,25 @@ def pattern_tests(
     projection, _ = projector(state, pairs, trust, layout, free)
     base = system_of(state, pairs, ties, trust, layout, projection)
     inverse = np.asarray(np.linalg.inv(base.matrix), dtype=float)
-    derivatives = []
+    compared = []
     for pair, weight in zip(pairs, trust, strict=True):
         at, spread = pair_unknowns(pair, state, layout)
         # Rows of the projector for the unknowns of the pair; fixed ones have none.
         reached = spread[:, at >= 0] @ projection[at[at >= 0]]
-        derivatives.append(
-            (pair.by_target @ reached, pair.by_source @ reached, weight * pair.weight)
-        )
+        compared.append(_Compared(pair, reached, weight * pair.weight))
+    sums = {
+        name: _sums_of(name, surface, compared, inverse, base)
+        for name, surface in surfaces.items()
+        if any(name in (pair.source, pair.target) for pair in pairs)
+    }
+    for name, surface in surfaces.items():
+        _add_noise(name, surface, compared, sums)
     tests: list[PatternTest] = []
     changes: list[Floats] = []
-    for name, surface in surfaces.items():
-        shapes = pattern_values(surface).reshape(len(PATTERNS), -1)
-        if any(name in (pair.source, pair.target) for pair in pairs):
-            of_scan, changes_of_scan = _tests_of(
-                name, shapes, pairs, derivatives, surfaces,
-                (inverse, base.gradient, base.scatter),
-            )  # fmt: skip
-            tests += of_scan
-            changes += changes_of_scan
+    for name, of_scan in sums.items():
+        tests_of_scan, changes_of_scan = _tests_of(name, of_scan, inverse)
+        tests += tests_of_scan
+        changes += changes_of_scan
     return (
         tuple(tests),
         _undetected(state, layout, tests, changes),
@@ -220,58 +221,112 @@ def _undetected(
     return largest
 
 
-def _tests_of(
+@dataclass(frozen=True)
+class _Compared:
+    """Compared pair of scans, with its part of the normal equations."""
+
+    pair: Pair
+    reached: Floats
+    weight: Floats
+
+
+@dataclass
+class _Sums:
+    """Sums of one scan's range errors over all pairs, one row for each pattern."""
+
+    absorbed: Floats
+    effect: Floats
+    squares: Floats
+    back: Floats
+    total: Floats
+    variance: Floats
+    factors: dict[tuple[str, str], Floats]
+
+
+def _sums_of(
     name: str,
-    shapes: Floats,
-    pairs: Sequence[Pair],
-    derivatives: Sequence[tuple[Floats, Floats, Floats]],
-    surfaces: Mapping[str, ScanSurface],
-    base: tuple[Floats, Floats, Floats],
-) -> tuple[list[PatternTest], list[Floats]]:
-    """Test one scan for all kinds of systematic range errors."""
-    inverse, gradient, scatter = base
-    count, size = len(shapes), len(gradient)
-    factors = []
+    surface: ScanSurface,
+    compared: Sequence[_Compared],
+    inverse: Floats,
+    base: System,
+) -> _Sums:
+    """Sum the range errors of one scan over its pairs, without noise of pixels."""
+    shapes = pattern_values(surface).reshape(len(PATTERNS), -1)
+    count, size = len(shapes), len(base.gradient)
     crossed, squares = np.zeros((count, size)), np.zeros((count, count))
     back, sums = np.zeros((size, count)), np.zeros(count)
-    for pair, (x, z, weight) in zip(pairs, derivatives, strict=True):
+    factors = {}
+    for item in compared:
+        pair = item.pair
+        if name not in (pair.source, pair.target):
+            continue
         # Factors are independent of the noise of the distances, as in `pair`. With
         # factors at the point itself, the rows of a plane seem to drift by 1 mm.
         columns = _derivatives(
-            name, shapes, pair, weight, pair.along, pair.target_pixel
+            name, shapes, pair, item.weight, pair.along, pair.target_pixel
         )
         apart = _derivatives(
-            name, shapes, pair, weight, pair.along_apart, pair.target_pixel_apart
+            name, shapes, pair, item.weight, pair.along_apart, pair.target_pixel_apart
         )
-        factors.append(apart)
-        weighted = apart * weight[:, None]
-        crossed += weighted.T @ x
+        factors[pair.source, pair.target] = apart
+        weighted = apart * item.weight[:, None]
+        crossed += weighted.T @ pair.by_target @ item.reached
         squares += weighted.T @ columns
-        back += (z * weight[:, None]).T @ columns
+        back += ((columns * item.weight[:, None]).T @ pair.by_source @ item.reached).T
         sums += weighted.T @ pair.distance
     absorbed = -crossed @ inverse
-    effect = np.diag(squares + absorbed @ back)
-    total = sums + absorbed @ gradient
-    variance = np.einsum("ij,jk,ik->i", absorbed, scatter, absorbed)
-    of_pixel = {
-        scan: np.zeros((surface.own.size, count)) for scan, surface in surfaces.items()
-    }
-    for pair, apart, (_, z, weight) in zip(pairs, factors, derivatives, strict=True):
-        rows = (apart + z @ absorbed.T) * (weight * pair.misfit)[:, None]
-        np.add.at(of_pixel[pair.source], pair.source_pixel, rows * pair.along[:, None])
-        of_pixel[pair.target] += pair.window.T @ rows
-    for scan, values in of_pixel.items():
-        noise = np.nan_to_num(surfaces[scan].own.ravel())
-        variance += ((values * noise[:, None]) ** 2).sum(axis=0)
+    return _Sums(
+        absorbed=absorbed,
+        effect=np.diag(squares + absorbed @ back),
+        squares=np.diag(squares),
+        back=back,
+        total=sums + absorbed @ base.gradient,
+        variance=np.einsum("ij,jk,ik->i", absorbed, base.scatter, absorbed),
+        factors=factors,
+    )
+
+
+def _add_noise(
+    owner: str,
+    surface: ScanSurface,
+    compared: Sequence[_Compared],
+    sums: Mapping[str, _Sums],
+) -> None:
+    """Add the noise of one scan's pixels to the variances of all tests."""
+    shape = (surface.own.size, len(PATTERNS))
+    of_pixel = {name: np.zeros(shape) for name in sums}
+    for item in compared:
+        pair = item.pair
+        if owner not in (pair.source, pair.target):
+            continue
+        back = None if owner == pair.source else pair.window.T.tocsr()
+        weight = (item.weight * pair.misfit)[:, None]
+        for name, of_scan in sums.items():
+            rows = pair.by_source @ (item.reached @ of_scan.absorbed.T)
+            rows += of_scan.factors.get((pair.source, pair.target), 0.0)
+            rows *= weight
+            if back is None:
+                of_pixel[name][pair.source_pixel] += rows * pair.along[:, None]
+            else:
+                of_pixel[name] += back @ rows
+    noise = np.nan_to_num(surface.own.ravel())
+    for name, values in of_pixel.items():
+        sums[name].variance += ((values * noise[:, None]) ** 2).sum(axis=0)
+
+
+def _tests_of(
+    name: str, sums: _Sums, inverse: Floats
+) -> tuple[list[PatternTest], list[Floats]]:
+    """Test one scan for all kinds of systematic range errors."""
     tests, changes = [], []
-    bias = inverse @ back
+    bias = inverse @ sums.back
     for number, pattern in enumerate(PATTERNS):
         # Patterns that poses absorb completely cannot be tested.
-        if not effect[number] > 1e-6 * squares[number, number] > 0:
+        if not sums.effect[number] > 1e-6 * sums.squares[number] > 0:
             continue
-        sigma = float(np.sqrt(variance[number]))
-        score = -float(total[number]) / sigma
-        spread = sigma / float(effect[number])
+        sigma = float(np.sqrt(sums.variance[number]))
+        score = -float(sums.total[number]) / sigma
+        spread = sigma / float(sums.effect[number])
         tests.append(
             PatternTest(
                 scan=name, pattern=pattern, score=score, uncertainty=spread,

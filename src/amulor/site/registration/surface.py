@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -184,9 +185,6 @@ class ScanSurface:
     """Origins of the beams, shape (row, column, 3) [m]."""
     direction: Floats
     """Directions of the beams, shape (row, column, 3) [1]."""
-    steps: Floats
-    """Differences of origin and direction by a row and by a column, shape (2, 2, row,
-    column, 3) [m, 1]."""
     distance: Floats
     """Slant ranges; NaN without a range [m]."""
     own: Floats
@@ -216,12 +214,41 @@ class ScanSurface:
         """Points in instrument axes, shape (row, column, 3) [m]."""
         return np.asarray(self.origin + self.distance[..., None] * self.direction)
 
-    @property
+    @cached_property
     def spacing(self) -> float:
         """Median distance between neighboring points of smooth patches [m]."""
         step = np.linalg.norm(np.diff(self.position, axis=1), axis=-1)
         lengths = step[self.smooth[:, 1:] & self.smooth[:, :-1]]
         return float(np.median(lengths)) if lengths.size else float("nan")
+
+    def points(self, pixel: Numbers) -> Floats:
+        """Return points at numbers of pixels, in instrument axes, shape (n, 3) [m]."""
+        start, ahead = (v.reshape(-1, 3)[pixel] for v in (self.origin, self.direction))
+        return np.asarray(start + self.distance.ravel()[pixel, None] * ahead)
+
+    def steps(self, pixel: Numbers) -> Floats:
+        """Return differences of origin and direction by a row and by a column.
+
+        The shape is (2, 2, n, 3) [m, 1].
+        """
+        shape = self.distance.shape
+        places = np.divmod(pixel, shape[1])
+        differences = []
+        for axis, width in enumerate((shape[1], 1)):
+            before = (places[axis] > 0).astype(np.intp)
+            after = (places[axis] < shape[axis] - 1).astype(np.intp)
+            span = np.maximum(before + after, 1)[:, None]
+            ends = pixel + width * after, pixel - width * before
+            differences.append(
+                [
+                    (grid[ends[0]] - grid[ends[1]]) / span
+                    for grid in (
+                        self.origin.reshape(-1, 3),
+                        self.direction.reshape(-1, 3),
+                    )
+                ]
+            )
+        return np.asarray(differences).swapaxes(0, 1)
 
 
 def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
@@ -287,7 +314,6 @@ def scan_surface(
         smooth=smooth,
         origin=np.asarray(origin),
         direction=np.asarray(direction),
-        steps=steps,
         distance=distance,
         own=noise,
         shared=shared,
