@@ -13,6 +13,7 @@ from scipy.stats import chi2, norm
 
 from amulor._progress import part, tell
 from amulor.errors import CubeError
+from amulor.site.blocks import averaged, block_of, block_size, pixels_of_scan
 from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import range_image_of
 from amulor.site.registration.align import Alignment, align, squared_pull
@@ -65,12 +66,17 @@ _LEAST_HEIGHT = 0.02
 
 
 def surfaces_of(site: Site) -> tuple[dict[str, ScanSurface], dict[str, xr.Dataset]]:
-    """Return the surfaces and the range images of all scans of a site."""
+    """Return the surfaces and the range images of all scans of a site.
+
+    Scans of many pixels are averaged over blocks of pixels.
+    """
     surfaces, images = {}, {}
     for number, scan in enumerate(site.scan):
         tell(f"reading {scan.name}", number / len(site.scan))
-        images[scan.name] = range_image_of(scan)
-        surfaces[scan.name] = surface_of(site, scan, images[scan.name])
+        image = range_image_of(scan)
+        image = averaged(image, block_size(site, scan.name, image))
+        images[scan.name] = image
+        surfaces[scan.name] = surface_of(site, scan, image)
     return surfaces, images
 
 
@@ -201,8 +207,9 @@ def _centres(
             scan = next(
                 candidate for candidate in site.scan if candidate.name == place.scan
             )
+            row, column = block_of(images[scan.name], place.row, place.column)
             centre, pixels = centre_of(
-                target, surfaces[scan.name], images[scan.name], place.row, place.column
+                target, surfaces[scan.name], images[scan.name], row, column
             )
             if target.moved:
                 centre = replace(centre, target=f"{target.name} in {scan.epoch}")
@@ -268,6 +275,7 @@ def _result(
     }
     pairs = []
     for pair, trust in zip(alignment.pairs, alignment.trust, strict=True):
+        moved = pixels_of_scan(surfaces[pair.source], pair.moved)
         pairs.append(
             {
                 "source": pair.source,
@@ -278,7 +286,7 @@ def _result(
                 "median_distance_m": float(np.median(np.abs(pair.distance))),
                 "trust": trust,
                 "loose": [axis.tolist() for axis in pair.loose],
-                "moved_pixels": pair.moved.tolist(),
+                "moved_pixels": moved.tolist(),
             }
         )
     reliability = reliabilities(
