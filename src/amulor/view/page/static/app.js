@@ -561,7 +561,7 @@ function profileAlong(kind) {
   state.drawing = kind === "section";
   for (const button of $("profile-kind").children)
     button.setAttribute("aria-pressed", String(button.dataset.kind === kind));
-  if (!stage.shows("plots")) stage.toggle();
+  if ($("plots").hidden) stage.toggle();
   if (state.drawing) page.hint("Drag a line over the map, or set its ends with Enter.");
   page.dragsOn("map", state.drawing);
   page.redraw();

@@ -67,7 +67,7 @@ export class Stage {
 
   /** Whether a view, or the plots, can be seen. */
   shows(name) {
-    if (name === "plots") return this.#open;
+    if (name === "plots") return this.#open && $("plots").clientHeight > 0;
     const { split } = $("stage-card").dataset;
     return split === "row" || split === "column" || split === name;
   }
