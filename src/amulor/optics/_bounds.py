@@ -308,5 +308,5 @@ def _checked(
 
 
 def _text(number: float) -> str:
-    """Format a number for an error message."""
+    """Format a number for an error message; pi and -pi by name."""
     return {np.pi: "pi", -np.pi: "-pi"}.get(number, f"{number:g}")

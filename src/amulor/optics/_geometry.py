@@ -33,7 +33,7 @@ class Geometry:
 
     @cached_property
     def beam(self) -> rays.Beam:
-        """Refracted beams in the water."""
+        """Laser beams refracted into the water."""
         return rays.enter_water(
             self.emitter,
             rays.direction(self.azimuth, self.elevation),

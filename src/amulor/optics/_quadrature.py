@@ -1,4 +1,8 @@
-"""Filon quadrature of f(z) exp(i w z) over depth z, and the Bessel function J0."""
+"""Filon quadrature of f(z) exp(i w z) over depth z, and the Bessel function J0.
+
+The function f is the integrand without its oscillation, w the phase per depth [rad/m].
+A panel is a depth interval with quadrature nodes.
+"""
 
 from __future__ import annotations
 
@@ -248,12 +252,12 @@ def monomials(values: Array) -> Array:
 
 @cache
 def bessel() -> Array:
-    """Return polynomials for the Bessel function J0 in cells of width 1."""
+    """Return polynomials for the Bessel function J0, in cells of width 1."""
     return monomials(special.j0(bessel_nodes()))
 
 
 def bessel_nodes() -> Array:
-    """Return the Chebyshev nodes of all cells of the Bessel-function tables."""
+    """Return the Chebyshev nodes of each cell of the Bessel-function tables, by row."""
     node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
     return np.arange(NO_WAVE)[:, None] + (node + 1) / 2
 

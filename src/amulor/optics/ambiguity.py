@@ -290,7 +290,7 @@ class _Phases:
     def part(
         self, pixels: tuple[NDArray[np.intp], ...], left_out: NDArray[np.bool_]
     ) -> _Phases:
-        """Return the phases of selected pixels, with infinite error for outliers."""
+        """Return the phases of selected pixels, infinite errors for outliers."""
         index: tuple[Any, ...] = (slice(None), *pixels)
         return replace(
             self,

@@ -301,7 +301,7 @@ def photon_noise(
 
 
 def speckle_contrast(speckle_cells: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the relative intensity fluctuation due to speckle of a rough surface.
+    r"""Return the relative intensity fluctuation due to speckle of a rough surface [1].
 
     Parameters
     ----------
@@ -392,7 +392,7 @@ def phase_uncertainty(
     quadrature_variance: ArrayLike,
     covariance: ArrayLike = 0.0,
 ) -> NDArray[np.float64]:
-    r"""Return the standard deviation of the phase of a noisy signal.
+    r"""Return the standard deviation of the phase of a noisy signal [rad].
 
     Parameters
     ----------
@@ -527,7 +527,7 @@ def _checked_moments(
     NDArray[np.float64],
     NDArray[np.float64],
 ]:
-    """Return a signal with its variances and covariance, as arrays of one shape."""
+    """Return signal, variances and covariance as arrays, checked for consistency."""
     phasor = np.asarray(signal, dtype=np.complex128)
     in_phase = measured(in_phase_variance, name="in_phase_variance")
     quadrature = measured(quadrature_variance, name="quadrature_variance")

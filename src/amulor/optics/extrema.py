@@ -271,7 +271,7 @@ def _sweep(
 def _vertex(
     f: NDArray[np.float64], y: NDArray[np.float64], at: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Return the frequencies at which parabolas through three samples peak [Hz]."""
+    """Return the vertex frequencies of parabolas through three samples [Hz]."""
     before, after = f[at - 1] - f[at], f[at + 1] - f[at]
     low, high = y[at - 1] - y[at], y[at + 1] - y[at]
     curve = (high / after - low / before) / (after - before)

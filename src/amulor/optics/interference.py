@@ -139,7 +139,7 @@ def phase_error(
 def signal_to_optical_noise_ratio(
     signal: ArrayLike, water_signal: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the ratio of signal modulus to water-signal modulus.
+    r"""Return the ratio of signal modulus to water-signal modulus [1].
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ def target_amplitude_and_phase(
     water_amplitude: ArrayLike,
     water_phase: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    r"""Return amplitude and phase of the target signal: the water signal is subtracted.
+    r"""Return amplitude and phase of a signal after subtraction of the water signal.
 
     Parameters
     ----------

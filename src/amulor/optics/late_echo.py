@@ -309,7 +309,7 @@ def _excess(
 def _scattering_terms(
     table: _Table, rate: Array, kappa: Array, depth: Array
 ) -> tuple[Array, Array, Array]:
-    """Return path integrals of the three scattering terms of the excess path.
+    """Return the three depth integrals of scattering in the excess path.
 
     A is the gradient along kappa of the exponent, b_f / kappa times the difference of
     the transform at the end of the way and at the depth.

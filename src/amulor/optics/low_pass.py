@@ -382,12 +382,12 @@ def _checked(
 
 
 def _grid(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return natural logarithms of trial cut-offs over the highest frequency."""
+    """Return a search grid of ln(cut-off / highest frequency)."""
     return np.linspace(np.log(x[x > 0].min()) - 7, 7, 400)
 
 
 def _closest(residual_sum: NDArray[np.float64], f: NDArray[np.float64]) -> int:
-    """Return the index of the least residual sum; ValueError at the grid's ends."""
+    """Return the index of the least sum of squares; ValueError at the grid's ends."""
     closest = int(np.argmin(residual_sum))
     if closest in (0, residual_sum.size - 1):
         raise _not_shown(f)
@@ -405,7 +405,7 @@ def _not_shown(f: NDArray[np.float64]) -> ValueError:
 def fit_if_shown(
     modulation_frequency: ArrayLike, amplitude: ArrayLike
 ) -> LowPassFit | None:
-    """Fit a first-order low-pass to a sweep; None if the cut-off is outside the sweep.
+    """Fit a first-order low-pass to a sweep; None if the cut-off lies outside of it.
 
     Parameters
     ----------

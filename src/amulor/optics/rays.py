@@ -260,7 +260,7 @@ def return_distance(
 def _ways_back(
     point: ArrayLike, receiver: ArrayLike, medium: Medium
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | float]:
-    """Return path length in water, and optical length after it, to the receiver [m]."""
+    """Return path length in water, and optical length from window to receiver [m]."""
     source = last_axes(point, (3,), name="point", meaning="(x, y, z)")
     sink = last_axes(receiver, (3,), name="receiver", meaning="(x, y, z)")
     broadcast(point=source, receiver=sink)

@@ -535,7 +535,7 @@ def _place(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> tuple[dict[str, ArrayLike], NDArray[np.float64] | float]:
-    """Return overlap arguments for a surface, and obliquity factor of its return."""
+    """Return overlap arguments of a surface, and obliquity factor of its echo."""
     place: dict[str, ArrayLike] = {
         "depth": depth,
         "baseline": baseline,

@@ -101,7 +101,7 @@ class Accumulator:
 
     @property
     def histories(self) -> int:
-        """Number of histories so far."""
+        """Number of photon histories in the accumulated batches."""
         return sum(self.counts)
 
     def with_batch(self, batch: Batch) -> Self:
@@ -170,7 +170,7 @@ class Accumulator:
         return total, square, largest
 
     def _path_record(self, masses: Array, edges: Array) -> PathRecord:
-        """Return the path-length record as mean over the histories."""
+        """Convert summed path-length records to a `PathRecord` per history."""
         mass, edge = masses / self.next_batch, edges / self.next_batch
         # Light spread over a bin, and half of what lies at each of its two nodes.
         spread = np.cumsum(edge, axis=-1)[..., :-1] * self.spacing
@@ -240,7 +240,7 @@ class ErrorGoal:
     """Index of the modulation frequency, from 0."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for invalid values."""
+        """Raise a ValueError for an invalid error or frequency index."""
         if not self.relative_error > 0:
             raise ValueError(
                 f"relative_error must be above 0, got {self.relative_error}"
@@ -255,7 +255,7 @@ class ErrorGoal:
         return float(errors[self.frequency])
 
     def reached(self, tally: Tally) -> bool:
-        """Return whether a tally meets the error goal.
+        """Return whether a tally's standard error meets the goal.
 
         A run checks its goal after 16 batches, then each time after sqrt(2) times as
         many. With so few checks a run seldom stops early by chance. The goal must be
@@ -288,7 +288,7 @@ class Limits:
     spread: Spread | None = None
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for invalid values."""
+        """Raise a ValueError for an invalid number of histories or threads, or time."""
         _refuse_fractions(self.histories, least=1, name="histories")
         if self.longest_time is not None and not self.longest_time > 0:
             raise ValueError(f"longest_time must be above 0 s, got {self.longest_time}")
@@ -442,7 +442,7 @@ class Record:
     def batch(
         self, number: int, histories: int, units: int, weight: Array, *, keep: bool
     ) -> Batch:
-        """Return the result of a batch, as means per history."""
+        """Return the result of the batch, as means per history."""
         _record_kernels.transform(
             self.mass, self.edge, self.wavenumber, self.spacing, self.beyond
         )

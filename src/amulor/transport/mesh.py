@@ -204,7 +204,7 @@ def _refuse_twins(corner: Array) -> None:
 
 
 def _crossings(corner: Array, point: Array, direction: Array) -> int:
-    """Return the number of triangles that a ray meets."""
+    """Return the number of triangles that a ray crosses."""
     first_edge, second_edge = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     p = np.cross(direction, second_edge)
     determinant = np.einsum("ij,ij->i", first_edge, p)

@@ -67,7 +67,7 @@ class RayCaster:
 
 
 def hierarchy(corner: Array) -> tuple[Mesh, Integers]:
-    """Build the hierarchy of boxes around triangles; return it and triangle order.
+    """Build the box hierarchy of a triangle mesh; return it and the triangle order.
 
     A box is split at the median of the triangles' centres along the axis on which
     those spread the most.

@@ -37,14 +37,14 @@ _FEWEST = 30
 
 
 def analyser_vector(name: str) -> Array:
-    """Return the row vector from a Stokes vector to the power behind an analyzer."""
+    """Return the row vector that maps Stokes vectors to power behind an analyzer."""
     vector = _stokes.state(name)
     result: Array = vector if name == "none" else 0.5 * vector
     return result
 
 
 def sums_of(weight: Array) -> Array:
-    """Return sum, sum of squares and maximum of contributions, by kind of light."""
+    """Return sum, sum of squares and maximum of group light, by kind and analyzer."""
     light = np.stack([weight.sum(axis=1), weight[:, 0], weight[:, 1]])
     if weight.shape[2] == 4:
         vectors = np.stack([analyser_vector(name) for name in ANALYSERS], axis=-1)
@@ -128,7 +128,7 @@ class PathRecord:
         group_index: float,
         more_absorption: float = 0.0,
     ) -> Complex:
-        r"""Return the received Stokes vector at other frequencies or more absorption.
+        r"""Return received Stokes vectors at other frequencies or with more absorption.
 
         Parameters
         ----------
@@ -347,7 +347,7 @@ class Tally:
         return self._scatter(np.concatenate([values.real, values.imag], axis=1))
 
     def covariance_of(self, values: ArrayLike) -> Array:
-        """Return the covariance of the mean over batches of complex values.
+        """Return the covariance of real and imaginary part of a mean over batches.
 
         Parameters
         ----------
@@ -504,7 +504,7 @@ class Tally:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Whether a single group of histories dominates a standard error.
+        """Whether a group of histories dominates the error of a kind of light.
 
         If so, the stated error of at least one of them is likely too small;
         `heavy_tail_of` determines which.
@@ -672,7 +672,7 @@ def _over(error: Array, modulus: Array) -> Array:
 
 
 def _along(signal: Complex, covariance: Array, *, turn: complex) -> Array:
-    """Return the standard error of the signal's component along signal * turn."""
+    """Return the standard error of a complex signal in the direction signal * turn."""
     modulus = np.abs(signal)
     unit = (
         np.divide(signal, modulus, out=np.ones_like(signal), where=modulus > 0) * turn

@@ -31,7 +31,7 @@ def narrow_panels(
     legendre: Array,
     out: Array,
 ) -> None:
-    """Add the Hankel transform over narrow angle intervals to `out`, by frequency.
+    """Add the Hankel transform over narrow angle intervals to `out`, per frequency.
 
     A row of angle holds the nodes of a panel no wider than a tenth of where it starts,
     bessel the table of J0, row l of legendre (2 l + 1) times the Legendre polynomial at
@@ -67,7 +67,7 @@ def _spherical_bessel(x: float, out: Array) -> None:
 def _fast_panel(
     k: float, angle: Array, fraction: Array, terms: Array, legendre: Array
 ) -> float:
-    """Return the Hankel transform over one angle interval, for fast oscillations.
+    """Return the Hankel transform over an angle interval, for fast oscillations of J0.
 
     J0 is the real part of Hankel's function, by his expansion, as k angle is above 28;
     its slow factor becomes a Legendre series, and i^l P_l transforms into j_l.

@@ -94,7 +94,7 @@ def fournier_forand_phase(
 def fournier_forand_cumulative(
     angle: ArrayLike, *, relative_index: float, slope: float
 ) -> NDArray[np.float64]:
-    r"""Return the fraction of Fournier-Forand scattering below an angle [1].
+    r"""Return the fraction of Fournier-Forand scattering below an angle.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def _smooth_weight(nu: float, relative_index: float) -> float:
 
 
 def _log_delta_pi(relative_index: float) -> float:
-    """Return the logarithm of delta at a scattering angle of 180 degrees."""
+    """Return the natural logarithm of delta at a scattering angle of 180 degrees."""
     return float(np.log(4 / 3) - 2 * np.log(relative_index - 1))
 
 

@@ -178,7 +178,7 @@ class Panels:
     def _rule(
         self, low: NDArray[np.float64], high: NDArray[np.float64], *, order: int = 16
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return quadrature angles, and weights times 2 pi p sin(angle), by panel."""
+        """Return angles, and quadrature weights times 2 pi p sin(angle), by panel."""
         nodes, weights = gauss_legendre(order)
         half = (high - low)[:, np.newaxis] / 2
         angle = np.minimum(low[:, np.newaxis] + half * (nodes + 1), np.pi)
@@ -221,7 +221,7 @@ def _oscillating(
 
 @cache
 def _legendre(order: int) -> NDArray[np.float64]:
-    """Return Legendre polynomials (2 l + 1) P_l at quadrature nodes, as rows by l."""
+    """Return (2 l + 1) times Legendre polynomial P_l at quadrature nodes, in row l."""
     nodes, _ = gauss_legendre(order)
     degree = np.arange(order)[:, np.newaxis]
     return np.ascontiguousarray((2 * degree + 1) * special.eval_legendre(degree, nodes))

@@ -31,7 +31,7 @@ _SLOPES = (3.05, 4.9)
 def mixture(
     functions: Sequence[PhaseFunction], *, scattering: ArrayLike, name: str = ""
 ) -> PhaseFunction:
-    r"""Return the phase function of a mixture of scatterers.
+    r"""Return the phase function of a mixture, weighted by scattering coefficients.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def fournier_forand_with_backscatter(backscatter_fraction: float) -> PhaseFuncti
 
 
 def _index(slope: float) -> float:
-    """Return the particles' relative index for a slope of the size distribution [1]."""
+    """Return the particles' relative index assumed for a slope of the sizes [1]."""
     return 1.01 + 0.1542 * (slope - 3)
 
 

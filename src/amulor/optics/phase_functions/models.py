@@ -125,7 +125,7 @@ def henyey_greenstein_function(*, asymmetry: float) -> PhaseFunction:
 def two_term(
     *, forward_asymmetry: float, backward_asymmetry: float, forward_weight: float
 ) -> PhaseFunction:
-    r"""Return the two-term Henyey-Greenstein phase function.
+    r"""Return the weighted sum of two Henyey-Greenstein phase functions.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def two_term(
 
 
 def fournier_forand(*, relative_index: float, slope: float) -> PhaseFunction:
-    """Return the Fournier-Forand phase function of a given index and size slope.
+    """Return the Fournier-Forand phase function of a relative index and size slope.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ __all__ = [
 def rayleigh_phase_value(
     angle: ArrayLike, *, depolarization: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the Rayleigh phase function for unpolarized light, at scattering angles.
+    r"""Return the Rayleigh phase function for unpolarized light at angles [1/sr].
 
     Parameters
     ----------

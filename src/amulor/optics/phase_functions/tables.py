@@ -186,7 +186,7 @@ def from_cumulative(
 
 
 def petzold(station: str) -> PhaseFunction:
-    """Return a phase function of natural water measured by Petzold, by station.
+    """Return a phase function from Petzold's measurements in natural water.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def _table_value(
     logs: NDArray[np.float64],
     head: float,
 ) -> NDArray[np.float64]:
-    """Evaluate a table: power laws between angles, power law or lobe near 0."""
+    """Evaluate a table by power laws between angles, and a power law or lobe near 0."""
     start = 1 if node[0] == 0 else 0
     with np.errstate(divide="ignore"):  # log(0) meets the lobe, or a head refused
         log_angle = np.log(angle)
@@ -274,7 +274,7 @@ def _slope_value(
     node: NDArray[np.float64],
     slope: float,
 ) -> NDArray[np.float64]:
-    """Return the phase function as the slope of a cumulative table [1/sr]."""
+    """Return the phase function as derivative of cumulative fractions [1/sr]."""
     tiny = np.maximum(np.sin(angle / 2) ** 2, 1e-300)
     first = np.sin(node[0] / 2) ** 2
     position = np.log(np.clip(tiny, first, 1.0))
@@ -289,7 +289,7 @@ def _slope_value(
 def _edges(
     node: NDArray[np.float64], change: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return edges of angle panels, at most a factor of 2 wide in angle [rad]."""
+    """Return edges of angle panels that span at most a factor of 2 in angle [rad]."""
     start = 1 if node[0] == 0 else 0
     first = node[start]
     parts = [np.geomspace(INNERMOST_ANGLE, first, 2 + int(np.log2(first) + 40))[:-1]]

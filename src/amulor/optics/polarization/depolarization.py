@@ -58,7 +58,7 @@ def depolarization_index(mueller: ArrayLike) -> NDArray[np.float64]:
 
 
 def depolarization_effect(mueller: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the mean modulus of the reduced elements m22, m33 and m44.
+    r"""Return the mean modulus of the reduced Mueller elements m22, m33 and m44.
 
     Parameters
     ----------

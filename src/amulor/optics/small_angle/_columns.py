@@ -1,4 +1,9 @@
-"""Small-angle model: tables of the phase function, water columns, depth integrals."""
+"""Small-angle model: tables of the phase function, water columns, depth integrals.
+
+F(z) is the overlap of beam and receiver at the depth z [sr], and w the phase per depth
+[rad/m]. A panel is a depth interval with quadrature nodes, a view the receiver geometry
+(baseline, tilts, end) of a water column.
+"""
 
 from __future__ import annotations
 
@@ -206,13 +211,13 @@ def _gauss() -> tuple[Array, Array]:
 
 @cache
 def disc() -> Array:
-    """Return polynomials for the disc transform 2 J1(x) / x in cells of width 1."""
+    """Return polynomials for the disc transform 2 J1(x) / x, in cells of width 1."""
     return monomials(2 * j1(bessel_nodes()) / bessel_nodes())
 
 
 @cache
 def _mean_table() -> Array:
-    """Return polynomials for (1 - mean of J0 from 0 to x) / x^2, cells of width 1."""
+    """Return polynomials, per unit cell, for (1 - mean of J0 from 0 to x) / x^2."""
     gauss, weight = _gauss()
     node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
     stop = np.append((node + 1) / 2, 1.0)
@@ -341,7 +346,7 @@ class Shared(NamedTuple):
 
 
 class Light(NamedTuple):
-    """Overlap of forward-scattered light, tabulated over depth and axis distance."""
+    """Overlap of forward-scattered light, by depth and offset of the receiver axis."""
 
     edge: Array
     """Depth intervals in which the light is smooth, shape (panel, 2) [m]."""
@@ -366,7 +371,7 @@ def light_of(view: Array, shared: Shared, panels_of: Callable[[Array], Array]) -
 def integrals(
     phase_per_depth: Array, view: Array, shared: Shared, light: Light
 ) -> NDArray[np.complex128]:
-    """Return depth integrals of exp(i w z) times the tabulated overlap, by column.
+    """Integrate exp(i w z) times tabulated overlap over depth, for each water column.
 
     A column is the same whatever others come with it.
     """
@@ -588,7 +593,7 @@ def fit_of(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> _Fitted | None:
-    """Apply `fit` to columns that differ only in receiver view; None for others."""
+    """Apply `fit` to water columns if they differ only in receiver view; else None."""
     phases, columns, spread, _ = _prepared(
         modulation_frequency,
         arguments,
@@ -612,7 +617,7 @@ def _prepared(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
 ) -> tuple[Array, dict[str, NDArray[Any]], Table, Any]:
-    """Check arguments; return phases per depth, columns, transform table, and VSF."""
+    """Check arguments; return phases per depth, columns, transform table and VSF."""
     refuse_behind_receiver(arguments.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     spread = table(phase_function, split_angle)
@@ -629,7 +634,7 @@ def _prepared(
 def _views(
     phases: Array, columns: dict[str, NDArray[Any]], fewest: int
 ) -> tuple[Array, Column, Callable[[Complex], Complex]] | None:
-    """Return the distinct receiver views, the common column, and an expanding function.
+    """Return distinct receiver views, common column, and function to expand results.
 
     None for too few columns, where they share less, and where frequencies have no axes
     of their own.

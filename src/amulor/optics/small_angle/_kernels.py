@@ -1,4 +1,9 @@
-"""Compiled loops of the small-angle model for a Gaussian receiver."""
+"""Compiled loops of the small-angle model for a Gaussian receiver.
+
+Radius R and acceptance angle gamma are those of the receiver, F(z) is the overlap of
+beam and receiver at the depth z, and w the phase per depth [rad/m]. A panel is an
+interval of depth or spatial frequency with quadrature nodes.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +104,7 @@ def lost(x: float, split: float, table: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _scattering_end(depth: float, top: float, water: Water, table: Array) -> float:
-    """Return the spatial frequency of negligible light, at most `top` [1/m]."""
+    """Return the spatial frequency above which light is negligible, at most `top`."""
     thickness = water.forward * depth
     if thickness > _SCATTERED_END:
         while (

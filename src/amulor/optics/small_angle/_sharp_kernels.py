@@ -1,4 +1,10 @@
-"""Compiled loops of the small-angle model for a sharp aperture and field of view."""
+"""Compiled loops of the small-angle model for a sharp aperture and field of view.
+
+The integral over the spatial frequency kappa is eq. (29) of Ricci et al. 2010, as
+rederived. Radius R and acceptance angle gamma are those of the receiver. A wave is a
+Bessel function of large argument; the other factors are smooth. A panel is an interval
+of kappa with quadrature nodes.
+"""
 
 from __future__ import annotations
 
@@ -117,7 +123,7 @@ def _disc(x: float, table: Array) -> float:
 def _turned(
     half: float, centre: float, rate: float, value: Complex, rule: Array, series: Array
 ) -> float:
-    """Integrate Re value exp(i rate kappa) over the spatial frequency kappa."""
+    """Integrate Re[value exp(i rate kappa)] over spatial frequency kappa in a panel."""
     turn = rate * half
     total = 0.0
     if abs(turn) < _DIRECT:
@@ -199,7 +205,7 @@ def _slowest(radius: tuple[float, float, float]) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _widest_turn(low: float, place: _Place, wave: Flags) -> tuple[float, float]:
-    """Return the smooth factors' oscillation rate [m], and a panel's largest phase."""
+    """Return oscillation rate of the smooth factors [m], and largest phase [rad]."""
     turn = place.reach if low * place.reach < _SPLIT_END else 0.0
     waves = 0
     for j in range(3):
@@ -290,7 +296,7 @@ def _multiply_waves(
 
 @numba.njit(cache=True, error_model="numpy")
 def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> float:
-    """Return the integral of eq. (29) over spatial frequency, no prefactor [1/m^2]."""
+    """Integrate the factors of eq. (29) over the spatial frequency kappa [1/m^2]."""
     radius, beam = place.radius, place.beam
     rule, series, lost = tables.rule, tables.series, tables.lost
     bessel, disc = tables.bessel, tables.disc
@@ -338,7 +344,7 @@ def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> 
 
 @numba.njit(cache=True, error_model="numpy")
 def collected(look: Array, water: Water, tables: Tables, out: Array) -> None:
-    """Fill `out` with overlap / (pi R^2 gamma^2), thin beams without unscattered light.
+    """Fill `out` with the scaled overlap, without unscattered light of a thin beam.
 
     A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
     with the transform of two uniform discs, docs/theory/water-signal.md.

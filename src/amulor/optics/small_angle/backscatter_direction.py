@@ -38,7 +38,7 @@ def backscatter_direction(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> tuple[Array, Array]:
-    r"""Return mean and variance of the received light's deviation from 180 degrees.
+    r"""Return mean and variance of the scattering angle's deviation from 180 degrees.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def effective_radiance(
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
 ) -> Array:
-    r"""Return received light per solid angle, over its deviation from 180 degrees.
+    r"""Return received light per solid angle at given deviations from 180 degrees.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
 r"""Small-angle water signal of a Gaussian receiver, for any phase function.
 
 Unlike the diffusion model, it treats unscattered light separately, and uses the shape
-of the forward peak.
+of the forward peak. F(z) is the overlap of beam and receiver at the depth z [sr], and w
+the phase per depth [rad/m].
 """
 
 from __future__ import annotations
@@ -308,7 +309,7 @@ def overlap(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return the overlap F(z) of beam and Gaussian receiver at a depth.
+    r"""Return the overlap F(z) of beam and Gaussian receiver at a depth [sr].
 
     Parameters
     ----------
@@ -453,7 +454,7 @@ def _response(
 
 
 def _plain(phase_per_depth: Array, column: Column) -> NDArray[np.complex128]:
-    """Return the depth integral of unscattered light, by the diffusion model [m sr]."""
+    """Return the depth integral's unscattered part, by the diffusion model [m sr]."""
     # For a frequency f, w = 4 pi f n / c; here with a group index of 1.
     return np.asarray(
         _beam_loss(column)

@@ -2,6 +2,8 @@ r"""Small-angle water signal for a sharp aperture and field of view.
 
 The aperture is a uniform disc and the acceptance a uniform cone, as those of a lens in
 front of a field stop are; `amulor.optics.small_angle` has the Gaussian receiver.
+F(z) is the overlap of beam and receiver at the depth z [sr], and w the phase per depth
+[rad/m].
 """
 
 from __future__ import annotations
@@ -199,7 +201,7 @@ def overlap(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return the overlap F(z) of beam and sharp-edged receiver at a depth.
+    r"""Return the overlap F(z) of beam and sharp-edged receiver at a depth [sr].
 
     Parameters
     ----------

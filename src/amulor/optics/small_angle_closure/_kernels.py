@@ -1,4 +1,10 @@
-"""Compiled small-angle closure: squared width S, broadening B, exponent A, overlap."""
+"""Compiled small-angle closure: squared width S, broadening B, exponent A, overlap.
+
+F(z) is the overlap of beam and receiver at the depth z, R the receiver radius, gamma
+the acceptance angle, and w the phase per depth [rad/m]. The closure approximates eq.
+(29) of Ricci et al. 2010, as rederived. A panel is a depth interval with quadrature
+nodes.
+"""
 
 from __future__ import annotations
 
@@ -214,7 +220,7 @@ def _unresolved(value: Array, tail: Array) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _edges(start: float, stop: float, layout: Layout, waiting: Array) -> int:
-    """Split a depth interval near the closest approach of the axes; return count."""
+    """Split a depth interval near the axes' closest approach; return the part count."""
     count = 0
     high = stop
     for factor in (9.0, 3.0, 1.0, 0.0, -1.0, -3.0, -9.0):

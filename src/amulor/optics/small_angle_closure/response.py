@@ -2,7 +2,8 @@ r"""Water signal and overlap by the small-angle closure.
 
 Scattering damps a spatial frequency by an exponent. The closure replaces this exponent,
 as a function of the squared frequency, by its tangent at the mean squared frequency of
-the light.
+the light. F(z) is the overlap of beam and receiver at the depth z [sr], and w the phase
+per depth [rad/m].
 """
 
 from __future__ import annotations
@@ -203,7 +204,7 @@ def overlap(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return the overlap F(z) of beam and receiver by the small-angle closure.
+    r"""Return the overlap F(z) of beam and receiver by the small-angle closure [sr].
 
     Parameters
     ----------

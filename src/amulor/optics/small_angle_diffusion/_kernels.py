@@ -1,4 +1,9 @@
-"""Compiled depth integrals of the overlap F(z) in the small-angle diffusion model."""
+"""Compiled depth integrals of the overlap F(z) in the small-angle diffusion model.
+
+Radius R and acceptance angle gamma are those of the receiver, w is the phase per depth
+[rad/m]. Eqs. (43) and (46) are those of Ricci et al. 2010, as rederived. A panel is a
+depth interval with quadrature nodes.
+"""
 
 from __future__ import annotations
 

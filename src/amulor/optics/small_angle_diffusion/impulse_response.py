@@ -33,7 +33,7 @@ def impulse_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.float64]:
-    r"""Return the impulse response of the water: power over pulse energy by time [1/s].
+    r"""Return the impulse response of the water signal: power per pulse energy [1/s].
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def impulse_response(
 
 
 def maximum_distance(fraction: float, **water: Any) -> float:
-    """Return the depth within which a given fraction of the water signal arises.
+    """Return the depth within which a fraction of the water signal arises [m].
 
     Parameters
     ----------

@@ -163,7 +163,7 @@ def water_response(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.complex128]:
-    r"""Return the water signal between the instrument and a depth.
+    r"""Return the water signal from depths between the instrument and a given depth.
 
     All arguments are broadcast against each other.
 
@@ -294,7 +294,7 @@ def overlap(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> NDArray[np.float64]:
-    r"""Return the overlap F(z) of beam and receiver at a depth.
+    r"""Return the overlap F(z) of beam and receiver at a depth [sr].
 
     Parameters
     ----------
@@ -363,7 +363,7 @@ def overlap(
 
 
 def _overlap(z: Any, column: _Column) -> NDArray[np.float64]:
-    """Return the overlap F(z) of beam and receiver, eq. (43)."""
+    """Return the overlap F(z) of beam and receiver, eq. (43) [sr]."""
     path = z + column.standoff
     refuse_behind_receiver(column.standoff, z)
     area = column.receiver_radius**2 + (column.acceptance_angle * path) ** 2
@@ -392,7 +392,7 @@ def water_tail(
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
 ) -> NDArray[np.complex128]:
-    r"""Return the water signal from beyond a depth.
+    r"""Return the water signal from depths beyond a given depth.
 
     This is the excess of the open-water signal over that of a scene in which a target
     ends the water.

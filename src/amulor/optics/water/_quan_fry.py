@@ -31,7 +31,7 @@ def index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Arra
 
 
 def group_index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Array:
-    """Return n - L dn/dL, the group index of sea water over air; L: wavelength."""
+    """Return the group index n - L dn/dL relative to air, for wavelength L."""
     inverse = 1e-9 / wavelength
     offset, slope = _terms(temperature, salinity)
     curvature = -3 * 4382.0 * inverse**2 + 4 * 1.1455e6 * inverse**3
@@ -39,7 +39,7 @@ def group_index(wavelength: _Array, *, temperature: _Array, salinity: _Array) ->
 
 
 def salinity_slope(wavelength: _Array, *, temperature: _Array) -> _Array:
-    """Return the derivative of the index by salinity, constant for all salinities."""
+    """Return the salinity derivative of the refractive index, equal at any salinity."""
     return _salt(temperature) + 0.01155 * 1e-9 / wavelength
 
 

@@ -11,7 +11,7 @@ __all__ = ["optical_thickness", "single_scattering_albedo", "transmission"]
 
 
 def transmission(distance: ArrayLike, *, attenuation: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the transmitted fraction of a collimated beam over a distance.
+    r"""Return the transmitted fraction of a collimated beam over a distance [1].
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ _GREEN = 550e-9
 def phytoplankton_absorption(
     wavelength: ArrayLike, *, chlorophyll: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the absorption coefficient of living phytoplankton.
+    r"""Return the absorption coefficient of living phytoplankton [1/m].
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def phytoplankton_absorption(
 def particle_absorption(
     wavelength: ArrayLike, *, chlorophyll: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the total absorption coefficient of phytoplankton and detritus.
+    r"""Return the absorption coefficient of phytoplankton and detritus together [1/m].
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def cdom_absorption(
     absorption_at_440: ArrayLike,
     cdom_slope: ArrayLike = CDOM_SLOPE,
 ) -> NDArray[np.float64]:
-    r"""Return the absorption coefficient of colored dissolved organic matter.
+    r"""Return the absorption coefficient of colored dissolved organic matter [1/m].
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def cdom_absorption(
 def particle_scattering(
     wavelength: ArrayLike, *, chlorophyll: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the scattering coefficient of particles in case-1 water.
+    r"""Return the scattering coefficient of particles in case-1 water [1/m].
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def particle_scattering(
 def particle_backscattering(
     wavelength: ArrayLike, *, chlorophyll: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the backscattering coefficient of particles in case-1 water.
+    r"""Return the backscattering coefficient of particles in case-1 water [1/m].
 
     Parameters
     ----------

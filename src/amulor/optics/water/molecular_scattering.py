@@ -46,7 +46,7 @@ _MOLAR_MASS = 18e-3  # of water, as ref. [1] takes it [kg/mol]
 def molecular_scattering(
     wavelength: ArrayLike, *, temperature: ArrayLike, salinity: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the molecular scattering coefficient of pure fresh or sea water.
+    r"""Return the molecular scattering coefficient of fresh or sea water [1/m].
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def molecular_scattering(
 def molecular_backscattering(
     wavelength: ArrayLike, *, temperature: ArrayLike, salinity: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the molecular backscattering coefficient of fresh or sea water.
+    r"""Return the molecular backscattering coefficient of fresh or sea water [1/m].
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def molecular_vsf(
 
 
 def molecular_phase_function(angle: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the phase function of molecular scattering in water.
+    r"""Return the phase function of molecular scattering in water [1/sr].
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def molecular_phase_function(angle: ArrayLike) -> NDArray[np.float64]:
 
 
 def morel_scattering(wavelength: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the scattering coefficient of pure sea water after Morel 1974.
+    r"""Return the scattering coefficient of pure sea water, Morel 1974 [1/m].
 
     Parameters
     ----------

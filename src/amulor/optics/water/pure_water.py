@@ -28,7 +28,7 @@ __all__ = ["mason_absorption", "mason_absorption_uncertainty", "pope_fry_absorpt
 
 
 def pope_fry_absorption(wavelength: ArrayLike) -> NDArray[np.float64]:
-    """Return the absorption of pure water after Pope and Fry 1997.
+    """Return the absorption coefficient of pure water, Pope and Fry 1997 [1/m].
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def mason_absorption(
 def mason_absorption_uncertainty(
     wavelength: ArrayLike, *, temperature: ArrayLike, salinity: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the standard uncertainty of `mason_absorption`.
+    r"""Return the standard uncertainty of `mason_absorption` [1/m].
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def mason_absorption_uncertainty(
 def _mason(
     wavelength: ArrayLike, temperature: ArrayLike, salinity: ArrayLike
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64], NDArray[np.float64]]:
-    """Return interpolated table columns, temperature above 20 degC, and salinity."""
+    """Return interpolated table columns, temperature minus 20 degC, and salinity."""
     table = _tables.numbers("wopp_v3_mason_2016.csv")
     grid = table[:, 0] * 1e-9
     inside = within(wavelength, grid[0], grid[-1], name="wavelength", unit="m")

@@ -126,7 +126,7 @@ class PetzoldStation:
 
 @dataclass(frozen=True, kw_only=True)
 class Milk:
-    """Scattering that milk adds to the water.
+    """Scattering coefficient and asymmetry of milk in the water.
 
     Examples
     --------
@@ -288,7 +288,7 @@ def petzold_station(name: str) -> PetzoldStation:
 
 
 def milk(volume_fraction: ArrayLike, *, fat: float) -> Milk:
-    """Return the scattering that milk adds to water at 405 nm.
+    """Return the scattering coefficient and asymmetry of milk in water at 405 nm.
 
     Parameters
     ----------

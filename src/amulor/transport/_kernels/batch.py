@@ -124,7 +124,7 @@ def without_segments(light: Array) -> Paths:
 def begin_forward(
     state: States, number: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray]:
-    """Draw ray and optical thickness of a forward path's first flight; set its light.
+    """Draw ray and first optical thickness of a forward path; set its Stokes vector.
 
     The optical thickness of the flight is exponential. Those of the paths of a group,
     of which this is the number-th, are spread evenly if the plan is stratified.

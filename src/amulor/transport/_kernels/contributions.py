@@ -96,7 +96,7 @@ WATER, TARGET = range(2)
 
 @kernel
 def add_to(total: Array, kind: int, light: Array) -> None:
-    """Add received light to a group's sum for light from water, or from the target."""
+    """Add received light to the sum of its group, in the row of water or target."""
     for k in range(light.size):
         total[kind, k] += light[k]
 
@@ -202,7 +202,7 @@ def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
 
 @kernel
 def face_point(state: States, place: Vector, radius: float, slope: float) -> Vector:
-    """Draw a receiver-face point that accepts light from a place; return it with area.
+    """Draw a receiver-face point that sees a place; return it with represented area.
 
     Returns two coordinates and the represented area, 0 if the point does not see the
     place.
@@ -411,7 +411,7 @@ def path_blocked(
 def meeting_depths(
     forward: Array, i: int, adjoint: Array, j: int, target: Target
 ) -> tuple[float, float]:
-    """Return the interval of depths at which a forward and an adjoint segment can join.
+    """Return the depths between which a forward and an adjoint segment can join [m].
 
     At these both segments have a point, the shift rho(z) - rho'(z) is on the face of
     the receiver, and the shifted scatterings are in front of the target's plane. There

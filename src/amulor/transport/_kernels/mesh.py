@@ -174,7 +174,7 @@ def widest(centre: Array, number: Integers, first: int, last: int) -> int:
 def part(
     centre: Array, number: Integers, axis: int, first: int, last: int, middle: int
 ) -> None:
-    """Partition the triangles of a box at their median center along an axis.
+    """Partition the triangles of a box at the median of their centers on an axis.
 
     C. A. R. Hoare's Find, Commun. ACM 4, 321 (1961), doi:10.1145/366622.366647.
     """

@@ -50,7 +50,7 @@ def any_frame(n: Vector) -> Vector:
 
 @kernel
 def projected_frame(n: Vector, right: Vector) -> Vector:
-    """Return the unit vector along an axis' projection perpendicular to n."""
+    """Return the polarization axis for direction n that is nearest to `right`."""
     c = cross(right, n)
     across = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
     if across < 1e-24:  # along that axis, where it has no part to the side
@@ -62,7 +62,7 @@ def projected_frame(n: Vector, right: Vector) -> Vector:
 
 @kernel
 def returning_frame(m: Vector) -> Vector:
-    """Return the receiver's polarization axis for light arriving along direction m."""
+    """Return the polarization axis of light that arrives at the receiver along m."""
     # Rotation that takes a = (0, 0, -1) to m: e - (e.m) (a + m) / (1 + a.m), as e.a=0.
     factor = m[0] / max(1.0 - m[2], 1e-300)
     return 1.0 - factor * m[0], -factor * m[1], -factor * (m[2] - 1.0)

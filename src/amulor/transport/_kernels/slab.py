@@ -232,7 +232,7 @@ def follow_photons(
     arrival: Arrival,
     now: Array,
 ) -> None:
-    """Trace incident photons one by one; `now` is a work array for axis and light."""
+    """Trace incident photons through a slab, one by one, and record them."""
     n = (light.incidence[0], light.incidence[1], light.incidence[2])
     axis = projected_frame(n, (1.0, 0.0, 0.0))
     for _ in range(histories):

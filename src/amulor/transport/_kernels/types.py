@@ -151,7 +151,7 @@ class Scene(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """Options for sampling and joining paths."""
+    """Options for sampling and joining photon paths."""
 
     paths: int
     """Number of forward paths in a group."""
@@ -196,7 +196,7 @@ class Ray(NamedTuple):
 
 
 class Past(NamedTuple):
-    """Photon path up to the last scattering or reflection: length, order, weights."""
+    """State of a photon path at its last event: layer, length, weight terms, counts."""
 
     first: int
     """Row of the path's first segment."""
@@ -215,7 +215,7 @@ class Past(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """Photon path during tracing: present ray, past events, next optical thickness."""
+    """Photon path during tracing: current ray, last event, next optical thickness."""
 
     ray: Ray
     """Ray from the last scattering event or reflection."""
@@ -228,7 +228,7 @@ class Walk(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """Type of a path: forward or adjoint, polarized or not."""
+    """Kind of a photon path: forward or adjoint, with or without polarization."""
 
     adjoint: bool
     """Whether the path is adjoint: traced backward from the receiver."""
