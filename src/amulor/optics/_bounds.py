@@ -182,7 +182,7 @@ def reach(value: ArrayLike, *, name: str, unit: str = "m") -> Array:
 
 
 def measured(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
-    """Return a modulus, uncertainty or count; ValueError if negative, but NaN passes.
+    """Return a modulus, uncertainty or count; ValueError if negative, NaN is allowed.
 
     Examples
     --------
@@ -194,7 +194,7 @@ def measured(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> 
 
 
 def above_zero(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
-    """Return a measured value; ValueError unless above zero, but NaN passes.
+    """Return a measured value; ValueError unless above zero, NaN is allowed.
 
     Examples
     --------
@@ -256,7 +256,7 @@ def broadcast(**arguments: ArrayLike) -> tuple[int, ...]:
 
 
 def one_axis(least: int, **columns: ArrayLike) -> None:
-    """Raise a ValueError unless arrays are 1-D, equally long and long enough.
+    """Raise a ValueError unless arrays are 1-D, of equal length and at least `least`.
 
     Examples
     --------

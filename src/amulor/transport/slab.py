@@ -45,7 +45,7 @@ def reflection_and_transmission(
     threads: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Tally:
-    r"""Simulate the reflection and transmission of light by plane layers.
+    r"""Simulate the reflection and transmission of light by plane water layers.
 
     Parameters
     ----------

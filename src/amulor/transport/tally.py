@@ -44,7 +44,7 @@ def analyser_vector(name: str) -> Array:
 
 
 def sums_of(weight: Array) -> Array:
-    """Return sum, sum of squares and maximum of group light, by kind and analyzer."""
+    """Return sum, sum of squares and maximum over groups, by light and analyzer."""
     light = np.stack([weight.sum(axis=1), weight[:, 0], weight[:, 1]])
     if weight.shape[2] == 4:
         vectors = np.stack([analyser_vector(name) for name in ANALYSERS], axis=-1)
@@ -504,7 +504,7 @@ class Tally:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Whether a group of histories dominates the error of a kind of light.
+        """Whether one group of histories dominates the standard error of any light.
 
         If so, the stated error of at least one of them is likely too small;
         `heavy_tail_of` determines which.
@@ -513,7 +513,7 @@ class Tally:
         return any(self.heavy_tail_of(light) for light in kinds)
 
     def heavy_tail_of(self, light: str = "all", *, analyser: str = "none") -> bool:
-        """Return whether one group of histories dominates the error of a kind of light.
+        """Return whether one group of histories dominates a standard error.
 
         Parameters
         ----------

@@ -64,7 +64,7 @@ class Sphere(NamedTuple):
 
 
 def sphere(size_parameter: float, *, relative_index: complex) -> Sphere:
-    r"""Return the Mie efficiencies and the asymmetry of one sphere.
+    r"""Return the Mie efficiencies of a sphere, and its mean scattering cosine.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def amplitudes(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Suspension:
-    """Scattering by a suspension of spheres of many sizes.
+    """Scattering properties of a suspension of spheres of many sizes.
 
     Examples
     --------
@@ -230,7 +230,7 @@ def size_distribution(
     medium_index: float,
     angle: ArrayLike | None = None,
 ) -> Suspension:
-    r"""Return the scattering of a suspension of spheres with given sizes.
+    r"""Return the scattering properties of a suspension of spheres of given sizes.
 
     Parameters
     ----------

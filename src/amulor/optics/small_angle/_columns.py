@@ -398,7 +398,7 @@ def integrals(
 
 
 def _spread(view: Array) -> NDArray[np.intp]:
-    """Return indices of representative receiver views: extremes and three others."""
+    """Return row indices of representative views: extremes, and three evenly spaced."""
     extremes = np.concatenate([view.argmin(axis=0), view.argmax(axis=0)])
     even = np.linspace(0, len(view) - 1, 3).astype(np.intp)
     return np.unique(np.concatenate([extremes, even]))

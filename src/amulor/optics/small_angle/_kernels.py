@@ -132,7 +132,7 @@ def _scattered_at(
     rule: Array,
     work: Array,
 ) -> float:
-    """Return the overlap of forward-scattered light at a depth, over pi R^2 gamma^2."""
+    """Return the overlap of forward-scattered light at a depth / (pi R^2 gamma^2)."""
     nodes = rule.shape[1]
     path = z + water.standoff
     area = water.radius_squared + water.angle_squared * path * path
@@ -185,7 +185,7 @@ def aimed(look: Array, water: Water) -> Water:
 def scattered(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill `out` with the overlap of forward-scattered light, over pi R^2 gamma^2.
+    """Fill `out` with the overlap of forward-scattered light / (pi R^2 gamma^2).
 
     A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
     less its unscattered part, docs/theory/water-signal.md: an integral over the spatial

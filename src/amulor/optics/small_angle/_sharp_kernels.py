@@ -227,7 +227,7 @@ def _plain_factors(
     disc: Array,
     value: Complex,
 ) -> float:
-    """Fill `value[0]` with the smooth factors; return the last without Bessel terms.
+    """Fill `value[0]` with the smooth factors; return the last, Bessel terms excluded.
 
     Tables are separate arguments, as access to an array in a tuple costs a reference
     count.
@@ -261,7 +261,7 @@ def _multiply_waves(
     rate: Array,
     value: Complex,
 ) -> int:
-    """Multiply `value[0]` by the oscillating Bessel factors; return the term count.
+    """Multiply `value[0]` by the oscillating factors; return the number of products.
 
     The real part of the product of two waves is half that of their product and half
     that of the product of one and the conjugate of the other. rate is how fast the

@@ -36,7 +36,7 @@ _EXP = tuple(1.0 / math.factorial(i) for i in range(14))
 
 
 class Geometry(NamedTuple):
-    """Water column and receiver geometry, in the order of a table row.
+    """Water column and receiver geometry; fields in the order of a table row.
 
     The row has the values in the order of these fields, here and in `_columns`.
     """

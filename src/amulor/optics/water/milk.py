@@ -86,7 +86,7 @@ class MeasuredMilk(NamedTuple):
 def milk_suspension(
     wavelength: float, *, volume_fraction: float, fat: float, medium_index: float
 ) -> MilkSuspension:
-    r"""Return the scattering of homogenized milk in water, from Mie theory.
+    r"""Return the optical properties of homogenized milk in water, from Mie theory.
 
     Parameters
     ----------
