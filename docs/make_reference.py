@@ -83,6 +83,7 @@ TABLES: list[tuple[str, type[BaseModel], str | None]] = [
     ("[daylight]", survey.Daylight, "daylight"),
     ("[scan]", survey.Scan, None),
     ("[scan.open_water]", survey.OpenWater, None),
+    ("[scan.reference]", survey.StandingReference, None),
     ("[calibration]", survey.Calibration, None),
     ("[pose]", survey.Pose, "pose"),
 ]

@@ -22,13 +22,18 @@ from amulor.survey.directions import open_water_directions, scan_directions
 
 #: Kinds of samples.
 SCAN, OPEN_WATER, DARK, SHUTTER = "scan", "open_water", "dark", "shutter"
+#: Readings of the standing reference.
+REFERENCE = "reference"
+#: Column of a reading of the standing reference, by what follows: a row of the scan, or
+#: a round of open-water shots with the number of their repeat as row.
+BEFORE_ROW, BEFORE_SHOTS = 0, 1
 
 
 class Key(NamedTuple):
     """Unique key of a sample of a scan."""
 
     kind: str
-    """Kind of the sample: scan, open_water, dark or shutter."""
+    """Kind of the sample: scan, open_water, dark, shutter or reference."""
     row: int
     """Row of the scan, or of the open-water grid [1]."""
     column: int
@@ -115,6 +120,7 @@ def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
     done = 0
     for block, end in enumerate(ends[1:] or [len(rows)], start=1):
         for comb, row in rows[done:end]:
+            yield from _reference(survey, comb, (row, BEFORE_ROW))
             yield from _row(survey, directions, comb, row)
         done = end
         if block < count:
@@ -245,6 +251,10 @@ def count(survey: Survey, procedure: Procedure) -> int:
     at_rest = procedure.dark_readings + (procedure.shutter_readings or 0)
     dark = procedure.references * at_rest
     pixels = survey.scan.rows * survey.scan.columns
+    reference = survey.scan.reference
+    if reference is not None:
+        rounds = 0 if plan is None else plan.repeats
+        pixels += reference.readings * (survey.scan.rows + rounds)
     return len(channels(survey)) * (pixels + shots + dark)
 
 
@@ -260,6 +270,16 @@ def open_water_grid(survey: Survey) -> Mapping[tuple[int, int], tuple[float, flo
         (row, column): (float(across[row, column]), float(up[row, column]))
         for row, column in np.ndindex(plan.rows, plan.columns)
     }
+
+
+def _reference(survey: Survey, comb: Comb, place: tuple[int, int]) -> Iterator[Step]:
+    """Yield the readings of the standing reference before a row or round of shots."""
+    reference = survey.scan.reference
+    if reference is None:
+        return
+    for repeat in range(reference.readings):
+        where = (reference.azimuth, reference.elevation)
+        yield comb.step(REFERENCE, place, repeat, where)
 
 
 def _rows(survey: Survey) -> int:
@@ -295,6 +315,7 @@ def _open_water(survey: Survey, comb: Comb, repeats: range) -> Iterator[Step]:
     grid = open_water_grid(survey)
     # All directions in turn, repeatedly: the repeats of a direction are spread over
     # time.
-    for repeat in repeats:
+    for repeat in repeats if grid else ():
+        yield from _reference(survey, comb, (repeat, BEFORE_SHOTS))
         for place, where in grid.items():
             yield comb.step(OPEN_WATER, place, repeat, where)

@@ -97,6 +97,10 @@ def refuse_beyond_reach(survey: Survey, settings: Settings, devices: Devices) ->
         shots = open_water_directions(survey)
         azimuth = np.concatenate([azimuth, shots[0]])
         elevation = np.concatenate([elevation, shots[1]])
+    reference = survey.scan.reference
+    if reference is not None:
+        azimuth = np.append(azimuth, reference.azimuth)
+        elevation = np.append(elevation, reference.elevation)
     ask = getattr(devices.scanner, "refuse_beyond_reach", None)
     if ask is not None:
         ends = (

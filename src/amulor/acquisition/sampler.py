@@ -12,7 +12,7 @@ from typing import cast
 from amulor.acquisition.devices import Devices
 from amulor.acquisition.dwell import Dwell, DwellReader, refuse_lacking
 from amulor.acquisition.journal.record import Record
-from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, SHUTTER, Step
+from amulor.acquisition.plan import DARK, OPEN_WATER, REFERENCE, SCAN, SHUTTER, Step
 from amulor.acquisition.protocols import CombLockIn, Overload
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.sweep import SweepReader, Swept
@@ -392,7 +392,7 @@ class Sampler:
 
     def _move_target(self, kind: str) -> None:
         target = self._devices.target
-        if target is None or kind in (DARK, SHUTTER):
+        if target is None or kind in (DARK, SHUTTER, REFERENCE):
             return
         if (kind == SCAN) == self._target_is_in:
             return

@@ -67,6 +67,10 @@ COMMANDS = {
         "calibrate:leakage",
         "Measure leakage with a closed shutter; without cubes, print the steps.",
     ),
+    "calibrate reference": (
+        "calibrate:reference",
+        "Record the phase of a standing reference; without a cube, print the steps.",
+    ),
     "calibrate plate": (
         "calibrate:plate",
         "Measure phase zero with plates at distances; without cubes, print the steps.",
@@ -133,8 +137,8 @@ COMMANDS = {
 #: Commands by the task of the user, in the order of `amulor --help`.
 TOPICS = {
     "measure": (
-        "calibrate leakage", "calibrate plate", "acquire", "watch", "recover",
-        "devices simulate",
+        "calibrate leakage", "calibrate reference", "calibrate plate",
+        "acquire", "watch", "recover", "devices simulate",
         "import transients", "import recordings",
     ),
     "simulate": (
@@ -156,6 +160,10 @@ EXAMPLES = {
     "calibrate leakage": (
         "amulor calibrate leakage closed/cube.nc -o leakage.toml",
         "amulor recover",
+    ),
+    "calibrate reference": (
+        "amulor calibrate reference plate-1/cube.nc -o reference.toml",
+        "amulor calibrate plate",
     ),
     "calibrate plate": (
         'amulor calibrate plate plate.nc --distance "1.5 m" '

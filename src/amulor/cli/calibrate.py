@@ -44,6 +44,23 @@ A plate at known distances shows the phase zero at each modulation frequency.
      With filters, add the optical density of each cube: --densities 0,0.5,1,1.5
   8. amulor recover scan --calibration calibration.toml --overwrite"""
 
+_REFERENCE_STEPS = """\
+The phase of a standing reference shows the drift of the instrument before each row.
+  1. Mount a small target, or the end of a fiber that returns light, beside the scan.
+     The beam can reach it, and its optical path does not change. Its echo is about as
+     strong as that of the target.
+  2. State its direction and amplitude in the section [scan.reference] of each survey.
+  3. Acquire the plate of the phase calibration with this section:
+     amulor acquire plate.toml --devices devices.toml -o plate-1 \\
+         --calibration leakage.toml
+  4. amulor calibrate reference plate-1/cube.nc --calibration leakage.toml \\
+         -o reference.toml
+  5. amulor recover plate-1 --calibration reference.toml --overwrite
+  6. Go on with step 4 of: amulor calibrate plate
+     Acquire further plates with --calibration reference.toml
+Later scans are corrected to the phase of this day, so that drift since then, by age or
+temperature, does not change their ranges."""
+
 
 def leakage(
     *cubes: Path,
@@ -72,18 +89,45 @@ def leakage(
         return
     from amulor import acquisition
 
-    def measure(recordings: Sequence[xr.Dataset]) -> Calibration:
-        result = acquisition.from_shutter(recordings)
-        if calibration is None:
-            return result
-        earlier = acquisition.Calibration.from_toml(calibration)
-        return earlier.model_copy(
-            update={"leakage": result.leakage, "date": result.date}
-        )
+    _measure(
+        cubes, output, acquisition.from_shutter, replaced="leakage",
+        calibration=calibration, overwrite=overwrite, json=json,
+    )  # fmt: skip
+
+
+def reference(
+    *cubes: Path,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    calibration: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Record the phase of a standing reference; without a cube, print the steps.
+
+    Parameters
+    ----------
+    cubes
+        Cube (netCDF) of the plate of a phase calibration, with [scan.reference].
+    output
+        Calibration file to write (TOML). Its plot is written beside it (PNG).
+    calibration
+        Calibration file whose other parts are copied to the output (TOML).
+    overwrite
+        Replace existing files.
+    json
+        Print the result as JSON.
+    """
+    if not cubes:
+        print(_REFERENCE_STEPS)
+        return
+    if len(cubes) > 1:
+        raise UsageError(f"{len(cubes)} cubes: one is needed, of one plate")
+    from amulor import acquisition
 
     _measure(
-        cubes, output, measure, further=calibration, overwrite=overwrite, json=json
-    )
+        cubes, output, lambda scans: acquisition.from_reference(scans[0]),
+        replaced="reference", calibration=calibration, overwrite=overwrite, json=json,
+    )  # fmt: skip
 
 
 def plate(
@@ -162,28 +206,36 @@ def _measure(
     output: Path | None,
     measure: Callable[[Sequence[xr.Dataset]], Calibration],
     *,
-    further: Path | None = None,
+    replaced: str = "",
+    calibration: Path | None = None,
     overwrite: bool,
     json: bool,
 ) -> None:
-    """Read cubes, calibrate, write file and plot, print the result."""
+    """Read cubes, calibrate, write file and plot, print the result.
+
+    All of an earlier `calibration` is kept but the part `replaced`.
+    """
     if output is None:
         raise UsageError("--output is missing; state a file, such as -o leakage.toml")
     check_ending("--output", output, [".toml"])
-    check_inputs(*cubes, further)
+    check_inputs(*cubes, calibration)
 
+    from amulor import acquisition, io
     from amulor import cube as package
-    from amulor import io
     from amulor.cli._arguments import refusing
     from amulor.io.files import atomic_output
     from amulor.view.calibration import write_calibration
 
     picture = output.with_suffix(".png")
-    inputs = [*cubes, *([] if further is None else [further])]
+    inputs = [*cubes, *([] if calibration is None else [calibration])]
     for path in (output, picture):
         io.check_output(path, overwrite=overwrite, inputs=inputs)
     with refusing():
         result = measure([io.read_cube(path) for path in cubes])
+    if calibration is not None:
+        update = {"date": result.date, replaced: getattr(result, replaced)}
+        earlier = acquisition.Calibration.from_toml(calibration)
+        result = earlier.model_copy(update=update)
     digests = tuple(package.digest(path) for path in inputs)
     result = result.model_copy(update={"inputs": digests})
     with atomic_output(output, overwrite=overwrite) as temporary:
@@ -200,6 +252,7 @@ def _measure(
     print(f"{output}: {day}{package.digest(output)}")
     print(f"{picture}: plot")
     _print_leakage(result)
+    _print_reference(result)
     _print_phases(result)
     print_next(f"amulor recover scan --calibration {output} --overwrite")
 
@@ -220,6 +273,22 @@ def _print_leakage(calibration: Calibration) -> None:
     ]
     header = ["", "scan", "u(scan)", "references", "u(references)", "change"]
     print_table("Leakage [uV]", header, rows)
+
+
+def _print_reference(calibration: Calibration) -> None:
+    if not calibration.reference:
+        return
+    rows = [
+        [
+            f"{entry.modulation_frequency / 1e6:g} MHz {entry.polarization}",
+            f"{entry.phase:+.4f}",
+            f"{entry.uncertainty:.5f}",
+            f"{max(entry.changes) - min(entry.changes):.4f}",
+        ]
+        for entry in calibration.reference
+    ]
+    header = ["", "phase", "u(phase)", "change"]
+    print_table("Standing reference [rad]", header, rows)
 
 
 def _print_phases(calibration: Calibration) -> None:

@@ -48,9 +48,10 @@ def flags_of_pixels(
 def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.float64]:
     """Return the phase uncertainty of the instrument at each frequency [rad].
 
-    The stated or typical size, the error of calibrated phases, and the phase between
-    channels where chance does not explain it. The combination of channels multiplies
-    the first two. `channel` is a target signal with one channel.
+    The stated or typical size, the errors of calibrated phases and of the drift that a
+    standing reference shows, and the phase between channels where chance does not
+    explain it. The combination of channels multiplies all but the last.
+    `channel` is a target signal with one channel.
     """
     count = channel.sizes["modulation_frequency"]
     measured = "leakage_uncertainty_volt" in channel.attrs
@@ -59,8 +60,10 @@ def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.f
         stated = phase_uncertainty(survey, leakage_measured=measured)
     table = by_frequency(channel, "calibration_phase_uncertainty_rad", 0.0)
     gain = by_frequency(channel, f"phase_error_gain_{_name(channel)}", 1.0)
+    drift = by_frequency(channel, "reference_phase_uncertainty_rad", 0.0)
     phase = np.hypot(
-        np.hypot(stated, table) * gain, by_frequency(channel, "channel_phase_rad", 0.0)
+        np.hypot(stated, np.hypot(table, drift)) * gain,
+        by_frequency(channel, "channel_phase_rad", 0.0),
     )
     return np.broadcast_to(phase, (count,))
 

@@ -603,6 +603,15 @@ INSTRUMENT_ATTRIBUTES = {
     "equal for all frequencies [s]",
     "calibration_phase_uncertainty_rad": "standard uncertainty of the calibrated "
     "phases, for each frequency [rad]",
+    "reference_calibrated": "1 if the samples are corrected to the phase of the "
+    "standing reference during the calibration of the delay",
+    "reference_drift_rad": "phase of the standing reference minus its middle, for each "
+    "frequency, channel and time [rad]",
+    "reference_phase_rad": "phase of the standing reference to which the samples are "
+    "corrected, for each frequency and channel [rad]",
+    "reference_phase_uncertainty_rad": "standard uncertainty of the subtracted phase "
+    "drift, for each frequency [rad]",
+    "reference_time_s": "times of reference_drift_rad [s]",
     "leakage_uncertainty_volt": "standard uncertainty of the subtracted leakage, for "
     "each frequency [V]",
     "shutter": "`closed` in samples that were recorded with a closed shutter",

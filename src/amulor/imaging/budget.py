@@ -449,6 +449,9 @@ def _delay_uncertainty(
     if calibration.delay_uncertainty is None:
         return None
     changes = [calibration.delay_uncertainty]
+    if attributes.get("reference_calibrated"):
+        # The standing reference shows changes with age and temperature.
+        return changes[0]
     if calibration.delay_growth is not None:
         age = calibration_age(attributes, calibration)
         if age is None:

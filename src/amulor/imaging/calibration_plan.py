@@ -12,6 +12,7 @@ from amulor.optics import ranging
 from amulor.optics._geometry import Geometry
 from amulor.survey import Survey
 from amulor.survey.calibration import Calibration
+from amulor.survey.counting import reference_variance
 from amulor.survey.properties import group_index_uncertainty, phase_uncertainty
 from amulor.survey.view import medium_of
 
@@ -19,6 +20,10 @@ from amulor.survey.view import medium_of
 TAPE = 1e-3
 #: Uncertainty of beam directions after an alignment [rad].
 _ALIGNED = math.radians(0.05)
+#: Drift of the delay in a scan, of 10 to 100 ps in the first hour [s].
+_DRIFT = 30e-12
+#: Phase error of a standing reference that the survey does not describe [rad].
+_READING = 1e-3
 #: Uncertainties of temperature [degC] and practical salinity [1] by common probes.
 _PROBE = {"temperature_uncertainty": 0.5, "salinity_uncertainty": 0.5}
 #: Temperature [degC] and practical salinity [1] of water that states neither.
@@ -50,7 +55,8 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
     """Return the range errors due to the instrument in the middle of a scan.
 
     The frequencies are weighted by their squares, as those of equal phase noise. A
-    calibration never makes a stated error larger.
+    calibration never makes a stated error larger. Without a standing reference, the
+    delay drifts by 30 ps; half of a drift is subtracted.
     """
     geometry = Geometry(
         azimuth=np.array(survey.scan.azimuth),
@@ -84,6 +90,8 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
     )
     probed_index = group_index_uncertainty(probed)
     assert probed_index is not None
+    referenced = survey.scan.reference is not None
+    reading = _reading_error(survey)
     tape = 2 * geometry.medium.group_index * TAPE / speed_of_light
     lines = [
         (
@@ -93,6 +101,12 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
             else by_delay * stated.delay_uncertainty,
             by_delay * tape,
             "amulor calibrate plate, distance to 1 mm",
+        ),
+        (
+            "drift",
+            by_phase * reading if referenced else by_delay * _DRIFT / math.sqrt(12),
+            by_phase * reading,
+            "amulor calibrate reference, phase to 1 mrad",
         ),
         (
             "leakage, walk, harmonics",
@@ -124,6 +138,14 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
         )
         for name, now, calibrated, how in lines
     ]
+
+
+def _reading_error(survey: Survey) -> float:
+    """Return the phase error of a reading of the standing reference [rad]."""
+    reference = survey.scan.reference
+    if reference is None:
+        return _READING
+    return math.sqrt(reference_variance(survey)) / reference.amplitude
 
 
 def first_calibration(lines: list[CalibrationLine]) -> CalibrationLine | None:

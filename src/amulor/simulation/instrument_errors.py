@@ -30,7 +30,7 @@ Directions = tuple[Floats, Floats, Floats]
 _Draw = Callable[[], Floats]
 
 #: Purposes of random numbers, each with separate generators.
-_POINTING, _WHITE, _PINK, _WHITE_SHOTS = range(4)
+_POINTING, _WHITE, _PINK, _WHITE_SHOTS, _WHITE_REFERENCE = range(5)
 #: Number of tones that represent pink noise.
 _TONES = 64
 #: Orders of harmonics that four samples a period turn into the conjugate.
@@ -143,7 +143,7 @@ class Chain:
         return self._samples(
             target,
             water,
-            time=self._step * self._shots_before + time,
+            time=self.scan_start + time,
             part="scan",
             # (2, frequency, channel, row, column)
             white=lambda: self._normal(_WHITE, rows, shape, axis=3),
@@ -152,19 +152,44 @@ class Chain:
 
     def shot_samples(self, water: Light, *, rng: lock_in.Noise) -> lock_in.Samples:
         """Draw lock-in samples of open-water references, in the order of recording."""
-        count, before = water.mean.shape[-1], self._shots_before
-        place = np.arange(count)
-        scan = self.survey.scan
-        place = np.where(place < before, place, place + scan.rows * scan.columns)
+        count = water.mean.shape[-1]
         generator = np.random.default_rng([self.entropy, _WHITE_SHOTS])
         return self._samples(
             Light(np.zeros_like(water.modulated), np.zeros_like(water.mean)),
             water,
-            time=np.asarray(self._step * place, dtype=float),
+            time=self.shot_times,
             part="open_water",
             white=lambda: generator.standard_normal((2, *self._plane, count)),
             rng=rng,
         )
+
+    def reference_samples(self, signal: Complex, time: Floats) -> Complex:
+        """Return outputs for the signal of a standing reference at given times."""
+        drift, course = self.errors.drift, self._course(time)
+        if drift is not None:
+            power = (1 + drift.power * course) * (1 + drift.modulation_depth * course)
+            signal = signal * power
+        generator = np.random.default_rng([self.entropy, _WHITE_REFERENCE])
+        received = self._received(signal, time, part="scan")
+        return self._demodulated(
+            received, time, lambda: generator.standard_normal((2, *signal.shape))
+        )
+
+    @property
+    def scan_start(self) -> float:
+        """Start time of the scan after the first open-water references [s]."""
+        return self._step * self._shots_before
+
+    @property
+    def shot_times(self) -> Floats:
+        """Times of the open-water references, in the order of recording [s]."""
+        scan = self.survey.scan
+        plan = scan.open_water
+        count = 0 if plan is None else plan.rows * plan.columns * plan.repeats
+        place = np.arange(count)
+        after = place >= self._shots_before
+        place = np.where(after, place + scan.rows * scan.columns, place)
+        return np.asarray(self._step * place, dtype=float)
 
     @property
     def _plane(self) -> tuple[int, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numbers
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in
 from amulor.simulation.instrument_errors import Chain
 from amulor.simulation.models import DEFAULT_MODEL, FittedModel, SignalModel
+from amulor.simulation.standing_reference import ReferenceReadings
 from amulor.survey import Survey
 from amulor.survey.counting import photon_noise_volt
 from amulor.survey.directions import (
@@ -105,6 +106,8 @@ class Setting:
     """Seed of the noise, if given."""
     chain: Chain | None
     """Signal chain with instrument errors, if any are in the survey."""
+    reference: ReferenceReadings | None
+    """Readings of the standing reference, if the survey has one."""
     light_setup: geometry_of.Setup
     """Setup at the frequencies of the computed light."""
     geometry: dict[str, Any]
@@ -121,9 +124,11 @@ class Setting:
         chain = Chain.of(setup, rng)
         seed = int(rng) if isinstance(rng, numbers.Integral) else None
         text = survey.to_toml()
+        reference = ReferenceReadings.of(survey, chain, rng)
         return cls(
             setup=setup,
             chain=chain,
+            reference=reference,
             light_setup=setup if chain is None else chain.light_setup,
             model=model,
             seed=seed,
@@ -139,6 +144,7 @@ class Setting:
                 input_digests=f"survey {cube.digest(text)}",
                 modulation_depth=survey.instrument.modulation_depth,
                 photon_noise_volt=photon_noise_volt(survey),
+                **({} if reference is None else reference.attributes),
             ),
         )
 
@@ -220,6 +226,9 @@ def measured(
         tell("noise and errors of the instrument", 0.7)
         samples = chain.scan_samples(target, column, time, rng=noise)
         target, column = chain.fundamental(target), chain.fundamental(column)
+    if setting.reference is not None:
+        signal = setting.reference.scan(samples.signal, time)
+        samples = replace(samples, signal=signal)
     built = cube.build(
         "samples",
         {**_outputs(samples), "saturated": samples.saturated},
@@ -271,6 +280,8 @@ def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | No
         shots = lock_in.sample(setting.setup, dark, light, rng=rng)
     else:
         shots = chain.shot_samples(light, rng=rng)
+    if setting.reference is not None:
+        shots = replace(shots, signal=setting.reference.shots(shots.signal))
     return cube.open_water(
         {**_outputs(shots), "azimuth": azimuth, "elevation": elevation}
     )

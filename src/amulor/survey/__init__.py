@@ -12,7 +12,7 @@ from amulor.survey.instrument import (
 )
 from amulor.survey.instrument_errors import InstrumentErrors
 from amulor.survey.properties import WaterProperties, water_properties
-from amulor.survey.scan import OpenWater, Pose, Scan, read_pose
+from amulor.survey.scan import OpenWater, Pose, Scan, StandingReference, read_pose
 from amulor.survey.surface import Lambertian, OrenNayar, TabulatedSurface
 from amulor.survey.survey import Survey, json_schema
 from amulor.survey.target import Disc, Mesh, Plate, Staircase
@@ -65,6 +65,7 @@ __all__ = [
     "Scan",
     "SphereWater",
     "Staircase",
+    "StandingReference",
     "Survey",
     "Tabulated",
     "TabulatedSurface",

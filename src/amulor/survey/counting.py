@@ -71,6 +71,20 @@ def counting_variance(
     )
 
 
+def reference_variance(survey: Survey) -> float:
+    """Return the variance of either output at the standing reference [V^2]."""
+    reference, detector = survey.scan.reference, survey.instrument.detector
+    assert reference is not None
+    volt = survey.instrument.modulation_depth * detector.volt_per_photoelectron_rate
+    return float(
+        counting_variance(
+            survey,
+            rate=reference.amplitude / volt,
+            integration_time=reference.readings * integration_time(survey),
+        )
+    )
+
+
 def photon_noise_volt(survey: Survey) -> float:
     """Return the constant V of the counting variance V A / m at amplitude A [V]."""
     volt = survey.instrument.detector.volt_per_photoelectron_rate

@@ -19,6 +19,7 @@ from amulor.survey.quantity import (
     Length,
     Position,
     Time,
+    Voltage,
 )
 
 _NEEDED = 'state a projected system in meters, such as "EPSG:32632", or a name'
@@ -110,6 +111,34 @@ class OpenWater(Description):
     """Number of samples in each direction [1]."""
 
 
+class StandingReference(Description):
+    """Standing target or end of a fiber, whose phase is read before each row.
+
+    Its signal has a constant optical path, so that changes of its phase are those of
+    the instrument.
+
+    Examples
+    --------
+    >>> from amulor.survey import StandingReference
+    >>> reference = StandingReference(
+    ...     azimuth="12 deg", elevation="0 deg", amplitude="20 mV"
+    ... )
+    >>> reference.readings
+    1
+    """
+
+    azimuth: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)]
+    """Azimuth of the reference, to the right [rad]."""
+    elevation: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)]
+    """Elevation of the reference, upwards [rad]."""
+    amplitude: Annotated[Voltage, Field(gt=0, le=1e4)]
+    """Expected amplitude of its signal in each channel, for simulations and the error
+    budget [V]."""
+    readings: Annotated[Count, Field(ge=1, le=10_000)] = 1
+    """Number of readings for each channel, before each row and before each round of
+    open-water reference measurements [1]."""
+
+
 class Scan(Description):
     """Scan over a rectangular grid of directions.
 
@@ -148,6 +177,8 @@ class Scan(Description):
     """Moving part: the beam only, or emitter and receiver together."""
     open_water: OpenWater | None = None
     """Open-water reference measurements; none by default."""
+    reference: StandingReference | None = None
+    """Standing reference for the phase of the instrument; none by default."""
 
 
 class Pose(Description):

@@ -1,4 +1,4 @@
-"""Figure of a calibration: leakage, phase by frequency, phase by amplitude."""
+"""Figure of a calibration: leakage, drift, phase by frequency and by amplitude."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ def draw(calibration: Calibration) -> Figure:
     panels = []
     if calibration.leakage:
         panels.append(_leakage)
+    if calibration.reference:
+        panels.append(_reference)
     if calibration.frequencies:
         panels.append(_by_frequency)
         if any(len(entry.phases) > 1 for entry in calibration.frequencies):
@@ -57,6 +59,22 @@ def _leakage(axis: Axes, calibration: Calibration) -> None:
     axis.set_xlabel("modulation frequency [MHz]")
     axis.set_ylabel("amplitude [uV]")
     axis.set_ylim(bottom=0)
+    axis.legend()
+
+
+def _reference(axis: Axes, calibration: Calibration) -> None:
+    for entry in calibration.reference:
+        change, error = 1e3 * np.array(entry.changes), 1e3 * entry.uncertainty
+        minutes = np.array(entry.times) / 60
+        name = f"{entry.modulation_frequency / 1e6:g} MHz {entry.polarization}"
+        (line,) = axis.plot(minutes, change, label=name)
+        color = line.get_color()
+        axis.fill_between(
+            minutes, change - error, change + error, color=color, alpha=0.2
+        )
+    axis.set_title("Drift of the standing reference")
+    axis.set_xlabel("time [min]")
+    axis.set_ylabel("phase minus middle [mrad]")
     axis.legend()
 
 

@@ -309,6 +309,7 @@ def test_a_plan_without_open_water_is_noted(
         ["calibrate", "plate", "a.nc", "--distance", "1", "-o", "x.toml"],
         [*PLATE, "--densities", "0;1"],
         [*PLATE, "--densities", "-1"],
+        ["calibrate", "reference", "none.nc", "-o", "c.toml"],
         ["calibrate", "leakage", "a.nc"],
         ["calibrate", "leakage", "a.nc", "-o", "x.png"],
         ["acquire", "a.toml", "-o", "b", "--shutter-closed", "--calibration", "c"],

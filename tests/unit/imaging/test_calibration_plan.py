@@ -61,6 +61,31 @@ def test_each_error_has_the_size_of_its_formula(survey: Survey) -> None:
     # The range in proportion to the index.
     assert_allclose(lines["group index"].now, 1.5 * 0.002 / 1.38, rtol=1e-2)
     assert lines["geometry"].now is None
+    # An even distribution of 30 ps; 1 mrad at the one frequency.
+    drift = lines["drift"]
+    of_drift = speed_of_light * 30e-12 / math.sqrt(12) / 2 / 1.38
+    assert_allclose(drift.now, of_drift, rtol=1e-4)
+    assert_allclose(drift.calibrated, 1e-3 * per_radian, rtol=1e-3)
+
+
+def test_a_standing_reference_has_the_error_of_its_counts(survey: Survey) -> None:
+    reference = {"azimuth": "20 deg", "elevation": 0.0, "amplitude": "20 mV"}
+    quiet = {"instrument.detector.dark_rate": 0.0, "scan.reference": reference}
+    line = by_name(survey.with_(quiet))["drift"]
+    detector = survey.instrument.detector
+    volt = survey.instrument.modulation_depth * detector.volt_per_photoelectron_rate
+    # sqrt(2 F / N) / m with N counts in a dwell less five time constants, which a mean
+    # of filtered outputs integrates almost as a whole.
+    time = survey.scan.dwell - 5 * survey.instrument.lock_in.time_constant
+    counts = 0.02 / volt * time
+    phase = math.sqrt(2 * detector.excess_noise_factor / counts)
+    phase /= survey.instrument.modulation_depth
+    per_radian = speed_of_light / (4 * math.pi * 39e6 * 1.38)
+    assert_allclose(line.now, phase * per_radian, rtol=0.2)
+    assert line.calibrated == line.now
+    more = {**quiet, "scan.reference": {**reference, "readings": 4}}
+    four = by_name(survey.with_(more))["drift"]
+    assert_allclose(four.now, line.now / 2, rtol=1e-6)
 
 
 def test_frequencies_average_their_phase_errors(survey: Survey) -> None:
@@ -85,7 +110,14 @@ def test_unknown_errors_come_first_and_then_the_largest(survey: Survey) -> None:
     )
     # 0.01 of 1.38 is 11 mm of 1.5 m; no other error is above 4 mm.
     assert first_calibration([*by_name(known).values()]).name == "group index"
-    perfect = survey.with_({**ALL, "instrument.phase_uncertainty": "0.01 deg"})
+    bright = {"azimuth": 0.3, "elevation": 0.0, "amplitude": "1 V"}
+    perfect = survey.with_(
+        {
+            **ALL,
+            "instrument.phase_uncertainty": "0.01 deg",
+            "scan.reference": bright,
+        }
+    )
     lines = by_name(perfect)
     assert first_calibration([*lines.values()]) is None
     for line in lines.values():

@@ -26,6 +26,7 @@ from amulor.acquisition.cube.samples import (
     counting_variance,
     dark_output,
     entry,
+    phase_drift,
     procedure_of,
     read_back_frequencies,
 )
@@ -34,6 +35,7 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import EXTRA, QUANTITIES
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Procedure
+from amulor.cube.phase_drift import PhaseDrift
 from amulor.errors import CubeError, FormatError
 from amulor.io import read_cube, write_cube
 from amulor.optics import detection
@@ -165,7 +167,8 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
 
     Notes
     -----
-    The mean of a channel's dark readings is subtracted from its samples. The variance
+    The mean of a channel's dark readings is subtracted from its samples. If the survey
+    has a standing reference, the drift of its phase is then subtracted. The variance
     is the sum of counting noise, the phase floor of the survey, and the variance of
     that mean. Counting noise follows from the mean output of the detector. If the mean
     output is not connected, it follows from the amplitude, as a lower limit. The cube
@@ -211,6 +214,9 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     closed = meta.get("shutter") == "closed"
     frequency = read_back_frequencies(scan, survey)
     scan["signal"][...] -= dark[0][:, :, None, None]
+    drift = None if closed else phase_drift(survey, journal, dark)
+    if drift is not None:
+        scan["signal"][...] = drift.corrected(scan["signal"], scan["elapsed"])
     measured = cubes.build(
         "samples",
         {
@@ -228,7 +234,9 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
         geometry=geometry_attributes(survey),
         attributes=_attributes(journal, meta, survey, dark),
     )
-    shots = _open_water(survey, journal, dark, shutter_closed=closed)
+    if drift is not None:
+        measured = measured.assign_attrs(drift.attributes(frequency))
+    shots = _open_water(survey, journal, dark, drift, shutter_closed=closed)
     if shots is not None:
         measured = cubes.attach(measured, shots, "open_water")
     measured = measured.assign(_user_variables(scan))
@@ -315,6 +323,7 @@ def _open_water(
     survey: Survey,
     journal: Journal,
     dark: tuple[NDArray[np.complex128], Floats],
+    drift: PhaseDrift | None,
     *,
     shutter_closed: bool,
 ) -> xr.Dataset | None:
@@ -331,6 +340,8 @@ def _open_water(
     for key, record in recorded:
         samples.put(key, record, 0, shots[key.repeat, key.row, key.column])
     samples["signal"][...] -= dark[0][:, :, None, None]
+    if drift is not None:
+        samples["signal"][...] = drift.corrected(samples["signal"], samples["elapsed"])
     # A shot with an overload or without light does not measure the water.
     spoiled = SampleFlag.OVERLOAD | SampleFlag.NO_LIGHT
     samples["signal"][samples["flags"] & spoiled != 0] = MISSING

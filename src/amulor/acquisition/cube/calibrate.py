@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -17,6 +18,7 @@ from amulor.acquisition.cube.calibration import (
     Calibration,
     FrequencyCalibration,
     Leakage,
+    ReferencePhase,
     phase_correction,
 )
 from amulor.acquisition.cube.samples import Samples, counting_variance, procedure_of
@@ -233,6 +235,73 @@ def _mean_of(signal: Complex, variance: Floats) -> tuple[Complex, Floats]:
     return mean, np.sqrt(np.maximum(scatter, stated) / count)
 
 
+def from_reference(cube: xr.Dataset) -> Calibration:
+    """Return the phase of the standing reference during the calibration of a delay.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Cube of level `samples` of a plate, from a survey with `[scan.reference]`.
+
+    Returns
+    -------
+    Calibration
+        Phase of the reference in each channel, its uncertainty, and its changes.
+
+    Raises
+    ------
+    CubeError
+        If the cube is of another level, or has no readings of a reference.
+
+    Examples
+    --------
+    >>> from amulor import Survey, acquisition, simulation
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {
+    ...         "scan.columns": 3,
+    ...         "scan.rows": 4,
+    ...         "scan.reference": {
+    ...             "azimuth": "12 deg",
+    ...             "elevation": "0 deg",
+    ...             "amplitude": "20 mV",
+    ...         },
+    ...     }
+    ... )
+    >>> cube = simulation.simulate(survey, rng=1, model=simulation.ClosureModel())
+    >>> calibration = acquisition.from_reference(cube)
+    >>> print(f"{calibration.reference[0].uncertainty:.0e} rad")
+    5e-05 rad
+    """
+    cubes.check(cube, "samples", name="the cube with the standing reference")
+    if "reference_phase_rad" not in cube.attrs:
+        raise CubeError(
+            "the cube has no readings of a standing reference; record it with the "
+            "section [scan.reference] in the survey"
+        )
+    frequencies, channels = cube["modulation_frequency"], cube.amulor.polarizations
+    shape = len(frequencies), len(channels)
+    phase, time, change = (
+        np.reshape(cube.attrs[f"reference_{name}"], (*shape, -1))
+        for name in ("phase_rad", "time_s", "drift_rad")
+    )
+    error = np.atleast_1d(cube.attrs["reference_phase_uncertainty_rad"])
+    return Calibration(
+        date=_date(cube),
+        reference=tuple(
+            ReferencePhase(
+                modulation_frequency=float(frequency),
+                polarization=channel,
+                phase=float(phase[i, j, 0]),
+                uncertainty=float(error[i]),
+                times=tuple((time[i, j] - time.min()).tolist()),
+                changes=tuple(change[i, j].tolist()),
+            )
+            for i, frequency in enumerate(frequencies.values)
+            for j, channel in enumerate(channels)
+        ),
+    )
+
+
 def from_plates(
     plates: Sequence[xr.Dataset],
     *,
@@ -334,7 +403,8 @@ def from_plates(
     ]
     mean, error = (np.array([values[k] for values in sums]) for k in (0, 1))
     first = plates[0]
-    entries, leakage, rest = [], [*_leakage_in(first)], []
+    before = _applied(plates)
+    entries, leakage, rest = [], [*before.get("leakage", ())], []
     for number, frequency in enumerate(first["modulation_frequency"].values):
         strongest = int(np.argmax(np.abs(np.nan_to_num(mean[0, number]))))
         if not np.isfinite(mean[:, number, strongest]).all():
@@ -371,6 +441,7 @@ def from_plates(
         date=_date(first),
         frequencies=tuple(entries),
         leakage=tuple(leakage),
+        reference=before.get("reference", ()),
         delay_uncertainty=_delay_uncertainty(first, distances, distance_uncertainty),
     )
     if first_distance.all():
@@ -493,10 +564,17 @@ def _delay_uncertainty(
     return 2 * math.hypot(of_distance, of_index) / float(speed_of_light)
 
 
-def _leakage_in(cube: xr.Dataset) -> tuple[Leakage, ...]:
-    """Return the leakage that was subtracted from a cube, by channel."""
-    text = cube.attrs.get("calibration")
-    return () if text is None else Calibration.from_text(text).leakage
+def _applied(plates: Sequence[xr.Dataset]) -> dict[str, Any]:
+    """Return the calibrations that were applied to all cubes of a plate, by field."""
+    phases = {tuple(cube.attrs.get("reference_phase_rad", ())) for cube in plates}
+    if len(phases) > 1:
+        raise CubeError(
+            "the cubes of the plate refer to different phases of the standing "
+            "reference; make one file from the first one (amulor calibrate reference), "
+            "and apply it to all (amulor recover --calibration)"
+        )
+    text = plates[0].attrs.get("calibration")
+    return {} if text is None else dict(Calibration.from_text(text))
 
 
 def _with_leakage(

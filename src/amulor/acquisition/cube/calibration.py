@@ -5,9 +5,10 @@ from __future__ import annotations
 import datetime
 import math
 import warnings
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Self, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -91,6 +92,26 @@ class Leakage(Description):
     if there was only one [V]."""
 
 
+class ReferencePhase(Description):
+    """Phase of the standing reference in one channel, at the time of a calibration."""
+
+    modulation_frequency: Annotated[Frequency, Field(gt=0)]
+    """Modulation frequency [Hz]."""
+    polarization: str
+    """Channel, such as "VH"."""
+    phase: Angle
+    """Phase to which the samples of the plate were corrected [rad]."""
+    uncertainty: Annotated[Angle, Field(ge=0)]
+    """Standard uncertainty of the correction [rad]."""
+    times: tuple[Time, ...] = ()
+    """Times since the start of the recording [s]."""
+    changes: tuple[Angle, ...] = ()
+    """Phase at these times minus `phase` [rad]."""
+
+
+_Entry = TypeVar("_Entry", Leakage, ReferencePhase)
+
+
 class Calibration(Description):
     """Phase delays by modulation frequency and amplitude, and leakage by channel.
 
@@ -118,6 +139,9 @@ class Calibration(Description):
     the leakage was measured."""
     leakage: tuple[Leakage, ...] = ()
     """Leakage of each channel, which is subtracted before the phase is corrected."""
+    reference: tuple[ReferencePhase, ...] = ()
+    """Phase of the standing reference during the calibration. Samples of later scans
+    are corrected to it."""
     delay_uncertainty: Annotated[Time, Field(ge=0, le=1e-6)] | None = None
     """Standard uncertainty of the delay that all frequencies share, from the distance
     of the plate and the group index; unknown by default [s]."""
@@ -128,10 +152,11 @@ class Calibration(Description):
 
     @model_validator(mode="after")
     def _has_a_measurement(self) -> Self:
-        if not self.frequencies and not self.leakage:
+        if not (self.frequencies or self.leakage or self.reference):
             raise ValueError(
-                "at least one is needed of frequencies (amulor calibrate plate) and "
-                "leakage (amulor calibrate leakage)"
+                "at least one is needed of frequencies (amulor calibrate plate), "
+                "leakage (amulor calibrate leakage) and reference (amulor calibrate "
+                "reference)"
             )
         return self
 
@@ -263,34 +288,84 @@ def leakage_of(
 
     Shape (frequency, polarization). A channel without a measurement is refused.
     """
-    frequencies = cube["modulation_frequency"].values
-    channels = cube.amulor.polarizations
-    leak = np.zeros((len(frequencies), len(channels)), dtype=complex)
-    uncertainty = np.zeros(leak.shape)
     if not calibration.leakage:
-        return leak, uncertainty
-    for i, frequency in enumerate(frequencies):
-        for j, channel in enumerate(channels):
-            entry = min(
-                (one for one in calibration.leakage if one.polarization == channel),
-                key=lambda one: abs(one.modulation_frequency - frequency),
+        return np.zeros((1, 1), dtype=complex), np.zeros((1, 1))
+    entries = _by_channel(
+        calibration.leakage,
+        cube,
+        what="leakage",
+        remedy="measure it with the shutter closed",
+    )
+    leak = [[complex(*getattr(entry, part)) for entry in row] for row in entries]
+    uncertainty = [
+        [getattr(entry, f"{part}_uncertainty") for entry in row] for row in entries
+    ]
+    return np.array(leak), np.array(uncertainty)
+
+
+def _by_channel(
+    entries: Sequence[_Entry], cube: xr.Dataset, *, what: str, remedy: str
+) -> list[list[_Entry]]:
+    """Return the entry of each frequency and channel of a cube."""
+    result: list[list[_Entry]] = []
+    for frequency in cube["modulation_frequency"].values:
+        result.append([])
+        for channel in cube.amulor.polarizations:
+            nearest = min(
+                (entry for entry in entries if entry.polarization == channel),
+                key=lambda entry: abs(entry.modulation_frequency - frequency),
                 default=None,
             )
-            if entry is None or not math.isclose(
-                entry.modulation_frequency, frequency, rel_tol=_SAME_FREQUENCY
+            if nearest is None or not math.isclose(
+                nearest.modulation_frequency, frequency, rel_tol=_SAME_FREQUENCY
             ):
                 raise FormatError(
-                    f"the calibration has no leakage at {frequency / 1e6:g} MHz in "
-                    f"{channel}; measure it with the shutter closed at the frequencies "
-                    "and channels of the scan"
+                    f"the calibration has no {what} at {frequency / 1e6:g} MHz in "
+                    f"{channel}; {remedy} at the frequencies and channels of the scan"
                 )
-            leak[i, j] = complex(*getattr(entry, part))
-            uncertainty[i, j] = getattr(entry, f"{part}_uncertainty")
-    return leak, uncertainty
+            result[-1].append(nearest)
+    return result
+
+
+def reference_shift(
+    calibration: Calibration, cube: xr.Dataset
+) -> tuple[Floats, dict[str, object]]:
+    """Return phases by which to turn samples back, and the attributes that change.
+
+    The drift of a scan was corrected to one phase of its standing reference. The shift
+    corrects it to the phase during the calibration. Shape (frequency, polarization).
+    """
+    if not calibration.reference:
+        return np.zeros((1, 1)), {}
+    present = cube.attrs.get("reference_phase_rad")
+    if present is None:
+        raise FormatError(
+            "the calibration refers to a standing reference, but the scan has none; "
+            "record it with [scan.reference], or calibrate without one"
+        )
+    entries = _by_channel(
+        calibration.reference,
+        cube,
+        what="phase of the standing reference",
+        remedy="record it (amulor calibrate reference)",
+    )
+    phase = np.array([[entry.phase for entry in row] for row in entries])
+    error = np.array([max(entry.uncertainty for entry in row) for row in entries])
+    shift = np.angle(np.exp(1j * (np.reshape(present, phase.shape) - phase)))
+    here = cube.attrs["reference_phase_uncertainty_rad"]
+    return shift, {
+        "reference_phase_rad": phase.ravel(),
+        "reference_phase_uncertainty_rad": np.hypot(here, error),
+        "reference_calibrated": np.int32(1),
+        "instrument_drift_uncertainty_s": np.zeros(error.size),
+    }
 
 
 def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
     r"""Subtract leakage and correct the phases of samples and references.
+
+    If the calibration has phases of the standing reference, the samples are corrected
+    to them.
 
     Parameters
     ----------
@@ -342,7 +417,8 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
             "another one (amulor recover --calibration --overwrite)"
         )
     frequency = cube["modulation_frequency"].values
-    attributes: dict[str, object] = {"calibration": calibration.to_toml()}
+    shift, attributes = reference_shift(calibration, cube)
+    attributes["calibration"] = calibration.to_toml()
     changed: dict[str, xr.DataArray] = {}
     squares = np.zeros(frequency.size)
     for prefix, part in (("", "scan"), ("open_water_", "open_water")):
@@ -371,7 +447,7 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
                 table[number], beyond[number] = phase_uncertainty(
                     calibration, amplitude[number], **where
                 )
-        turn = np.exp(-1j * np.nan_to_num(delay))
+        turn = np.exp(-1j * (np.nan_to_num(delay) + shift[axes]))
         signal = signal * turn
         errors = Observation(cube=xr.Dataset(outputs)).covariance.turned(
             turn

@@ -21,6 +21,7 @@ from amulor.acquisition.uncertainty import (
     reading_variance,
     variance_ratio,
 )
+from amulor.cube.phase_drift import PhaseDrift
 from amulor.errors import FormatError
 from amulor.survey import Survey
 
@@ -158,6 +159,37 @@ def dark_output(
     variance = counting_variance(samples, survey, procedure_of(journal))
     mean_variance = np.nanmean(variance) if count.any() else 0.0
     return mean, np.where(count > 0, mean_variance / divisor, 0.0)
+
+
+def phase_drift(
+    survey: Survey, journal: Journal, dark: tuple[NDArray[np.complex128], Floats]
+) -> PhaseDrift | None:
+    """Return the phase drift by a standing reference; None without readings."""
+    reference = survey.scan.reference
+    recorded = [*journal.samples(plan.REFERENCE)]
+    if reference is None or not recorded:
+        return None
+    places = sorted({(key.column, key.row) for key, _ in recorded})
+    number = {place: at for at, place in enumerate(places)}
+    samples = Samples(survey, len(places), reference.readings)
+    for key, record in recorded:
+        if not record.flags & (SampleFlag.OVERLOAD | SampleFlag.NO_LIGHT):
+            samples.put(key, record, number[key.column, key.row], key.repeat)
+    signal = samples["signal"] - dark[0][:, :, None, None]
+    valid = np.isfinite(signal)
+    count = np.maximum(valid.sum(axis=-1), 1)
+    variance = counting_variance(samples, survey, procedure_of(journal))
+
+    def mean(values: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(np.where(valid, values, 0).sum(axis=-1) / count)
+
+    time, whole = mean(samples["elapsed"]), valid.any(axis=-1)
+    return PhaseDrift.of(
+        np.where(whole, mean(signal), MISSING),
+        variance=mean(variance) / count,
+        # A missing reading has the time of another one.
+        time=np.where(whole, time, time.max(axis=-1, keepdims=True)),
+    )
 
 
 def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) -> Floats:

@@ -10,10 +10,10 @@ from typing import Any
 
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import QUANTITIES, Record
-from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, SHUTTER, Key
+from amulor.acquisition.plan import DARK, OPEN_WATER, REFERENCE, SCAN, SHUTTER, Key
 
 #: Streams, in the order of their descriptors.
-_STREAMS = (DARK, SHUTTER, OPEN_WATER, SCAN)
+_STREAMS = (DARK, SHUTTER, REFERENCE, OPEN_WATER, SCAN)
 #: Name space of the identifiers of documents.
 _SPACE = uuid.UUID("5f0c1f7e-6f0a-4f6f-9d0e-2f1c7a2d9b13")
 _UNITS = {

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from amulor.acquisition.journal.record import OPTIONAL, QUANTITIES, WHOLE, Record
-from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, SHUTTER, Key
+from amulor.acquisition.plan import DARK, OPEN_WATER, REFERENCE, SCAN, SHUTTER, Key
 from amulor.errors import FormatError, InstrumentError, SurveyError
 from amulor.survey import Survey
 
@@ -88,6 +88,10 @@ class RowCheck:
             self._frequencies = tuple(survey.instrument.modulation_frequencies)
             self._pairs = tuple(survey.instrument.polarizations)
             self._grids[SCAN] = (survey.scan.rows, survey.scan.columns)
+            # Rows before which it is read, and any number of rounds of shots.
+            self._grids[REFERENCE] = (
+                (0, 0) if survey.scan.reference is None else (2**31, 2)
+            )
             self._grids[OPEN_WATER] = (
                 (0, 0) if plan is None else (plan.rows, plan.columns)
             )
@@ -129,7 +133,7 @@ class RowCheck:
         return None
 
     def _not_planned(self, row: Mapping[str, Any]) -> str | None:
-        if row["kind"] not in (SCAN, OPEN_WATER, DARK, SHUTTER):
+        if row["kind"] not in (SCAN, OPEN_WATER, DARK, SHUTTER, REFERENCE):
             return f"there is no kind of sample {row['kind']!r}"
         if self._frequencies is None:
             return None

@@ -111,6 +111,8 @@ LOCK_TIME = 0.05
 _MOST_OTHERS = 16
 #: Axes of the beam, and the target position beyond which it is out [m].
 _BEAM, _OUT = ("azimuth", "elevation"), 0.05
+#: Largest angle between a beam and the standing reference that it meets [rad].
+_ON_REFERENCE = 3e-4
 #: Arrival time of an axis at rest.
 _AT_REST = -math.inf
 
@@ -511,9 +513,15 @@ class Bench:
             )
             light, index = places.light, (tone.channel, pair, place)
             level = complex(light.target[index] + change * light.water[index])
+            if self._reference is not None:
+                level = complex(self._reference)
             phase = self._phase_error(abs(level), tone.frequency)
             tone.input = level * cmath.exp(1j * phase) + leakage
-            if number == 0:  # mean light of all frequencies
+            if number == 0 and self._reference is not None:
+                depth = self.survey.instrument.modulation_depth
+                volt = self.survey.instrument.detector.volt_per_photoelectron_rate
+                rate = self._reference / (depth * volt)
+            elif number == 0:  # mean light of all frequencies
                 rate = float(
                     light.target_rate[index]
                     + max(change, 0.0) * light.water_rate[index]
@@ -525,6 +533,15 @@ class Bench:
         self._mean = volt * (rate + detector.dark_rate)
         # A single reading of a settled one-pole filter counts for two time constants.
         self._spread = math.sqrt(self._dark_variance + rate * self._variance_per_rate)
+
+    @property
+    def _reference(self) -> float | None:
+        """Amplitude of the standing reference if the beam rests on it [V]."""
+        reference = self.survey.scan.reference
+        if reference is None or self._beam_place is not None or self._ahead:
+            return None
+        off = max(abs(self._goal[name] - getattr(reference, name)) for name in _BEAM)
+        return reference.amplitude if off < _ON_REFERENCE else None
 
     def _filter(self, time_constant: float) -> None:
         self._time_constant = time_constant

@@ -276,7 +276,7 @@ class Progress:
         self.seen += 1
         self._counts[key.kind] += 1
         # References after a break, and retakes.
-        self.total += key.repeat >= self._planned[key.kind]
+        self.total += self._is_additional(key)
         self._kind = key.kind
         self._last_at = self._clock()
         self._elapsed = max(self._elapsed, record.elapsed)
@@ -287,7 +287,7 @@ class Progress:
         channel = (key.frequency, key.polarization)
         if key.kind == plan.DARK:
             self._dark.setdefault(channel, []).append(signal)
-        elif key.kind == plan.SHUTTER:
+        elif key.kind in (plan.SHUTTER, plan.REFERENCE):
             pass  # counted above
         elif key.kind == plan.OPEN_WATER:
             place = (*channel, key.row, key.column)
@@ -304,6 +304,13 @@ class Progress:
                 self._row = key.row
             return row
         return None
+
+    def _is_additional(self, key: Key) -> bool:
+        """Whether a sample is a retake or belongs to a reference after a break."""
+        if key.kind != plan.REFERENCE:
+            return key.repeat >= self._planned[key.kind]
+        rounds = self._planned[plan.OPEN_WATER]
+        return key.column == plan.BEFORE_SHOTS and key.row >= rounds
 
     def is_complete(self, channel: str, row: int) -> bool:
         """Whether all pixels of a row were measured in a channel."""
