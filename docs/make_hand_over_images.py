@@ -1,4 +1,4 @@
-"""Draws docs/images/hand-over: what the commands of docs/how-to/hand-over.md write.
+"""Draws docs/images/hand-over and site: sheets of docs/how-to/hand-over.md and site.md.
 
 Needs the Chromium of the system, which shows the SVG files.
 """
@@ -21,6 +21,7 @@ from amulor.cli import main
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "how-to" / "hand-over.md"
 FOLDER = ROOT / "docs" / "images" / "hand-over"
+SITE = ROOT / "docs" / "images" / "site"
 #: Picture, the file that a command writes, and its size on screen.
 PICTURES = {
     "amphora": ("amphora.svg", (820, 1150)),
@@ -53,19 +54,41 @@ def draw(browser: str) -> None:
                 if main(line.split()) != 0:
                     sys.exit(f"failed: {line}")
         FOLDER.mkdir(parents=True, exist_ok=True)
-        for picture, (file, (width, height)) in PICTURES.items():
-            target = folder / f"{picture}-shot.png"
-            subprocess.run(
-                [
-                    *(browser, "--headless", "--no-sandbox", "--hide-scrollbars"),
-                    f"--screenshot={target}",
-                    f"--window-size={width},{height}",
-                    (folder / file).as_uri(),
-                ],
-                check=True,
-                capture_output=True,
-            )
-            _cropped(target, FOLDER / f"{picture}.png")
+        for picture, (file, size) in PICTURES.items():
+            shot(browser, folder / file, size, FOLDER / f"{picture}.png")
+
+
+def draw_site(browser: str) -> None:
+    """Draw the wreck of the page on sites, and take pictures of plan and section."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        script = ROOT / "examples" / "wreck" / "make_site.py"
+        words = [sys.executable, script.name, str(folder), "--rows", "75"]
+        subprocess.run(words, cwd=script.parent, check=True)
+        output = folder / "wreck.pdf"
+        words = ["site", "drawings", str(folder / "site.toml"), "-o", str(output)]
+        if main(words) != 0:
+            sys.exit("the drawings of the site failed")
+        SITE.mkdir(parents=True, exist_ok=True)
+        for picture, file in {"plan": "plan", "section": "section_B"}.items():
+            svg = folder / f"wreck_{file}.svg"
+            shot(browser, svg, (1150, 820), SITE / f"{picture}.png")
+
+
+def shot(browser: str, svg: Path, size: tuple[int, int], picture: Path) -> None:
+    """Write a picture of an SVG file in a browser window of a size [pixel]."""
+    target = svg.with_suffix(".shot.png")
+    subprocess.run(
+        [
+            *(browser, "--headless", "--no-sandbox", "--hide-scrollbars"),
+            f"--screenshot={target}",
+            f"--window-size={size[0]},{size[1]}",
+            svg.as_uri(),
+        ],
+        check=True,
+        capture_output=True,
+    )
+    _cropped(target, picture)
 
 
 def _cropped(source: Path, target: Path) -> None:
@@ -82,3 +105,4 @@ if __name__ == "__main__":
     if found is None:
         sys.exit("needs chromium")
     draw(found)
+    draw_site(found)

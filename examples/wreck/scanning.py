@@ -142,5 +142,6 @@ def image(
             source="exact geometry of a mesh, errors drawn",
             modulation_frequencies=np.array([FREQUENCY]),
             open_water_degree=np.array([0, 0], dtype=np.int32),
+            simulated=np.int32(1),
         ),
     )

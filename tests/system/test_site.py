@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         re.sub(r" \\\n +", " ", PAGE.read_text("utf-8")),
         flags=re.MULTILINE,
     )
-    assert len(commands) == 6
+    assert len(commands) == 7
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for command in commands:

@@ -123,6 +123,10 @@ COMMANDS = {
         "site:report",
         "Draw a site into one HTML file: plan, poses, errors, change.",
     ),
+    "site drawings": (
+        "site:drawings",
+        "Draw the plan of a site, sections across scans, and detail sheets.",
+    ),
     "site schema": ("site:schema", "Print the JSON Schema of site files."),
     "archive": (
         "archive:archive",
@@ -151,7 +155,7 @@ TOPICS = {
     "design": ("design", "survey presets", "survey preset"),
     "many scans": (
         "run", "site check", "site register", "site merge", "site compare",
-        "site report", "site schema",
+        "site report", "site drawings", "site schema",
     ),
     "learn": ("demo", "samples", "reproduce ricci2010", "warm-up"),
 }  # fmt: skip
@@ -231,6 +235,10 @@ EXAMPLES = {
     ),
     "site report": (
         "amulor site report site.toml --poses poses.json -o site.html",
+        "amulor site drawings",
+    ),
+    "site drawings": (
+        "amulor site drawings site.toml --poses poses.json -o site.pdf",
         "amulor archive",
     ),
     "site schema": ("amulor site schema > site.json", "amulor site check"),

@@ -165,7 +165,7 @@ def export(
             "against": against,
             "unit": unit,
             "title": title,
-            "fields": _fields(project, sheet),
+            "fields": title_fields(project, sheet),
         },
     )
     largest = (
@@ -291,13 +291,14 @@ def _order(
         raise UsageError(f"a product {product} needs {needed[product][0]}")
     return Order(
         product=product,
-        line=None if line is None else _line_of(line),
+        line=None if line is None else line_of(line),
         **parsed,  # type: ignore[arg-type]
         **options,  # type: ignore[arg-type]
     )
 
 
-def _line_of(text: str) -> tuple[float, float, float, float]:
+def line_of(text: str) -> tuple[float, float, float, float]:
+    """Parse the ends of a section line from the option --line [m]."""
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 4:
         raise UsageError(
@@ -310,7 +311,7 @@ def _line_of(text: str) -> tuple[float, float, float, float]:
     return a, b, c, d
 
 
-def _fields(project: Path | None, sheet: str) -> dict[str, str]:
+def title_fields(project: Path | None, sheet: str) -> dict[str, str]:
     """Return the texts of the title block of a drawing."""
     fields = {"sheet": sheet} if sheet else {}
     if project is None:

@@ -1,4 +1,4 @@
-"""`amulor site`: check, register, merge, compare and report many scans."""
+"""`amulor site`: check, register, merge, compare, draw and report many scans."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -497,6 +497,123 @@ def report(
     print(f"{output}: {len(merged.site.scan)} scans, {len(places)} places that changed")
 
 
+def drawings(
+    site: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(alias="-o")],
+    poses: Path | None = None,
+    epoch: str = "",
+    scale: str | None = None,
+    contours: str | None = None,
+    line: Annotated[tuple[str, ...], Parameter(show_default=False)] = (),
+    exaggeration: Annotated[
+        float, Parameter(validator=validators.Number(gte=0.1, lte=100))
+    ] = 1.0,
+    title: str = "",
+    project: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Draw the plan of a site, sections across scans, and detail sheets.
+
+    Parameters
+    ----------
+    site
+        Site file (TOML).
+    output
+        File to write (PDF), with a page for each sheet. Beside it, each sheet is
+        written as .svg and .dxf, and the heights as .tif.
+    poses
+        Registration (JSON), from "amulor site register". By default the site is
+        registered first.
+    epoch
+        Visit of the plan; by default the last. Sections show all visits.
+    scale
+        Scale, such as 1:10. If the plan then exceeds a sheet of A3, it is an overview,
+        and detail sheets follow. By default the plan fits A4.
+    contours
+        Interval of contour lines, such as "5 cm".
+    line
+        Section line, east and north of both ends, such as "--line=-2m,0m,2m,0m"; may
+        be repeated. By default two lines through the middle.
+    exaggeration
+        Exaggeration of the heights of sections on paper.
+    title
+        Title; by default the name of the site.
+    project
+        Project file (TOML), as "amulor archive" reads it, for the title block.
+    overwrite
+        Replace existing files.
+    """
+    from amulor import _progress, io
+    from amulor.cli._arguments import UsageError, check_ending, quantity_of
+    from amulor.cli._output import progress_bar
+    from amulor.cli.export import line_of, scale_of, title_fields
+    from amulor.handover.site_drawings import SiteOrder, write_site_drawings
+    from amulor.site.merging.plan import placed
+    from amulor.site.registration.register import surfaces_of
+
+    check_ending("--output", output, (".pdf",))
+    inputs = [path for path in (site, poses, project) if path is not None]
+    io.check_output(output, overwrite=overwrite, inputs=inputs)
+    interval = None
+    if contours is not None:
+        interval = quantity_of("--contours", contours, "length")
+        if not interval > 0:
+            raise UsageError(f"--contours {contours}: must be above 0 m")
+    order = SiteOrder(
+        epoch=epoch,
+        scale=None if scale is None else scale_of("--scale", scale),
+        contours=interval,
+        lines=tuple(line_of(text) for text in line),
+        exaggeration=exaggeration,
+        title=title,
+        fields=title_fields(project, ""),
+    )
+    with progress_bar():
+        with _progress.part(0.0, 0.4):
+            described, registration = registered(site, poses)
+        with _progress.part(0.4, 0.5):
+            surfaces, images = surfaces_of(described)
+        with _progress.part(0.5, 0.6):
+            scans = placed(described, registration, surfaces, images)
+        with _progress.part(0.6, 1.0):
+            summary = write_site_drawings(
+                described, registration, scans, output, order, overwrite=overwrite
+            )
+    print(f"{output}: {summary}")
+
+
+def registered(path: Path, poses: Path | None) -> tuple[Site, Registration]:
+    """Read a site and its registration, or register the site; check the poses."""
+    from amulor.errors import CubeError
+    from amulor.site import Site
+    from amulor.site.registration.register import register as fit
+    from amulor.site.registration.result import read_registration
+
+    site = Site.from_toml(path)
+    if poses is None:
+        from amulor._extras import require
+
+        require("site", purpose="registration")
+        registration = fit(site)
+    else:
+        registration = read_registration(poses)
+    lacking = [scan.name for scan in site.scan if scan.name not in registration.poses]
+    if lacking:
+        raise CubeError(
+            f"{poses}: has no pose of scan {lacking[0]!r}; register the site again: "
+            f"amulor site register {path} -o {poses} --overwrite"
+        )
+    if registration.contradictions:
+        again = "poses.json" if poses is None else f"{poses} --overwrite"
+        raise CubeError(
+            f"{poses or path}: {_not_good(registration)}\nmend the site file and "
+            f"register again: amulor site register {path} -o {again}"
+        )
+    return site, registration
+
+
 @dataclass(frozen=True, kw_only=True)
 class Opened:
     """Site with its registration and its merged point cloud."""
@@ -511,25 +628,10 @@ class Opened:
 def opened(path: Path, poses: Path) -> Opened:
     """Read a site and its registration, and merge its scans."""
     from amulor import _progress
-    from amulor.errors import CubeError
-    from amulor.site import Site
     from amulor.site.merging.cloud import merge
     from amulor.site.registration.register import surfaces_of
-    from amulor.site.registration.result import read_registration
 
-    site = Site.from_toml(path)
-    registration = read_registration(poses)
-    lacking = [scan.name for scan in site.scan if scan.name not in registration.poses]
-    if lacking:
-        raise CubeError(
-            f"{poses}: has no pose of scan {lacking[0]!r}; register the site again: "
-            f"amulor site register {path} -o {poses} --overwrite"
-        )
-    if registration.contradictions:
-        raise CubeError(
-            f"{poses}: {_not_good(registration)}\nmend the site file and register "
-            f"again: amulor site register {path} -o {poses} --overwrite"
-        )
+    site, registration = registered(path, poses)
     with _progress.part(0.0, 0.3):
         surfaces, images = surfaces_of(site)
     with _progress.part(0.3, 0.6):

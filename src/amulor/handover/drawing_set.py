@@ -194,13 +194,13 @@ def _contours(
     return contours, product
 
 
-def contour_interval(raster: products.Raster) -> float:
-    """Return a usual contour interval for about eight levels, above the noise [m]."""
+def contour_interval(raster: products.Raster, *, levels: int = _LEVELS) -> float:
+    """Return a usual contour interval for a number of levels, above the noise [m]."""
     finite = raster.height[np.isfinite(raster.height)]
     low, high = np.percentile(finite, [_STRAY, 100 - _STRAY])
     sigma = float(np.nanmedian(raster.own))
     least = 4 * sigma if math.isfinite(sigma) else 0.0
-    return formats.rounded_up(max((high - low) / _LEVELS, least, 1e-4))
+    return formats.rounded_up(max((high - low) / levels, least, 1e-4))
 
 
 def _lines_page(product: LineProduct) -> Page:

@@ -47,6 +47,8 @@ class LineProduct:
     """View for a key plan, and the ends of the section line in it [m]."""
     picture: products.Raster | None = None
     """Shaded relief under the lines."""
+    colours: Mapping[str, str] | None = None
+    """Colors of the layers, for a legend."""
 
     def figure(self) -> Figure:
         """Draw the lines on a sheet."""
@@ -56,6 +58,7 @@ class LineProduct:
             heights=self.heights,
             key=self.key,
             picture=self.picture,
+            colours=self.colours,
         )
 
     def write(self, path: Path, *, overwrite: bool) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -13,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
+from matplotlib.patches import Ellipse, Rectangle
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from amulor.errors import CubeError, FormatError
@@ -83,6 +84,45 @@ _COLOURS = {
 }
 
 
+@dataclass(frozen=True, kw_only=True)
+class Station:
+    """Position of an instrument with its error ellipse."""
+
+    position: Floats
+    """Right and up in the drawing, shape (2,) [m]."""
+    covariance: Floats
+    """Covariance of the position, shape (2, 2) [m^2]."""
+    colour: str
+    """Color of visit or scan."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Annotations:
+    """Outlines, stations, targets and section lines over a plan."""
+
+    outlines: Sequence[tuple[str, Sequence[Floats]]] = ()
+    """Color, and polygons of the area of a scan, of shape (n, 2) [m]."""
+    stations: Mapping[str, Station] = field(default_factory=dict)
+    """Instruments by name of the scan."""
+    enlarged: float = 1.0
+    """Factor by which the error ellipses are enlarged [1]."""
+    targets: Mapping[str, Floats] = field(default_factory=dict)
+    """Targets by name, shape (2,) [m]."""
+    cuts: Mapping[str, Floats] = field(default_factory=dict)
+    """Ends of section lines by letter, shape (2, 2) [m]."""
+
+
+def error_ellipse(
+    position: ArrayLike, covariance: Floats, *, factor: float, colour: str
+) -> Ellipse:
+    """Return the ellipse of one standard uncertainty, enlarged by a factor."""
+    x, y = np.asarray(position, dtype=float)
+    values, vectors = np.linalg.eigh(covariance)
+    wide, high = 2 * factor * np.sqrt(np.maximum(values[::-1], 0))
+    angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+    return Ellipse((x, y), wide, high, angle=angle, fill=False, edgecolor=colour)
+
+
 def fitting_scale(wide: float, high: float) -> float:
     """Return the largest usual scale at which an object fits a sheet of A4.
 
@@ -105,6 +145,15 @@ def fitting_scale(wide: float, high: float) -> float:
     room = ((168.0, 165.0), (255.0, 78.0))
     needed = min(max(wide * 1e3 / w, high * 1e3 / h) for w, h in room)
     return rounded_up(max(needed, 1.0))
+
+
+def largest_on_a3() -> tuple[float, float]:
+    """Width and height that a raster may have on a lying sheet of A3 [m]."""
+    high, wide = _SHEETS["A3"]
+    # A title block of fifteen lines.
+    below = _block_height(15, _BARS) + 2 * _BORDER + _TICKS
+    room = 2e3 * _ROOM
+    return (wide - 2 * _BORDER - _TICKS - room) / 1e3, (high - below - room) / 1e3
 
 
 def colours_of(
@@ -165,12 +214,14 @@ def sheet(
     show: Shown,
     values: Floats | None = None,
     contours: Sequence[Contour] = (),
+    annotations: Annotations | None = None,
+    legend: Sequence[tuple[str, str, str]] = (),
 ) -> Figure:
     """Draw a raster on the smallest ISO sheet that fits it at its scale."""
     pixels, limits, unit = colours_of(raster, show, values=values)
     extent = _extent(raster)
     room = _ROOM * scale
-    around = (extent[0] - room, extent[1] + room, extent[2] - room, extent[3] + room)
+    around = _around(extent, annotations, room)
     with style():
         paper = _Paper(around, content, scale=scale)
         axis = paper.axis
@@ -186,15 +237,34 @@ def sheet(
                 levels=[1e-9, 2.0], colors="none", hatches=["////"],
             )  # fmt: skip
         paper.grid(raster.plane.names[:2])
-        legend = [("#ffffff", "", "no surface measured")]
+        if annotations is not None:
+            _annotate(axis, annotations)
+        entries = [("#ffffff", "", "no surface measured")]
         if hatched:
-            legend.append(("#ffffff", "//////", "doubtful pixels"))
+            entries.append(("#ffffff", "//////", "doubtful pixels"))
         if show == "deviation":
-            legend.append(("#e2e2e2", "", "not significant, or not compared"))
-        paper.block(legend, arrow=raster.plane.names[1])
+            entries.append(("#e2e2e2", "", "not significant, or not compared"))
+        paper.block([*entries, *legend], arrow=raster.plane.names[1])
         if unit:
             paper.colour_bar(show, limits, unit)
     return paper.figure
+
+
+def _around(
+    extent: tuple[float, float, float, float],
+    annotations: Annotations | None,
+    room: float,
+) -> tuple[float, float, float, float]:
+    """Extent with room for stations and for the letters of section lines [m]."""
+    corners = [np.array([extent[0], extent[2]]), np.array([extent[1], extent[3]])]
+    if annotations is not None:
+        corners += [station.position for station in annotations.stations.values()]
+        # Letters stand beyond the ends.
+        for ends in annotations.cuts.values():
+            beyond = room * (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+            corners += [ends[0] - beyond, ends[1] + beyond]
+    low, high = np.min(corners, axis=0) - room, np.max(corners, axis=0) + room
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
 def _extent(raster: Raster) -> tuple[float, float, float, float]:
@@ -211,6 +281,7 @@ def line_sheet(
     heights: float = 1.0,
     key: tuple[Raster, Floats] | None = None,
     picture: Raster | None = None,
+    colours: Mapping[str, str] | None = None,
 ) -> Figure:
     """Draw polylines on the smallest ISO sheet that fits them at their scale.
 
@@ -226,6 +297,8 @@ def line_sheet(
         View for a key plan, and the ends of the section line in it, shape (2, 2) [m].
     picture : Raster, optional
         Shaded relief drawn at the right of the upward axis, under the lines.
+    colours : mapping of str to str, optional
+        Colors of the layers, which the legend then names.
 
     Returns
     -------
@@ -254,12 +327,16 @@ def line_sheet(
                     bands, facecolors="#56B4E9", alpha=0.45, gid="uncertainty", lw=0
                 )
             )
-        for number, layer in enumerate(drawing.layers):
+        palette = ("#000000", *COLOURS)
+        chosen = {
+            layer: palette[number % 8] for number, layer in enumerate(drawing.layers)
+        } | dict(colours or {})
+        for layer in drawing.layers:
             lines = [line for line in drawing.lines if line.layer == layer]
             axis.add_collection(
                 LineCollection(
                     [line.points for line in lines],
-                    colors=("#000000", *COLOURS)[number % 8],
+                    colors=chosen[layer],
                     linewidths=0.7,
                     gid=layer,
                 )
@@ -274,9 +351,12 @@ def line_sheet(
                 textcoords="offset points", ha="center", fontsize=10, weight="bold",
             )  # fmt: skip
         legend = [("#56B4E9", "", "± 2 standard uncertainties")] if bands else []
+        if colours is not None:
+            legend += [(chosen[layer], "", layer) for layer in drawing.layers]
         paper.block(legend, arrow=drawing.axes[1])
         if key is not None:
-            paper.key_plan(*key)
+            name = drawing.marks[0][1] if drawing.marks else "A"
+            paper.key_plan(*key, letter=name)
     return paper.figure
 
 
@@ -372,7 +452,7 @@ class _Paper:
         )
         frame.text(x, y - 11.8, arrow, fontsize=_LETTERS, ha="center", va="top")
         for number, (colour, hatch, text) in enumerate(legend):
-            at = x + 10, y - 6.5 - 4.5 * number
+            at = x + 10 + 46 * (number // 3), y - 4.8 - 4.5 * (number % 3)
             frame.add_patch(
                 Rectangle(
                     at,
@@ -431,7 +511,7 @@ class _Paper:
             f"{show} [{unit}]", fontsize=_LETTERS, loc="right", pad=2, weight="normal"
         )
 
-    def key_plan(self, raster: Raster, cut: Floats) -> None:
+    def key_plan(self, raster: Raster, cut: Floats, *, letter: str) -> None:
         """Draw a small view with the section line at the right of the title block."""
         rows, columns = raster.height.shape
         size = min((_KEY - 12) / rows, 45.0 / columns)
@@ -442,7 +522,8 @@ class _Paper:
         axis.imshow(_relief(raster), extent=_extent(raster), aspect="auto")
         axis.plot(*cut.T, color=_OVER, lw=1.0, clip_on=False)
         onward = 6 * (cut[1] - cut[0]) / np.linalg.norm(cut[1] - cut[0])
-        for place, name, shift in zip(cut, ("A", "A'"), (-onward, onward), strict=True):
+        names = letter, f"{letter}'"
+        for place, name, shift in zip(cut, names, (-onward, onward), strict=True):
             axis.annotate(
                 name, (float(place[0]), float(place[1])), xytext=tuple(shift),
                 textcoords="offset points", ha="center", va="center",
@@ -496,6 +577,42 @@ def _contour_lines(axis: Axes, contours: Sequence[Contour]) -> None:
             longest[line.level] = line
     for level, line in longest.items():
         _label(axis, line.points, f"{level:.4g}")
+
+
+def _annotate(axis: Axes, annotations: Annotations) -> None:
+    """Draw outlines, stations with error ellipses, targets and section lines."""
+    box = {"facecolor": "#ffffff", "alpha": 0.75, "lw": 0, "pad": 0.4}
+    offset: Any = {"textcoords": "offset points", "fontsize": _LETTERS, "bbox": box}
+    for colour, polygons in annotations.outlines:
+        for number, polygon in enumerate(polygons):
+            gid = "footprint" if number == 0 else None
+            axis.plot(*polygon.T, color=colour, lw=0.8, ls=(0, (6, 2)), gid=gid)
+    for name, station in annotations.stations.items():
+        axis.plot(*station.position, "+", color=station.colour, ms=7, mew=1.2)
+        ellipse = error_ellipse(
+            station.position,
+            station.covariance,
+            factor=annotations.enlarged,
+            colour=station.colour,
+        )
+        ellipse.set_gid("error-ellipse")
+        axis.add_patch(ellipse)
+        x, y = station.position
+        axis.annotate(name, (x, y), xytext=(5, 4), color=station.colour, **offset)
+    for name, point in annotations.targets.items():
+        axis.plot(*point, "o", color="#000000", ms=4, mfc="none", mew=0.8)
+        axis.annotate(name, (point[0], point[1]), xytext=(4, -9), **offset)
+    for letter, ends in annotations.cuts.items():
+        axis.plot(*ends.T, color="#000000", lw=0.8, ls=(0, (8, 2, 1, 2)))
+        onward = 7 * (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        for mark, end, shift in (
+            (letter, ends[0], -onward),
+            (f"{letter}'", ends[1], onward),
+        ):
+            axis.annotate(
+                mark, (end[0], end[1]), xytext=tuple(shift), weight="bold",
+                ha="center", va="center", **offset,
+            )  # fmt: skip
 
 
 def _label(axis: Axes, points: Floats, text: str) -> None:

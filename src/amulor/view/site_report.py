@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Ellipse
+from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from amulor.site.change.distances import Change, Region
@@ -22,6 +22,7 @@ from amulor.site.registration.reliability import (
 )
 from amulor.site.registration.result import Registration, relative_covariance
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report
+from amulor.view.sheet import error_ellipse
 from amulor.view.style import (
     COLOURS,
     DIFFERENCE_MAP,
@@ -105,16 +106,7 @@ def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
             scan.name, (at[0], at[1]), xytext=(4, 4), textcoords="offset points"
         )
         spread = relative_covariance(registration, scan.name, first)[:2, :2]
-        values, vectors = np.linalg.eigh(spread)
-        axes.add_patch(
-            Ellipse(
-                (float(at[0]), float(at[1])),
-                *(4 * 50 * np.sqrt(np.maximum(values[::-1], 0))),
-                angle=float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))),
-                fill=False,
-                edgecolor=colour,
-            )
-        )
+        axes.add_patch(error_ellipse(at, spread, factor=2 * 50, colour=colour))
     for name, point in registration.points.items():
         axes.add_patch(Circle((float(point[0]), float(point[1])), 0.06, fill=False))
         axes.annotate(
@@ -161,19 +153,11 @@ def ellipses(site: Site, registration: Registration) -> Figure:
     ):
         columns = (0, height)
         for name, (place, spread, colour) in places.items():
-            values, vectors = np.linalg.eigh(spread[np.ix_(columns, columns)])
             center = (float(place[0]), float(place[height]))
             axes.plot(*center, ".", color=colour, markersize=3)
             axes.annotate(name, center, xytext=(4, 4), textcoords="offset points")
-            axes.add_patch(
-                Ellipse(
-                    center,
-                    *(2 * factor * np.sqrt(np.maximum(values[::-1], 0))),
-                    angle=float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))),
-                    fill=False,
-                    edgecolor=colour,
-                )
-            )
+            section = spread[np.ix_(columns, columns)]
+            axes.add_patch(error_ellipse(center, section, factor=factor, colour=colour))
         axes.set_aspect("equal")
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[height], high[height])

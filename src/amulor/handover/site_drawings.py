@@ -1,0 +1,534 @@
+"""Drawing set of a site: shaded plan, sections across scans, and detail sheets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from amulor._progress import tell
+from amulor.errors import CubeError
+from amulor.handover import drawings
+from amulor.handover.drawing_set import contour_interval
+from amulor.handover.drawings import LineProduct
+from amulor.handover.order import in_millimetres
+from amulor.imaging import products
+from amulor.io import drawings as formats
+from amulor.io.files import check_output
+from amulor.site import Site
+from amulor.site.merging import plan
+from amulor.site.merging.plan import PlacedScan
+from amulor.site.registration.result import Registration, relative_covariance
+from amulor.view.sheet import (
+    Annotations,
+    Station,
+    fitting_scale,
+    largest_on_a3,
+    sheet,
+)
+from amulor.view.style import COLOURS
+
+Floats = NDArray[np.float64]
+
+#: Size of a printed cell, and the largest semi-axis of an error ellipse, on paper [m].
+_CELL, _ELLIPSE = 2.54e-4, 6e-3
+#: Cells per pixel of the coarsest scan, at most [1].
+_FINE = 6.0
+#: Contour lines of a plan, about [1].
+_LEVELS = 16
+#: Colors of visits; contours have another one.
+_VISITS = tuple(colour for colour in COLOURS if colour != "#D55E00")
+#: Cells across the raster for the outline of a scan [1].
+_OUTLINE = 150
+#: Part by which a section line exceeds the plan at both ends [1].
+_BEYOND = 0.03
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiteOrder:
+    """Settings of the drawings of a site."""
+
+    epoch: str = ""
+    """Visit of the plan; by default the last."""
+    scale: float | None = None
+    """Scale denominator of the details; by default one sheet of A4 for all [1]."""
+    contours: float | None = None
+    """Interval of contour lines; by default about eight levels [m]."""
+    lines: tuple[tuple[float, float, float, float], ...] = ()
+    """Section lines, east and north of both ends; by default two through the middle
+    [m]."""
+    exaggeration: float = 1.0
+    """Exaggeration of the heights of sections on paper [1]."""
+    title: str = ""
+    """Title; by default the name of the site."""
+    fields: Mapping[str, str] = field(default_factory=dict)
+    """Texts of the title block."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Sheet:
+    """Sheet of the set, with its lines for a CAD program."""
+
+    name: str
+    figure: Figure
+    block: formats.TitleBlock
+    summary: str
+    lines: formats.Drawing | None
+    scale: float
+
+
+def write_site_drawings(
+    site: Site,
+    registration: Registration,
+    scans: Sequence[PlacedScan],
+    path: Path,
+    order: SiteOrder,
+    *,
+    overwrite: bool = False,
+) -> str:
+    """Write plan, sections and details as one PDF file, each as SVG, lines as DXF."""
+    epoch = order.epoch or site.epoch[-1].name
+    visit = [scan for scan in scans if scan.epoch == epoch]
+    if not visit:
+        raise CubeError(f"the site has no scan of the visit {epoch!r}")
+    west, east, south, north = plan.bounds(visit)
+    lines = order.lines or _middle_lines(west, east, south, north)
+    cuts = {
+        chr(ord("A") + number): np.array(line).reshape(2, 2)
+        for number, line in enumerate(lines)
+    }
+    stations = [registration.poses[scan.name].position[:2] for scan in visit]
+    corners = np.concatenate([*cuts.values(), stations, [(west, south), (east, north)]])
+    overview = fitting_scale(*np.ptp(corners, axis=0))
+    spacing = max(scan.surface.spacing for scan in visit)
+    coarse = max(max(east - west, north - south) / _OUTLINE, spacing)
+    key = plan.orthoplan(visit, cell=coarse).raster
+    tiles = [
+        window
+        for window in _tiles(order.scale, overview, (west, east, south, north))
+        if _has_surface(key, window)
+    ]
+    names = ["plan", *(f"section_{letter}" for letter in cuts)]
+    names += [f"detail_{number + 1}" for number in range(len(tiles))]
+    files = {name: path.with_name(f"{path.stem}_{name}.svg") for name in names}
+    outputs = [path, *files.values(), *(f.with_suffix(".dxf") for f in files.values())]
+    outputs.append(path.with_name(f"{path.stem}_plan.tif"))
+    for output in outputs:
+        check_output(output, overwrite=overwrite)
+    draw = _Drawer(
+        site, registration, scans, visit, epoch, order, cuts, key, len(names)
+    )
+    sheets = [draw.plan(overview if tiles else order.scale or overview)]
+    tell("drawing sections", 0.5)
+    sheets += [draw.section(letter) for letter in cuts]
+    for number, window in enumerate(tiles):
+        tell("drawing details", 0.6 + 0.3 * number / len(tiles))
+        assert order.scale is not None
+        sheets.append(draw.detail(number, order.scale, window))
+    return _written(sheets, path, draw, overwrite=overwrite)
+
+
+def _written(
+    sheets: Sequence[_Sheet], path: Path, draw: _Drawer, *, overwrite: bool
+) -> str:
+    drawings.save_pages(
+        [drawn.figure for drawn in sheets],
+        path,
+        replace(sheets[0].block, title=draw.title),
+        overwrite=overwrite,
+    )
+    assert draw.raster is not None
+    heights = path.with_name(f"{path.stem}_plan.tif")
+    drawings.write_bands(
+        draw.raster,
+        drawings.bands_of(draw.raster, first="dem"),
+        heights,
+        sheets[0].block.statements,
+        overwrite=overwrite,
+    )
+    sentences = [f"{len(sheets)} sheets", f"  {heights.name}: heights as GeoTIFF"]
+    for drawn in sheets:
+        file = path.with_name(f"{path.stem}_{drawn.name}.svg")
+        drawings.save_sheet(drawn.figure, file, drawn.block, overwrite=overwrite)
+        written = [file.name]
+        if drawn.lines is not None:
+            dxf = file.with_suffix(".dxf")
+            formats.write_dxf(drawn.lines, dxf, scale=drawn.scale, overwrite=overwrite)
+            written.append(dxf.name)
+        sentences.append(f"  {', '.join(written)}: {drawn.summary}")
+    return "\n".join(sentences)
+
+
+class _Drawer:
+    """Maker of the sheets of one visit."""
+
+    def __init__(
+        self,
+        site: Site,
+        registration: Registration,
+        scans: Sequence[PlacedScan],
+        visit: Sequence[PlacedScan],
+        epoch: str,
+        order: SiteOrder,
+        cuts: Mapping[str, Floats],
+        key: products.Raster,
+        count: int,
+    ) -> None:
+        self.site, self.registration, self.order = site, registration, order
+        self.scans, self.visit, self.epoch, self.cuts = scans, visit, epoch, cuts
+        self.title = order.title or site.name
+        self.spacing = max(scan.surface.spacing for scan in visit)
+        self.key, self.count, self.number = key, count, 0
+        self.footprints = {
+            scan.name: plan.footprint(scan, cell=key.cell) for scan in visit
+        }
+        self.raster: products.Raster | None = None
+        self.interval = order.contours
+
+    def plan(self, scale: float) -> _Sheet:
+        """Draw the whole site from above."""
+        return self._from_above("plan", scale, plan.bounds(self.visit), cuts=self.cuts)
+
+    def detail(
+        self, number: int, scale: float, window: tuple[float, float, float, float]
+    ) -> _Sheet:
+        """Draw a part of the site from above, at a larger scale."""
+        return self._from_above(f"detail_{number + 1}", scale, window, cuts={})
+
+    def _from_above(
+        self,
+        name: str,
+        scale: float,
+        window: tuple[float, float, float, float],
+        *,
+        cuts: Mapping[str, Floats],
+    ) -> _Sheet:
+        cell = max(scale * _CELL, self.spacing / _FINE)
+        raster = plan.orthoplan(self.visit, cell=cell, window=window).raster
+        if self.raster is None:
+            self.raster = raster
+        coarse = plan.orthoplan(
+            self.visit, cell=max(cell, self.spacing), window=window
+        ).raster
+        if self.interval is None:
+            self.interval = contour_interval(coarse, levels=_LEVELS)
+        try:
+            contours = products.contours(coarse, interval=self.interval)
+        except CubeError:
+            contours = []
+        annotations = self._annotations(scale, window, cuts)
+        block = self._block(name, self._statements(raster, annotations))
+        legend = [(self.colours[self.epoch], "", "footprints and stations")]
+        if annotations.stations:
+            enlarged = f"error ellipses, k = 1, x {annotations.enlarged:g}"
+            legend.append(("#ffffff", "", enlarged))
+        figure = sheet(
+            raster,
+            block,
+            scale=scale,
+            show="relief",
+            contours=contours,
+            annotations=annotations,
+            legend=legend,
+        )
+        wide, high = (count * cell for count in reversed(raster.height.shape))
+        covered = np.isfinite(raster.height)
+        return _Sheet(
+            name=name,
+            figure=figure,
+            block=block,
+            summary=(
+                f"{wide:.3g} x {high:.3g} m at 1:{scale:g}, "
+                f"{covered.sum() * cell**2:.3g} m2 measured, contours every "
+                f"{self.interval * 1e3:g} mm"
+            ),
+            lines=self._plan_lines(contours, annotations, block, raster),
+            scale=scale,
+        )
+
+    def _annotations(
+        self,
+        scale: float,
+        window: tuple[float, float, float, float],
+        cuts: Mapping[str, Floats],
+    ) -> Annotations:
+        west, east, south, north = window
+        first = self.site.scan[0].name
+        spreads = {
+            scan.name: relative_covariance(self.registration, scan.name, first)[:2, :2]
+            for scan in self.visit
+        }
+        largest = max(
+            math.sqrt(max(float(np.linalg.eigvalsh(spread)[-1]), 0.0))
+            for spread in spreads.values()
+        )
+        targets = {
+            name: np.asarray(point)[:2]
+            for name, point in self.registration.points.items()
+            if west <= point[0] <= east and south <= point[1] <= north
+        }
+        return Annotations(
+            outlines=[
+                (self.colours[scan.epoch], self.footprints[scan.name])
+                for scan in self.visit
+            ],
+            stations={
+                scan.name: Station(
+                    position=self.registration.poses[scan.name].position[:2],
+                    covariance=spreads[scan.name],
+                    colour=self.colours[scan.epoch],
+                )
+                for scan in self.visit
+                if cuts or self._inside(scan, window)
+            },
+            enlarged=_rounded_down(_ELLIPSE * scale / max(largest, 1e-9)),
+            targets=targets,
+            cuts=cuts,
+        )
+
+    def _inside(
+        self, scan: PlacedScan, window: tuple[float, float, float, float]
+    ) -> bool:
+        x, y = self.registration.poses[scan.name].position[:2]
+        return bool(window[0] <= x <= window[1] and window[2] <= y <= window[3])
+
+    @property
+    def colours(self) -> dict[str, str]:
+        """Color of each visit."""
+        names = [visit.name for visit in self.site.epoch]
+        return {name: _VISITS[n % len(_VISITS)] for n, name in enumerate(names)}
+
+    def _statements(
+        self, raster: products.Raster, annotations: Annotations
+    ) -> list[str]:
+        first = self.site.scan[0].name
+        datum = self.registration.covariance_of(f"pose {first}")[:3, :3]
+        place = math.sqrt(max(float(np.linalg.eigvalsh(datum)[-1]), 0.0))
+        several = raster.layers["scans"] > 1
+        covered = np.isfinite(raster.height)
+        moving = sum(scan.moving for scan in self.visit)
+        sigma = in_millimetres(raster.uncertainty)
+        return [
+            f"Visit {self.epoch}, {len(self.visit)} scans: "
+            f"{', '.join(scan.name for scan in self.visit)}. Contours every "
+            f"{(self.interval or 0) * 1e3:g} mm; heights count upwards from the origin "
+            "of the site",
+            f"Standard uncertainty of heights against scan {first}: {sigma}; noise, "
+            "pose and errors that a scan shares included. Not in it: the position of "
+            f"the whole site, {place * 1e3:.2g} mm",
+            f"{(several & covered).sum() / covered.sum():.0%} of the area was measured "
+            f"by several scans. Cells {raster.cell * 1e3:.3g} mm, pixels "
+            f"{self.spacing * 1e3:.3g} mm",
+            *(
+                [
+                    "Error ellipses: one standard uncertainty of the stations against "
+                    f"{first}, enlarged {annotations.enlarged:g} times"
+                ]
+                if annotations.stations
+                else []
+            ),
+            drawings.relief_statement(raster),
+            *(
+                [f"{moving} points that other scans see through are left out"]
+                if moving
+                else []
+            ),
+            *self._origin(),
+        ]
+
+    def _origin(self) -> list[str]:
+        """Sentences on the frame of the site, and on simulated data."""
+        frame = self.site.frame
+        offset = ", ".join(f"{v:.12g}" for v in frame.crs_offset)
+        local = "Local frame of the site; north is grid north"
+        sentences = [
+            f"Reference system: {frame.crs}; add ({offset}) m" if frame.crs else local
+        ]
+        if any(scan.surface.attributes.get("simulated") for scan in self.scans):
+            sentences.append("Simulated data; nothing here was measured")
+        return sentences
+
+    def _block(self, name: str, statements: Sequence[str]) -> formats.TitleBlock:
+        self.number += 1
+        kind = name.replace("_", " ")
+        numbered = {"sheet": f"{self.number} of {self.count}"} | dict(self.order.fields)
+        return formats.TitleBlock(
+            title=f"{self.title}: {kind}",
+            statements=tuple(statements),
+            fields={**numbered, "view": kind},
+        )
+
+    def _plan_lines(
+        self,
+        contours: Sequence[products.Contour],
+        annotations: Annotations,
+        block: formats.TitleBlock,
+        raster: products.Raster,
+    ) -> formats.Drawing:
+        """Return contours, footprints, stations and section lines for a DXF file."""
+        lines = [
+            formats.Line(
+                points=contour.points,
+                layer="contours",
+                label=f"{contour.level:.4g}",
+                elevation=contour.level,
+            )
+            for contour in contours
+        ]
+        for _, polygons in annotations.outlines:
+            lines += [
+                formats.Line(points=points, layer="footprints") for points in polygons
+            ]
+        arm = 4 * raster.cell
+        for name, station in annotations.stations.items():
+            for step in (np.array([arm, 0.0]), np.array([0.0, arm])):
+                ends = np.stack([station.position - step, station.position + step])
+                label = name if step[0] else ""
+                lines.append(formats.Line(points=ends, layer="stations", label=label))
+        lines += [
+            formats.Line(points=ends, layer="sections", label=f"{letter}-{letter}'")
+            for letter, ends in annotations.cuts.items()
+        ]
+        return formats.Drawing(
+            title=block.title,
+            statements=block.statements,
+            fields=block.fields,
+            lines=tuple(lines),
+            axes=("east", "north"),
+        )
+
+    def section(self, letter: str) -> _Sheet:
+        """Draw a section across all scans of all visits."""
+        ends = self.cuts[letter]
+        length = float(np.linalg.norm(ends[1] - ends[0]))
+        lines, sigmas, met = [], [], []
+        for visit in self.site.epoch:
+            for scan in self.scans:
+                if scan.epoch != visit.name:
+                    continue
+                plane = products.plane_of(scan.surface.frame, "top")
+                try:
+                    cut = products.section(
+                        scan.surface, plane, start=ends[0], end=ends[1]
+                    )
+                except CubeError:
+                    continue
+                met.append(scan.name)
+                sigmas.append(cut.uncertainty)
+                points = np.stack([cut.along, cut.height], axis=1)
+                lines += [
+                    formats.Line(
+                        points=points[cut.piece == piece],
+                        layer=visit.name,
+                        band=cut.uncertainty[cut.piece == piece],
+                    )
+                    for piece in range(int(cut.piece.max()) + 1)
+                ]
+        if not lines:
+            raise CubeError(
+                f"no scan meets the section {letter}-{letter}'; draw another --line"
+            )
+        first = self.site.scan[0].name
+        median = in_millimetres(np.concatenate(sigmas))
+        block = self._block(
+            f"section_{letter}",
+            [
+                f"Section from ({ends[0][0]:.3f}, {ends[0][1]:.3f}) to "
+                f"({ends[1][0]:.3f}, {ends[1][1]:.3f}) m, east and north, across the "
+                f"scans {', '.join(met)}",
+                f"Standard uncertainty across the profile against scan {first}: "
+                f"{median}; pose and errors that a scan shares included. The band is "
+                "two of them wide to either side",
+                "Visits differ where their bands do not overlap",
+                *self._origin(),
+            ],
+        )
+        drawing = formats.Drawing(
+            title=block.title,
+            statements=block.statements,
+            fields=block.fields,
+            lines=tuple(lines),
+            axes=("along", "up"),
+            marks=((0.0, letter), (length, f"{letter}'")),
+        )
+        left, right, low, high = drawing.limits
+        tall = (high - low) * self.order.exaggeration
+        scale = self.order.scale or fitting_scale(right - left, tall)
+        product = LineProduct(
+            drawing=drawing,
+            table={},
+            summary=(
+                f"{length:.3g} m across {len(met)} scans, standard uncertainty {median}"
+            ),
+            scale=scale,
+            heights=self.order.exaggeration,
+            key=(self.key, ends),
+            colours={name: self.colours[name] for name in drawing.layers},
+        )
+        return _Sheet(
+            name=f"section_{letter}",
+            figure=product.figure(),
+            block=block,
+            summary=product.summary,
+            lines=drawing,
+            scale=scale,
+        )
+
+
+def _middle_lines(
+    west: float, east: float, south: float, north: float
+) -> tuple[tuple[float, float, float, float], ...]:
+    """Return section lines through the middle, along the longer side first [m]."""
+    x, y = (west + east) / 2, (south + north) / 2
+    beyond = _BEYOND * max(east - west, north - south)
+    across = (west - beyond, y, east + beyond, y)
+    upwards = (x, south - beyond, x, north + beyond)
+    lines = (across, upwards) if east - west >= north - south else (upwards, across)
+    a, b = (tuple(round(value, 3) + 0.0 for value in line) for line in lines)
+    return (a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3])
+
+
+def _tiles(
+    scale: float | None,
+    overview: float,
+    window: tuple[float, float, float, float],
+) -> list[tuple[float, float, float, float]]:
+    """Return windows of detail sheets; none if one sheet of A3 holds the plan [m]."""
+    if scale is None or scale >= overview:
+        return []
+    west, east, south, north = window
+    wide, high = (size * scale for size in largest_on_a3())
+    columns = math.ceil((east - west) / wide)
+    rows = math.ceil((north - south) / high)
+    if rows * columns == 1:
+        return []
+    x = np.linspace(west, east, columns + 1)
+    y = np.linspace(north, south, rows + 1)
+    return [
+        (float(x[column]), float(x[column + 1]), float(y[row + 1]), float(y[row]))
+        for row in range(rows)
+        for column in range(columns)
+    ]
+
+
+def _has_surface(
+    raster: products.Raster, window: tuple[float, float, float, float]
+) -> bool:
+    """Whether a raster has a height in a window."""
+    west, east, south, north = window
+    rows = (raster.rows >= south) & (raster.rows <= north)
+    columns = (raster.columns >= west) & (raster.columns <= east)
+    return bool(np.isfinite(raster.height[np.ix_(rows, columns)]).any())
+
+
+def _rounded_down(value: float) -> float:
+    """Return the largest number of the series 1, 2, 5, 10, ... not above a value."""
+    if value < 1:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(step for step in (1, 2, 5) if step * power <= value) * power

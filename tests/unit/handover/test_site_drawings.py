@@ -1,0 +1,134 @@
+"""The drawings of a site: plan, sections of all visits, and details."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import drawn_sites
+import ezdxf
+import numpy as np
+import pytest
+import tifffile
+import underwater_sites as oracle
+from matplotlib.figure import Figure
+from pdf_files import letter_sizes, pages_of
+
+from amulor.cli import main
+from amulor.site.registration.result import write_registration
+from amulor.view.sheet import error_ellipse
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """Return a site file with its registration: two visits of four scans each."""
+    folder = tmp_path_factory.mktemp("site")
+    rng = np.random.default_rng(5)
+    bed = oracle.bed(rng)
+    drawn = drawn_sites.two_visits(bed, bed, rng, rows=40)
+    path = drawn_sites.written(drawn, folder)
+    registration = drawn_sites.known_registration(drawn)
+    write_registration(registration, folder / "poses.json")
+    return path
+
+
+def draw(site: Path, *words: str) -> int:
+    output = ["-o", str(site.with_name("site.pdf")), "--overwrite"]
+    poses = ["--poses", str(site.with_name("poses.json"))]
+    return main(["site", "drawings", str(site), *poses, *output, *words])
+
+
+@pytest.fixture(scope="module")
+def drawings(site) -> Path:
+    assert draw(site) == 0
+    return site.parent
+
+
+def ids_of(path: Path) -> list[str]:
+    return [element.get("id", "") for element in ET.parse(path).iter()]
+
+
+def texts_of(path: Path) -> set[str]:
+    return {text.text or "" for text in ET.parse(path).iter(f"{SVG}text")}
+
+
+def test_the_plan_has_what_a_reader_of_plans_needs(drawings) -> None:
+    plan = drawings / "site_plan.svg"
+    ids, texts = ids_of(plan), texts_of(plan)
+    assert ids.count("footprint") == 4
+    assert ids.count("error-ellipse") == 4
+    assert {"north", "east [m]", "north [m]", "A", "A'", "B", "B'"} <= texts
+    assert {"b1", "b2", "b3", "b4"} <= texts
+    assert "a1" not in texts
+    assert any(text.startswith("Visit two, 4 scans") for text in texts)
+    assert "no surface measured" in texts
+    assert "scale-bar" in " ".join(ids)
+
+
+def test_a_section_shows_all_visits(drawings) -> None:
+    texts = texts_of(drawings / "site_section_A.svg")
+    assert {"one", "two", "A", "A'", "section line"} <= texts
+    document = ezdxf.readfile(drawings / "site_section_A.dxf")
+    layers = {entity.dxf.layer for entity in document.modelspace()}
+    assert {"one", "two", "uncertainty"} <= layers
+
+
+def test_the_plan_opens_in_cad_and_gis(drawings) -> None:
+    document = ezdxf.readfile(drawings / "site_plan.dxf")
+    layers = {entity.dxf.layer for entity in document.modelspace()}
+    assert {"contours", "footprints", "stations", "sections"} <= layers
+    heights = tifffile.imread(drawings / "site_plan.tif")[0]
+    # The sea bed of the oracle has relief of some centimeters about zero.
+    assert np.isfinite(heights).any()
+    assert np.nanmax(np.abs(heights)) < 1.0
+
+
+def test_all_sheets_are_pages_with_readable_letters(drawings) -> None:
+    assert pages_of(drawings / "site.pdf") == 3
+    assert min(letter_sizes(drawings / "site.pdf")) >= 7
+
+
+def test_a_larger_scale_adds_details(site, capsys) -> None:
+    assert draw(site, "--scale", "1:4") == 0
+    said = capsys.readouterr().out
+    details = sorted(site.parent.glob("site_detail_*.svg"))
+    assert len(details) >= 2
+    assert f"{3 + len(details)} sheets" in said
+    assert any("1:4 on " in text for text in texts_of(details[0]))
+    # An overview on A4 remains the first sheet.
+    assert any(
+        text.endswith(" on A4") for text in texts_of(site.parent / "site_plan.svg")
+    )
+
+
+def test_unknown_visits_and_lines_off_the_site_are_one_line(site, capsys) -> None:
+    assert draw(site, "--epoch", "three") == 1
+    assert "no scan of the visit 'three'" in capsys.readouterr().err
+    assert draw(site, "--line=50m,50m,51m,50m") == 1
+    assert "no scan meets the section A-A'" in capsys.readouterr().err
+
+
+def test_poses_that_are_not_good_are_refused(site, tmp_path, capsys) -> None:
+    content = json.loads(site.with_name("poses.json").read_text())
+    content["poses"].pop("b4")
+    (tmp_path / "poses.json").write_text(json.dumps(content))
+    words = ["--poses", str(tmp_path / "poses.json"), "-o", str(tmp_path / "o.pdf")]
+    assert main(["site", "drawings", str(site), *words]) == 1
+    assert capsys.readouterr().err
+    assert not (tmp_path / "o.pdf").exists()
+
+
+def test_an_error_ellipse_has_the_axes_of_its_covariance() -> None:
+    turn = np.radians(30)
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    covariance = axes @ np.diag([4e-6, 1e-6]) @ axes.T
+    ellipse = error_ellipse((1.0, 2.0), covariance, factor=100, colour="#000000")
+    assert ellipse.get_center() == (1.0, 2.0)
+    # Semi-axes of 2 and 1 mm, a hundred times enlarged, as diameters.
+    assert ellipse.get_width() == pytest.approx(0.4)
+    assert ellipse.get_height() == pytest.approx(0.2)
+    assert ellipse.get_angle() % 180 == pytest.approx(30)
+    Figure().add_subplot().add_patch(ellipse)
