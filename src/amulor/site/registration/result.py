@@ -82,9 +82,9 @@ class Contradiction:
                 f"scan {self.scan!r}: looks through the surface of "
                 f"{', '.join(self.peers)}, and the other way round; up to "
                 f"{self.share:.0%} of the points are in front of the other's surface, "
-                f"by {self.shift * 1e3:.0f} mm in the median; its pose is wrong, or "
-                "something moved between the scans; check [scan.start] of this scan "
-                "first, add targets, or scan once more"
+                f"by {self.shift * 1e3:.0f} mm in the median; its pose or its ranges "
+                "are wrong, or something moved between the scans; check [scan.start], "
+                "delay and water of this scan first, add targets, or leave it out"
             )
         if self.error == "datum":
             where, change = (

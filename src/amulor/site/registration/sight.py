@@ -8,7 +8,8 @@ repeats, as struts along a wall, no misfit shows such a pose.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,9 @@ _THROUGH, _RELIEF = 6.0, 3.0
 #: Least part and least number of points in front, in both directions; scans at correct
 #: poses have none [1].
 _SHARE, _FEWEST = 0.02, 10
+#: Least part of points in front beyond the noise, mean of both directions, of two scans
+#: that the fit connects; the uncertainty of poses is no excuse there [1].
+_SHARE_CONNECTED = 0.05
 #: Largest number of points of a scan that are tested [1].
 _MOST = 5000
 
@@ -60,12 +64,12 @@ class _Look:
     @property
     def share(self) -> float:
         """Fraction of the compared points that lie in front of the surface [1]."""
-        return float(self.front.sum() / max(int(self.compared.sum()), 1))
+        return self.share_of(self.front)
 
-    def in_front(self, points: Flags) -> bool:
-        """Whether many of the compared points lie in front of the surface."""
-        least = max(_FEWEST, _SHARE * int(self.compared.sum()))
-        return int((self.front & points).sum()) >= least
+    def share_of(self, points: Flags) -> float:
+        """Fraction of the compared points that are some of those in front [1]."""
+        count = int((self.front & points).sum())
+        return count / max(int(self.compared.sum()), 1) if count >= _FEWEST else 0.0
 
 
 def pairs_seen_through(
@@ -76,43 +80,77 @@ def pairs_seen_through(
     A passing object, such as a fish, is in front of the surfaces of all other scans. A
     scan with a wrong pose sees through points of the others, but these points are not
     in front of a third scan.
+
+    Scans that the fit connects must agree wherever both see the surface, even if the
+    pose of one is uncertain. A scan with wrong ranges agrees in a few places only.
     """
     if len(scans) < 2:
         return ()
     looks: dict[tuple[str, str], _Look] = {}
+    connected: dict[tuple[str, str], _Look] = {}
+    tied = {frozenset((pair["source"], pair["target"])) for pair in result.pairs}
     for target in scans:
         depth = _nearest_range(surfaces[target], result)
         tree = cKDTree(surfaces[target].direction.reshape(-1, 3))
         for source in scans:
             if source != target:
-                looks[source, target] = _look(
+                key = (source, target)
+                looks[key], by_noise = _looks(
                     result, surfaces, source, target, tree, depth
                 )
+                if frozenset(key) in tied:
+                    connected[key] = by_noise
+    found = {
+        sight.scans: sight
+        for sight in (
+            *_seen_through(connected, scans, _wrong_if_connected),
+            *_seen_through(looks, scans, _wrong),
+        )
+    }
+    return tuple(found.values())
+
+
+def _wrong(share: tuple[float, float], alone: tuple[float, float]) -> bool:
+    """Whether two scans look through each other's surface, in both directions."""
+    return min(share) > _SHARE and max(alone) > _SHARE
+
+
+def _wrong_if_connected(share: tuple[float, float], alone: tuple[float, float]) -> bool:
+    """Whether surfaces disagree although the fit connects them."""
+    return sum(alone) > 2 * _SHARE_CONNECTED
+
+
+def _seen_through(
+    looks: Mapping[tuple[str, str], _Look],
+    scans: Sequence[str],
+    wrong: Callable[[tuple[float, float], tuple[float, float]], bool],
+) -> Iterator[Sight]:
+    """Yield the pairs with many points in front of each other's surface."""
     fronts = {
         name: np.sum([look.front for (of, _), look in looks.items() if of == name], 0)
         for name in scans
     }
-    pairs = []
-    for number, first in enumerate(scans):
-        for second in scans[number + 1 :]:
-            both = (looks[first, second], looks[second, first])
-            alone = [fronts[name] == 1 for name in (first, second)]
-            if all(look.in_front(look.front) for look in both) and any(
-                look.in_front(points) for look, points in zip(both, alone, strict=True)
-            ):
-                off, error = (
-                    np.concatenate([getattr(look, key)[look.front] for look in both])
-                    for key in ("distance", "error")
-                )
-                pairs.append(
-                    Sight(
-                        scans=(first, second),
-                        shares=(both[0].share, both[1].share),
-                        distance=float(np.median(off)),
-                        uncertainty=float(np.median(error)),
-                    )
-                )
-    return tuple(pairs)
+    for first, second in itertools.combinations(scans, 2):
+        if (first, second) not in looks:
+            continue
+        both = (looks[first, second], looks[second, first])
+        share = (both[0].share, both[1].share)
+        # Points of a passing object are in front of all other scans.
+        alone = (
+            both[0].share_of(fronts[first] == 1),
+            both[1].share_of(fronts[second] == 1),
+        )
+        if wrong(share, alone):
+            off, error = (
+                np.concatenate([getattr(look, key)[look.front] for look in both])
+                for key in ("distance", "error")
+            )
+            yield Sight(
+                scans=(first, second),
+                shares=share,
+                distance=float(np.median(off)),
+                uncertainty=float(np.median(error)),
+            )
 
 
 def _middle(surface: ScanSurface) -> Floats:
@@ -128,15 +166,19 @@ def _nearest_range(surface: ScanSurface, result: Registration) -> Floats:
     )
 
 
-def _look(
+def _looks(
     result: Registration,
     surfaces: Mapping[str, ScanSurface],
     source: str,
     target: str,
     tree: cKDTree,
     depth: Floats,
-) -> _Look:
-    """Compare a scan's points with the smallest nearby ranges of another scan."""
+) -> tuple[_Look, _Look]:
+    """Compare a scan's points with the smallest nearby ranges of another scan.
+
+    Points of the first result are in front beyond all errors, of the second beyond the
+    noise.
+    """
     surface, other = surfaces[source], surfaces[target]
     pixel = np.flatnonzero(surface.usable)
     pixel = pixel[:: max(len(pixel) // _MOST, 1)]
@@ -156,7 +198,12 @@ def _look(
     met &= np.isfinite(depth[number])
     distance = np.where(met, depth[number] - reach, 0.0)
     noise = np.nan_to_num(other.own.ravel())[number]
-    variance = np.linalg.eigvalsh(spread)[:, -1] + noise**2
-    error = np.sqrt(variance + surface.own.ravel()[pixel] ** 2)
-    front = met & (distance > np.maximum(_THROUGH * error, _RELIEF * other.spacing))
-    return _Look(compared=met, front=front, distance=distance, error=error)
+    variance = np.linalg.eigvalsh(spread)[:, -1]
+    noise = np.hypot(noise, surface.own.ravel()[pixel])
+    error = np.sqrt(variance + noise**2)
+
+    def look(limit: Floats) -> _Look:
+        far = distance > np.maximum(_THROUGH * limit, _RELIEF * other.spacing)
+        return _Look(compared=met, front=met & far, distance=distance, error=error)
+
+    return look(error), look(noise)
