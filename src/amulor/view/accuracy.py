@@ -90,7 +90,7 @@ def accuracy_statement(
     """Accuracy statement of range images in the terms of the GUM."""
     parts: list[Part] = [Heading("Accuracy")]
     rows = []
-    sentences = []
+    statements: list[Part] = []
     for name, image in images.items():
         budget = error_budget(image)
         if budget.error_unknown:
@@ -111,17 +111,8 @@ def accuracy_statement(
                 f"{np.percentile(sigma, _MOST) * 2e3:.3g}",
             ]
         )
-        missing = ", ".join(term.name.replace("_", " ") for term in budget.unknown)
-        sentences.append(
-            f"{name}: the slant range of a single pixel has the expanded uncertainty "
-            f"U = {budget.expanded * 1e3:.3g} mm (median; coverage factor k = 2, level "
-            "of confidence about 95 %)."
-            + (
-                f" Not in it, since nobody stated them: {missing}."
-                if missing
-                else " All terms of the budget are stated."
-            )
-        )
+        lengths = checks.get(name, ())
+        statements.append(_statement(name, image, budget, lengths))
     if rows:
         parts += [
             Table(
@@ -142,9 +133,60 @@ def accuracy_statement(
                 "over the pixels; the last column is the expanded uncertainty that 95 "
                 "of 100 pixels stay below.",
             ),
-            *(Paragraph(text) for text in sentences),
+            *statements,
         ]
     return parts + _check_parts(checks)
+
+
+def _statement(
+    name: str, image: xr.Dataset, budget: ErrorBudget, checks: Sequence[Checked]
+) -> Table:
+    """Statement of accuracy as inspectors write it, one line for each item."""
+    slant_range = image["slant_range"].values
+    usable = slant_range[np.isfinite(slant_range)]
+    near, far = np.percentile(usable, [5, 95])
+    conditions = f"distances of {near:.3g} to {far:.3g} m (90 % of the pixels)"
+    survey = readable_survey(image)
+    if survey is not None:
+        wavelength = survey.instrument.wavelength
+        frequencies = ", ".join(
+            f"{f / 1e6:g}" for f in survey.instrument.modulation_frequencies
+        )
+        conditions += f"; {wavelength * 1e9:g} nm, modulated at {frequencies} MHz"
+    if image.attrs.get("simulated"):
+        conditions += "; simulated data"
+    index = float(image["geometry"].attrs["group_index"])
+    calibration = None if survey is None else survey.calibration
+    error = None if calibration is None else calibration.group_index_uncertainty
+    doubt = "" if error is None else f" ± {error:.2g} (k = 1)"
+    traceable = (
+        "lengths rest on the modulation frequencies and on the group index "
+        f"{index:.5g}{doubt} of the water"
+    )
+    if budget.calibrated:
+        delay = f"delay calibrated on {budget.calibrated}{age_in_words(budget.age)}"
+    else:
+        delay = "no date of a delay calibration is stated"
+    passed = sum(checked.verdict == "pass" for checked in checks)
+    known = f"{passed} of {len(checks)} known lengths confirm it" if checks else ""
+    missing = [term.name.replace("_", " ") for term in budget.unknown]
+    missing.append("directions of the beams")
+    return Table(
+        ["item", "statement"],
+        [
+            ["measured quantity", "slant range of a single pixel"],
+            ["expanded uncertainty", f"U = {budget.expanded * 1e3:.3g} mm (median)"],
+            ["coverage", "coverage factor k = 2, level of confidence about 95 %"],
+            ["method", "GUM (JCGM 100), error budget below"],
+            ["conditions", conditions],
+            ["traceability", f"{traceable}; {delay}"],
+            ["verification", known or "no check distances"],
+            ["not included", ", ".join(missing)],
+        ],
+        f"Statement of accuracy for {name}. Lengths between pixels and positions in a "
+        "frame have other uncertainties: the first lose what both pixels share, the "
+        "second add those of the pose.",
+    )
 
 
 def _check_parts(checks: Mapping[str, Sequence[Checked]]) -> list[Part]:

@@ -282,7 +282,7 @@ def surfaces(images: Mapping[str, xr.Dataset]) -> Figure:
             axis.set_zlabel("nearer [mm]", labelpad=-3)
             axis.set_zlim(low, high)
             axis.set_ylim(float(np.nanmin(-y)), float(np.nanmax(-y)))
-            axis.tick_params(pad=-2, labelsize=6)
+            axis.tick_params(pad=-2, labelsize=7)
             axis.view_init(elev=30, azim=-72)
             spans = [np.ptp(x), max(np.ptp(y), 0.4 * np.ptp(x)), 0.6 * np.ptp(x)]
             axis.set_box_aspect(spans, zoom=1.02)

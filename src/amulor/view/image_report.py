@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor._progress import tell
+from amulor.imaging import error_budget
 from amulor.imaging.measure import Check, compared
 from amulor.imaging.selection import Whole
 from amulor.view import figures
@@ -67,7 +69,6 @@ def write(
     """
     for name, image in images.items():
         cubes.check(image, "range_image", name=name)
-    first = next(iter(images.values()))
     tell("measuring check distances", 0.0)
     statistics = wholes or {}
     measured = {
@@ -76,7 +77,13 @@ def write(
         else [compared(image, check) for check in checks]
         for name, image in images.items()
     }
-    parts: list[Part] = [Paragraph(_origin(images)), _numbers(images, statistics)]
+    name, first = next(iter(images.items()))
+    sentence = flag_sentence(first, statistics.get(name))
+    parts: list[Part] = [
+        Paragraph(f"{_origin(images)} {_result(name, first, statistics.get(name))}"),
+        Picture(figures.image_overview(first), f"{name}. {sentence}"),
+        _numbers(images, statistics),
+    ]
     parts += [
         Paragraph(_thinning(name, image_statistics))
         for name, image_statistics in statistics.items()
@@ -87,7 +94,8 @@ def write(
     parts += error_budgets(images)
     parts += instrument_and_water(images)
     parts += registration(images)
-    for number, (name, image) in enumerate(images.items()):
+    others = list(images.items())[1:]
+    for number, (name, image) in enumerate(others):
         tell(f"drawing {name}", 0.2 + 0.4 * number / len(images))
         parts += [
             Heading(name),
@@ -114,7 +122,7 @@ def write(
             ),
             *interactive(drawable),
         ]
-    parts.append(Heading("Where this comes from"))
+    parts.append(Heading("Annex: origin of the data", new_page=True))
     for name, image in images.items():
         history = _without_folders(str(image.attrs.get("history", "")))
         parts.append(Listing(f"history of {name}", history))
@@ -234,6 +242,21 @@ def _origin(images: Mapping[str, xr.Dataset]) -> str:
     if len(simulated) == len(images):
         return "Simulated data; nothing here was measured."
     return f"Measured data, but for {', '.join(simulated)}, which are simulated."
+
+
+def _result(name: str, image: xr.Dataset, whole: Whole | None) -> str:
+    """Sentence with the usable pixels and the expanded uncertainty of an image."""
+    usable = float(np.isfinite(image["slant_range"].values).mean())
+    if whole is not None:
+        usable = whole.usable / (whole.rows * whole.columns)
+    budget = error_budget(image)
+    error = "is not known"
+    if math.isfinite(budget.combined):
+        error = f"is U = {budget.expanded * 1e3:.3g} mm (median, k = 2)"
+    return (
+        f"{name}: {usable:.1%} of the pixels have a range, and the expanded "
+        f"uncertainty of a range {error}."
+    )
 
 
 def _thinning(name: str, whole: Whole) -> str:

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 QUALITY = {"good": "#ffffff", "doubtful": "#E69F00", "no range": MISSING_COLOUR}
 
 # Sizes [inch]: the whole figure, and what stands beside a map.
-_WIDE, _TALLEST = 7.2, 8.6
+_WIDE, _TALLEST = 7.2, 7.6
 _LEFT, _RIGHT, _ABOVE, _BELOW = 0.54, 0.72, 0.34, 0.40
 #: Largest ratio of the sides of a map; more slender maps are drawn wider [1].
 _SLENDER = 8.0

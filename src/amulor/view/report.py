@@ -44,6 +44,8 @@ class Heading:
 
     text: str
     """Plain text."""
+    new_page: bool = False
+    """Whether the section begins a page on paper."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +175,8 @@ def png(figure: Figure, *, dots_per_inch: int = 160) -> bytes:
 
 def _rendered(part: Part) -> str:
     if isinstance(part, Heading):
-        return f"<h2>{html.escape(part.text)}</h2>"
+        mark = ' class="page"' if part.new_page else ""
+        return f"<h2{mark}>{html.escape(part.text)}</h2>"
     if isinstance(part, Paragraph):
         return f"<p>{html.escape(part.text)}</p>"
     if isinstance(part, Picture):
@@ -290,7 +293,10 @@ thead th { border-bottom: 2px solid var(--ink); font-weight: 600; }
   p, figcaption, caption { max-width: none; orphans: 3; widows: 3; }
   h1 { font-size: 16pt; }
   h2 { font-size: 12pt; margin-top: 1.4rem; break-after: avoid; }
+  h2.page { break-before: page; }
   figure, .table { break-inside: avoid; }
+  /* A picture leaves room for a title and a caption on its page. */
+  img { max-height: 195mm; width: auto; }
   thead { display: table-header-group; }
   tr { break-inside: avoid; }
   .table { overflow: visible; }
@@ -298,7 +304,7 @@ thead th { border-bottom: 2px solid var(--ink); font-weight: 600; }
   th, td { white-space: normal; padding: .2rem .35rem; vertical-align: top; }
   details { display: block; border: 0; padding: 0; }
   details:not([open])::details-content { content-visibility: visible; display: block; }
-  pre { white-space: pre-wrap; overflow-wrap: anywhere; font-size: 6.5pt; }
+  pre { white-space: pre-wrap; overflow-wrap: anywhere; font-size: 7pt; }
 }
 .warning { color: #b03a00; font-weight: 600; }
 details { margin: .6rem 0; border: 1px solid var(--line); border-radius: 6px;

@@ -73,6 +73,9 @@ _ROOM = 3e-3
 _GREY = (226, 226, 226, 255)
 #: Part of the cells that limits of colors may leave out on either side [%].
 _STRAY = 1.0
+#: Least distance of two heights of contours, and least size of their lines, on paper
+#: [m].
+_APART = 9e-3
 #: Contours, and other lines over a picture.
 _OVER = "#D55E00"
 _COLOURS = {
@@ -228,7 +231,7 @@ def sheet(
         axis.imshow(pixels, extent=extent, interpolation="none", aspect="auto")
         axis.set_xlim(around[:2])
         axis.set_ylim(around[2:])
-        _contour_lines(axis, contours)
+        _contour_lines(axis, contours, scale)
         doubtful = raster.layers.get("doubtful")
         hatched = doubtful is not None and bool((np.nan_to_num(doubtful) > 0).any())
         if doubtful is not None and hatched:
@@ -568,15 +571,23 @@ def _block_height(lines: int, bars: float) -> float:
     return _TITLE + 2 * _FIELD + bars + lines * _LINE + 3
 
 
-def _contour_lines(axis: Axes, contours: Sequence[Contour]) -> None:
-    """Draw contour lines, with the height at the longest line of each level."""
+def _contour_lines(axis: Axes, contours: Sequence[Contour], scale: float) -> None:
+    """Draw contour lines, with the height at the longest line of each level.
+
+    A height that would cover another one, or a line shorter than its number, has none.
+    """
     longest: dict[float, Contour] = {}
     for line in contours:
         axis.plot(*line.points.T, color=_OVER, lw=0.35)
         if len(line.points) > len(longest.get(line.level, line).points) - 1:
             longest[line.level] = line
+    places: list[Floats] = []
     for level, line in longest.items():
-        _label(axis, line.points, f"{level:.4g}")
+        middle = line.points[len(line.points) // 2]
+        near = any(np.linalg.norm(middle - p) < _APART * scale for p in places)
+        if not near and np.ptp(line.points, axis=0).max() > _APART * scale:
+            places.append(middle)
+            _label(axis, line.points, f"{level:.4g}")
 
 
 def _annotate(axis: Axes, annotations: Annotations) -> None:

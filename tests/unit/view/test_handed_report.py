@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 from itertools import pairwise
 
@@ -162,6 +163,34 @@ def test_the_report_states_instrument_water_registration_and_accuracy(page) -> N
     assert '<td class="warning text">fail</td>' in other
 
 
+def test_the_first_picture_comes_first_and_the_survey_last(page) -> None:
+    text = re.sub(r'srcdoc="[^"]*"', "", page.read_text())
+    body = text[text.index("<main>") :]
+    picture, table = body.index("<figure>"), body.index("<table>")
+    annex = body.index('<h2 class="page">Annex')
+    assert picture < table < annex
+    # Listings are preformatted; the survey is one.
+    assert body.index("<pre>") > annex
+    assert "<h2" not in body[annex + 4 :]
+
+
+def test_the_accuracy_statement_has_what_an_inspector_asks_for(page) -> None:
+    text = re.sub(r'srcdoc="[^"]*"', "", page.read_text())
+    rows = dict(
+        re.findall(r"<tr><td[^>]*>([^<]*)</td><td[^>]*>([^<]*)</td></tr>", text)
+    )
+    # 0.2 mm and 0.1 mm: combined 0.224 mm, doubled.
+    assert rows["expanded uncertainty"] == "U = 0.447 mm (median)"
+    assert "k = 2" in rows["coverage"]
+    # Treads of 1.43 to 1.5 m, seen at up to 40 mrad.
+    assert rows["conditions"].startswith("distances of 1.43 to 1.5 m")
+    assert "405 nm" in rows["conditions"]
+    assert "group index 1.38" in rows["traceability"]
+    assert "no date of a delay calibration" in rows["traceability"]
+    assert rows["verification"] == "1 of 2 known lengths confirm it"
+    assert rows["not included"].endswith("directions of the beams")
+
+
 @pytest.mark.slow
 def test_a_browser_prints_it_on_a4(page) -> None:
     browser = skips.need_browser()
@@ -182,6 +211,11 @@ def test_a_browser_prints_it_on_a4(page) -> None:
     size = [float(v) / 72 * 25.4 for v in boxes.pop()]
     assert size == pytest.approx([210, 297], abs=0.7)
     assert 3 <= len(re.findall(rb"/Type ?/Page\b", content)) <= 9
+    if shutil.which("pdfimages") is not None:
+        words = ["pdfimages", "-list", str(pdf)]
+        listed = subprocess.run(words, capture_output=True, text=True, check=True)
+        # Two lines of header; the first column is the page.
+        assert listed.stdout.splitlines()[2].split()[0] == "1"
 
 
 @pytest.mark.parametrize(
