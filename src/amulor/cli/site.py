@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -242,7 +243,7 @@ def merge(
     from amulor._extras import require
     from amulor.cli._arguments import quantity_of
     from amulor.cli._output import print_json, print_next, progress_bar
-    from amulor.site.merging.cloud import scan_clouds
+    from amulor.site.merging.pixels import all_points, scan_clouds
     from amulor.site.merging.tiles import write_tiles
 
     as_e57 = output.suffix.lower() == ".e57"
@@ -253,44 +254,77 @@ def merge(
     with progress_bar(quiet=json) as advance:
         merged = opened(site, poses)
         advance(f"writing {output}", 0.8)
+        points = _Counted(
+            all_points(merged.cloud, merged.registration, merged.surfaces)
+        )
         if as_e57:
-            clouds = scan_clouds(merged.cloud, merged.registration, merged.images)
-            io.write_e57_scans(clouds, output, overwrite=overwrite)
+            clouds = scan_clouds(
+                merged.cloud, merged.registration, merged.surfaces, merged.images
+            )
+            io.write_e57_scans(list(clouds), output, overwrite=overwrite)
             files = [output]
+            for _ in points:
+                pass
         else:
-            files = write_tiles(merged.cloud, output, size=size, overwrite=overwrite)
-    cloud = merged.cloud
+            files = write_tiles(
+                merged.cloud, output, size=size, overwrite=overwrite, pieces=points
+            )
     moving = {
-        scan.name: int(cloud.moving[cloud.scan == number].sum())
+        scan.name: points.moving.get(number, 0)
         for number, scan in enumerate(merged.site.scan)
     }
     if json:
         print_json(
             {
                 "files": files,
-                "points": len(cloud.position),
+                "points": points.count,
                 "moving_points": moving,
-                "median_uncertainty_m": _median(cloud.sigma),
-                "seen_by_several": float((cloud.confirmed > 0).mean()),
+                "median_uncertainty_m": points.median_uncertainty,
+                "seen_by_several": points.confirmed / max(points.count, 1),
             }
         )
         return
     for name, count in moving.items():
         if count:
             print(f"{name}: {count} points that other scans see through, marked")
-    east, north, up = (1e3 * v for v in _median(cloud.sigma))
+    east, north, up = (1e3 * v for v in points.median_uncertainty)
     print(
-        f"{output}: {len(cloud.position)} points in {len(files)} "
-        f"file{'s' if len(files) > 1 else ''}, {(cloud.confirmed > 0).mean():.0%} seen "
-        f"by several scans, median uncertainty {east:.2f}, {north:.2f}, {up:.2f} mm"
+        f"{output}: {points.count} points in {len(files)} "
+        f"file{'s' if len(files) > 1 else ''}, "
+        f"{points.confirmed / max(points.count, 1):.0%} seen by several scans, median "
+        f"uncertainty {east:.2f}, {north:.2f}, {up:.2f} mm"
     )
     print_next(f"amulor view {files[0]}")
 
 
-def _median(values: object) -> list[float]:
-    import numpy as np
+class _Counted:
+    """Pieces of a merged cloud, counted while they are written."""
 
-    return [float(v) for v in np.median(np.asarray(values), axis=0)]
+    def __init__(self, pieces: Iterator[Merged]) -> None:
+        self._pieces = pieces
+        self._sigma: list[Any] = []
+        self.count = self.confirmed = 0
+        self.moving: dict[int, int] = {}
+
+    def __iter__(self) -> Iterator[Merged]:
+        import numpy as np
+
+        for piece in self._pieces:
+            self.count += len(piece.position)
+            self.confirmed += int((piece.confirmed > 0).sum())
+            for number in np.unique(piece.scan[piece.moving]):
+                moving = piece.moving & (piece.scan == number)
+                self.moving[number] = self.moving.get(number, 0) + int(moving.sum())
+            # Of the many points of averaged scans a tenth suffices.
+            self._sigma.append(piece.sigma[:: 10 if piece.brightest else 1])
+            yield piece
+
+    @property
+    def median_uncertainty(self) -> list[float]:
+        """Median standard uncertainty of the coordinates, shape (3,) [m]."""
+        import numpy as np
+
+        return [float(v) for v in np.median(np.concatenate(self._sigma), axis=0)]
 
 
 def compare(

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.cube import UNUSABLE, QualityFlag
+from amulor.cube import QualityFlag
 from amulor.cube.schema import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 from amulor.imaging import flag_mixed, flag_outliers
 from amulor.imaging.common import own_variance
@@ -25,7 +25,7 @@ from amulor.site.description import (
     Site,
     SphereTarget,
 )
-from amulor.site.registration.surface import ScanSurface
+from amulor.site.registration.surface import ScanSurface, usable_pixels
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -33,8 +33,10 @@ Numbers = NDArray[np.intp]
 
 #: Largest number of pixels of a scan that is not averaged [1].
 MOST_PIXELS = 200_000
-#: Attributes of an average: side of a block, and columns of the scan [1].
+#: Attributes of an average: side of a block, columns of the scan [1], and the largest
+#: amplitude of its pixels [V].
 BLOCK, COLUMNS = "averaged_block", "averaged_columns"
+BRIGHTEST = "averaged_brightest"
 #: Blocks across a target, at least [1].
 _ACROSS = 12
 _TOTAL, _COMMON = "slant_range_uncertainty", "slant_range_common_uncertainty"
@@ -98,10 +100,8 @@ def averaged(image: xr.Dataset, size: int) -> xr.Dataset:
     rows, columns = (length // size for length in image["slant_range"].shape)
     distance = image["slant_range"].values
     flag = image["quality_flag"].values.astype(np.int64)
-    hanging = int(UNUSABLE | QualityFlag.MIXED | QualityFlag.OUTLIER)
     noise = own_variance(image)
-    usable = ((flag & hanging) == 0) & np.isfinite(distance) & (distance > 0)
-    usable &= np.isfinite(noise)
+    usable = usable_pixels(image) & np.isfinite(noise)
 
     def blocks(values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Pixels of each block, shape (block, pixel)."""
@@ -136,8 +136,10 @@ def averaged(image: xr.Dataset, size: int) -> xr.Dataset:
             values[name] = np.where(good, mean(image[name].values), np.nan)
     common = values.get(_COMMON, np.zeros(variance.shape))
     values[_TOTAL] = np.where(good, np.sqrt(common**2 + variance), np.nan)
+    brightest = 0.0
     if "intensity" in image:
         values["intensity"] = np.where(good, mean(image["intensity"].values), np.nan)
+        brightest = float(image["intensity"].values[usable].max(initial=0.0))
     flags = blocks(flag).astype(np.int64)
     united = np.bitwise_or.reduce(np.where(on | ~good.reshape(-1, 1), flags, 0), axis=1)
     united = united.reshape(rows, columns) | np.where(good, 0, int(QualityFlag.MISSING))
@@ -159,7 +161,9 @@ def averaged(image: xr.Dataset, size: int) -> xr.Dataset:
                 data=center + off.mean(axis=1).reshape(rows, columns)
             )
     coarse = coarse.assign(changed).assign_coords(angles)
-    coarse.attrs |= {BLOCK: size, COLUMNS: image.sizes["column"]}
+    coarse.attrs |= {
+        BLOCK: size, COLUMNS: image.sizes["column"], BRIGHTEST: brightest
+    }  # fmt: skip
     # Blocks at an edge contain both surfaces.
     return flag_outliers(flag_mixed(coarse))
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from amulor._progress import tell
 from amulor.imaging import Frame, point_cloud
+from amulor.site.blocks import BRIGHTEST
 from amulor.site.description import Site
 from amulor.site.registration.pair import on_grid
 from amulor.site.registration.pose import ScanPose, cross_matrix
@@ -106,6 +108,17 @@ class Merged:
     1, shape (n,) [1]."""
     site: Site
     """Description of the site."""
+    brightest: float = 0.0
+    """Largest amplitude of all pixels, if larger than those of the points [V]."""
+
+    def of(self, at: NDArray[np.intp] | Flags) -> Merged:
+        """Return a selection of the points."""
+        arrays: dict[str, Any] = {
+            name: value[at]
+            for name, value in vars(self).items()
+            if isinstance(value, np.ndarray)
+        }
+        return replace(self, **arrays)
 
     @property
     def sigma(self) -> Floats:
@@ -127,17 +140,32 @@ def by_unknowns(
     surface: ScanSurface, pose: ScanPose, position: Floats, pixel: NDArray[np.intp]
 ) -> Floats:
     """Return derivatives of a scan's points with respect to pose and shared errors."""
-    arm = position - pose.position
     beam = pose.turn(surface.direction.reshape(-1, 3)[pixel])
     shapes = surface.shared.shapes.reshape(len(surface.shared.keys), -1)[:, pixel]
+    return derivatives(pose, position, beam, shapes)
+
+
+def derivatives(
+    pose: ScanPose, position: Floats, beam: Floats, shapes: Floats
+) -> Floats:
+    """Return derivatives of points with respect to pose and shared errors."""
     return np.concatenate(
         [
-            np.broadcast_to(np.eye(3), (len(pixel), 3, 3)),
-            -cross_matrix(arm),
+            np.broadcast_to(np.eye(3), (len(position), 3, 3)),
+            -cross_matrix(position - pose.position),
             -beam[:, :, None] * shapes.T[:, None, :],
         ],
         axis=2,
     )
+
+
+def covariances(
+    slope: Floats, covariance: Floats, sigma: Floats, beam: Floats
+) -> Floats:
+    """Return covariances of points by pose, shared errors and noise, (n, 3, 3)."""
+    spread = np.einsum("nij,jk,nlk->nil", slope, covariance, slope, optimize=True)
+    spread += (sigma**2)[:, None, None] * beam[:, :, None] * beam[:, None, :]
+    return np.asarray(spread)
 
 
 def merge(
@@ -170,8 +198,7 @@ def merge(
         covariance = registration.covariance_of(*names)
         slope = by_unknowns(surface, pose, position, pixel)
         sigma = surface.own.ravel()[pixel]
-        spread = np.einsum("nij,jk,nlk->nil", slope, covariance, slope, optimize=True)
-        spread += (sigma**2)[:, None, None] * beam[:, :, None] * beam[:, None, :]
+        spread = covariances(slope, covariance, sigma, beam)
         peers = {peer.name: surfaces[peer.name] for peer in site.scans_of(scan.epoch)}
         largest = np.sqrt(np.linalg.eigvalsh(spread)[:, -1])
         confirmed, through = seen_by_others(
@@ -196,7 +223,11 @@ def merge(
     share = _shares(
         site, columns["position"], columns["scan"], columns["own"], columns["moving"]
     )
-    return Merged(**columns, share=share, site=site)
+    brightest = max(
+        (float(image.attrs.get(BRIGHTEST, 0.0)) for image in images.values()),
+        default=0.0,
+    )
+    return Merged(**columns, share=share, site=site, brightest=brightest)
 
 
 def _shares(
@@ -237,37 +268,35 @@ def _shares(
     return share
 
 
-def scan_clouds(
-    cloud: Merged, registration: Registration, images: dict[str, xr.Dataset]
-) -> list[xr.Dataset]:
-    """Return one point cloud per scan, with pose and point uncertainties."""
+def scan_cloud(
+    cloud: Merged, number: int, registration: Registration, image: xr.Dataset
+) -> xr.Dataset:
+    """Return the point cloud of a scan, with its pose and uncertainties of points."""
     frame = cloud.site.frame
-    clouds = []
-    for number, scan in enumerate(cloud.site.scan):
-        pose = registration.poses[scan.name]
-        axes = Frame(
-            name="pose",
-            rotation=pose.rotation,
-            position=pose.position,
-            crs=frame.crs,
-            crs_offset=frame.crs_offset,
+    scan = cloud.site.scan[number]
+    pose = registration.poses[scan.name]
+    axes = Frame(
+        name="pose",
+        rotation=pose.rotation,
+        position=pose.position,
+        crs=frame.crs,
+        crs_offset=frame.crs_offset,
+    )
+    single = point_cloud(image, frame=axes)
+    columns = int(single.attrs["scan_shape"][1])
+    pixel = single["row"].values.astype(int) * columns + single["column"].values
+    mine = np.flatnonzero(cloud.scan == number)
+    order = np.searchsorted(cloud.pixel[mine], pixel)
+    order = np.minimum(order, len(mine) - 1)
+    present = cloud.pixel[mine[order]] == pixel
+    single = single.isel(point=np.flatnonzero(present))
+    at = mine[order[present]]
+    changed = {}
+    for axis, name in enumerate("xyz"):
+        changed[name] = single[name].copy(data=cloud.position[at, axis])
+        changed[f"{name}_uncertainty"] = single[f"{name}_uncertainty"].copy(
+            data=cloud.sigma[at, axis]
         )
-        single = point_cloud(images[scan.name], frame=axes)
-        columns = int(single.attrs["scan_shape"][1])
-        pixel = single["row"].values.astype(int) * columns + single["column"].values
-        mine = np.flatnonzero(cloud.scan == number)
-        order = np.searchsorted(cloud.pixel[mine], pixel)
-        order = np.minimum(order, len(mine) - 1)
-        present = cloud.pixel[mine[order]] == pixel
-        single = single.isel(point=np.flatnonzero(present))
-        at = mine[order[present]]
-        changed = {}
-        for axis, name in enumerate("xyz"):
-            changed[name] = single[name].copy(data=cloud.position[at, axis])
-            changed[f"{name}_uncertainty"] = single[f"{name}_uncertainty"].copy(
-                data=cloud.sigma[at, axis]
-            )
-        single = single.assign(changed)
-        single.attrs["title"] = scan.name
-        clouds.append(single)
-    return clouds
+    single = single.assign(changed)
+    single.attrs["title"] = scan.name
+    return single

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import json
+from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,11 @@ def write_tiles(
     size: float = 5.0,
     epoch: str | None = None,
     overwrite: bool = False,
+    pieces: Iterable[Merged] | None = None,
 ) -> list[Path]:
     """Write a merged point cloud as square LAZ tiles.
+
+    `pieces` are the points to write, for scans that the cloud contains averaged.
 
     The format is LAS 1.4, point format 6. Coordinates have steps of 1e-5 m from an
     offset common to all tiles and epochs: that of the site's reference system, or whole
@@ -54,40 +58,49 @@ def write_tiles(
     laspy = _laspy()
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    selected = np.ones(len(cloud.position), dtype=bool)
-    if epoch is not None:
-        selected = cloud.of_epoch(epoch)
     place = cloud.position
     world = np.array(cloud.site.frame.crs_offset)
     offset = world + np.round(place.mean(axis=0)) if not world.any() else world
-    far = np.abs(place + world - offset).max(initial=0.0)
-    if far / SCALE > _LARGEST:
-        raise FormatError(
-            f"{folder}: a point lies {far:.0f} m off the offset of the site, LAS files "
-            f"in steps of {SCALE:g} m hold {_LARGEST * SCALE:.0f} m; set "
-            "frame.crs_offset near the site"
-        )
-    brightest = float(cloud.intensity.max(initial=0.0)) or 1.0
-    cell = np.floor(place[:, :2] / size).astype(int)
-    names = []
-    listed = {}
-    cells = np.unique(cell[selected], axis=0)
-    for number, corner in enumerate(cells):
-        tell("writing tiles", number / len(cells))
-        at = np.flatnonzero(selected & (cell == corner).all(axis=1))
-        suffix = f"_{epoch}" if epoch is not None else ""
-        path = folder / f"tile_{corner[0]:+04d}_{corner[1]:+04d}{suffix}.laz"
-        points = _tile(laspy, cloud, at, offset, world, brightest)
-        content = io.BytesIO()
-        points.write(content, do_compress=True)
-        with atomic_output(path, overwrite=overwrite) as temporary:
-            temporary.write_bytes(content.getvalue())
-        names.append(path)
-        listed[path.name] = {
-            "points": len(at),
-            "west_south_m": [float(v) for v in corner * size],
-            "size_m": size,
+    brightest = max(float(cloud.intensity.max(initial=0.0)), cloud.brightest) or 1.0
+    suffix = f"_{epoch}" if epoch is not None else ""
+    written: dict[tuple[int, int], tuple[Path, Any]] = {}
+    with ExitStack() as stack:
+        for piece in pieces or [cloud]:
+            _check_reach(folder, piece.position + world - offset)
+            selected = np.ones(len(piece.position), dtype=bool)
+            if epoch is not None:
+                selected = piece.of_epoch(epoch)
+            cell = np.floor(piece.position[:, :2] / size).astype(int)
+            cells = np.unique(cell[selected], axis=0)
+            for number, corner in enumerate(cells):
+                if pieces is None:
+                    tell("writing tiles", number / len(cells))
+                at = np.flatnonzero(selected & (cell == corner).all(axis=1))
+                points = _tile(laspy, piece, at, offset, world, brightest)
+                key = (int(corner[0]), int(corner[1]))
+                if key not in written:
+                    name = f"tile_{key[0]:+04d}_{key[1]:+04d}{suffix}.laz"
+                    temporary = stack.enter_context(
+                        atomic_output(folder / name, overwrite=overwrite)
+                    )
+                    stream = stack.enter_context(temporary.open("wb+"))
+                    writer = stack.enter_context(
+                        laspy.open(
+                            stream, mode="w", header=points.header, do_compress=True,
+                            closefd=False,
+                        )
+                    )  # fmt: skip
+                    written[key] = folder / name, writer
+                written[key][1].write_points(points.points)
+        listed = {
+            path.name: {
+                "points": int(writer.header.point_count),
+                "west_south_m": [float(v) for v in np.array(corner) * size],
+                "size_m": size,
+            }
+            for corner, (path, writer) in sorted(written.items())
         }
+    names = [folder / name for name in listed]
     about = {
         "site": cloud.site.name,
         "crs": cloud.site.frame.crs,
@@ -99,6 +112,17 @@ def write_tiles(
     with atomic_output(index, overwrite=overwrite) as temporary:
         temporary.write_text(json.dumps(about, indent=1))
     return names
+
+
+def _check_reach(folder: Path, away: NDArray[np.float64]) -> None:
+    """Raise `FormatError` for points too far off the offset of the files."""
+    far = np.abs(away).max(initial=0.0)
+    if far / SCALE > _LARGEST:
+        raise FormatError(
+            f"{folder}: a point lies {far:.0f} m off the offset of the site, LAS files "
+            f"in steps of {SCALE:g} m hold {_LARGEST * SCALE:.0f} m; set "
+            "frame.crs_offset near the site"
+        )
 
 
 def _laspy() -> Any:

@@ -259,6 +259,14 @@ def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
     return np.asarray(surface.origin + distance[..., None] * surface.direction)
 
 
+def usable_pixels(image: xr.Dataset) -> Flags:
+    """Return the mask of pixels with a good range on one surface."""
+    distance = image["slant_range"].values
+    flag = image["quality_flag"].values.astype(np.int64)
+    hanging = int(UNUSABLE | QualityFlag.MIXED | QualityFlag.OUTLIER)
+    return np.asarray(((flag & hanging) == 0) & np.isfinite(distance) & (distance > 0))
+
+
 def scan_surface(
     image: xr.Dataset, *, name: str, shared: Shared, window: int = 7
 ) -> ScanSurface:
@@ -274,9 +282,7 @@ def scan_surface(
     """
     beam = geometry_of(image).beam
     distance = image["slant_range"].values
-    flag = image["quality_flag"].values.astype(np.int64)
-    hanging = int(UNUSABLE | QualityFlag.MIXED | QualityFlag.OUTLIER)
-    usable = ((flag & hanging) == 0) & np.isfinite(distance) & (distance > 0)
+    usable = usable_pixels(image)
     direction = np.broadcast_to(beam.direction, (*distance.shape, 3))
     before = np.broadcast_to(beam.length_before, distance.shape)
     origin = beam.entry - before[..., None] * direction

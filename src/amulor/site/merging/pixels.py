@@ -1,0 +1,190 @@
+"""Points of all pixels of a site, with scans that were averaged read in pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from amulor._progress import tell
+from amulor.imaging.common import own_variance
+from amulor.imaging.observation import geometry_of
+from amulor.site.blocks import BLOCK
+from amulor.site.load import range_image_of
+from amulor.site.merging.cloud import (
+    Merged,
+    covariances,
+    derivatives,
+    scan_cloud,
+    seen_by_others,
+    unknowns_of,
+)
+from amulor.site.registration.result import Registration
+from amulor.site.registration.surface import ScanSurface, usable_pixels
+
+Floats = NDArray[np.float64]
+
+#: Largest number of pixels of a piece [1].
+_AT_ONCE = 100_000
+
+
+def all_points(
+    cloud: Merged, registration: Registration, surfaces: Mapping[str, ScanSurface]
+) -> Iterator[Merged]:
+    """Yield the points of all pixels of a site, in pieces that fit in the memory.
+
+    Scans that were averaged over blocks of pixels are read again. Shared errors,
+    weights and moving objects of a pixel are those of its block.
+    """
+    numbers = range(len(cloud.site.scan))
+    coarse = [number for number in numbers if block_side(surfaces, cloud, number) > 1]
+    if not coarse:
+        yield cloud
+        return
+    for number in numbers:
+        scan = cloud.site.scan[number]
+        tell(f"points of {scan.name}", number / len(numbers))
+        if number in coarse:
+            image = range_image_of(scan)
+            yield from _pieces(cloud, registration, surfaces, number, image)
+        else:
+            yield cloud.of(cloud.scan == number)
+
+
+def scan_clouds(
+    cloud: Merged,
+    registration: Registration,
+    surfaces: Mapping[str, ScanSurface],
+    images: Mapping[str, xr.Dataset],
+) -> Iterator[xr.Dataset]:
+    """Yield the point cloud of each scan, with its pose, from all of its pixels."""
+    for number, scan in enumerate(cloud.site.scan):
+        points, image = cloud, images[scan.name]
+        if block_side(surfaces, cloud, number) > 1:
+            image = range_image_of(scan)
+            points = joined(list(_pieces(cloud, registration, surfaces, number, image)))
+        yield scan_cloud(points, number, registration, image)
+
+
+def joined(pieces: Sequence[Merged]) -> Merged:
+    """Return all points of several pieces."""
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(piece, name) for piece in pieces])
+        for name, value in vars(pieces[0]).items()
+        if isinstance(value, np.ndarray)
+    }
+    return replace(pieces[0], **arrays)
+
+
+def block_side(surfaces: Mapping[str, ScanSurface], cloud: Merged, number: int) -> int:
+    """Return the side of the blocks of a scan in pixels; 1 if it is not averaged."""
+    attributes = surfaces[cloud.site.scan[number].name].attributes
+    return int(str(attributes.get(BLOCK, 1)))
+
+
+def _pieces(
+    cloud: Merged,
+    registration: Registration,
+    surfaces: Mapping[str, ScanSurface],
+    number: int,
+    image: xr.Dataset,
+) -> Iterator[Merged]:
+    """Yield the points of one scan, some rows of pixels at a time."""
+    scan = cloud.site.scan[number]
+    surface = surfaces[scan.name]
+    side = block_side(surfaces, cloud, number)
+    shape = surface.distance.shape
+    # Nearest block with a range, for pixels in blocks without one.
+    rows, columns = ndimage.distance_transform_edt(
+        ~surface.usable, return_distances=False, return_indices=True
+    )
+    block_near = np.asarray(rows) * shape[1] + np.asarray(columns)
+    mine = np.flatnonzero(cloud.scan == number)
+    place = np.full(surface.distance.size, -1)
+    place[cloud.pixel[mine]] = mine
+    peers = {peer.name: surfaces[peer.name] for peer in cloud.site.scans_of(scan.epoch)}
+    width = image.sizes["column"]
+    step = max(_AT_ONCE // width, 1)
+    for begin in range(0, image.sizes["row"], step):
+        part = image.isel(row=slice(begin, begin + step))
+        usable = usable_pixels(part)
+        row, column = np.nonzero(usable)
+        at_block = np.stack(
+            [
+                np.minimum((row + begin) // side, shape[0] - 1),
+                np.minimum(column // side, shape[1] - 1),
+            ]
+        )
+        block = block_near[tuple(at_block)]
+        alone = ~surface.usable[tuple(at_block)]
+        yield _points(
+            cloud, registration, surfaces, number, part, usable,
+            block=block, member=place[block], alone=alone, peers=peers,
+            pixel=(row + begin) * width + column,
+        )  # fmt: skip
+
+
+def _points(
+    cloud: Merged,
+    registration: Registration,
+    surfaces: Mapping[str, ScanSurface],
+    number: int,
+    image: xr.Dataset,
+    usable: NDArray[np.bool_],
+    *,
+    block: NDArray[np.intp],
+    member: NDArray[np.intp],
+    alone: NDArray[np.bool_],
+    peers: Mapping[str, ScanSurface],
+    pixel: NDArray[np.intp],
+) -> Merged:
+    """Return the points of some rows of a scan, with the errors of their blocks."""
+    name = cloud.site.scan[number].name
+    surface, pose = surfaces[name], registration.poses[name]
+    distance = image["slant_range"].values[usable]
+    count = len(surface.shared.keys)
+    shapes, growth = (
+        values.reshape(count, -1)[:, block]
+        for values in (surface.shared.shapes, surface.shared.growth)
+    )
+    shapes = shapes + growth * (distance - surface.distance.ravel()[block])
+    errors = np.array([registration.errors.get(k, 0.0) for k in surface.shared.keys])
+    beams = geometry_of(image).beam
+    before = np.broadcast_to(beams.length_before, usable.shape)[usable]
+    direction = np.broadcast_to(beams.direction, (*usable.shape, 3))[usable]
+    entry = np.broadcast_to(beams.entry, (*usable.shape, 3))[usable]
+    local = entry + (distance - errors @ shapes - before)[:, None] * direction
+    position, beam = pose.place(local), pose.turn(direction)
+    sigma = np.sqrt(own_variance(image))[usable]
+    spread = covariances(
+        derivatives(pose, position, beam, shapes),
+        registration.covariance_of(*unknowns_of(name, surface)), sigma, beam,
+    )  # fmt: skip
+    confirmed, moving = cloud.confirmed[member], cloud.moving[member]
+    if alone.any():
+        largest = np.sqrt(np.linalg.eigvalsh(spread[alone])[:, -1])
+        confirmed[alone], through = seen_by_others(
+            name, peers, registration.poses, position[alone], largest
+        )
+        moving[alone] = through > confirmed[alone]
+    return Merged(
+        position=position,
+        covariance=spread,
+        own=sigma,
+        beam=beam,
+        normal=cloud.normal[member],
+        intensity=image["intensity"].values[usable],
+        scan=np.full(len(pixel), number, dtype=np.int16),
+        pixel=pixel,
+        flag=image["quality_flag"].values[usable].astype(np.int16),
+        confirmed=confirmed,
+        moving=moving,
+        share=cloud.share[member],
+        site=cloud.site,
+        brightest=cloud.brightest,
+    )
