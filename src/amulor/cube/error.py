@@ -22,6 +22,9 @@ __all__ = [
 
 #: A test of the instrument fails if chance makes so large a result in fewer cases [1].
 LARGEST_CHANCE = 1e-4
+#: Attributes with the result of the test of all frequencies against one distance.
+FREQUENCY_PROBABILITY = "frequency_phase_probability"
+FREQUENCY_PHASES = "frequency_phase_rad"
 #: A target counts as present if no more than this fraction of the frequencies lacks it
 #: [1].
 _HALF = 0.5

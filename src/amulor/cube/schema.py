@@ -593,7 +593,7 @@ INSTRUMENT_ATTRIBUTES = {
     "channel_phase_rad": "largest phase between channels of the target, for each "
     "frequency; present if the probability is below 1e-4 [rad]",
     "frequency_phase_probability": "probability by chance of the deviations of all "
-    "frequencies from one optical path, from three frequencies on [1]",
+    "frequencies from one optical path, from two frequencies on [1]",
     "frequency_phase_rad": "deviation of each frequency from the optical path of all; "
     "present if the probability is below 1e-4 [rad]",
     "phase_error_gain_<channel>": "phase error of the target signal per phase error of "

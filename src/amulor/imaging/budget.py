@@ -380,9 +380,9 @@ def instrument_term(
     channel = observation.channel
     remaining = by_frequency(channel, "instrument_drift_uncertainty_s", 0.0)
     drift = speed_of_light * float(np.sum(weight * remaining))
-    phases = np.maximum(
-        instrument_phase(channel, observation.survey), observation.frequency_phase
-    )
+    phases = instrument_phase(channel, observation.survey)
+    if observation.frequency_phase is not None:
+        phases = with_deviations(phases, observation.frequency_phase)
     per_phase = weight * observation.path_per_phase.ravel()
     path = np.linalg.norm(per_phase * phases)
     leakage = leakage_volt(channel)
@@ -395,6 +395,21 @@ def instrument_term(
     methods = float(channel.attrs.get("method_disagreement_m", 0.0))
     total = np.hypot(slope * np.hypot(path, drift), methods)
     return total if np.any(total > 0) else None
+
+
+def with_deviations(phases: Floats, deviations: Floats) -> Floats:
+    """Return phase uncertainties that include deviations from one distance [rad].
+
+    The stated or typical uncertainty counts as one further deviation. The fitted
+    distance removes one. An interval of 1.96 uncertainties contains 95 % of the errors,
+    as Student's factor for so few deviations makes it.
+    """
+    from scipy.special import stdtrit
+
+    count = deviations.size
+    size = np.sqrt((phases**2 + np.sum(deviations**2)) / count)
+    student: float = stdtrit(count, 0.975) / 1.96
+    return np.maximum(phases, student * size)
 
 
 def joint_instrument_terms(

@@ -9,18 +9,18 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import QualityFlag, WaterResidualCause
-from amulor.cube.error import LARGEST_CHANCE
+from amulor.cube.error import (
+    FREQUENCY_PHASES,
+    FREQUENCY_PROBABILITY,
+    LARGEST_CHANCE,
+)
 from amulor.imaging.observation import Observation
 from amulor.optics import ambiguity, detection
 
 Floats = NDArray[np.float64]
 
-#: Frequencies from which on their phases can contradict each other for a whole scan.
-_FEWEST_FREQUENCIES = 3
 #: Pixels from which on a median is a good one.
 _FEWEST_PIXELS = 10
-#: Attributes with the result of the test of the frequencies.
-PROBABILITY, PHASES = "frequency_phase_probability", "frequency_phase_rad"
 #: Relative difference between the waters of scan and references that is usual [1].
 _USUAL_CHANGE = 0.02
 #: A delay between channels explains their phases up to this share of the largest [1].
@@ -42,38 +42,35 @@ class FrequencyPhase:
         return self.probability < LARGEST_CHANCE
 
     @property
-    def size(self) -> float:
-        """Phase error of a frequency that explains the size of the deviations [rad].
-
-        The path of all frequencies is fitted, and hides most of the error of the
-        highest.
-        """
-        if not self.is_real:
-            return 0.0
-        return float(np.sqrt(np.sum(self.phase**2) / (self.phase.size - 1)))
-
-    @property
     def attributes(self) -> dict[str, float | Floats]:
         """Attributes of a range image; the phases only where they are significant."""
-        values: dict[str, float | Floats] = {PROBABILITY: self.probability}
+        values: dict[str, float | Floats] = {FREQUENCY_PROBABILITY: self.probability}
         if self.is_real:
-            values[PHASES] = self.phase
+            values[FREQUENCY_PHASES] = self.phase
         return values
 
 
 def frequency_phase(
     observation: Observation, path: ambiguity.Path
 ) -> FrequencyPhase | None:
-    """Test whether a common path explains the phases; None with too few frequencies.
+    """Test whether a common path explains the phases; None with one frequency.
 
     The path of each pixel is free. Errors that pixels share and the water that is left
     count for each frequency on its own. The stated phase error of the instrument does
-    not: the hypothesis is an instrument without errors.
+    not: the hypothesis is an instrument without errors. If the phases of two
+    frequencies contradict each other in all channels, the rejection method has stored
+    this result.
     """
     from scipy.special import chdtrc
 
-    if len(observation.frequency) < _FEWEST_FREQUENCIES:
+    if len(observation.frequency) < 2:
         return None
+    attributes = observation.channel.attrs
+    if FREQUENCY_PHASES in attributes:
+        return FrequencyPhase(
+            phase=np.asarray(attributes[FREQUENCY_PHASES]),
+            probability=float(attributes[FREQUENCY_PROBABILITY]),
+        )
     valid = observation.usable & np.isfinite(path.length)
     valid &= ~path.left_out.any(axis=0)
     # Phases of two surfaces contradict each other without any error.
@@ -215,9 +212,9 @@ def _frequency(cube: xr.Dataset) -> Floats:
 
 def _frequencies(cube: xr.Dataset) -> InstrumentTest | None:
     """Test whether the phases at all frequencies belong to one distance."""
-    if PHASES not in cube.attrs:
+    if FREQUENCY_PHASES not in cube.attrs:
         return None
-    size = float(np.max(np.abs(cube.attrs[PHASES])))
+    size = float(np.max(np.abs(cube.attrs[FREQUENCY_PHASES])))
     cause = (
         f"{_AMPLITUDE}, or {_WATER}"
         if "channel_phase_rad" in cube.attrs
@@ -229,7 +226,7 @@ def _frequencies(cube: xr.Dataset) -> InstrumentTest | None:
         name="frequencies",
         result=f"the frequencies differ from one distance by up to {1e3 * size:.3g} "
         "mrad",
-        probability=float(cube.attrs[PROBABILITY]),
+        probability=float(cube.attrs[FREQUENCY_PROBABILITY]),
         cause=cause,
         measurement=f"{_LEAKAGE}; calibrate the phase of each frequency with a plate",
     )

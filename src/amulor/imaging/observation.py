@@ -76,8 +76,8 @@ class Observation:
     """Largest fraction of a pixel's frequencies that may be discarded [1]."""
     span: Span | None = None
     """Directions of the full scan; None if the channel is the full scan."""
-    frequency_phase: float = 0.0
-    """Phase error at each frequency, from a contradiction between them [rad]."""
+    frequency_phase: Floats | None = None
+    """Deviation of each frequency from one distance; None if they agree [rad]."""
 
     @cached_property
     def frequency(self) -> Floats:
@@ -180,9 +180,9 @@ class Observation:
             return None
         return tuple(float(attributes[f"joint_{name}"]) for name in names)
 
-    def with_frequency_phase(self, size: float) -> Observation:
-        """Observation with a phase error at each frequency."""
-        return replace(self, frequency_phase=size)
+    def with_frequency_phase(self, phase: Floats) -> Observation:
+        """Observation with the deviations of frequencies that contradict each other."""
+        return replace(self, frequency_phase=phase)
 
     def with_noise(self, factor: float) -> Observation:
         """Observation with all phase noise multiplied by a factor."""

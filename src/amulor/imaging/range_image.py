@@ -59,7 +59,7 @@ class RangeImageFit:
     patches: Patches | None = None
     """Surface patches with mutual illumination; None for a cube without such light."""
     phases: FrequencyPhase | None = None
-    """Test of the phases of all frequencies; None with fewer than three."""
+    """Test of the phases of all frequencies; None with one frequency."""
     path: PathFit | None = None
     """Statistics for optical paths; None after a joint estimation."""
     noise_scale: float = 1.0
@@ -176,8 +176,8 @@ def fitted_range_image(
         ranges, of_ranges = ranges_of_path(observation, path, fit=of_ranges)
         if fit is None:
             phases = frequency_phase(observation, path)
-    if phases is not None:
-        observation = observation.with_frequency_phase(phases.size)
+    if phases is not None and phases.is_real:
+        observation = observation.with_frequency_phase(phases.phase)
     tell("error budget", 0.6)
     late = None if fit is None else fit.late
     patches = None if fit is None else fit.patches

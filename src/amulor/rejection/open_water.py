@@ -11,6 +11,7 @@ import xarray as xr
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag, tiles
+from amulor.cube.error import FREQUENCY_PHASES, FREQUENCY_PROBABILITY
 from amulor.rejection import quality
 from amulor.rejection.build import present_terms, target_cube
 from amulor.rejection.methods import Needs, method
@@ -224,6 +225,10 @@ def reference_attributes(subtracted: Subtraction) -> dict[str, Any]:
         "open_water_change_uncertainty": subtracted.fit.strength.uncertainty,
         **channel_phase_attributes(subtracted.fit.channel_phase),
     }
+    phases = subtracted.fit.strength.phases
+    if phases is not None:
+        attributes[FREQUENCY_PROBABILITY] = phases.probability
+        attributes[FREQUENCY_PHASES] = phases.phase
     if subtracted.fit.disagreement:
         limits = [pair.limit for pair in subtracted.fit.disagreement]
         # netCDF gives an array of one number back as a number.

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from amulor import cube as cubes
 from amulor import imaging
+from amulor.imaging.budget import with_deviations
 from amulor.imaging.instrument_tests import instrument_tests
 
 FREQUENCY = np.array([10e6, 35e6, 80e6, 146e6])
@@ -102,10 +103,34 @@ def test_chance_is_uniform_for_phases_that_agree() -> None:
     assert np.mean(chances) == pytest.approx(0.5, abs=0.2)
 
 
-def test_two_frequencies_have_no_such_test() -> None:
-    target = _target(np.zeros(4)).isel(modulation_frequency=[1, 2])
-    image = imaging.range_image(target, interval=(0.5, 2.0))
-    assert "frequency_phase_probability" not in image.attrs
+def test_two_frequencies_have_one_degree_of_freedom() -> None:
+    turn = np.array([0.0, 0.004, -0.002, 0.0])
+    target = _target(turn, noise=1e-6, shared=2e-3)
+    image = imaging.range_image(
+        target.isel(modulation_frequency=[1, 2]), interval=(0.5, 2.0)
+    )
+    # Distances as phases of the first frequency, with independent errors.
+    ratio = FREQUENCY[1] / FREQUENCY[2]
+    difference = (turn[1] - ratio * turn[2]) / np.hypot(2e-3, ratio * 2e-3)
+    assert image.attrs["frequency_phase_probability"] == pytest.approx(
+        chi2.sf(difference**2, df=1), rel=0.02
+    )
+    alone = imaging.range_image(
+        target.isel(modulation_frequency=[1]), interval=(0.5, 2.0)
+    )
+    assert "frequency_phase_probability" not in alone.attrs
+
+
+def test_few_deviations_count_with_the_factor_of_student() -> None:
+    # Tables of Student's t: 4.303 for two degrees of freedom, 2.776 for four.
+    two = with_deviations(np.full(2, 0.01), np.array([0.02, 0.0]))
+    assert two == pytest.approx(4.303 / 1.96 * np.sqrt((1e-4 + 4e-4) / 2), rel=1e-3)
+    four = with_deviations(np.zeros(4), np.full(4, 0.01))
+    assert four == pytest.approx(2.776 / 1.96 * 0.01, rel=1e-3)
+    # A larger statement of the survey remains.
+    assert with_deviations(np.full(2, 0.5), np.zeros(2)) == pytest.approx(
+        4.303 / 1.96 * 0.5 / np.sqrt(2), rel=1e-3
+    )
 
 
 def test_frequencies_that_contradict_each_other_widen_the_range_error() -> None:

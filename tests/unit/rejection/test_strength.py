@@ -75,6 +75,50 @@ def test_the_change_is_found_within_its_own_error(
     assert found.uncertainty < 0.006
 
 
+@pytest.mark.parametrize("change", [-0.15, 0.2])
+def test_two_channels_confirm_a_large_change_at_two_frequencies(change: float) -> None:
+    frequency = np.array([20e6, 80e6])
+    left, water, own, common, path = _scan(
+        3, frequency=frequency, channels=[1.0, 0.8], change=change
+    )
+    found = strength_of(
+        left, water, own, common, modulation_frequency=frequency, path=path
+    )
+    # Second order in the change.
+    assert found.change == pytest.approx(change, abs=change**2)
+    assert found.phases is None
+
+
+def test_a_phase_error_of_one_frequency_is_no_change_of_the_water() -> None:
+    frequency = np.array([20e6, 80e6])
+    left, water, own, common, path = _scan(
+        4, frequency=frequency, channels=[1.0, 0.8], change=0.0
+    )
+    turned = left * np.exp(1j * np.array([0.05, 0.0]))[:, None, None, None]
+    found = strength_of(
+        turned, water, own, common, modulation_frequency=frequency, path=path
+    )
+    assert (found.change, found.uncertainty) == (0.0, DEPARTURE)
+    assert found.phases is not None
+    assert found.phases.probability < 1e-4
+    # One distance has a phase in proportion to the frequency: 4 to 1.
+    first, second = found.phases.phase
+    assert first - second / 4 == pytest.approx(0.05, rel=0.05)
+    # A single channel has no third phase that could tell it from a change.
+    alone = strength_of(
+        turned[:, :1],
+        water[:, :1],
+        *(
+            Covariance(*(values[:, :1] for values in vars(errors).values()))
+            for errors in (own, common)
+        ),
+        modulation_frequency=frequency,
+        path=path,
+    )
+    assert alone.is_untested
+    assert alone.phases is None
+
+
 def test_one_sample_a_pixel_tells_nothing() -> None:
     frequency = np.array([50e6])
     left, water, own, common, path = _scan(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.constants import speed_of_light
 
 from amulor._progress import tell
 from amulor.cube import WaterResidualCause
+from amulor.cube.error import LARGEST_CHANCE
 from amulor.cube.tiles import Span
 from amulor.optics import detection, interference
 from amulor.optics.ambiguity import Choices
@@ -367,6 +368,10 @@ LARGEST_MISFIT = 0.2
 _EXTREME_MISFIT = 0.05
 #: A limit must be exceeded by so many standard uncertainties [1].
 _SURE = 3.0
+#: A surprising change of the water is confirmed by samples with a larger chance [1].
+_CONFIRMED = 0.01
+#: Pixels from which on a mean is a good one.
+_FEWEST_PIXELS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -379,6 +384,9 @@ class Strength:
     """Standard uncertainty of the change [1]."""
     is_untested: bool = False
     """Whether the change is surprising and no other data test it."""
+    phases: ScanPhases | None = None
+    """Phases of two frequencies that no change of the water brings to one distance;
+    None if a change does, or is not surprising."""
 
     @property
     def subtracted(self) -> float:
@@ -397,6 +405,70 @@ class Strength:
         return float(np.hypot(self.uncertainty, untested))
 
 
+@dataclass(frozen=True, kw_only=True)
+class ScanPhases:
+    """Deviations of the scan's mean phases from one distance, by frequency."""
+
+    phase: Floats
+    """Deviation of each frequency, all channels together [rad]."""
+    probability: float
+    """Probability of so large deviations by chance and usual changes of the water
+    [1]."""
+    of_change: float
+    """Probability of the deviations that a changed water leaves [1]."""
+    least_change: float = 0.0
+    """Least size of the change of the water that would explain the frequencies [1]."""
+
+
+def _scan_phases(
+    phase: Floats,
+    turn: Floats,
+    wavenumber: Floats,
+    *,
+    independent: Floats,
+    shared: Floats,
+    valid: NDArray[np.bool_],
+) -> ScanPhases | None:
+    """Test the mean phases of a scan against one distance.
+
+    Arguments are those of `_fit`, with phase errors. None if they leave no freedom, or
+    if a frequency has too few valid pixels in a channel.
+    """
+    from scipy.special import chdtrc
+
+    counts = valid.sum(axis=2)
+    if counts.size < 3 or counts.min() < _FEWEST_PIXELS:
+        return None
+    phase, turn, independent, shared = (
+        np.sum(np.where(valid, values, 0.0), axis=2) / counts
+        for values in (phase, turn, independent, shared)
+    )
+    error = np.hypot(shared, independent / np.sqrt(counts))
+    scale = np.broadcast_to(wavenumber[:, :, 0], phase.shape)
+
+    def misfit(values: Floats, errors: Floats, *columns: Floats) -> Floats:
+        design = np.stack([(column / errors).ravel() for column in columns], axis=1)
+        whitened = (values / errors).ravel()
+        best = np.linalg.lstsq(design, whitened)[0]
+        return np.asarray((whitened - design @ best).reshape(values.shape) * errors)
+
+    rest = misfit(phase, error, scale, turn) / error
+    of_change = chdtrc(phase.size - 2, float(np.sum(rest**2)))
+    # Errors that pixels share may be shared by the channels, too.
+    weight = error**-2 / np.sum(error**-2, axis=1, keepdims=True)
+    mean, water, together = (
+        np.sum(weight * values, axis=1) for values in (phase, turn, error)
+    )
+    together = np.hypot(together, DEPARTURE * water)
+    deviation = misfit(mean, together, scale[:, 0])
+    square = float(np.sum((deviation / together) ** 2))
+    return ScanPhases(
+        phase=deviation,
+        probability=float(chdtrc(deviation.size - 1, square)),
+        of_change=float(of_change),
+    )
+
+
 def contradiction(
     strength: Strength, turbidity: Turbidity | None
 ) -> WaterResidualCause:
@@ -408,7 +480,8 @@ def contradiction(
         turbidity.misfit > LARGEST_MISFIT
         or (turbidity.is_extreme and turbidity.shown > _EXTREME_MISFIT)
     )
-    if negative or unlike:
+    phases = strength.phases
+    if negative or unlike or (phases and phases.least_change > LARGEST_CHANGE):
         return WaterResidualCause.INSTRUMENT
     return WaterResidualCause.WATER_CHANGED if sure else WaterResidualCause(0)
 
@@ -482,11 +555,28 @@ def strength_of(
         expected = fit.change**2 - variance
     change = fit.change * expected / (expected + variance)
     uncertainty = float(np.sqrt(expected * variance / (expected + variance)))
-    return Strength(
+    strength = Strength(
         change=change,
         uncertainty=uncertainty,
         is_untested=surprise and len(frequency) == 1,
     )
+    if not surprise or len(frequency) != 2:
+        return strength
+    phases = _scan_phases(
+        phase,
+        turn,
+        wavenumber,
+        independent=sigma,
+        shared=shared,
+        valid=weight > 0,
+    )
+    if phases is None or phases.of_change < _CONFIRMED:
+        strength = replace(strength, is_untested=True)
+    if strength.is_untested and phases and phases.probability < LARGEST_CHANCE:
+        least = abs(change) - _SURE * uncertainty
+        phases = replace(phases, least_change=least)
+        return Strength(change=0.0, uncertainty=DEPARTURE, phases=phases)
+    return strength
 
 
 def _at(values: NDArray[Any], pixels: NDArray[np.intp]) -> NDArray[Any]:
