@@ -7,7 +7,7 @@ import sys
 from itertools import product
 from pathlib import Path
 
-from amulor.studies.trust import instrument
+from amulor.studies.trust import false_alarms, instrument
 from amulor.studies.trust.methods import METHODS
 from amulor.studies.trust.scenes.catalogue import BY_NAME, SCENES
 from amulor.studies.trust.scenes.instrument import KINDS, STATES
@@ -19,7 +19,10 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the study with command-line arguments."""
     parser = argparse.ArgumentParser(prog="amulor.studies.trust", description=__doc__)
     parser.add_argument(
-        "--scenes", choices=["default", "instrument"], default="default"
+        "--scenes",
+        choices=["default", "instrument", "perfect"],
+        default="default",
+        help="instrument: errors of the instrument; perfect: false alarms",
     )
     names = [*BY_NAME, *KINDS]
     parser.add_argument("--scene", action="append", choices=names, metavar="NAME")
@@ -35,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--output",
         type=Path,
-        help="file for the table; a table of instrument errors is continued",
+        help="file for the table; those of instrument and perfect are continued",
     )
     parser.add_argument("--list", action="store_true", help="list the scenes")
     parser.add_argument(
@@ -45,27 +48,39 @@ def main(arguments: list[str] | None = None) -> int:
     of_instrument = chosen.scenes == "instrument"
     if chosen.count is not None:
         table = chosen.count.read_text(encoding="utf-8")
-        counted = (
-            instrument.counts(instrument.written(table))
-            if instrument.HEADER in table
-            else counts(written(table))
-        )
-        print(counted, end="")
+        print(_counted(table), end="")
     elif chosen.list:
         titles = {name: kind.title for name, kind in KINDS.items()}
         if not of_instrument:
             titles = {scene.name: scene.title for scene in SCENES}
         for name, title in titles.items():
             print(f"{name:<28} {title}")
-    elif of_instrument:
+    elif chosen.scenes != "default":
         if chosen.output is None:
             parser.error(
-                "--scenes instrument needs --output, the file that it continues"
+                f"--scenes {chosen.scenes} needs --output, the file that it continues"
             )
-        _run_instrument(chosen)
+        (_run_instrument if of_instrument else _run_perfect)(chosen)
     else:
         _run_scenes(chosen)
     return 0
+
+
+def _counted(table: str) -> str:
+    """Return the counts of a table of any kind."""
+    if instrument.HEADER in table:
+        return instrument.counts(instrument.written(table))
+    if false_alarms.HEADER in table:
+        return false_alarms.counts(false_alarms.written(table))
+    return counts(written(table))
+
+
+def _run_perfect(chosen: argparse.Namespace) -> None:
+    def show(row: false_alarms.AlarmRow) -> None:
+        print(false_alarms.line(row), flush=True)
+
+    rows = false_alarms.run(chosen.output, range(false_alarms.SCANS), done=show)
+    chosen.output.write_text(false_alarms.text(rows), encoding="utf-8")
 
 
 def _run_scenes(chosen: argparse.Namespace) -> None:
