@@ -54,6 +54,7 @@ def image(
 
     from amulor import pipeline
     from amulor.cube import error_unknown
+    from amulor.imaging.instrument_tests import instrument_tests
 
     with progress_bar():
         summary = pipeline.image_file(
@@ -80,6 +81,8 @@ def image(
         + (f", {words}" if words else "")
     )
     print_flags(summary.flags, summary.count)
+    for test in instrument_tests(summary.head):
+        print(f"  instrument: {test.result}; see: amulor info {output}")
     print_next(f"amulor view {output}")
 
 

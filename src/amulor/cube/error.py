@@ -25,6 +25,8 @@ LARGEST_CHANCE = 1e-4
 #: Attributes with the result of the test of all frequencies against one distance.
 FREQUENCY_PROBABILITY = "frequency_phase_probability"
 FREQUENCY_PHASES = "frequency_phase_rad"
+#: Attribute with the fraction of samples beyond the amplitudes of a calibration [1].
+UNCALIBRATED_SHARE = "uncalibrated_share"
 #: A target counts as present if no more than this fraction of the frequencies lacks it
 #: [1].
 _HALF = 0.5

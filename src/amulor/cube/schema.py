@@ -596,6 +596,8 @@ INSTRUMENT_ATTRIBUTES = {
     "frequencies from one optical path, from two frequencies on [1]",
     "frequency_phase_rad": "deviation of each frequency from the optical path of all; "
     "present if the probability is below 1e-4 [rad]",
+    "uncalibrated_share": "fraction of the samples whose amplitude is beyond those of "
+    "the calibration [1]",
     "phase_error_gain_<channel>": "phase error of the target signal per phase error of "
     "the instrument, for each frequency [1]",
     "calibration": "text of the calibration that was applied to the samples (TOML)",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +14,11 @@ from amulor.cube.error import (
     FREQUENCY_PHASES,
     FREQUENCY_PROBABILITY,
     LARGEST_CHANCE,
+    UNCALIBRATED_SHARE,
 )
-from amulor.imaging.observation import Observation
+from amulor.imaging.observation import Observation, readable_survey
 from amulor.optics import ambiguity, detection
+from amulor.survey.properties import phase_uncertainty
 
 Floats = NDArray[np.float64]
 
@@ -106,7 +109,8 @@ class InstrumentTest:
     """One failed test of the instrument, in words."""
 
     name: str
-    """Name: "channels", "frequencies", "drift" or "methods"."""
+    """Name: "references", "water", "channels", "frequencies", "drift", "methods" or
+    "calibration"."""
     result: str
     """Measured contradiction, with its size."""
     probability: float | None
@@ -129,7 +133,9 @@ _AMPLITUDE = "leakage, a phase that depends on the amplitude"
 
 def instrument_tests(cube: xr.Dataset) -> tuple[InstrumentTest, ...]:
     """Return the failed tests of a target signal or range image."""
-    tests = (_references, _water, _channels, _frequencies, _drift, _methods)
+    tests = (
+        _references, _water, _channels, _frequencies, _drift, _methods, _calibration,
+    )  # fmt: skip
     results = (test(cube) for test in tests)
     return tuple(result for result in results if result is not None)
 
@@ -261,4 +267,37 @@ def _methods(cube: xr.Dataset) -> InstrumentTest | None:
         probability=6.4e-5,
         cause=f"{_AMPLITUDE}, or {_WATER}",
         measurement=_LEAKAGE,
+    )
+
+
+def _calibration(cube: xr.Dataset) -> InstrumentTest | None:
+    """Name samples beyond a calibration, or a measurement without any calibration."""
+    share = float(cube.attrs.get(UNCALIBRATED_SHARE, 0.0))
+    survey = readable_survey(cube)
+    if share > 0:
+        result = f"{share:.1%} of the samples are beyond the calibrated amplitudes"
+        cause = (
+            "a brighter or darker target than in the calibration; the stated error "
+            "includes the slope of the phase up to these amplitudes"
+        )
+    elif (
+        cube.attrs.get("simulated", 0)
+        or "calibration" in cube.attrs
+        or survey is None
+        or survey.instrument.phase_uncertainty is not None
+    ):
+        return None
+    else:
+        degrees = math.degrees(phase_uncertainty(survey))
+        result = "the phases of the instrument are not calibrated"
+        cause = (
+            f"no calibration file and no phase_uncertainty in the survey; {degrees:g} "
+            "degrees are assumed at each frequency"
+        )
+    return InstrumentTest(
+        name="calibration",
+        result=result,
+        probability=None,
+        cause=cause,
+        measurement="measure a plate with filters (amulor calibrate plate)",
     )

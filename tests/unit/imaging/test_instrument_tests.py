@@ -8,8 +8,8 @@ import xarray as xr
 from scipy.constants import speed_of_light
 from scipy.stats import chi2
 
+from amulor import acquisition, imaging, rejection, samples
 from amulor import cube as cubes
-from amulor import imaging
 from amulor.imaging.budget import with_deviations
 from amulor.imaging.instrument_tests import instrument_tests
 
@@ -213,3 +213,46 @@ def test_failed_tests_of_rejection_have_cause_and_measurement(
     assert failed.probability < 1e-4
     assert failed.cause
     assert failed.measurement
+
+
+def test_samples_beyond_the_calibrated_amplitudes_are_named_in_the_image() -> None:
+    cube = samples.cube("ladder").isel(row=[18, 19], shot=slice(0, None, 4))
+    amplitude = np.abs(cube.amulor.signal.values)
+    low, middle = np.quantile(amplitude, [0.0, 0.5])
+    table = acquisition.Calibration.from_text(
+        "[[frequencies]]\nmodulation_frequency = '39 MHz'\n"
+        f"amplitudes = ['{low / 2:g} V', '{middle:g} V']\n"
+        "phases = ['0 rad', '0.1 rad']"
+    )
+    calibrated = acquisition.calibrated(cube, table)
+    # Half of the samples are stronger than the median.
+    assert calibrated.attrs["uncalibrated_share"] == pytest.approx(0.5, abs=0.01)
+    strong = amplitude > 1.2 * middle
+    errors, before = (
+        c["quadrature_uncertainty"].values + c["in_phase_uncertainty"].values
+        for c in (calibrated, cube)
+    )
+    assert strong.any()
+    assert (errors[strong] > before[strong]).all()
+    image = imaging.range_image(rejection.cross_polarized(calibrated))
+    (failed,) = instrument_tests(image)
+    assert failed.name == "calibration"
+    assert "50" in failed.result
+    assert "filters" in failed.measurement
+
+
+def test_a_measurement_without_any_calibration_is_named() -> None:
+    image = imaging.range_image(rejection.cross_polarized(samples.cube("ladder")))
+    assert instrument_tests(image) == ()
+    measured = image.assign_attrs(simulated=0)
+    survey = image.amulor.survey
+    instrument = survey.instrument.model_copy(update={"phase_uncertainty": None})
+    unstated = survey.model_copy(update={"instrument": instrument})
+    (failed,) = instrument_tests(measured.assign_attrs(survey=unstated.to_toml()))
+    assert failed.name == "calibration"
+    assert "0.5 degrees" in failed.cause
+    instrument = survey.instrument.model_copy(update={"phase_uncertainty": 0.01})
+    stated = survey.model_copy(update={"instrument": instrument})
+    assert instrument_tests(measured.assign_attrs(survey=stated.to_toml())) == ()
+    calibrated = measured.assign_attrs(survey=unstated.to_toml(), calibration="a table")
+    assert instrument_tests(calibrated) == ()

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from amulor import cube as cubes
+from amulor.cube.error import UNCALIBRATED_SHARE
 from amulor.errors import CubeError, FormatError
 from amulor.optics import detection
 from amulor.rejection.covariance import Covariance
@@ -380,7 +381,8 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
         The corrected cube. The attributes `leakage_uncertainty_volt` and
         `calibration_phase_uncertainty_rad` have one value for each frequency,
         `calibration_delay_uncertainty_s` has one for all. Ranging adds them to the
-        error that all pixels share.
+        error that all pixels share. `uncalibrated_share` is the fraction of samples
+        beyond the amplitudes of the calibration.
 
     Raises
     ------
@@ -469,6 +471,10 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
                 )
             changed[f"{prefix}{name}"] = like.copy(data=array)
         if part == "scan" and calibration.frequencies:
+            measured = np.isfinite(amplitude)
+            attributes[UNCALIBRATED_SHARE] = float(
+                outside.sum() / max(measured.sum(), 1)
+            )
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", RuntimeWarning)  # nothing measured
                 middle = np.nanmedian(
