@@ -285,7 +285,7 @@ def surfaces(images: Mapping[str, xr.Dataset]) -> Figure:
             axis.tick_params(pad=-2, labelsize=7)
             axis.view_init(elev=30, azim=-72)
             spans = [np.ptp(x), max(np.ptp(y), 0.4 * np.ptp(x)), 0.6 * np.ptp(x)]
-            axis.set_box_aspect(spans, zoom=1.02)
+            axis.set_box_aspect(spans, zoom=0.92)
             # As many tick labels as fit on an axis of this length.
             for span, ruler in zip(
                 spans, (axis.xaxis, axis.yaxis, axis.zaxis), strict=True

@@ -233,3 +233,24 @@ def test_a_half_profile_has_the_diameters_of_a_cone(tmp_path) -> None:
     texts = {t.text for t in texts_of(tmp_path / "p.svg") if t.text}
     assert any(t.startswith(f"Ø {stated[1]}") for t in texts)
     assert "half-profile and elevation" in texts
+
+
+def test_heights_of_steep_contours_do_not_cover_each_other(tmp_path) -> None:
+    # At 45 degrees, contours every 2 mm are 2 mm apart on paper at 1:1.
+    slope = scenes.plane((0.707, 0.0, 0.707), 1.1, own=2e-4)
+    order = Order(product="orthoimage", contours=0.002, scale=1.0, dots_per_inch=60)
+    hand_over(slope, tmp_path / "c.svg", order)
+    heights = {}
+    for text in texts_of(tmp_path / "c.svg"):
+        if re.fullmatch(r"-1\.\d+", text.text or ""):
+            x, y = (float(text.get(name, "nan")) for name in "xy")
+            heights[text.text] = np.array([x, y])
+    assert len(heights) >= 3
+    places = list(heights.values())
+    apart = [
+        np.linalg.norm(a - b)
+        for number, a in enumerate(places)
+        for b in places[number + 1 :]
+    ]
+    # 9 mm in points of 1/72 inch.
+    assert min(apart) > 9 / 25.4 * 72 - 1

@@ -12,9 +12,13 @@ import numpy as np
 import pytest
 import skips
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from pdf_files import letter_sizes
 
 from amulor.cli import main
+from amulor.imaging import error_budget
 from amulor.view import figures, image_report
+from amulor.view.accuracy import budget_figure
+from amulor.view.pdf import write_pdf
 from amulor.view.style import style
 
 
@@ -242,3 +246,18 @@ def test_a_large_tall_scan_is_reported(tmp_path) -> None:
     text = (tmp_path / "r.html").read_text()
     assert "the bands that hold 68 and 95 of 100" in text
     assert "No check distances were given" in text
+
+
+def test_letters_of_all_figures_have_seven_points_and_more(tmp_path) -> None:
+    image = scenes.plane((0.02, 0.01, 1), 1.5, own=2e-4, shared=1e-4)
+    drawn_figures = {
+        "overview": figures.image_overview(image),
+        "before and after": figures.range_images(image, image),
+        "profiles": figures.profiles({"wall": {"range image": image}}),
+        "surfaces": figures.surfaces({"wall": image}),
+        "budget": budget_figure({"wall": error_budget(image)}),
+    }
+    for name, figure in drawn_figures.items():
+        path = tmp_path / f"{name}.pdf"
+        write_pdf([figure], path, title=name)
+        assert min(letter_sizes(path)) >= 7, name
