@@ -4,11 +4,11 @@ Sites come from `tests/oracles/underwater_sites.py`, which shares no code with t
 package: beds, walls, bodies, planes and corners; starts wrong by up to 50 cm and 20
 degrees, stated as they are or too small; a fish, a scan that nothing explains, a drift
 over the rows, a delay, another height datum, and quiet sites. Each site is a row of
-`benchmarks/sites.csv`. A number of further sites is measured, and the campaign goes on
-where it ended. Without a number the table of all rows is printed.
+`benchmarks/sites.csv`, with a digest of the code of `amulor.site` that measured it. A
+number of further sites is measured, and the campaign goes on where it ended. Without a
+number the table of all rows is printed. `--redo` measures rows of other versions again.
 
-`--changes` measures pairs of visits instead, with a bump of 2 to 50 mm or without
-change, into `benchmarks/site_changes.csv`. `--first 1000` draws from that number on.
+`--first 1000` draws from that number on.
 `python benchmarks/measure_sites.py 10 --large` registers one site of 10 scans with a
 million pixels each, and prints its processor time and peak memory.
 """
@@ -16,8 +16,10 @@ million pixels each, and prints its processor time and peak memory.
 from __future__ import annotations
 
 import argparse
+import ast
 import csv
 import dataclasses
+import hashlib
 import itertools
 import resource
 import subprocess
@@ -25,6 +27,7 @@ import sys
 import tempfile
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -38,13 +41,12 @@ import drawn_sites  # noqa: E402
 import underwater_sites as oracle  # noqa: E402
 
 from amulor.errors import AmulorError  # noqa: E402
-from amulor.site.change.distances import change, regions  # noqa: E402
-from amulor.site.merging.cloud import merge  # noqa: E402
+from amulor.io.files import atomic_output  # noqa: E402
 from amulor.site.registration.pose import start_pose  # noqa: E402
 from amulor.site.registration.register import register  # noqa: E402
 from amulor.site.registration.result import read_registration  # noqa: E402
 
-TABLE, CHANGES = HERE / "sites.csv", HERE / "site_changes.csv"
+TABLE = HERE / "sites.csv"
 KINDS = ("bed", "wall", "amphorae", "corner", "plane")
 #: Rows of pixels; struts need more.
 ROWS = {"bed": 42, "wall": 72, "amphorae": 48, "corner": 42, "plane": 42}
@@ -60,13 +62,31 @@ COLUMNS = (
     "site", "kind", "spoiler", "start_m", "start_deg", "stated", "outcome", "settled",
     "gross", "silent", "beyond", "covered", "poses", "undetected_m",
     "within_1", "within_2", "components", "points_1", "points_2", "points",
-    "lengths_1", "lengths_2", "lengths", "largest_m", "gicp_gross", "seconds", "words",
+    "lengths_1", "lengths_2", "lengths", "largest_m", "gicp_gross", "seconds",
+    "off", "tied", "reasons", "named", "version", "words",
 )  # fmt: skip
 
 
 def ramp(distance: np.ndarray, size: float) -> np.ndarray:
     """Ranges with a drift over the rows, minus to plus a size."""
     return distance + size * np.linspace(-1, 1, distance.shape[0])[:, None]
+
+
+def version() -> str:
+    """Digest of the code of `amulor.site` without its docstrings."""
+    digest = hashlib.sha256()
+    for path in sorted((HERE.parent / "src/amulor/site").rglob("*.py")):
+        tree = ast.parse(path.read_text("utf-8"))
+        for node in ast.walk(tree):
+            body = getattr(node, "body", None)
+            if isinstance(body, list):
+                node.body = [  # type: ignore[attr-defined]
+                    line for line in body
+                    if not (isinstance(line, ast.Expr)
+                            and isinstance(line.value, ast.Constant))
+                ]  # fmt: skip
+        digest.update(ast.dump(tree).encode())
+    return digest.hexdigest()[:8]
 
 
 def drawn(number: int) -> tuple[Any, dict[str, Any]]:
@@ -163,6 +183,17 @@ def measured(number: int) -> dict[str, Any]:
         row["outcome"] = "good, pair contradicts"
     row["settled"] = int(result.settled)
     row["words"] = "; ".join(one.sentence for one in result.contradictions[:1])
+    row["reasons"] = " ".join(
+        (one.error or "start").replace(" ", "_") for one in result.contradictions
+    )
+    row["named"] = " ".join(
+        dict.fromkeys(
+            name
+            for one in result.contradictions
+            for name in (one.scan, *one.peers)
+            if name
+        )
+    )
     scores, lengths, points, gross, largest = [], [], [], [], 0.0
     covered = []
     names = [name for name in result.poses if name != "a1"]
@@ -219,54 +250,14 @@ def measured(number: int) -> dict[str, Any]:
     row |= {"gross": len(gross), "silent": len(silent), "largest_m": round(largest, 4)}
     row |= {"beyond": sum(name not in covered for name in silent)}
     row |= {"covered": len(covered), "poses": len(names)}
+    row["off"] = " ".join(gross)
+    pairs = {pair[end] for pair in result.pairs for end in ("source", "target")}
+    row["tied"] = " ".join(sorted(pairs))
     row["undetected_m"] = round(
         max((result.undetected[name].shift for name in names
              if name in result.undetected), default=0.0), 4,
     )  # fmt: skip
     row["gicp_gross"] = gicp(site)
-    return row
-
-
-#: Heights of bumps, 16 x 16 cm with flanks by a smooth step [m], and their middle.
-HEIGHTS = (0.0, 0.002, 0.0, 0.005, 0.01, 0.0, 0.02, -0.02, 0.05)
-MIDDLE = (0.1, 0.05)
-CHANGE_COLUMNS = (
-    "site", "height_mm", "outcome", "places", "called", "called_far", "volume_cm3",
-    "stated_cm3", "true_cm3", "lost_cm2", "seconds",
-)  # fmt: skip
-
-
-def measured_change(number: int) -> dict[str, Any]:
-    """Row of two visits to one bed."""
-    rng = np.random.default_rng([41, number])
-    height = HEIGHTS[number % len(HEIGHTS)]
-    before = oracle.bed(rng, high=(0.03, 0.08))
-    after = dataclasses.replace(before, bump=height, middle=MIDDLE)
-    site = drawn_sites.two_visits(before, after, rng, rows=54, count=3)
-    begin = time.process_time()
-    result = register(site.site, surfaces=site.surfaces, images=site.images)
-    cloud = merge(site.site, result, site.surfaces, site.images)
-    found = change(site.site, result, site.surfaces, cloud)
-    away = np.linalg.norm(found.position[:, :2] - MIDDLE, axis=1)
-    row = {
-        "site": number, "height_mm": round(1e3 * height, 1),
-        "outcome": "contradicted" if result.contradictions else "good",
-        "places": int(np.isfinite(found.value).sum()),
-        "called": int(found.significant.sum()),
-        "called_far": int((found.significant & (away > 0.2)).sum()),
-        "true_cm3": round(1e6 * height * 0.16**2, 2),
-        "seconds": round(time.process_time() - begin, 1),
-    }  # fmt: skip
-    near = [
-        place for place in regions(found)
-        if np.linalg.norm(place.centre[:2] - MIDDLE) < 0.1
-    ]  # fmt: skip
-    if near and height:
-        row |= {
-            "volume_cm3": round(1e6 * near[0].volume, 2),
-            "stated_cm3": round(1e6 * near[0].volume_uncertainty, 2),
-            "lost_cm2": round(1e4 * near[0].lost, 1),
-        }
     return row
 
 
@@ -325,36 +316,6 @@ def measured_large(count: int, rows: int = 866) -> None:
         f"{used.ru_utime + used.ru_stime:.0f} s of processor time, peak memory "
         f"{used.ru_maxrss / 2**20:.2f} GiB, largest error {1e3 * max(off):.2f} mm"
     )
-
-
-def change_table(rows: list[dict[str, str]]) -> None:
-    """Print the summary of all pairs of visits."""
-    good = [row for row in rows if row["outcome"] == "good"]
-    still = [row for row in good if float(row["height_mm"]) == 0]
-    places = sum(int(row["places"]) for row in still)
-    print(
-        f"{len(rows)} pairs of visits, {len(good)} good; {len(still)} without change: "
-        f"{sum(int(row['called']) for row in still)} of {places} places called; with "
-        f"change {sum(int(r['called_far']) for r in good if r not in still)} of "
-        f"{sum(int(r['called']) for r in good if r not in still)} called lie far off"
-    )
-    for height in sorted({float(row["height_mm"]) for row in rows} - {0.0}):
-        some = [row for row in good if float(row["height_mm"]) == height]
-        sizes = [row for row in some if row["volume_cm3"]]
-        scores = [
-            (float(row["volume_cm3"]) - float(row["true_cm3"]))
-            / float(row["stated_cm3"])
-            for row in sizes
-        ]
-        inside = np.abs(scores)
-        print(
-            f"{height:6.0f} mm: detected {len(sizes)} of {len(some)}; volume within "
-            f"1 and 1.96 stated errors {(inside < 1).mean() if sizes else 0:.0%}, "
-            f"{(inside < 1.96).mean() if sizes else 0:.0%}; mean score "
-            f"{np.mean(scores) if sizes else 0:+.2f}; stated "
-            f"{np.mean([float(r['stated_cm3']) for r in sizes]) if sizes else 0:.1f} "
-            f"of {abs(height) * 25.6:.0f} cm3"
-        )
 
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
@@ -441,8 +402,8 @@ def main() -> None:
     """Measure further sites, or print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("count", type=int, nargs="?", default=0)
-    parser.add_argument("--changes", action="store_true")
     parser.add_argument("--large", action="store_true")
+    parser.add_argument("--redo", action="store_true")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=1150.0)
     options = parser.parse_args()
@@ -450,29 +411,43 @@ def main() -> None:
     if options.large:
         measured_large(options.count)
         return
-    path, columns, measure, summary = (
-        (CHANGES, CHANGE_COLUMNS, measured_change, change_table)
-        if options.changes
-        else (TABLE, COLUMNS, measured, table)
-    )
-    rows = _rows_of(path)
-    present = {int(row["site"]) for row in rows}
+    go_on(TABLE, COLUMNS, measured, options)
+    table(rows_of(TABLE))
+
+
+def go_on(
+    path: Path,
+    columns: tuple[str, ...],
+    measure: Callable[[int], dict[str, Any]],
+    options: argparse.Namespace,
+) -> None:
+    """Add rows to a table, or measure rows of other versions again."""
+    present = version()
+    rows: dict[int, Any] = {int(row["site"]): row for row in rows_of(path)}
+    if options.redo:
+        numbers = iter([n for n in rows if rows[n].get("version") != present])
+    else:
+        numbers = (n for n in range(options.first, 10**6) if n not in rows)
     begin = time.monotonic()
-    numbers = (n for n in range(options.first, 10**6) if n not in present)
-    for _ in range(options.count):
+    for number in itertools.islice(numbers, options.count):
         if time.monotonic() - begin > options.seconds:
             break
-        row = measure(next(numbers))
-        new = not path.is_file()
-        with path.open("a", newline="") as file:
-            writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
-            if new:
-                writer.writeheader()
-            writer.writerow(row)
-    summary(_rows_of(path))
+        rows[number] = measure(number) | {"version": present}
+        with atomic_output(path, overwrite=True) as temporary:
+            _write(temporary, columns, rows)
+    total = sum(row.get("version") == present for row in rows.values())
+    print(f"{path.name}: {total} of {len(rows)} rows are of this version ({present})")
 
 
-def _rows_of(path: Path) -> list[dict[str, str]]:
+def _write(path: Path, columns: tuple[str, ...], rows: dict[int, Any]) -> None:
+    """Write a table, ordered by number."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows[number] for number in sorted(rows))
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
     """Rows of a table, none without a file."""
     if not path.is_file():
         return []

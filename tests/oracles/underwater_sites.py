@@ -61,6 +61,46 @@ def looking(place, at, roll=0.0):
 
 
 @dataclass(frozen=True)
+class Swelling:
+    """Change of the height of a bed: a block, a heap, a wedge, or a hollow if negative.
+
+    A block has a flat top, and flanks that are smooth steps; a wedge rises from 0 at
+    one end to its height at the other; a heap is a Gaussian.
+    """
+
+    shape: str
+    height: float
+    middle: tuple
+    half: tuple
+    flank: float
+    turn: float = 0.0
+
+    def __call__(self, x, y):
+        sine, cosine = np.sin(self.turn), np.cos(self.turn)
+        x, y = x - self.middle[0], y - self.middle[1]
+        along, across = cosine * x + sine * y, cosine * y - sine * x
+        if self.shape == "heap":
+            square = (along / self.half[0]) ** 2 + (across / self.half[1]) ** 2
+            return self.height * np.exp(-2 * square)
+        size = self.height
+        for away, half in zip((along, across), self.half, strict=True):
+            t = np.clip((half - np.abs(away)) / self.flank, 0, 1)
+            size = size * t * t * (3 - 2 * t)
+        if self.shape == "wedge":
+            size = size * (1 + np.clip(along / self.half[0], -1, 1)) / 2
+        return size
+
+    @property
+    def steepest(self):
+        """Return a bound of the slope [1]."""
+        least = min(self.half)
+        if self.shape == "heap":
+            return 2 * np.exp(-0.5) * abs(self.height) / least
+        step = 1.5 * np.sqrt(2) * abs(self.height) / self.flank
+        return step + abs(self.height) / least
+
+
+@dataclass(frozen=True)
 class Bed:
     """Sea bed of Gaussian humps on a tilted plane, and a bump with flat top."""
 
@@ -70,6 +110,7 @@ class Bed:
     middle: tuple = (0.0, 0.0)
     half: float = 0.10
     flank: float = 0.04
+    swellings: tuple = ()
 
     def profile(self, away):
         """Return a smooth step from 1 at the plateau to 0 at the half width."""
@@ -85,12 +126,15 @@ class Bed:
         if self.bump:
             east, north = self.middle
             z = z + self.bump * self.profile(x - east) * self.profile(y - north)
+        for swelling in self.swellings:
+            z = z + swelling(x, y)
         return z
 
     @property
     def steepest(self):
         """Return a bound of the slope [1]."""
         slope = np.hypot(*self.tilt) + 1.5 * abs(self.bump) / self.flank * np.sqrt(2)
+        slope += sum(swelling.steepest for swelling in self.swellings)
         return slope + sum(abs(h) / w * np.exp(-0.5) for _, _, h, w in self.humps)
 
     def __call__(self, point):
@@ -306,6 +350,54 @@ def bed(rng, high=(0.05, 0.15)):
         for _ in range(8)
     ]
     return Bed(tuple(humps), tuple(rng.uniform(-0.05, 0.05, 2)))
+
+
+#: Kinds of change of a bed between two visits.
+CHANGES = ("bump", "hollow", "heap", "flank", "slope", "wedge", "body")
+
+
+def changed_bed(kind, height, rng):
+    """Return a bed before and after a change of a kind and a size [m].
+
+    A flank is steep; a slope is a bump on ground that falls by 15 to 30 degrees; a body
+    is a stone that moves along the bed by its size.
+    """
+    ground = bed(rng, high=(0.03, 0.08))
+    middle, half = tuple(rng.uniform(-0.15, 0.15, 2)), tuple(rng.uniform(0.09, 0.2, 2))
+    turn, flank = rng.uniform(0, np.pi), rng.uniform(0.03, 0.06)
+    if kind == "slope":
+        fall = np.tan(np.radians(rng.uniform(15, 30)))
+        toward = rng.uniform(0, 2 * np.pi)
+        ground = replace(ground, tilt=(fall * np.cos(toward), fall * np.sin(toward)))
+    if kind == "body":
+        stone = Swelling("heap", rng.uniform(0.06, 0.12), middle, (0.2, 0.2), 0.0)
+        way = height * np.array([np.cos(turn), np.sin(turn)])
+        moved = replace(stone, middle=tuple(np.add(middle, way)))
+        return (
+            replace(ground, swellings=(stone,)),
+            replace(ground, swellings=(moved,)),
+        )
+    if kind == "flank":
+        flank = rng.uniform(0.01, 0.02)
+    shape = {"heap": "heap", "wedge": "wedge"}.get(kind, "block")
+    size = -height if kind == "hollow" or rng.random() < 0.3 else height
+    swelling = Swelling(shape, size, middle, half, flank, turn)
+    return ground, replace(ground, swellings=(swelling,))
+
+
+def along_normals(before, after, place, normal, reach=0.2):
+    """Return distances of two beds along lines, by bisection [m]."""
+
+    def crossing(scene):
+        low, high = np.full(len(place), -reach), np.full(len(place), reach)
+        for _ in range(50):
+            middle = (low + high) / 2
+            at = place + middle[:, None] * normal
+            below = (at[:, 2] - scene.height(at[:, 0], at[:, 1])) * normal[:, 2] < 0
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return (low + high) / 2
+
+    return crossing(after) - crossing(before)
 
 
 def amphorae(rng):

@@ -410,6 +410,7 @@ def _region(region: Region, number: int, motions: dict[int, Motion]) -> dict[str
     content: dict[str, Any] = {
         "centre_m": region.centre,
         "area_m2": region.area,
+        "area_uncertainty_m2": region.area_uncertainty,
         "mean_m": region.mean,
         "mean_uncertainty_m": region.mean_uncertainty,
         "volume_m3": region.volume,
@@ -439,7 +440,8 @@ def _region(region: Region, number: int, motions: dict[int, Motion]) -> dict[str
 def _sentence(number: int, region: Region, motions: dict[int, Motion]) -> str:
     place = ", ".join(f"{value:.3f}" for value in region.centre)
     text = (
-        f"{number + 1}: at ({place}) m, {region.area * 1e4:.0f} cm2, mean "
+        f"{number + 1}: at ({place}) m, {region.area * 1e4:.0f} +- "
+        f"{region.area_uncertainty * 1e4:.0f} cm2, mean "
         f"{region.mean * 1e3:+.2f} +- {region.mean_uncertainty * 1e3:.2f} mm, volume "
         f"{region.volume * 1e6:+.0f} +- {region.volume_uncertainty * 1e6:.0f} cm3, "
         f"{region.lost * 1e4:.0f} cm2 there not compared"

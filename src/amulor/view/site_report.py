@@ -525,7 +525,7 @@ def _changed(
             [
                 str(number + 1),
                 ", ".join(f"{v:.2f}" for v in place.centre),
-                f"{place.area * 1e4:.0f}",
+                f"{place.area * 1e4:.0f} ± {place.area_uncertainty * 1e4:.0f}",
                 f"{place.mean * 1e3:+.2f} ± {place.mean_uncertainty * 1e3:.2f}",
                 f"{place.volume * 1e6:+.0f} ± {place.volume_uncertainty * 1e6:.0f}",
                 f"{place.lost * 1e4:.0f}",
@@ -538,7 +538,7 @@ def _changed(
     header += ["moved at [m]"]
     caption = (
         "Means and volumes along the normals. A volume has the rim of its place; what "
-        "could not be compared there is no part of it. A motion is the rigid one that "
+        "could not be compared there is interpolated. A motion is the rigid one that "
         "takes what stands above the ground there from the first visit to the second."
     )
     return [*parts, Table(header, rows, caption)]

@@ -123,7 +123,8 @@ def test_a_hollow_and_a_heap_side_by_side_are_one_body() -> None:
     def region(east: float, reach: float, area: float) -> Region:
         return Region(
             members=np.arange(4), centre=np.array([east, 0.0, 0.0]), reach=reach,
-            area=area, mean=0.0, mean_uncertainty=1.0, largest=0.0, volume=0.0,
+            area=area, area_uncertainty=0.0, mean=0.0, mean_uncertainty=1.0,
+            largest=0.0, volume=0.0,
             volume_uncertainty=1.0, lost=0.0,
         )  # fmt: skip
 

@@ -39,7 +39,7 @@ def test_the_volume_of_a_bump_is_within_its_stated_error(height: float) -> None:
     place = regions(found)[0]
     true = height * PLATEAU
     assert abs(place.volume - true) < 2.5 * place.volume_uncertainty
-    assert place.volume_uncertainty < 0.15 * abs(true) + 4e-6
+    assert place.volume_uncertainty < 0.06 * abs(true) + 4e-6
     # The whole bump was seen, and its flanks are compared.
     assert place.lost < 0.05 * PLATEAU
     assert np.linalg.norm(place.centre[:2] - [0.1, 0.05]) < 0.03
@@ -58,9 +58,10 @@ def test_what_cannot_be_compared_is_stated_beside_the_volume() -> None:
     blind = np.where(np.isin(np.arange(len(off)), hole), np.nan, found.value)
     some = region_of(replace(found, value=blind), place.members)
     assert some.lost - place.lost == pytest.approx(found.area[hole].sum())
-    assert place.volume - some.volume == pytest.approx(
-        (found.area * found.value)[hole].sum()
-    )
+    # The volume there is that of its neighbors, with a larger error.
+    assert abs(place.volume - some.volume) < 3 * some.volume_uncertainty
+    assert some.volume_uncertainty > place.volume_uncertainty
+    assert some.area_uncertainty > place.area_uncertainty
 
 
 def test_cells_of_a_level_surface_add_up_to_its_area() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,18 @@ _SHAPE = 0.75
 _SURE = 4.0
 #: Gap between layers of surface in one cell, in spacings [1].
 _LAYER = 2.0
+#: Largest correction of a shared error at unchanged places, in standard errors [1].
+_CORRECTED = 3.0
+#: Distance from a change, in radii of the cylinders, of places that count as unchanged.
+_APART = 2.0
+#: Factor on the noise of corrections, for the tails of changes below significance [1].
+_TAILS = 2.0
+#: Correlation of the heights of two patches whose axes are 0, 0.1, ..., 2 radii apart:
+#: the overlap of the weights :math:`4 - 6 r^2` of the points of a disk [1].
+_CORRELATION = np.array(
+    [1, 0.923, 0.823, 0.709, 0.587, 0.464, 0.347, 0.239, 0.146, 0.069, 0.011,
+     -0.028, -0.049, -0.054, -0.047, -0.032, -0.014, 0.001, 0.009, 0.008, 0]
+)  # fmt: skip
 #: Number of cylinders searched at once, which limits memory.
 _AT_ONCE = 500
 #: Least cosine of the angle between the normals of points that belong together [1].
@@ -64,6 +76,8 @@ class Change:
     own: Floats
     """Part of the uncertainty from noise and roughness, independent between points
     [m]."""
+    shape: Floats
+    """Part of `own` from surfaces that no patch follows, such as steep flanks [m]."""
     shared: Floats
     """Change of the distance by one standard deviation of each independent error of
     poses, delay, index and open-water references, shape (n, m) [m]."""
@@ -101,6 +115,10 @@ def change(
     errors, and their covariance :math:`\Sigma`; errors that both epochs share cancel.
     The method of Benjamini and Hochberg limits the fraction of false alarms, in place
     of a fixed limit of detection.
+
+    A small change is part of the surface that the registration fits, so it shifts the
+    poses against itself. The shared errors are therefore fitted again to the places
+    without significant change, and the distances are corrected.
 
     References
     ----------
@@ -141,26 +159,84 @@ def change(
     energy, axes = np.linalg.eigh(prior)
     root = axes * np.sqrt(np.maximum(energy, 0.0))
     shared = slope @ root
-    uncertainty = np.sqrt(noise**2 + (shared**2).sum(axis=1))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        chance = 2 * norm.sf(np.abs(value) / uncertainty)
     if not np.isfinite(value).any():
         raise _nothing_common(names)
-    return Change(
+    shape = np.hypot(first.shape, second.shape)
+    result = Change(
         epochs=names,
         position=core,
         normal=normal,
         value=value,
-        uncertainty=uncertainty,
+        uncertainty=np.hypot(noise, np.sqrt((shared**2).sum(axis=1))),
         own=noise,
+        shape=shape,
         shared=shared,
-        significant=chance
-        <= largest_discovered(chance, share=site.comparison.false_alarms),
-        chance=chance,
+        significant=np.zeros(len(core), dtype=bool),
+        chance=np.ones(len(core)),
         area=area,
         spacing=spacing,
         radius=radius,
         false_alarms=site.comparison.false_alarms,
+    )
+    result = _tested(result)
+    visit = {scan.name: scan.epoch for scan in site.scan}
+    ends = [{visit[pair[end]] for end in ("source", "target")}
+            for pair in registration.pairs]  # fmt: skip
+    if set(names) in ends:
+        # Changes that the first correction uncovers are left out of the second.
+        uncorrected = result
+        for _ in range(2):
+            result = _tested(_corrected(uncorrected, _unchanged(result)))
+    return result
+
+
+def _tested(change: Change) -> Change:
+    """Return a comparison with the significance of its distances."""
+    uncertainty = np.sqrt(change.own**2 + (change.shared**2).sum(axis=1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        chance = 2 * norm.sf(np.abs(change.value) / uncertainty)
+    limit = largest_discovered(chance, share=change.false_alarms)
+    return replace(
+        change, uncertainty=uncertainty, chance=chance, significant=chance <= limit
+    )
+
+
+def _unchanged(change: Change) -> Flags:
+    """Return the compared places that are far from all regions of change."""
+    unchanged = np.isfinite(change.value) & ~change.significant
+    members = [group for group in _groups(change) if len(group) >= _FEWEST_POINTS]
+    if members:
+        tree = cKDTree(change.position[np.concatenate(members)])
+        reach = _APART * change.radius
+        away = tree.query(change.position, distance_upper_bound=reach)[0]
+        unchanged &= ~np.isfinite(away)
+    return unchanged
+
+
+def _corrected(change: Change, unchanged: Flags) -> Change:
+    """Return a comparison without the shared error that unchanged places have.
+
+    The errors are estimated with a weak prior. Their covariance is that of this
+    estimate, for shared errors as stated and noise that overlapping cylinders repeat.
+    """
+    rows = change.shared / change.own[:, None]
+    values = change.value / change.own
+    repeated = max(np.pi * change.radius**2 / (4 * change.spacing**2), 1.0)
+    weak = np.eye(rows.shape[1]) / _CORRECTED**2
+    used = unchanged
+    for _ in range(3):
+        matrix = rows[used].T @ rows[used]
+        inverse = np.linalg.inv(matrix + weak)
+        errors = inverse @ (rows[used].T @ values[used])
+        with np.errstate(invalid="ignore"):
+            used = unchanged & (np.abs(values - rows @ errors) < _OFF)
+    spread = inverse @ (_TAILS * repeated * matrix + weak @ weak) @ inverse
+    energy, axes = np.linalg.eigh(spread)
+    root = axes * np.sqrt(np.maximum(energy, 0.0))
+    return replace(
+        change,
+        value=change.value - change.shared @ errors,
+        shared=change.shared @ root,
     )
 
 
@@ -218,6 +294,7 @@ def _cores(
 class _Means:
     value: Floats
     own: Floats
+    shape: Floats
     names: tuple[str, ...]
     slope: Floats
     registration: Registration
@@ -257,7 +334,8 @@ def _means(
     owner, index, off, along = _in_cylinders(cloud, at, core, normal, radius, reach)
     if not len(index):
         nowhere = np.full(len(core), np.nan)
-        return _Means(nowhere, nowhere, (), np.zeros((len(core), 0)), registration)
+        empty = np.zeros((len(core), 0))
+        return _Means(nowhere, nowhere, nowhere, (), empty, registration)
     facing = np.einsum("ij,ij->i", cloud.beam[at[index]], normal[owner])
     sigma = np.maximum(np.abs(facing) * cloud.own[at[index]], 1e-6)
     weight = 1 / sigma**2
@@ -287,12 +365,14 @@ def _means(
         names += unknowns_of(scan.name, surface)
         columns.append(np.asarray(sums, dtype=float))
     merged = list(dict.fromkeys(names))
-    means = _Means(value, noise, tuple(names), np.hstack(columns), registration)
+    means = _Means(
+        value, noise, fitted.shape, tuple(names), np.hstack(columns), registration
+    )
     if len(merged) == len(names):
         return means
     # Errors that several scans share appear once.
     summed = _summed(means, merged)
-    return _Means(value, noise, tuple(merged), summed, registration)
+    return _Means(value, noise, fitted.shape, tuple(merged), summed, registration)
 
 
 def _in_cylinders(
@@ -353,6 +433,7 @@ def _summed(means: _Means, names: list[str]) -> Floats:
 class _Patches:
     height: Floats
     own: Floats
+    shape: Floats
     share: Floats
     good: Flags
 
@@ -415,11 +496,19 @@ def _patches(
     deviation = np.hypot(deviation, _SHAPE * shape)
     good = (count >= _FEWEST) & (back[:, 0, 0] < 0.5 * _FEWEST)
     good &= shape < _ROUGH * radius
-    return _Patches(solved[:, 0], deviation, share, good)
+    return _Patches(solved[:, 0], deviation, _SHAPE * shape, share, good)
 
 
 #: Smallest number of points of a region [1].
 _FEWEST_POINTS = 4
+#: Uncertainty of an area in spacings times its root, and in the area not compared [1].
+_AREA, _AREA_LOST = 0.5, 0.7
+#: Part of the errors by shape that remains in a volume and in a mean [1].
+_SHAPE_IN_VOLUME, _SHAPE_IN_MEAN = 0.14, 0.42
+#: Error of a mean by the width of the cylinders, times the root of the places [1].
+_WIDTH = 0.25
+#: Error of interpolated changes over the scatter of their neighbors, and their number.
+_INTERPOLATED, _NEIGHBORS = 0.75, 6
 #: The rim around a region, in radii of the cylinders [1].
 _RIM = 1.5
 #: Largest distance of neighbors in a region, in spacings [1].
@@ -437,7 +526,9 @@ class Region:
     reach: float
     """Largest distance of a point from the center [m]."""
     area: float
-    """Area of the changed surface [m^2]."""
+    """Area where the change exceeds the smallest significant one [m^2]."""
+    area_uncertainty: float
+    """Standard uncertainty of the area [m^2]."""
     mean: float
     """Area-weighted mean change along the normals [m]."""
     mean_uncertainty: float
@@ -445,7 +536,8 @@ class Region:
     largest: float
     """Change of largest magnitude [m]."""
     volume: float
-    """Volume added minus volume removed, including the rim around the points [m^3]."""
+    """Volume added minus volume removed, including the rim around the points and the
+    interpolated change where nothing could be compared [m^3]."""
     volume_uncertainty: float
     """Standard uncertainty of the volume [m^3]."""
     lost: float
@@ -454,27 +546,44 @@ class Region:
 
 def regions(change: Change) -> tuple[Region, ...]:
     """Return the regions of significant change, largest area first."""
-    at = np.flatnonzero(change.significant)
-    if len(at) < _FEWEST_POINTS:
-        return ()
-    tree = cKDTree(change.position[at])
-    links = tree.query_pairs(_TOGETHER * change.spacing, output_type="ndarray")
-    ones = np.ones(len(links))
-    graph = coo_matrix((ones, (links[:, 0], links[:, 1])), shape=(len(at), len(at)))
-    _, label = connected_components(graph, directed=False)
+    groups = [group for group in _groups(change) if len(group) >= _FEWEST_POINTS]
     places = [
-        region_of(change, at[label == number])
-        for number in range(label.max() + 1)
-        if int((label == number).sum()) >= _FEWEST_POINTS
+        region_of(
+            change,
+            members,
+            others=np.concatenate(
+                [np.empty(0, dtype=np.intp), *groups[:number], *groups[number + 1 :]]
+            ),
+        )
+        for number, members in enumerate(groups)
     ]
     return tuple(sorted(places, key=lambda region: -region.area))
 
 
-def region_of(change: Change, members: NDArray[np.intp]) -> Region:
+def _groups(change: Change) -> list[NDArray[np.intp]]:
+    """Return the connected groups of places with significant change."""
+    at = np.flatnonzero(change.significant)
+    if not len(at):
+        return []
+    tree = cKDTree(change.position[at])
+    links = tree.query_pairs(_TOGETHER * change.spacing, output_type="ndarray")
+    ones = np.ones(len(links))
+    graph = coo_matrix((ones, (links[:, 0], links[:, 1])), shape=(len(at), len(at)))
+    count, label = connected_components(graph, directed=False)
+    return [at[label == number] for number in range(count)]
+
+
+def region_of(
+    change: Change,
+    members: NDArray[np.intp],
+    *,
+    others: NDArray[np.intp] | None = None,
+) -> Region:
     """Return area, mean change and volume of a group of comparison points.
 
     At the rim of a region single changes are below their errors, but their sum is not.
-    The volume is therefore summed up to one and a half cylinder radii from the points.
+    The volume is therefore summed up to one and a half cylinder radii from the points,
+    or to the middle between them and the points of other regions.
     """
     members = members[np.isfinite(change.value[members])]
     place, area = change.position[members], change.area[members]
@@ -485,43 +594,79 @@ def region_of(change: Change, members: NDArray[np.intp]) -> Region:
     away, nearest = tree.query(
         change.position, distance_upper_bound=_RIM * change.radius
     )
+    if others is not None and len(others):
+        apart = cKDTree(change.position[others]).query(change.position)[0]
+        away = np.where(away <= apart, away, np.inf)
     around = np.flatnonzero(np.isfinite(away))
     alike = np.einsum(
         "ij,ij->i", change.normal[around], change.normal[members[nearest[around]]]
     )
     around = around[alike > _ALIKE]
     compared = np.isfinite(change.value[around])
-    rim = around[compared]
-    volume, spread = _sum_of(change, rim)
-    mean, error = _sum_of(change, members)
+    lost = float(change.area[around[~compared]].sum())
+    volume, spread, shape = _sum_of(change, around[compared])
+    more, unsure = _interpolated(change, around[~compared])
+    mean, error, bent = _sum_of(change, members)
+    wide = _WIDTH * mean / np.sqrt(len(members))
     return Region(
         members=members,
         centre=centre,
         reach=float(np.linalg.norm(place - centre, axis=1).max()),
         area=total,
+        area_uncertainty=float(
+            np.hypot(_AREA * change.spacing * np.sqrt(total), _AREA_LOST * lost)
+        ),
         mean=mean / total,
-        mean_uncertainty=error / total,
+        mean_uncertainty=float(
+            np.linalg.norm([error, _SHAPE_IN_MEAN * bent, wide]) / total
+        ),
         largest=float(value[np.argmax(np.abs(value))]),
-        volume=volume,
-        volume_uncertainty=spread,
-        lost=float(change.area[around[~compared]].sum()),
+        volume=volume + more,
+        volume_uncertainty=float(
+            np.linalg.norm([spread, _SHAPE_IN_VOLUME * shape, unsure])
+        ),
+        lost=lost,
     )
 
 
-def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the volume change summed over points, and its uncertainty [m^3]."""
+def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float, float]:
+    """Return the change summed over the area of points, and its uncertainty [m^3].
+
+    The third value is the sum of the errors by shape, which the second has not.
+    """
     place, area = change.position[members], change.area[members]
+    own, shape = change.own[members], change.shape[members]
     # Cylinders closer than their width contain common points.
     near = cKDTree(place).query_pairs(2 * change.radius, output_type="ndarray")
-    noise = area * change.own[members]
+    noise = area * np.sqrt(np.maximum(own**2 - shape**2, 0.0))
     variance = float((noise**2).sum())
     if len(near):
         apart = np.linalg.norm(place[near[:, 0]] - place[near[:, 1]], axis=1)
-        common = np.clip(1 - apart / (2 * change.radius), 0, 1)
+        common = np.interp(
+            apart / change.radius, np.linspace(0, 2, len(_CORRELATION)), _CORRELATION
+        )
         variance += float(2 * (noise[near[:, 0]] * noise[near[:, 1]] * common).sum())
     shared = (area[:, None] * change.shared[members]).sum(axis=0)
-    sigma = float(np.sqrt(variance + (shared**2).sum()))
-    return float((area * change.value[members]).sum()), sigma
+    sigma = float(np.sqrt(max(variance, 0.0) + (shared**2).sum()))
+    total = float((area * change.value[members]).sum())
+    return total, sigma, float((area * shape).sum())
+
+
+def _interpolated(change: Change, lost: NDArray[np.intp]) -> tuple[float, float]:
+    """Return the interpolated volume of places not compared, and its error [m^3]."""
+    compared = np.flatnonzero(np.isfinite(change.value))
+    if not len(lost):
+        return 0.0, 0.0
+    count = min(_NEIGHBORS, len(compared))
+    away, near = cKDTree(change.position[compared]).query(
+        change.position[lost], k=[*range(1, count + 1)]
+    )
+    weight = 1 / np.maximum(away, 1e-9) ** 2
+    values = change.value[compared][near]
+    mean = (weight * values).sum(axis=1) / weight.sum(axis=1)
+    area = change.area[lost]
+    scatter = float((area * values.std(axis=1)).sum())
+    return float((area * mean).sum()), _INTERPOLATED * scatter
 
 
 def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -> None:
