@@ -14,6 +14,7 @@ from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging import measure
 from amulor.imaging.edges import STEP_MARGIN
+from amulor.imaging.observation import geometry_of
 from amulor.view.page.pictures import Picture
 from amulor.view.page.recording import Recording
 
@@ -44,6 +45,8 @@ class Products(Protocol):
 _OFF_SURFACE = QualityFlag.MIXED | QualityFlag.OUTLIER
 _MOST_PICKS = 200
 _LARGEST_REACH = 20
+#: Pixels of a round object, which are thinned evenly beyond [1].
+_MOST_OF_PROFILE = 3200
 #: Pixels of a volume, which are thinned evenly beyond [1].
 _MOST_OF_VOLUME = 250_000
 
@@ -64,8 +67,11 @@ def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
     picture = recording.channel(channel).shown
     if kind == "volume":
         result = _volume(picture, request)
+    elif kind == "profile":
+        result = _half_profile(picture, request)
     elif kind in _FITS and "region" in request:
-        result = _fit(picture, kind, _region(picture, request["region"]))
+        clip = request.get("clip")
+        result = _fit(picture, kind, _region(picture, request["region"]), clip=clip)
     elif kind in (*_FIGURES, *_FITS, "area"):
         pixels = _pixels(picture, request.get("pixels"))
         if kind in _FITS:
@@ -75,7 +81,7 @@ def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
     else:
         raise CubeError(
             f"{kind[:40]!r} cannot be measured, only "
-            f"{', '.join([*_FIGURES, 'area', *_FITS, 'volume'])}"
+            f"{', '.join([*_FIGURES, 'area', *_FITS, 'volume', 'profile'])}"
         )
     return {
         "kind": kind,
@@ -133,7 +139,8 @@ def _volume(picture: Picture, request: dict[str, Any]) -> dict[str, Any]:
     for mask, part in zip(masks, parts, strict=True):
         mask[tuple(np.transpose([picture.place(*pixel) for pixel in part]))] = True
     off = (image["quality_flag"].values & _OFF_SURFACE) != 0
-    figure = measure.volume(image, masks[0], base=masks[1] & ~off)
+    body = masks[0] & _inside(image, request.get("clip"))
+    figure = measure.volume(image, body, base=masks[1] & ~off)
     line = {
         "label": "volume",
         "value": figure.value,
@@ -145,6 +152,94 @@ def _volume(picture: Picture, request: dict[str, Any]) -> dict[str, Any]:
         "random": _or_none(figure.random),
         "pixels": figure.pixels,
     }
+
+
+def _half_profile(picture: Picture, request: dict[str, Any]) -> dict[str, Any]:
+    """Axis, diameters and half-profile of a round object in a rectangle."""
+    pixels = _region(picture, request.get("region"), most=_MOST_OF_PROFILE)
+    image, region = _surface_in(picture, pixels, request.get("clip"))
+    turned = measure.revolution(image, region)
+    fit = turned.fit
+    places = {
+        "rim diameter": len(turned.radius) - 1,
+        "largest diameter": int(np.argmax(turned.radius)),
+        "base diameter": 0,
+    }
+    axis, point = (
+        np.array([fit.values[f"{name}_{at}"] for at in "xyz"])
+        for name in ("axis", "point")
+    )
+    lines = [
+        {
+            "label": label,
+            "value": 2 * float(turned.radius[at]),
+            "uncertainty": _or_none(2 * float(turned.uncertainty[at])),
+            "unit": "m",
+        }
+        for label, at in places.items()
+    ]
+    slope = math.hypot(fit.uncertainties["axis_x"], fit.uncertainties["axis_z"])
+    lines.append(
+        {
+            "label": "axis tilt",
+            "value": math.acos(min(abs(float(axis[1])), 1.0)),
+            "uncertainty": _or_none(slope),
+            "unit": "rad",
+        }
+    )
+    return {
+        "lines": [] if fit.doubt else lines,
+        "doubt": fit.doubt,
+        "residual": fit.residual,
+        "misfit": fit.misfit if math.isfinite(fit.misfit) else None,
+        "pixels": fit.pixels,
+        "left_out": turned.left_out,
+        "axis": [(point + height * axis).tolist() for height in turned.height[[0, -1]]],
+        "profile": {
+            "height": (turned.height - turned.height[0]).tolist(),
+            "radius": turned.radius.tolist(),
+            "uncertainty": [_or_none(float(value)) for value in turned.uncertainty],
+        },
+    }
+
+
+def _surface_in(
+    picture: Picture, pixels: list[tuple[int, int]], clip: Any
+) -> tuple[xr.Dataset, np.ndarray]:
+    """Part of an image around pixels, and which of them are on a surface in the box."""
+    image = picture.around(
+        sorted({row for row, _ in pixels}), sorted({column for _, column in pixels})
+    )
+    region = np.zeros(image["slant_range"].shape, dtype=bool)
+    for pixel in pixels:
+        region[picture.place(*pixel)] = True
+    region &= (image["quality_flag"].values & _OFF_SURFACE) == 0
+    return image, region & _inside(image, clip)
+
+
+def _inside(image: xr.Dataset, clip: Any) -> np.ndarray:
+    """Whether the point of each pixel is inside the clip box of the page."""
+    if clip is None:
+        return np.ones(image["slant_range"].shape, dtype=bool)
+    beam = geometry_of(image).beam
+    ranges = image["slant_range"].values[..., np.newaxis]
+    place = beam.entry + ranges * beam.direction
+    low, high = (_limits(clip, side) for side in ("low", "high"))
+    low = np.where(np.isnan(low), -np.inf, low)
+    high = np.where(np.isnan(high), np.inf, high)
+    within: np.ndarray = ((place >= low) & (place <= high)).all(axis=-1)
+    return within
+
+
+def _limits(clip: Any, side: str) -> np.ndarray:
+    """Three limits of a clip box [m]; NaN for a missing limit."""
+    values = clip.get(side) if isinstance(clip, dict) else None
+    if not isinstance(values, list) or len(values) != 3:
+        raise CubeError("a clip box has three low and three high limits")
+    try:
+        return np.array([np.nan if value is None else value for value in values], float)
+    except (TypeError, ValueError):
+        raise CubeError("limits of a clip box are numbers [m] or null") from None
 
 
 def _flatness(fit: measure.Fit) -> dict[str, Any]:
@@ -164,14 +259,10 @@ def _flatness(fit: measure.Fit) -> dict[str, Any]:
     }
 
 
-def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str, Any]:
-    image = picture.around(
-        sorted({row for row, _ in pixels}), sorted({column for _, column in pixels})
-    )
-    region = np.zeros(image["slant_range"].shape, dtype=bool)
-    for pixel in pixels:
-        region[picture.place(*pixel)] = True
-    region &= (image["quality_flag"].values & _OFF_SURFACE) == 0
+def _fit(
+    picture: Picture, kind: str, pixels: list[tuple[int, int]], *, clip: Any = None
+) -> dict[str, Any]:
+    image, region = _surface_in(picture, pixels, clip)
     fit = _FITS[kind](image, region)
     units = {"tilt": "rad", **dict.fromkeys(("offset", "radius"), "m")}
     lines = [

@@ -16,6 +16,7 @@ import numpy as np
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output
 from amulor.view.page.layers import packed, stored
+from amulor.view.page.notes import Notes
 from amulor.view.page.recording import MOST_PIXELS, Recording, spectra
 from amulor.view.page.space import Space
 
@@ -74,6 +75,7 @@ def saved_page(
         "measurements": [dict(measurement) for measurement in measurements],
         "limits": limits,
         "digest": recording.digest(),
+        "notes": Notes(recording.path).read(),
     }
     scripts = [_data("amulor-scene", json.dumps(content, allow_nan=False))]
     for channel in scenes:

@@ -30,6 +30,7 @@ from amulor.view.design.explorer import Explorer
 from amulor.view.page.layers import stored
 from amulor.view.page.live import POLL, Live, Rows
 from amulor.view.page.measuring import Made, Products, measured
+from amulor.view.page.notes import Notes
 from amulor.view.page.recording import Recording, spectrum
 from amulor.view.page.saved import TYPES, saved_page, saved_space, static_files
 from amulor.view.page.security import Guard, new_token
@@ -271,6 +272,8 @@ def _routes(content: Recording | Live, products: Products | None) -> list[Any]:
         Route("/spectrum/{channel}/{row:int}/{column:int}", pages.spectrum),
         Route("/measure", pages.measure, methods=["POST"]),
         Route("/save", pages.save, methods=["POST"]),
+        Route("/notes", pages.notes),
+        Route("/notes", pages.keep_notes, methods=["POST"]),
         Route("/digest", pages.digest),
         Route("/products", pages.products),
         Route("/product", pages.product, methods=["POST"]),
@@ -281,6 +284,7 @@ def _routes(content: Recording | Live, products: Products | None) -> list[Any]:
 class _Pages:
     def __init__(self, content: Recording | Live, products: Products | None) -> None:
         self._shown, self._products = content, products
+        self._notes = Notes(self._recording.path)
 
     @property
     def _recording(self) -> Recording:
@@ -344,6 +348,16 @@ class _Pages:
                 saved_page, self._recording, **await saving(request)
             )
             return Response(page.encode(), media_type="application/octet-stream")
+
+        return await explained(answer())
+
+    async def notes(self, request: Request) -> Response:
+        return await answered(lambda: JSONResponse(self._notes.read()))
+
+    async def keep_notes(self, request: Request) -> Response:
+        async def answer() -> Response:
+            content = await object_of(request)
+            return JSONResponse(await run_in_threadpool(self._notes.write, content))
 
         return await explained(answer())
 

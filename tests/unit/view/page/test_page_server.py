@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import exact_shapes
 import numpy as np
 import pytest
 import xarray as xr
@@ -355,3 +356,53 @@ def test_a_file_that_is_damaged_while_it_is_open_gives_a_message(
     answer = client.get(f"/{TOKEN}/layer/VV/uncertainty")
     assert answer.status_code == 422
     assert "can no longer be read" in answer.json()["error"]
+
+
+def test_fits_use_only_pixels_inside_the_clip_box(
+    recording: page.Recording, target: xr.Dataset
+) -> None:
+    request = {"kind": "plane", "channel": "VV", "region": [0, 0, 5, 11]}
+    image = imaging.range_image(target, polarization="VV")
+    beam = geometry_of(image).beam
+    place = beam.entry + image["slant_range"].values[..., None] * beam.direction
+    middle = float(np.nanmedian(place[..., 0]))
+    off = image["quality_flag"].values & (QualityFlag.MIXED | QualityFlag.OUTLIER)
+    usable = np.isfinite(place).all(axis=-1) & (off == 0)
+    clip = {"low": [None, None, 1.0], "high": [middle, None, None]}
+    found = measuring.measured(recording, {**request, "clip": clip})
+    expected = int((usable & (place[..., 0] <= middle)).sum())
+    whole = measuring.measured(recording, request)
+    assert 0 < found["pixels"] <= expected < whole["pixels"]
+    for wrong in ({"low": [0, 0], "high": [1, 1, 1]}, [], {"low": ["a", 0, 0]}):
+        with pytest.raises(CubeError, match="clip box"):
+            measuring.measured(recording, {**request, "clip": wrong})
+
+
+def test_a_half_profile_has_the_diameters_of_a_cone() -> None:
+    # A cone with its tip above, whose radius grows by a fifth of the depth below it.
+    tip, tangent = np.array([-0.06, -0.5, 1.55]), 0.2
+    down = np.array([0.10, 1.0, 0.08]) / np.linalg.norm([0.10, 1.0, 0.08])
+    scan = exact_shapes.beams(rows=24, columns=24, half=0.07)
+    square = 1 / (1 + tangent**2)
+    along, height = scan.unit @ down, tip @ down
+    a = along**2 - square
+    b = square * (scan.unit @ tip) - along * height
+    c = height**2 - square * (tip @ tip)
+    root = np.sqrt(np.where(b**2 > a * c, b**2 - a * c, np.nan))
+    both = np.stack([(-b - root) / a, (-b + root) / a])
+    below = (both * along - height > 0) & (both > 0)
+    image = exact_shapes.image(scan, np.min(np.where(below, both, np.nan), axis=0))
+    request = {"kind": "profile", "region": [0, 0, 23, 23]}
+    found = measuring.measured(page.recording_of(image, name="cone.nc"), request)
+    ends = (np.array(found["axis"]) - tip) @ down
+    diameters = {line["label"]: line["value"] for line in found["lines"]}
+    assert diameters["base diameter"] == pytest.approx(2 * tangent * ends[0], abs=1e-6)
+    assert diameters["rim diameter"] == pytest.approx(2 * tangent * ends[1], abs=1e-6)
+    assert diameters["largest diameter"] == diameters["base diameter"]
+    assert diameters["axis tilt"] == pytest.approx(np.arccos(down[1]), abs=1e-6)
+    profile = found["profile"]
+    assert profile["height"][-1] == pytest.approx(ends[0] - ends[1], abs=1e-6)
+    assert len(profile["radius"]) == len(profile["uncertainty"])
+    board = {"kind": "profile", "region": [0, 0, 1, 1]}
+    with pytest.raises(CubeError, match="60"):
+        measuring.measured(page.recording_of(image, name="cone.nc"), board)

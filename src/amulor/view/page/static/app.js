@@ -1,9 +1,11 @@
 // Page of a scan: the view, the pixel under the pointer, and the links between all panels.
 
+import { boxContent, boxFrom, boxText, ClipBox, inside } from "./clip.js";
 import { CloudView } from "./cloud.js";
 import { $, inkOf, made } from "./dom.js";
 import { Live } from "./live.js";
 import { fitted, MapView } from "./map.js";
+import { Notes } from "./notes.js";
 import { Page } from "./page.js";
 import { failed, say, showLegend, showReadout, unsay } from "./panel.js";
 import { download } from "./picture.js";
@@ -41,6 +43,7 @@ const state = {
   profileLayer: "range",
   spectrum: /** @type {any} */ (null),
   digest: "",
+  annotations: /** @type {import("./notes.js").Annotation[]} */ ([]),
   contour: 0,
   look: { light: [0, 0, 0], relief: 1, contour: 0, raw: false },
   tables: {},
@@ -58,6 +61,48 @@ const page = new Page(state, {
 });
 const views = {};
 const stage = new Stage(resized);
+const clip = new ClipBox(() => page.redraw());
+
+const notes = new Notes(state.source, {
+  view: presentView,
+  show: (view) => showView(view).catch(failed),
+  pixel: () => {
+    const [row, column] = state.cursor ?? [];
+    return row === undefined ? null : { channel: state.scene.channel, row, column };
+  },
+  go: ({ row, column }) => {
+    state.pinned = [row, column];
+    point([row, column]);
+  },
+  changed: () => page.redraw(),
+});
+
+/** Return map, limits, camera and clip box, to be saved. */
+function presentView() {
+  const { turn, rise, distance, target, orthographic } = views.cloud.camera;
+  return {
+    channel: state.scene.channel,
+    layer: state.layerName,
+    limits: state.ownLimits.get(state.layerName.replace("_before", "")) ?? null,
+    camera: { turn, rise, distance, target: [...target], orthographic },
+    clip: boxContent(clip.box),
+  };
+}
+
+/** Show a saved view. */
+async function showView({ channel, layer, limits, camera, clip: box }) {
+  if (channel !== state.scene.channel && state.scene.channels.includes(channel))
+    await opened(channel);
+  const raw = layer.endsWith("_before");
+  if (raw !== state.raw) await water(raw);
+  if (state.scene.byName.has(layer)) await show(layer);
+  page.limit(state.layerName, limits);
+  clip.set(boxFrom(box));
+  clip.show(Boolean(box));
+  Object.assign(views.cloud.camera, camera, { target: [...camera.target] });
+  $("ortho").setAttribute("aria-pressed", String(camera.orthographic));
+  page.redraw();
+}
 
 /** Put the surface in view again, and draw everything at its new size. */
 function resized() {
@@ -71,6 +116,7 @@ function draw() {
   const { colours } = page;
   if (!scene?.maps.has(state.layerName)) return;
   light();
+  state.annotations = notes.content.annotations;
   try {
     for (const name of ["map", "cloud"]) {
       if (!stage.shows(name)) continue;
@@ -134,6 +180,7 @@ function light() {
   state.look.contour = Number($("contour").value);
   state.look.raw = shownRaw();
   state.look.averaged = $("averaged").checked;
+  state.look.clip = clip.box;
 }
 
 function shownRaw() {
@@ -462,6 +509,11 @@ async function picked(pixel) {
     page.hint("Measuring is on the corrected picture: the water signal is removed from it.", true);
     return;
   }
+  const place = state.scene.point(...pixel);
+  if (place && !inside(place, clip.box)) {
+    page.hint("This pixel is outside the clip box.", true);
+    return;
+  }
   const { picks } = state;
   const [first] = picks;
   const again = first?.[0] === pixel[0] && first[1] === pixel[1];
@@ -480,8 +532,9 @@ async function finish() {
     page.hint(tool.hint, true);
     return;
   }
-  const around = tools.circumstances(state);
-  const answer = tools.measured(state, tool, picks, region);
+  const box = boxContent(clip.box);
+  const around = { ...tools.circumstances(state), clip: boxText(clip.box) };
+  const answer = tools.measured(state, tool, { picks, region, box });
   state.picks = [];
   state.region = null;
   page.hint("Measuring…");
@@ -620,8 +673,12 @@ function sheet() {
     bar: flags ? null : page.bar(layer, unitOf(layer)),
     rows: state.measurements.map(tools.tabled),
     notes: [
+      ...state.annotations.map(
+        ({ name, text, row, column }) => `${name} (row ${row}, column ${column}): ${text}`,
+      ),
       ...scene.notes,
       ...(flags ? [[...$("legend").children].map((one) => one.textContent).join("; ")] : []),
+      ...(clip.box ? [`Clip box: ${boxText(clip.box)}.`] : []),
       ...($("light").checked || state.look.contour ? [$("light-note").textContent] : []),
     ],
   };
@@ -679,6 +736,9 @@ const KEYS = {
   },
   o: () => page.orthographic(views.cloud.camera),
   v: pointsOrSurface,
+  b: clipping,
+  c: () => notes.saveView(),
+  t: () => notes.annotate(),
   f: () => views.cloud.front(),
   d: () => page.otherTheme(),
   s: () => page.save(),
@@ -695,6 +755,12 @@ const KEYS = {
   Escape: () => page.choose(null),
   Enter: entered,
 };
+
+/** Open or close the clip box. */
+function clipping() {
+  stage.need("cloud");
+  clip.toggle(views.cloud.spread(state.scene));
+}
 
 /** Switch between the surface through the pixels and points only. */
 function pointsOrSurface() {
@@ -763,6 +829,7 @@ function wired() {
       narrow,
       ortho: KEYS.o,
       points: KEYS.v,
+      clip: KEYS.b,
       front: KEYS.f,
       home: KEYS.r,
       "profile-csv": csv,
@@ -862,6 +929,7 @@ async function main() {
   };
   views.map = new MapView($("map"), { hover, pick: picked, drag: dragged });
   views.cloud = new CloudView($("cloud"), {
+    clip,
     hover: (pixel) => pixel && hover(pixel),
     pick: picked,
     changed: () => {
@@ -874,6 +942,7 @@ async function main() {
   wired();
   await opened();
   state.record.open(state.scene.name);
+  await notes.open(state.scene.name).catch(failed);
   if (state.scene.live) state.live = new Live($("scan-card"), forLive);
   const products = new Products($("order"), {
     source: state.source,

@@ -3,7 +3,7 @@
 import { Camera, extent, projected } from "./camera.js";
 import { inkOf, over, ratioOf, spotOn } from "./dom.js";
 import { clearedOver } from "./map.js";
-import { axes, chain, chains, dot, halo, polyline, scaleBar } from "./marks.js";
+import { annotated, axes, chain, chains, dot, halo, polyline, scaleBar } from "./marks.js";
 import { Motion, turnable } from "./turning.js";
 
 /** Number of pixels drawn at rest, and smallest number while the view moves. */
@@ -22,7 +22,7 @@ const AXES = [
 
 /** View of a scan's surface or points, which reports the pixel under the pointer. */
 export class CloudView {
-  constructor(canvas, { hover, pick, changed }) {
+  constructor(canvas, { hover, pick, changed, clip }) {
     this.canvas = canvas;
     this.context = inkOf(canvas);
     this.over = inkOf(over(canvas));
@@ -37,6 +37,8 @@ export class CloudView {
     this.moving = 250000;
     this.pacing = false;
     this.points = false;
+    this.clip = clip;
+    const spotOf = (point) => this.#spot(point);
     turnable(canvas, this.camera, {
       moved: () => this.motion.moved(),
       hover: (event) => {
@@ -44,6 +46,7 @@ export class CloudView {
           hover(this.seen(event));
         }
       },
+      grab: (event) => this.clip.grab(canvas, spotOf, event),
       pick: (event) => {
         const pixel = this.seen(event);
         if (pixel) pick(pixel);
@@ -57,9 +60,9 @@ export class CloudView {
     return (width * this.canvas.clientHeight) / Math.max(this.canvas.clientWidth, 1);
   }
 
-  /** Show a whole scene. */
-  home(scene, shape = scene.main) {
-    const places = [];
+  /** Return an even part of the points of a scene. */
+  spread(scene, shape = scene.main) {
+    const places = /** @type {import("./camera.js").Point[]} */ ([]);
     const step = Math.max(1, Math.floor(Math.sqrt((scene.wide * scene.high) / 3000)));
     for (let row = 0; row < scene.high; row += step) {
       for (let column = 0; column < scene.wide; column += step) {
@@ -69,6 +72,12 @@ export class CloudView {
         if (point && Number.isFinite(scene.value(scene.main, ...pixel))) places.push(point);
       }
     }
+    return places;
+  }
+
+  /** Show a whole scene. */
+  home(scene, shape = scene.main) {
+    const places = this.spread(scene, shape);
     if (!places.length) {
       for (const pixel of [
         [0, 0],
@@ -241,8 +250,10 @@ export class CloudView {
     const ratio = ratioOf(this.canvas);
     const shape = shapeOf(state);
     const spotOf = (pixel) => this.#spot(state.scene.point(...pixel, shape));
+    this.clip.draw(ctx, (point) => this.#spot(point), ratio, colours);
     this.#rectangles(state, colours, ratio);
     chains(ctx, state, spotOf, ratio, colours);
+    annotated(ctx, state.annotations, spotOf, ratio, colours);
     axes(ctx, camera, AXES, ratio, colours);
     if (camera.orthographic)
       this.bar = scaleBar(ctx, ctx.canvas.height / camera.span(), ratio, colours);

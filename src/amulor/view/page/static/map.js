@@ -2,7 +2,7 @@
 
 import { inkOf, over, ratioOf, spotOn } from "./dom.js";
 import { interpolated } from "./geometry.js";
-import { chain, dot, halo, mapAxes, polyline, scaleBar } from "./marks.js";
+import { annotated, chain, dot, halo, mapAxes, polyline, scaleBar } from "./marks.js";
 import { ticks, withUnit } from "./text.js";
 
 /** Fit a canvas to its size on the screen; return whether it changed. */
@@ -234,6 +234,8 @@ export class MapView {
       const strong = kept === state.chosen;
       this.#shape(scene, { ...kept, strong, text: state.texts?.(kept) }, colours, ratio);
     }
+    const spotOf = (pixel) => this.spot(scene, pixel);
+    annotated(ctx, state.annotations, spotOf, ratio, colours);
     const { tool: kind, picks, region } = state;
     if (picks.length || region) {
       this.#shape(scene, { kind, picks, region, strong: true }, colours, ratio);

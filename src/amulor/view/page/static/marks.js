@@ -90,6 +90,16 @@ export function chains(ctx, state, spotOf, ratio, colours) {
   }
 }
 
+/** Draw the names of annotations at their pixels. */
+export function annotated(ctx, annotations, spotOf, ratio, colours) {
+  for (const { name, row, column } of annotations) {
+    const spot = spotOf([row, column]);
+    if (!spot) continue;
+    dot(ctx, spot, 3.5 * ratio, colours);
+    tag(ctx, name, [spot[0] + 8 * ratio, spot[1] + 12 * ratio], ratio, colours);
+  }
+}
+
 /** Draw three labeled axes, in camera directions, in a corner of the view. */
 export function axes(ctx, camera, named, ratio, colours) {
   const { right, up, forward } = camera.frame();

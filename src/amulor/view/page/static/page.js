@@ -205,6 +205,8 @@ export class Page {
       if (pressing(event) || numbered(Number(event.key) - 1)) return undefined;
       const act = keys[event.key] ?? keys[event.key.toLowerCase()];
       if (!act) return undefined;
+      // A field that the key opens does not get the letter.
+      event.preventDefault();
       act();
       return this.redraw();
     });
@@ -224,7 +226,8 @@ export class Page {
 
 /** Return whether a key belongs to an input field, a dialog, or the browser. */
 function elsewhere({ ctrlKey, metaKey, altKey, target }) {
-  const field = target instanceof HTMLInputElement || target instanceof HTMLSelectElement;
+  const fields = [HTMLInputElement, HTMLSelectElement, HTMLTextAreaElement];
+  const field = fields.some((kind) => target instanceof kind);
   return ctrlKey || metaKey || altKey || field || document.querySelector("dialog[open]");
 }
 

@@ -89,7 +89,8 @@ export function wireRecord(state, { download, hint, stem, text, rows, content })
       !(event.ctrlKey || event.metaKey) ||
       event.shiftKey ||
       event.key.toLowerCase() !== "z" ||
-      event.target instanceof HTMLInputElement
+      event.target instanceof HTMLInputElement ||
+      event.target instanceof HTMLTextAreaElement
     )
       return;
     event.preventDefault();

@@ -289,9 +289,17 @@ export class Scene {
         uRelief: ["1f", look.relief],
         uContour: ["1f", look.contour],
         uGround: ["3f", ...look.ground],
+        uClipped: ["1i", look.clip ? 1 : 0],
+        uLow: ["3f", ...bounded(look.clip?.low ?? [0, 0, 0])],
+        uHigh: ["3f", ...bounded(look.clip?.high ?? [0, 0, 0])],
       },
     };
   }
+}
+
+/** Return limits as numbers that every GPU compares. */
+function bounded(ends) {
+  return ends.map((value) => Math.min(Math.max(value, -1e9), 1e9));
 }
 
 function shares(nodes, count, stride) {

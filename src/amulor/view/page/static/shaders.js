@@ -16,6 +16,11 @@ uniform sampler2D uAim;      // direction, elevation
 uniform sampler2D uRows;     // for every row: node before, share of the next
 uniform sampler2D uColumns;
 uniform ivec2 uSize;         // columns, rows
+uniform bool uClipped;       // only what is inside the clip box is drawn
+uniform vec3 uLow;
+uniform vec3 uHigh;
+
+bool clipped(vec3 p) { return uClipped && (any(lessThan(p, uLow)) || any(greaterThan(p, uHigh))); }
 
 float rangeAt(sampler2D map, ivec2 at) { return texelFetch(map, at, 0).r; }
 
@@ -126,6 +131,7 @@ void main() {
     float a = band(right), b = band(under);
     if ((a != own && a < 1e8) || (b != own && b < 1e8)) c = mix(c, vec3(0.02, 0.07, 0.1), 0.75);
   }
+  if (uClipped && there && clipped(place(pixel, rangeAt(uRange, pixel)))) c = mix(c, uGround, 0.85);
   colour = vec4(c, 1.0);
 }`,
 };
@@ -137,6 +143,7 @@ uniform int uStride;
 uniform int uAcross;          // cells of a row at this stride
 uniform bool uAveraged;       // vertices on the surface that the light falls on
 out vec4 vColour;
+out vec3 vPlace;
 
 // Whether the surface steps between two pixels of a row (bit 1) or of a column (bit 2).
 bool parted(ivec2 at, ivec2 end, int bit) {
@@ -166,20 +173,28 @@ void main() {
   bool there = second ? below && (fall ? left : right) : above && (fall ? right : left);
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   vColour = vec4(0.0);
+  vPlace = vec3(0.0);
   if (!there) return;
   ivec2 first[3] = ivec2[3](a, b, fall ? d : c);
   ivec2 last[3] = ivec2[3](fall ? a : b, d, c);
   ivec2 at = second ? last[corner - 3] : first[corner];
-  gl_Position = uProject * vec4(place(at, rangeAt(uRange, at)), 1.0);
-  if (uAveraged) gl_Position = uProject * vec4(place(at, rangeAt(uSmooth, at)), 1.0);
+  vPlace = place(at, uAveraged ? rangeAt(uSmooth, at) : rangeAt(uRange, at));
+  gl_Position = uProject * vec4(vPlace, 1.0);
   vec3 shown = coloured(texelFetch(uLayer, at, 0).r);
   if (uKind != 1) shown *= lit(at);
   vColour = vec4(shown, 1.0);
 }`,
   fragment: `${HEADER}
+uniform bool uClipped;
+uniform vec3 uLow;
+uniform vec3 uHigh;
 in vec4 vColour;
+in vec3 vPlace;
 out vec4 colour;
-void main() { colour = vColour; }`,
+void main() {
+  if (uClipped && (any(lessThan(vPlace, uLow)) || any(greaterThan(vPlace, uHigh)))) discard;
+  colour = vColour;
+}`,
 };
 
 export const CLOUD = {
@@ -206,7 +221,14 @@ void main() {
     return;
   }
   if (uAveraged) range = rangeAt(uSmooth, at);
-  gl_Position = uProject * vec4(place(at, range), 1.0);
+  vec3 spot = place(at, range);
+  gl_Position = uProject * vec4(spot, 1.0);
+  if (clipped(spot)) {
+    gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+    gl_PointSize = 0.0;
+    vColour = vec4(0.0);
+    return;
+  }
   float size = uShrinks ? uDot / max(gl_Position.w, 1e-6) : uDot;
   gl_PointSize = clamp(size, 1.4, 64.0);
   if (uPick) {

@@ -47,6 +47,15 @@ class Served {
     return (await this.#post("save", { measurements, limits })).blob();
   }
 
+  /** Return the saved views and annotations. */
+  async notes() {
+    return (await this.#answer("notes")).json();
+  }
+
+  async keepNotes(content) {
+    return (await this.#post("notes", content)).json();
+  }
+
   /** Return the digest of the data file; empty without a file. */
   async digest() {
     return (await this.#answer("digest")).json();
@@ -89,6 +98,7 @@ class Saved {
     this.measurements = content.measurements;
     this.limits = content.limits;
     this.digest = async () => content.digest ?? "";
+    this.notes = async () => ({ ...content.notes, file: null });
   }
 
   async scene(channel) {

@@ -95,7 +95,7 @@ function baseOf({ measurements, chosen, scene }) {
 }
 
 /** Compute a measurement from its picks, by the server or in the page. */
-export async function measured(state, tool, picks, region) {
+export async function measured(state, tool, { picks, region, box }) {
   const { scene, source } = state;
   if (source.saved && (tool.kind === "distance" || tool.axis) && state.average === 0) {
     await Promise.all(
@@ -113,6 +113,7 @@ export async function measured(state, tool, picks, region) {
   };
   if (tool.axis) request.axis = tool.axis;
   if (tool.base) request.base = baseOf(state);
+  if (box) request.clip = box;
   if (region) request.region = region;
   else request.pixels = picks;
   return source.measure(request);
@@ -197,7 +198,7 @@ export function tabled(kept) {
     name: kept.name ?? "",
     measurement: toolOf(kept.kind).name,
     result: main.join("; "),
-    details: rests,
+    details: [rests, kept.clip && `clip box ${kept.clip}`].filter(Boolean).join(" · "),
     channel: channelOf(kept),
     "right, down, forward [mm]": place ?? "",
   };
@@ -232,6 +233,7 @@ export function asRows(state) {
       water: kept.water,
       map: kept.map,
       averaged: kept.averaged,
+      clip_box: kept.clip,
       group_index: found.group_index,
       where_row_column: where(kept),
       place_right_m: kept.place?.[0],
@@ -280,6 +282,7 @@ export function asText(state) {
       kept.water && `water ${kept.water}`,
       kept.map && `map ${kept.map.toLowerCase()}`,
       kept.averaged && `means of ${kept.averaged} pixels`,
+      kept.clip && `clip box ${kept.clip}`,
     ];
     lines.push(`   ${around.filter(Boolean).join(", ")}`);
   }

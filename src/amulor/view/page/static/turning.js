@@ -1,6 +1,7 @@
 // Control of a 3D view: drag rotates, Shift or two fingers move, the wheel zooms.
 
-/** @typedef {{x: number, y: number, moved: number}} Pointer */
+/** @typedef {(event: PointerEvent) => void} Pull */
+/** @typedef {{x: number, y: number, moved: number, pull?: Pull | null}} Pointer */
 /**
  * Functions called after a motion of the view, a hover, a pick and a double click.
  * @typedef {object} Acts
@@ -8,6 +9,8 @@
  * @property {(event: PointerEvent) => void} hover
  * @property {(event: PointerEvent) => void} pick
  * @property {() => void} home
+ * @property {(event: PointerEvent) => ((event: PointerEvent) => void) | null} [grab] a part of the
+ * view under the pointer, which the pointer then moves
  */
 
 /** Time after the last motion during which a view counts as moving [ms]. */
@@ -48,7 +51,7 @@ export class Motion {
  * @param {import("./camera.js").Camera} camera
  * @param {Acts} acts
  */
-export function turnable(canvas, camera, { moved, hover, pick, home }) {
+export function turnable(canvas, camera, { moved, hover, pick, home, grab }) {
   /** @type {Map<number, Pointer>} */
   const pointers = new Map();
   canvas.addEventListener(
@@ -60,13 +63,15 @@ export function turnable(canvas, camera, { moved, hover, pick, home }) {
     },
     { passive: false },
   );
-  canvas.addEventListener("pointerdown", ({ pointerId, clientX, clientY }) => {
+  canvas.addEventListener("pointerdown", (event) => {
+    const { pointerId, clientX, clientY } = event;
     canvas.setPointerCapture(pointerId);
-    pointers.set(pointerId, { x: clientX, y: clientY, moved: 0 });
+    pointers.set(pointerId, { x: clientX, y: clientY, moved: 0, pull: grab?.(event) });
   });
   canvas.addEventListener("pointermove", (event) => {
     const pointer = pointers.get(event.pointerId);
     if (!pointer) return hover(event);
+    if (pointer.pull) return pointer.pull(event);
     const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
     dragged(camera, pointer, other, event, canvas.clientHeight);
     return moved();
@@ -75,7 +80,7 @@ export function turnable(canvas, camera, { moved, hover, pick, home }) {
   canvas.addEventListener("pointerup", (event) => {
     const pointer = pointers.get(event.pointerId);
     pointers.delete(event.pointerId);
-    if (pointer && pointer.moved < 6) pick(event);
+    if (pointer && !pointer.pull && pointer.moved < 6) pick(event);
   });
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("dblclick", () => {
