@@ -9,8 +9,6 @@ number of further sites is measured, and the campaign goes on where it ended. Wi
 number the table of all rows is printed. `--redo` measures rows of other versions again.
 
 `--first 1000` draws from that number on.
-`python benchmarks/measure_sites.py 10 --large` registers one site of 10 scans with a
-million pixels each, and prints its processor time and peak memory.
 """
 
 from __future__ import annotations
@@ -21,10 +19,7 @@ import csv
 import dataclasses
 import hashlib
 import itertools
-import resource
-import subprocess
 import sys
-import tempfile
 import time
 import warnings
 from collections.abc import Callable
@@ -44,7 +39,6 @@ from amulor.errors import AmulorError  # noqa: E402
 from amulor.io.files import atomic_output  # noqa: E402
 from amulor.site.registration.pose import start_pose  # noqa: E402
 from amulor.site.registration.register import register  # noqa: E402
-from amulor.site.registration.result import read_registration  # noqa: E402
 
 TABLE = HERE / "sites.csv"
 KINDS = ("bed", "wall", "amphorae", "corner", "plane")
@@ -261,63 +255,6 @@ def measured(number: int) -> dict[str, Any]:
     return row
 
 
-class _Images(dict[str, Any]):
-    """Range images of a bed, computed when needed; the largest site fills no memory."""
-
-    def __init__(self, stations: dict[str, Any], rows: int) -> None:
-        super().__init__()
-        self.stations, self.rows = stations, rows
-        self.rng = np.random.default_rng([42, rows])
-        self.scene, self.drawn = oracle.bed(self.rng), oracle.Drawn(self.rng)
-        self.beams = oracle.grid(rows, rows * 4 // 3)[2]
-
-    def __missing__(self, name: str) -> Any:
-        noise = oracle.Noise()
-        true = oracle.cast(self.scene, self.stations[name], self.beams)
-        distance = oracle.measured(true, noise, self.drawn, scan=name, visit="one")
-        return drawn_sites.range_image(
-            distance, self.rows, self.rows * 4 // 3, noise=noise, name=name
-        )
-
-
-def measured_large(count: int, rows: int = 866) -> None:
-    """Register a site of many large scans; print time, memory and errors."""
-    rng = np.random.default_rng([42, count])
-    places = oracle.ring(count, rng)
-    stations = {f"a{k + 1}": place for k, place in enumerate(places)}
-    starts = {
-        name: oracle.start_of(place, rng, position=0.05, angle=0.03)
-        for name, place in stations.items()
-    }
-    starts["a1"] = oracle.start_of(
-        stations["a1"], rng,
-        position=drawn_sites.SURVEYED[0], angle=drawn_sites.SURVEYED[1],
-    )  # fmt: skip
-    scene = oracle.Bed()
-    small = drawn_sites.drawn_site(
-        {"one": scene}, {"one": stations}, starts, rng, rows=30
-    )
-    site = dataclasses.replace(small, images=_Images(stations, rows))
-    with tempfile.TemporaryDirectory() as name:
-        path = drawn_sites.written(site, Path(name))
-        poses = Path(name) / "poses.json"
-        command = [sys.executable, "-m", "amulor", "site", "register", str(path)]
-        begin = time.monotonic()
-        subprocess.run([*command, "-o", str(poses)], check=True)
-        elapsed = time.monotonic() - begin
-        used = resource.getrusage(resource.RUSAGE_CHILDREN)
-        result = read_registration(poses)
-    off = [
-        np.linalg.norm(result.poses[name].position - station.place)
-        for name, station in stations.items()
-    ]
-    print(
-        f"{count} scans of {rows * (rows * 4 // 3)} pixels: {elapsed:.0f} s, "
-        f"{used.ru_utime + used.ru_stime:.0f} s of processor time, peak memory "
-        f"{used.ru_maxrss / 2**20:.2f} GiB, largest error {1e3 * max(off):.2f} mm"
-    )
-
-
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     """Turn of a rotation [rad]."""
     angle = oracle.angle_between(np.eye(3), matrix)
@@ -402,15 +339,11 @@ def main() -> None:
     """Measure further sites, or print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("count", type=int, nargs="?", default=0)
-    parser.add_argument("--large", action="store_true")
     parser.add_argument("--redo", action="store_true")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=1150.0)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    if options.large:
-        measured_large(options.count)
-        return
     go_on(TABLE, COLUMNS, measured, options)
     table(rows_of(TABLE))
 
