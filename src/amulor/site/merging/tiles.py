@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
@@ -62,8 +63,8 @@ def write_tiles(
     world = np.array(cloud.site.frame.crs_offset)
     offset = world + np.round(place.mean(axis=0)) if not world.any() else world
     brightest = max(float(cloud.intensity.max(initial=0.0)), cloud.brightest) or 1.0
-    suffix = f"_{epoch}" if epoch is not None else ""
-    written: dict[tuple[int, int], tuple[Path, Any]] = {}
+    written: dict[tuple[int, int], Path] = {}
+    count: Counter[tuple[int, int]] = Counter()
     with ExitStack() as stack:
         for piece in pieces or [cloud]:
             _check_reach(folder, piece.position + world - offset)
@@ -78,28 +79,24 @@ def write_tiles(
                 at = np.flatnonzero(selected & (cell == corner).all(axis=1))
                 points = _tile(laspy, piece, at, offset, world, brightest)
                 key = (int(corner[0]), int(corner[1]))
-                if key not in written:
-                    name = f"tile_{key[0]:+04d}_{key[1]:+04d}{suffix}.laz"
-                    temporary = stack.enter_context(
-                        atomic_output(folder / name, overwrite=overwrite)
+                if key in written:
+                    with laspy.open(written[key], mode="a") as file:
+                        file.append_points(points.points)
+                else:
+                    path = folder / _name(key, epoch)
+                    written[key] = stack.enter_context(
+                        atomic_output(path, overwrite=overwrite)
                     )
-                    stream = stack.enter_context(temporary.open("wb+"))
-                    writer = stack.enter_context(
-                        laspy.open(
-                            stream, mode="w", header=points.header, do_compress=True,
-                            closefd=False,
-                        )
-                    )  # fmt: skip
-                    written[key] = folder / name, writer
-                written[key][1].write_points(points.points)
-        listed = {
-            path.name: {
-                "points": int(writer.header.point_count),
-                "west_south_m": [float(v) for v in np.array(corner) * size],
-                "size_m": size,
-            }
-            for corner, (path, writer) in sorted(written.items())
+                    points.write(written[key])
+                count[key] += len(at)
+    listed = {
+        _name(key, epoch): {
+            "points": count[key],
+            "west_south_m": [float(v) for v in np.array(key) * size],
+            "size_m": size,
         }
+        for key in sorted(written)
+    }
     names = [folder / name for name in listed]
     about = {
         "site": cloud.site.name,
@@ -112,6 +109,12 @@ def write_tiles(
     with atomic_output(index, overwrite=overwrite) as temporary:
         temporary.write_text(json.dumps(about, indent=1))
     return names
+
+
+def _name(corner: tuple[int, int], epoch: str | None) -> str:
+    """Return the name of a tile's file."""
+    suffix = f"_{epoch}" if epoch is not None else ""
+    return f"tile_{corner[0]:+04d}_{corner[1]:+04d}{suffix}.laz"
 
 
 def _check_reach(folder: Path, away: NDArray[np.float64]) -> None:
