@@ -75,6 +75,7 @@ TABLES: list[tuple[str, type[BaseModel], str | None]] = [
             "walk": "Walk",
             "reflection": "Reflection",
             "crosstalk": "Crosstalk",
+            "temperature": "TemperatureError",
             "scale_change": "ScaleChange",
             "demodulator": "Demodulator",
             "noise": "OutputNoise",

@@ -1,7 +1,12 @@
 """Acquisition of a measurement cube with an instrument, real or simulated."""
 
 from amulor.acquisition.cube.build import build, recover
-from amulor.acquisition.cube.calibrate import from_plates, from_reference, from_shutter
+from amulor.acquisition.cube.calibrate import (
+    from_plates,
+    from_reference,
+    from_shutter,
+    from_temperatures,
+)
 from amulor.acquisition.cube.calibration import Calibration, calibrated
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.run import Control, Outcome, Progress, acquire
@@ -20,5 +25,6 @@ __all__ = [
     "from_plates",
     "from_reference",
     "from_shutter",
+    "from_temperatures",
     "recover",
 ]

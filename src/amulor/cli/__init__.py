@@ -71,6 +71,10 @@ COMMANDS = {
         "calibrate:reference",
         "Record the phase of a standing reference; without a cube, print the steps.",
     ),
+    "calibrate temperature": (
+        "calibrate:temperature",
+        "Measure the phase against temperature; without cubes, print the steps.",
+    ),
     "calibrate plate": (
         "calibrate:plate",
         "Measure phase zero with plates at distances; without cubes, print the steps.",
@@ -141,7 +145,8 @@ COMMANDS = {
 #: Commands by the task of the user, in the order of `amulor --help`.
 TOPICS = {
     "measure": (
-        "calibrate leakage", "calibrate reference", "calibrate plate",
+        "calibrate leakage", "calibrate reference", "calibrate temperature",
+        "calibrate plate",
         "acquire", "watch", "recover", "devices simulate",
         "import transients", "import recordings",
     ),
@@ -167,6 +172,11 @@ EXAMPLES = {
     ),
     "calibrate reference": (
         "amulor calibrate reference plate-1/cube.nc -o reference.toml",
+        "amulor calibrate plate",
+    ),
+    "calibrate temperature": (
+        "amulor calibrate temperature run-10.nc run-20.nc run-30.nc "
+        "-o temperature.toml",
         "amulor calibrate plate",
     ),
     "calibrate plate": (

@@ -61,6 +61,23 @@ The phase of a standing reference shows the drift of the instrument before each 
 Later scans are corrected to the phase of this day, so that drift since then, by age or
 temperature, does not change their ranges."""
 
+_TEMPERATURE_STEPS = """\
+Phases depend on the temperature of the instrument: cables, laser and detector.
+  1. Fix a plate at right angles to the beam. Only the temperature of the instrument may
+     change; in a tank, the temperature of the water stays constant.
+  2. Warm or cool the instrument, and wait until its temperature is constant.
+  3. State the temperature in the section [scan] of a copy of the survey, such as
+     instrument_temperature = "15 degC", and acquire the plate:
+     amulor acquire plate-15.toml --devices devices.toml -o run-15 \\
+         --calibration leakage.toml
+  4. amulor reject run-15/cube.nc --method open-water -o run-15.nc
+  5. Repeat steps 2 to 4 at two or more other temperatures. Span those of the scans.
+  6. amulor calibrate temperature run-15.nc run-20.nc run-25.nc -o temperature.toml
+  7. Go on with: amulor calibrate plate
+     Acquire its plates with --calibration temperature.toml
+State instrument_temperature in the survey of each later scan. Without it, the error
+contains the effect of all temperatures of the run."""
+
 
 def leakage(
     *cubes: Path,
@@ -127,6 +144,40 @@ def reference(
     _measure(
         cubes, output, lambda scans: acquisition.from_reference(scans[0]),
         replaced="reference", calibration=calibration, overwrite=overwrite, json=json,
+    )  # fmt: skip
+
+
+def temperature(
+    *cubes: Path,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    calibration: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Measure the phase against temperature; without cubes, print the steps.
+
+    Parameters
+    ----------
+    cubes
+        Target signals of a fixed plate, from "amulor reject" (netCDF), at three or more
+        temperatures that their surveys state.
+    output
+        Calibration file to write (TOML). Its plot is written beside it (PNG).
+    calibration
+        Calibration file whose leakage is copied to the output (TOML).
+    overwrite
+        Replace existing files.
+    json
+        Print the result as JSON.
+    """
+    if not cubes:
+        print(_TEMPERATURE_STEPS)
+        return
+    from amulor import acquisition
+
+    _measure(
+        cubes, output, acquisition.from_temperatures,
+        replaced="temperature", calibration=calibration, overwrite=overwrite, json=json,
     )  # fmt: skip
 
 
@@ -233,8 +284,16 @@ def _measure(
     with refusing():
         result = measure([io.read_cube(path) for path in cubes])
     if calibration is not None:
-        update = {"date": result.date, replaced: getattr(result, replaced)}
         earlier = acquisition.Calibration.from_toml(calibration)
+        if replaced == "temperature" and earlier.frequencies:
+            raise UsageError(
+                f"{calibration} has phases of a plate, which refer to another "
+                "temperature; calibrate the temperature first, and then the plate"
+            )
+        update = {"date": result.date, replaced: getattr(result, replaced)}
+        update["reference_temperature"] = (
+            result.reference_temperature or earlier.reference_temperature
+        )
         result = earlier.model_copy(update=update)
     digests = tuple(package.digest(path) for path in inputs)
     result = result.model_copy(update={"inputs": digests})
@@ -253,6 +312,7 @@ def _measure(
     print(f"{picture}: plot")
     _print_leakage(result)
     _print_reference(result)
+    _print_temperature(result)
     _print_phases(result)
     print_next(f"amulor recover scan --calibration {output} --overwrite")
 
@@ -289,6 +349,24 @@ def _print_reference(calibration: Calibration) -> None:
     ]
     header = ["", "phase", "u(phase)", "change"]
     print_table("Standing reference [rad]", header, rows)
+
+
+def _print_temperature(calibration: Calibration) -> None:
+    if not calibration.temperature:
+        return
+    rows = [
+        [
+            f"{entry.modulation_frequency / 1e6:g} MHz",
+            f"{1e3 * entry.phase_per_degree:+.3f}",
+            f"{1e3 * entry.uncertainty:.3f}",
+            f"{entry.phase_per_degree / entry.modulation_frequency / turn:+.2f}",
+        ]
+        for turn in [2e-12 * math.pi]
+        for entry in calibration.temperature
+    ]
+    header = ["", "phase", "u(phase)", "delay [ps]"]
+    print_table("Change per degree [mrad]", header, rows)
+    print(f"phases refer to {calibration.reference_temperature:.1f} degC")
 
 
 def _print_phases(calibration: Calibration) -> None:

@@ -616,6 +616,10 @@ INSTRUMENT_ATTRIBUTES = {
     "reference_time_s": "times of reference_drift_rad [s]",
     "leakage_uncertainty_volt": "standard uncertainty of the subtracted leakage, for "
     "each frequency [V]",
+    "temperature_delay_uncertainty_s": "standard uncertainty of the delay by the "
+    "instrument temperature, for each frequency [s]",
+    "temperature_recorded": "1 if the phases are corrected for the instrument "
+    "temperature, 0 if no temperature was recorded",
     "shutter": "`closed` in samples that were recorded with a closed shutter",
     "corner_light": "`present` or `absent`: whether the samples contain light that "
     "corners reflect twice. Default: absent in simulated samples, else present",

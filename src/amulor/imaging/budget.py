@@ -379,7 +379,8 @@ def instrument_term(
     """
     channel = observation.channel
     remaining = by_frequency(channel, "instrument_drift_uncertainty_s", 0.0)
-    drift = speed_of_light * float(np.sum(weight * remaining))
+    warmer = by_frequency(channel, "temperature_delay_uncertainty_s", 0.0)
+    drift = speed_of_light * np.hypot(weight @ remaining, weight @ warmer)
     phases = instrument_phase(channel, observation.survey)
     if observation.frequency_phase is not None:
         phases = with_deviations(phases, observation.frequency_phase)
@@ -473,6 +474,8 @@ def _delay_uncertainty(
             return None
         changes.append(calibration.delay_growth * abs(age))
     warmer = calibration.instrument_temperature_uncertainty
+    if "temperature_delay_uncertainty_s" in attributes:
+        warmer = None
     if calibration.delay_per_degree is not None and warmer is not None:
         changes.append(calibration.delay_per_degree * warmer)
     return math.hypot(*changes)

@@ -13,7 +13,11 @@ from amulor.optics._geometry import Geometry
 from amulor.survey import Survey
 from amulor.survey.calibration import Calibration
 from amulor.survey.counting import reference_variance
-from amulor.survey.properties import group_index_uncertainty, phase_uncertainty
+from amulor.survey.properties import (
+    TEMPERATURE_UNCERTAINTY,
+    group_index_uncertainty,
+    phase_uncertainty,
+)
 from amulor.survey.view import medium_of
 
 #: Uncertainty of a distance by tape measure, and of each receiver coordinate [m].
@@ -22,6 +26,8 @@ TAPE = 1e-3
 _ALIGNED = math.radians(0.05)
 #: Drift of the delay in a scan, of 10 to 100 ps in the first hour [s].
 _DRIFT = 30e-12
+#: Change of the delay per degree: 10 m of coaxial cable at 100 ppm [s].
+_PER_DEGREE = 5e-12
 #: Phase error of a standing reference that the survey does not describe [rad].
 _READING = 1e-3
 #: Uncertainties of temperature [degC] and practical salinity [1] by common probes.
@@ -108,6 +114,7 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
             by_phase * reading,
             "amulor calibrate reference, phase to 1 mrad",
         ),
+        *_temperature_line(survey, by_delay),
         (
             "leakage, walk, harmonics",
             by_phase * phase_uncertainty(survey),
@@ -137,6 +144,33 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
             how=how,
         )
         for name, now, calibrated, how in lines
+    ]
+
+
+def _temperature_line(
+    survey: Survey, by_delay: float
+) -> list[tuple[str, float | None, float, str]]:
+    """Return the line of the temperature, if it is an error of its own.
+
+    A standing reference shows the effect of the temperature. A delay uncertainty that
+    applies to the time of the scan contains it.
+    """
+    stated = survey.calibration or Calibration()
+    warmer, slope = stated.instrument_temperature_uncertainty, stated.delay_per_degree
+    unknown = warmer is None or slope is None
+    if survey.scan.reference is not None or (
+        unknown and stated.delay_uncertainty is not None
+    ):
+        return []
+    recorded = survey.scan.instrument_temperature_uncertainty
+    error = TEMPERATURE_UNCERTAINTY if recorded is None else recorded
+    return [
+        (
+            "temperature",
+            None if warmer is None or slope is None else by_delay * slope * warmer,
+            by_delay * (_PER_DEGREE if slope is None else slope) * error,
+            f"amulor calibrate temperature, temperature to {error:g} degC",
+        )
     ]
 
 

@@ -337,6 +337,10 @@ class Chain:
         if errors.drift is not None:
             phase = 1j * errors.drift.phase + turn * errors.drift.delay
             signal = signal * np.exp(phase * self._course(time))
+        if errors.temperature is not None:
+            warm = errors.temperature
+            phase = 1j * warm.phase_per_degree + turn * warm.delay_per_degree
+            signal = signal * np.exp(phase * (warm.temperature - warm.reference))
         return signal
 
     def _demodulated(self, signal: Complex, time: Floats, white: _Draw) -> Complex:

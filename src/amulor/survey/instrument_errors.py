@@ -9,7 +9,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from amulor.survey.quantity import Angle, Description, Fraction, Time, Voltage
+from amulor.survey.quantity import (
+    Angle,
+    Description,
+    Fraction,
+    Temperature,
+    Time,
+    Voltage,
+)
 
 #: Measurements that have the error: scan and open-water references, or one of them.
 Part = Literal["all", "scan", "open_water"]
@@ -137,6 +144,19 @@ class Drift(Description):
     [s]."""
 
 
+class TemperatureError(Description):
+    """Phase error due to the temperature of the instrument."""
+
+    temperature: Annotated[Temperature, Field(ge=-60, le=100)]
+    """True temperature of the instrument [degC]."""
+    reference: Annotated[Temperature, Field(ge=-60, le=100)] = 20.0
+    """Temperature at which the phase error is zero [degC]."""
+    delay_per_degree: Annotated[Time, Field(ge=-1e-6, le=1e-6)] = 0.0
+    """Change of the delay per degree [s]."""
+    phase_per_degree: _Phase = 0.0
+    """Change of the phase per degree, equal for all frequencies [rad]."""
+
+
 class ScaleChange(Description):
     """Error of the demodulator that appears when it changes its input range."""
 
@@ -214,6 +234,8 @@ class InstrumentErrors(Description):
     """Reflection in a cable."""
     crosstalk: Crosstalk | None = None
     """Electrical crosstalk."""
+    temperature: TemperatureError | None = None
+    """Phase and delay that depend on the temperature of the instrument."""
     scale_change: ScaleChange | None = None
     """Change between input ranges of the demodulator."""
     demodulator: Demodulator | None = None

@@ -225,6 +225,10 @@ TYPICAL_PHASE_UNCERTAINTY = math.radians(0.5)
 PHASE_UNCERTAINTY_WITHOUT_LEAKAGE = math.radians(0.4)
 
 
+#: Default standard uncertainty of a recorded instrument temperature [degC].
+TEMPERATURE_UNCERTAINTY = 0.5
+
+
 def phase_uncertainty(survey: Survey, *, leakage_measured: bool = False) -> float:
     """Return the phase uncertainty of the instrument, stated or typical [rad]."""
     stated = survey.instrument.phase_uncertainty

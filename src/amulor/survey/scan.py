@@ -18,6 +18,7 @@ from amulor.survey.quantity import (
     Description,
     Length,
     Position,
+    Temperature,
     Time,
     Voltage,
 )
@@ -179,6 +180,14 @@ class Scan(Description):
     """Open-water reference measurements; none by default."""
     reference: StandingReference | None = None
     """Standing reference for the phase of the instrument; none by default."""
+    instrument_temperature: Annotated[Temperature, Field(ge=-60, le=100)] | None = None
+    """Temperature of the instrument during the scan, for a calibrated dependence of the
+    phase on it; not recorded by default [degC]."""
+    instrument_temperature_uncertainty: (
+        Annotated[Temperature, Field(ge=0, le=60)] | None
+    ) = None
+    """Standard uncertainty of the recorded instrument temperature; 0.5 degC by default
+    [degC]."""
 
 
 class Pose(Description):

@@ -1,4 +1,4 @@
-"""Figure of a calibration: leakage, drift, phase by frequency and by amplitude."""
+"""Figure of a calibration: leakage, drift, temperature, frequency, amplitude."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ def draw(calibration: Calibration) -> Figure:
         panels.append(_leakage)
     if calibration.reference:
         panels.append(_reference)
+    if calibration.temperature:
+        panels.append(_temperature)
     if calibration.frequencies:
         panels.append(_by_frequency)
         if any(len(entry.phases) > 1 for entry in calibration.frequencies):
@@ -75,6 +77,25 @@ def _reference(axis: Axes, calibration: Calibration) -> None:
     axis.set_title("Drift of the standing reference")
     axis.set_xlabel("time [min]")
     axis.set_ylabel("phase minus middle [mrad]")
+    axis.legend()
+
+
+def _temperature(axis: Axes, calibration: Calibration) -> None:
+    reference = calibration.reference_temperature
+    assert reference is not None
+    for entry in calibration.temperature:
+        warm = np.array(entry.temperatures)
+        ends = np.linspace(warm.min(), warm.max(), 50)
+        line = 1e3 * entry.phase_per_degree * (ends - reference)
+        error = 1e3 * entry.uncertainty * np.abs(ends - reference)
+        name = f"{entry.modulation_frequency / 1e6:g} MHz"
+        (drawn,) = axis.plot(ends, line, label=name)
+        color = drawn.get_color()
+        axis.fill_between(ends, line - error, line + error, color=color, alpha=0.2)
+        axis.plot(warm, 1e3 * np.array(entry.phases), "o", color=color, markersize=3)
+    axis.set_title("Phase against temperature")
+    axis.set_xlabel("instrument temperature [degC]")
+    axis.set_ylabel("phase minus that of the mean [mrad]")
     axis.legend()
 
 

@@ -50,7 +50,7 @@ def run(words: str) -> None:
     assert main(shlex.split(words)) == 0, words
 
 
-@pytest.mark.parametrize("name", ["leakage", "reference", "plate"])
+@pytest.mark.parametrize("name", ["leakage", "reference", "temperature", "plate"])
 def test_without_files_the_steps_are_printed(name: str, capsys) -> None:
     run(f"calibrate {name}")
     printed = capsys.readouterr().out

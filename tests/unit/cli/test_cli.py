@@ -378,6 +378,7 @@ def test_wrong_use_ends_with_2_and_one_line(words: list[str], capsys) -> None:
         ["devices", "simulate", "none.toml", "-o", "b.toml"],
         ["calibrate", "leakage", "none.nc", "-o", "b.toml"],
         ["calibrate", "reference", "none.nc", "-o", "b.toml"],
+        ["calibrate", "temperature", "none.nc", "-o", "b.toml"],
         ["calibrate", "plate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
         ["devices", "calibrate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
         TRANSIENTS,

@@ -68,6 +68,32 @@ def test_each_error_has_the_size_of_its_formula(survey: Survey) -> None:
     assert_allclose(drift.calibrated, 1e-3 * per_radian, rtol=1e-3)
 
 
+def test_the_temperature_is_a_line_unless_another_one_contains_it(
+    survey: Survey,
+) -> None:
+    line = by_name(survey)["temperature"]
+    assert line.now is None
+    # 0.5 degC of 5 ps.
+    per_second = speed_of_light / 2 / 1.38
+    assert_allclose(line.calibrated, per_second * 2.5e-12, rtol=1e-4)
+    stated = {
+        "delay_uncertainty": "10 ps",
+        "delay_per_degree": "8 ps",
+        "instrument_temperature_uncertainty": "5 degC",
+    }
+    known = survey.with_(
+        {"calibration": stated, "scan.instrument_temperature_uncertainty": 0.25}
+    )
+    line = by_name(known)["temperature"]
+    assert_allclose(line.now, per_second * 40e-12, rtol=1e-4)
+    assert_allclose(line.calibrated, per_second * 2e-12, rtol=1e-4)
+    # A delay uncertainty of the time of the scan contains it.
+    today = survey.with_({"calibration": {"delay_uncertainty": "10 ps"}})
+    assert "temperature" not in by_name(today)
+    reference = {"azimuth": 0.3, "elevation": 0.0, "amplitude": "1 V"}
+    assert "temperature" not in by_name(known.with_({"scan.reference": reference}))
+
+
 def test_a_standing_reference_has_the_error_of_its_counts(survey: Survey) -> None:
     reference = {"azimuth": "20 deg", "elevation": 0.0, "amplitude": "20 mV"}
     quiet = {"instrument.detector.dark_rate": 0.0, "scan.reference": reference}

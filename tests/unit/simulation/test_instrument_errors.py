@@ -32,6 +32,7 @@ ALL: dict[str, Any] = {
     "walk": {"phase_per_decade": "2 deg", "amplitude": "10 mV"},
     "reflection": {"coefficient": 0.01, "delay": "10 ns"},
     "crosstalk": {"amplitude": "20 uV", "change": 0.5},
+    "temperature": {"temperature": "25 degC", "delay_per_degree": "5 ps"},
     "scale_change": {"above": "5 mV", "phase": "0.5 deg", "gain": 0.01},
     "demodulator": {"in_phase_offset": "5 uV", "quadrature_gain": 0.01,
                     "quadrature_phase": "0.5 deg", "resolution": "1 uV"},

@@ -19,6 +19,7 @@ from amulor.acquisition.cube.calibration import (
     FrequencyCalibration,
     Leakage,
     ReferencePhase,
+    TemperatureCoefficient,
     phase_correction,
 )
 from amulor.acquisition.cube.samples import Samples, counting_variance, procedure_of
@@ -37,6 +38,8 @@ Complex = NDArray[np.complex128]
 _MIDDLE = 0.5
 #: Relative standard uncertainty of the transmission of a neutral filter [1].
 _TRANSMISSION_UNCERTAINTY = 0.05
+#: Cubes of a temperature run, and the least difference of its temperatures [degC].
+_FEWEST_TEMPERATURES, _LEAST_SPAN = 3, 2.0
 #: Filters that separate leakage from phase against amplitude.
 _FEWEST_FILTERS = 3
 
@@ -270,7 +273,7 @@ def from_reference(cube: xr.Dataset) -> Calibration:
     >>> cube = simulation.simulate(survey, rng=1, model=simulation.ClosureModel())
     >>> calibration = acquisition.from_reference(cube)
     >>> print(f"{calibration.reference[0].uncertainty:.0e} rad")
-    5e-05 rad
+    1e-04 rad
     """
     cubes.check(cube, "samples", name="the cube with the standing reference")
     if "reference_phase_rad" not in cube.attrs:
@@ -299,6 +302,117 @@ def from_reference(cube: xr.Dataset) -> Calibration:
             for i, frequency in enumerate(frequencies.values)
             for j, channel in enumerate(channels)
         ),
+    )
+
+
+def from_temperatures(plates: Sequence[xr.Dataset]) -> Calibration:
+    """Measure the dependence of the phase on the temperature of the instrument.
+
+    Parameters
+    ----------
+    plates : sequence of xarray.Dataset
+        At least three cubes of level `target_signal` of a plate that stands still, at
+        instrument temperatures that differ by 2 degC or more. Their surveys state
+        `scan.instrument_temperature`.
+
+    Returns
+    -------
+    Calibration
+        Phase per degree at each frequency, by a weighted straight line through the
+        phases of the strongest channel. The reference is the mean temperature.
+
+    Raises
+    ------
+    CubeError
+        If there are too few cubes or temperatures, a temperature is not recorded, or a
+        cube is of another level, has calibrated phases, or shows no plate.
+
+    Notes
+    -----
+    If the phases scatter about the line by more than their errors, the uncertainty
+    grows by the square root of the reduced chi-square.
+
+    Examples
+    --------
+    >>> from amulor import Survey, acquisition, rejection, simulation
+    >>> survey = Survey.preset("amulor-2010")
+    >>> run = []
+    >>> for value in (10, 20, 30):
+    ...     warm = {"temperature": value, "delay_per_degree": "20 ps"}
+    ...     cube = simulation.simulate(
+    ...         survey.with_(
+    ...             {
+    ...                 "scan.columns": 8,
+    ...                 "scan.rows": 8,
+    ...                 "scan.instrument_temperature": value,
+    ...                 "instrument.errors": {"temperature": warm},
+    ...             }
+    ...         ),
+    ...         rng=1,
+    ...         model=simulation.ClosureModel(),
+    ...     )
+    ...     run.append(rejection.open_water(cube))
+    >>> calibration = acquisition.from_temperatures(run)
+    >>> change = calibration.temperature[0].phase_per_degree
+    >>> print(f"{1e3 * change:.1f} mrad per degree")  # 2 pi 39 MHz times 20 ps: 4.9
+    4.9 mrad per degree
+    """
+    if len(plates) < _FEWEST_TEMPERATURES:
+        raise CubeError(
+            f"{len(plates)} cubes; at least {_FEWEST_TEMPERATURES} are needed, at "
+            "different temperatures"
+        )
+    surveys = [cube.amulor.survey for cube in plates]
+    stated = [s.scan.instrument_temperature if s else None for s in surveys]
+    if None in stated:
+        raise CubeError(
+            f"cube {stated.index(None) + 1} states no temperature; state "
+            "scan.instrument_temperature in the survey of each recording"
+        )
+    temperature = np.array(stated, dtype=float)
+    if np.ptp(temperature) < _LEAST_SPAN:
+        raise CubeError(
+            f"the temperatures differ by {np.ptp(temperature):.2g} degC; at least "
+            f"{_LEAST_SPAN:g} degC are needed"
+        )
+    # The path is common to all cubes, so that any distance does.
+    sums = [_plate_sums(cube, 1.0) for cube in plates]
+    mean, error = (np.array([values[k] for values in sums]) for k in (0, 1))
+    order, reference = np.argsort(temperature), float(temperature.mean())
+    entries = []
+    for number, frequency in enumerate(plates[0]["modulation_frequency"].values):
+        strongest = int(np.argmax(np.abs(np.nan_to_num(mean[0, number]))))
+        signal = mean[order, number, strongest]
+        if not np.isfinite(signal).all():
+            raise CubeError(
+                f"no pixel in the middle of the scan shows a target at "
+                f"{frequency / 1e6:g} MHz; let the plate fill the middle half of "
+                "the scan"
+            )
+        weight = np.abs(signal) / error[order, number, strongest]
+        warmer = temperature[order] - reference
+        # Relative to the first phase, which a whole turn must not divide.
+        phase = np.unwrap(np.angle(signal / signal[0]))
+        design = np.stack([np.ones(warmer.size), warmer], axis=1) * weight[:, None]
+        covariance = np.linalg.inv(design.T @ design)
+        level, slope = covariance @ design.T @ (phase * weight)
+        rest = (phase - level - slope * warmer) * weight
+        excess = max(float(rest @ rest) / (warmer.size - 2), 1.0)
+        entries.append(
+            TemperatureCoefficient(
+                modulation_frequency=float(frequency),
+                phase_per_degree=float(slope),
+                uncertainty=math.sqrt(covariance[1, 1] * excess),
+                temperatures=tuple(temperature[order].tolist()),
+                phases=tuple((phase - level).tolist()),
+            )
+        )
+    before = _applied(plates)
+    return Calibration(
+        date=_date(plates[0]),
+        leakage=before.get("leakage", ()),
+        temperature=tuple(entries),
+        reference_temperature=reference,
     )
 
 
@@ -442,6 +556,8 @@ def from_plates(
         frequencies=tuple(entries),
         leakage=tuple(leakage),
         reference=before.get("reference", ()),
+        temperature=before.get("temperature", ()),
+        reference_temperature=before.get("reference_temperature"),
         delay_uncertainty=_delay_uncertainty(first, distances, distance_uncertainty),
     )
     if first_distance.all():

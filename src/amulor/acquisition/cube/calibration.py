@@ -22,7 +22,15 @@ from amulor.optics import detection
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.observation import Observation
 from amulor.survey import toml_file
-from amulor.survey.quantity import Angle, Description, Frequency, Time, Voltage
+from amulor.survey.properties import TEMPERATURE_UNCERTAINTY
+from amulor.survey.quantity import (
+    Angle,
+    Description,
+    Frequency,
+    Temperature,
+    Time,
+    Voltage,
+)
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -110,6 +118,30 @@ class ReferencePhase(Description):
     """Phase at these times minus `phase` [rad]."""
 
 
+class TemperatureCoefficient(Description):
+    """Dependence of the phase on the instrument temperature at one frequency."""
+
+    modulation_frequency: Annotated[Frequency, Field(gt=0)]
+    """Modulation frequency [Hz]."""
+    phase_per_degree: Angle
+    """Change of the phase per degree [rad]."""
+    uncertainty: Annotated[Angle, Field(ge=0)]
+    """Standard uncertainty of this change [rad]."""
+    temperatures: Annotated[tuple[Temperature, ...], Field(min_length=2)]
+    """Instrument temperatures of the run [degC]."""
+    phases: tuple[Angle, ...]
+    """Phase at each temperature, relative to the reference temperature [rad]."""
+
+    @model_validator(mode="after")
+    def _lists_fit(self) -> Self:
+        if len(self.phases) != len(self.temperatures):
+            raise ValueError(
+                f"{len(self.temperatures)} temperatures and {len(self.phases)} phases; "
+                "each temperature needs its phase"
+            )
+        return self
+
+
 _Entry = TypeVar("_Entry", Leakage, ReferencePhase)
 
 
@@ -143,6 +175,11 @@ class Calibration(Description):
     reference: tuple[ReferencePhase, ...] = ()
     """Phase of the standing reference during the calibration. Samples of later scans
     are corrected to it."""
+    temperature: tuple[TemperatureCoefficient, ...] = ()
+    """Dependence of the phase on the instrument temperature, at each frequency."""
+    reference_temperature: Annotated[Temperature, Field(ge=-60, le=100)] | None = None
+    """Temperature to which the phases of scans are corrected; needed by `temperature`
+    [degC]."""
     delay_uncertainty: Annotated[Time, Field(ge=0, le=1e-6)] | None = None
     """Standard uncertainty of the delay that all frequencies share, from the distance
     of the plate and the group index; unknown by default [s]."""
@@ -153,11 +190,16 @@ class Calibration(Description):
 
     @model_validator(mode="after")
     def _has_a_measurement(self) -> Self:
-        if not (self.frequencies or self.leakage or self.reference):
+        if not (self.frequencies or self.leakage or self.reference or self.temperature):
             raise ValueError(
                 "at least one is needed of frequencies (amulor calibrate plate), "
-                "leakage (amulor calibrate leakage) and reference (amulor calibrate "
-                "reference)"
+                "leakage (amulor calibrate leakage), reference (amulor calibrate "
+                "reference) and temperature (amulor calibrate temperature)"
+            )
+        if self.temperature and self.reference_temperature is None:
+            raise ValueError(
+                "reference_temperature is missing; state the temperature to which the "
+                'phases are corrected, such as "20 degC"'
             )
         return self
 
@@ -226,8 +268,18 @@ def _entry(
     calibration: Calibration, modulation_frequency: float
 ) -> FrequencyCalibration:
     """Return the phase delays at a modulation frequency."""
+    return _nearest(calibration.frequencies, modulation_frequency)
+
+
+_ByFrequency = TypeVar("_ByFrequency", FrequencyCalibration, TemperatureCoefficient)
+
+
+def _nearest(
+    entries: Sequence[_ByFrequency], modulation_frequency: float
+) -> _ByFrequency:
+    """Return the entry at a modulation frequency; refuse another one."""
     nearest = min(
-        calibration.frequencies,
+        entries,
         key=lambda entry: abs(entry.modulation_frequency - modulation_frequency),
     )
     if not math.isclose(
@@ -362,6 +414,39 @@ def reference_shift(
     }
 
 
+def temperature_shift(
+    calibration: Calibration, cube: xr.Dataset
+) -> tuple[Floats, dict[str, object]]:
+    """Return phases due to the instrument temperature, and their error by attribute.
+
+    Without a recorded temperature, the phase is zero, and the temperature has an even
+    distribution over that of the run. Shape (frequency, 1).
+    """
+    if not calibration.temperature:
+        return np.zeros((1, 1)), {}
+    frequency = cube["modulation_frequency"].values
+    reference = calibration.reference_temperature
+    assert reference is not None
+    entries = [_nearest(calibration.temperature, value) for value in frequency]
+    survey = cube.amulor.survey
+    recorded = None if survey is None else survey.scan.instrument_temperature
+    if survey is None or recorded is None:
+        run = [value for entry in entries for value in entry.temperatures]
+        warmer = 0.0
+        error = max(max(run) - reference, reference - min(run)) / math.sqrt(3)
+    else:
+        warmer = recorded - reference
+        stated = survey.scan.instrument_temperature_uncertainty
+        error = TEMPERATURE_UNCERTAINTY if stated is None else stated
+    slope = np.array([entry.phase_per_degree for entry in entries])
+    of_slope = np.array([entry.uncertainty for entry in entries])
+    phase_error = np.hypot(np.hypot(slope, of_slope) * error, of_slope * warmer)
+    return (slope * warmer)[:, None], {
+        "temperature_delay_uncertainty_s": phase_error / (2 * np.pi * frequency),
+        "temperature_recorded": np.int32(recorded is not None),
+    }
+
+
 def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
     r"""Subtract leakage and correct the phases of samples and references.
 
@@ -420,6 +505,10 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
         )
     frequency = cube["modulation_frequency"].values
     shift, attributes = reference_shift(calibration, cube)
+    warmer, of_temperature = temperature_shift(calibration, cube)
+    if not calibration.reference:
+        # The standing reference has shown the effect of the temperature already.
+        shift, attributes = shift + warmer, attributes | of_temperature
     attributes["calibration"] = calibration.to_toml()
     changed: dict[str, xr.DataArray] = {}
     squares = np.zeros(frequency.size)
