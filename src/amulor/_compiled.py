@@ -108,7 +108,7 @@ def _fresh(place: Any, package: Path) -> Any:
 
 
 def _last_resort(place: Any) -> Any:
-    """Return numba's cache locator, changed to use a temporary folder of the user."""
+    """Return numba's cache locator, changed to the user's temporary folder."""
 
     class LastResort(place):  # type: ignore[misc]
         def __init__(self, py_func: Any, py_file: str) -> None:
@@ -171,7 +171,7 @@ class _Compiling(event.Listener):
         self._loops: list[Any] = []
 
     def on_start(self, event: Any) -> None:
-        """Count the uncompiled loops that the outermost loop calls."""
+        """Report the number of loops that remain to be compiled."""
         if self._inside == 0:
             self._loops = loops_behind(event.data["dispatcher"])
         self._inside += 1
@@ -187,7 +187,7 @@ class _Compiling(event.Listener):
 
 
 def loops_behind(loop: Any) -> list[Any]:
-    """Return a compiled loop, followed by all loops that it calls."""
+    """Return a compiled loop, and all loops that it calls directly or indirectly."""
     loops = [loop]
     for compiled in loops:
         names = compiled.py_func.__globals__
@@ -236,7 +236,7 @@ def _source(path: Path, package: Path) -> tuple[bytes, bytes]:
 
 
 def _import_of(path: Path, package: Path) -> object:
-    """Return an object that changes with each import or reload of a module."""
+    """Return a module's import specification, a new object after each reload."""
     parts = path.relative_to(package.parent).with_suffix("").parts
     name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
     return getattr(sys.modules.get(name), "__spec__", None)
@@ -260,7 +260,7 @@ def _imported(text: bytes, package: Path) -> tuple[Path, ...]:
 
 
 def _names(imported: bytes) -> list[list[str]]:
-    """Return the words of each name in an import list: `name` or `name as other`."""
+    """Split each item of an import list into words: `name` or `name as other`."""
     words = re.sub(rb"#.*", b"", imported).decode().strip("() \n").split(",")
     return [name.split() for name in words if name.strip()]
 

@@ -230,7 +230,7 @@ class _Kept(tiles.Derived):
 
     @property
     def head(self) -> xr.Dataset:
-        """Variables, coordinates and attributes that have no row dimension."""
+        """Variables and coordinates without row dimension, and the attributes."""
         return self._source.head
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
@@ -259,7 +259,7 @@ def window(step: TiledStep, source: tiles.Source, rows: int | None = None) -> in
 def run_step(
     step: TiledStep, source: tiles.Source, *, rows: int | None = None
 ) -> Iterator[tuple[int, xr.Dataset]]:
-    """Run a step on a whole cube if in memory, else tile by tile."""
+    """Run a step: whole if the cube is in memory and `rows` is None, else by tiles."""
     if rows is not None and rows < 1:
         raise ValueError(f"a tile has 1 row at least, got {rows}")
     if rows is None and isinstance(source, tiles.InMemory):
@@ -299,7 +299,7 @@ class Summary:
 def opened(
     path: AnyPath, rows: int | None = None, *, level: str
 ) -> Iterator[tiles.Source]:
-    """Open a cube: in memory, or by rows if it is large or a tile size is given."""
+    """Open a cube: in memory, or by rows if it is large or a tile size is set."""
     if rows is None and not is_large(path):
         tell(f"reading {path}", 0.0)
         yield tiles.InMemory(cubes.checked(io.read_cube(path), level, name=str(path)))
@@ -317,7 +317,7 @@ def run_file(
     rows: int | None = None,
     overwrite: bool = False,
 ) -> Summary:
-    """Run a step from file to file; by rows if large or if a tile size is given."""
+    """Run a step from file to file; by rows if large or if a tile size is set."""
     with opened(source, rows, level=step.level) as cube:
         return _written(step, cube, output, rows, overwrite=overwrite)
 
@@ -367,7 +367,7 @@ def reject_file(
     overwrite: bool = False,
     **options: Any,
 ) -> Summary:
-    """Remove the water signal from a file of samples, by any installed method."""
+    """Reject the water signal in a file of samples, by any installed method."""
     from amulor import rejection
 
     with opened(source, rows, level="samples") as cube:
@@ -393,7 +393,7 @@ def reject_file(
 
 
 def _judged(source: tiles.Source, rows: int | None) -> xr.Dataset:
-    """Return the cube for the comparison of methods, thinned if it is large."""
+    """Return the cube for comparing methods; in work by rows, only a sample of it."""
     if rows is None and isinstance(source, tiles.InMemory):
         return source.cube
     return cubes.without_groups(tiles.sample_of(source), "truth")
@@ -426,7 +426,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class CloudSummary:
-    """Counts of points and excluded pixels of a cloud written by rows."""
+    """Counts of all points and of doubtful points in a cloud written by rows."""
 
     points: int
     """Number of points [1]."""

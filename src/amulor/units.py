@@ -116,7 +116,7 @@ def parse(text: str, quantity: str) -> float:
 
 
 def parse_frequencies(text: str) -> list[float]:
-    """Convert a list or a range of frequencies in text to SI floats.
+    """Convert a list or a range of frequencies in text to floats [Hz].
 
     Parameters
     ----------

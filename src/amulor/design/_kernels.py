@@ -117,7 +117,7 @@ class Points(NamedTuple):
 
 
 class Light(NamedTuple):
-    """Overlap and water signal of all receiver views, as in `light.Columns`."""
+    """Overlaps, water signals and optical paths of all receiver views and distances."""
 
     overlap: Floats
     """Overlap F of beam and receiver, shape (look, distance) [sr]."""
@@ -176,7 +176,7 @@ _LIGHT_SPEED = 299792458.0
 
 @numba.njit(cache=True, error_model="numpy")
 def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
-    """Compute the signals of a point; return detector output relative to its limit.
+    """Compute signals at a point; return the largest channel output over its limit.
 
     Signals are photoelectron rates, with the phase of the delay.
     """
@@ -303,7 +303,7 @@ def fill_columns(
     mean: Floats,
     water: NDArray[np.complex128],
 ) -> None:
-    """Compute the water signals up to each distance, and of the whole column.
+    """Integrate the water signal up to each distance, and over the whole column.
 
     `piece` has the spline coefficients of the log overlap, (4, segment, look). `mean`
     has the shape (look, distance + 1), `water` (look, distance + 1, frequency).
@@ -336,7 +336,7 @@ def fill_columns(
 def phase_errors(
     method: int, channel: int, x: Floats, passed: Floats, scratch: Scratch
 ) -> None:
-    """Compute variance and bias of a method's phases, and the signal modulus.
+    """Compute phase variance and bias of a rejection method, and the signal modulus.
 
     `passed` has the fractions of target and water light in each channel, (2, channel).
     The range is computed from a weighted sum of channels with real weights.
@@ -369,7 +369,7 @@ def phase_errors(
 def _mix(
     method: int, k: int, x: Floats, passed: Floats, scratch: Scratch, weight: Floats
 ) -> None:
-    """Compute the weights of the channels in the target signal."""
+    """Compute the channel weights of unmixing, or of the least-variance combination."""
     of_target = passed[0, 1] / max(passed[0, 0], 1e-12)
     of_water = passed[1, 1] / max(passed[1, 0], 1e-12)
     if method == UNMIX:
@@ -398,7 +398,7 @@ def _mix(
 def _add_noise(
     method: int, k: int, x: Floats, weight: Floats, aim: complex, scratch: Scratch
 ) -> None:
-    """Add the random terms to the phase error of one frequency."""
+    """Add the phase variance of each noise source at one frequency [rad^2]."""
     square = max(abs(aim), 1e-300) ** 2
     variance = scratch.variance[k]
     for c in range(weight.size):
@@ -423,7 +423,7 @@ def _add_noise(
 def _add_bias(
     method: int, k: int, x: Floats, weight: Floats, aim: complex, scratch: Scratch
 ) -> None:
-    """Add the systematic terms to the phase error of one frequency."""
+    """Compute the systematic phase errors at one frequency [rad]."""
     bias = scratch.bias[k]
     if method in (KEPT, ONE_FREQUENCY):
         for c in range(weight.size):
@@ -451,7 +451,7 @@ _UNKNOWN = 2.0
 def _inverse(
     counting: float, along: complex, floor: float, water: complex, part: float
 ) -> tuple[float, float, float]:
-    """Invert the covariance of in-phase and quadrature output of a sample."""
+    """Elements 11, 22, 12 of a sample's inverse covariance (in-phase, quadrature)."""
     turned = 1j * along * floor
     moved = water * part
     a = counting + turned.real**2 + moved.real**2
@@ -463,7 +463,7 @@ def _inverse(
 
 @numba.njit(cache=True, error_model="numpy")
 def _add(slope: Complex, inverse: tuple[float, float, float], out: Floats) -> None:
-    """Add the Fisher information of one sample."""
+    """Add the Fisher information of one sample to a matrix."""
     for i in range(slope.size):
         re = inverse[0] * slope[i].real + inverse[2] * slope[i].imag
         im = inverse[2] * slope[i].real + inverse[1] * slope[i].imag
@@ -473,7 +473,7 @@ def _add(slope: Complex, inverse: tuple[float, float, float], out: Floats) -> No
 
 @numba.njit(cache=True, error_model="numpy")
 def range_information(x: Floats, scratch: Scratch, out: Floats, bias: Floats) -> None:
-    """Compute range variance [m^2] and bias [m] of joint estimation.
+    """Compute the terms of range variance [m^2] and bias [m] of joint estimation.
 
     Parameters of a pixel are the range and the logarithm of the echo in each channel.
     Parameters that all pixels share are the logarithms of water strength in each
@@ -531,7 +531,7 @@ def range_information(x: Floats, scratch: Scratch, out: Floats, bias: Floats) ->
 
 @numba.njit(cache=True, error_model="numpy")
 def _scaled(matrix: Floats) -> Floats:
-    """Scale a matrix to a unit diagonal, and regularize it slightly."""
+    """Scale a matrix to a unit diagonal, then add 1e-12 to its diagonal."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
     out = np.empty(matrix.shape)
     for i in range(matrix.shape[0]):
@@ -545,7 +545,7 @@ def _scaled(matrix: Floats) -> Floats:
 def _terms(
     x: Floats, scratch: Scratch, inner: Floats, out: Floats, bias: Floats
 ) -> None:
-    """Split the range variance into error terms, for known water properties."""
+    """Compute range variances by noise source, and bias, for known water properties."""
     departed = 0.0
     for k in range(scratch.to_range.size):
         if scratch.to_range[k] == 0.0:
@@ -588,7 +588,7 @@ def _phase_variance(k: int, scratch: Scratch) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _combine(only: int, x: Floats, scratch: Scratch, row: Floats) -> float:
-    """Compute the errors of the weighted mean range; return the squared total error.
+    """Compute errors of the weighted mean range; return the squared total error [m^2].
 
     `only` is the index of a single frequency to use, -1 for all.
     """

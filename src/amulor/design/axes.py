@@ -111,7 +111,7 @@ PREDICTED: dict[str, Predicted] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Arranged:
-    """Values of all varied parameters, broadcast to common dimensions."""
+    """Values of all varied parameters, with common dimensions."""
 
     sizes: dict[str, int]
     """Length of each dimension by its name."""
@@ -131,7 +131,7 @@ class Arranged:
 def arranged(
     axes: Mapping[str, Any], frequencies: Sequence[Sequence[float]] | None
 ) -> Arranged:
-    """Broadcast the arguments of an evaluation to common dimensions."""
+    """Reshape the arguments of an evaluation to common dimensions."""
     if "attenuation" in axes and {"absorption", "scattering"} & set(axes):
         raise SurveyError(
             "attenuation is the sum of absorption and scattering; state it alone, or "
@@ -185,7 +185,7 @@ def arranged(
 
 
 def _axis_values(name: str, value: Any) -> tuple[tuple[str, ...], Floats]:
-    """Dimensions and values of one parameter; raise SurveyError if out of range."""
+    """Dimensions and values of a parameter; SurveyError for a wrong name or value."""
     if name not in AXES:
         raise SurveyError(
             f"{name}: is no axis of a design; allowed are {', '.join(AXES)}, "
@@ -219,7 +219,7 @@ def _axis_values(name: str, value: Any) -> tuple[tuple[str, ...], Floats]:
 
 
 def _sets(frequencies: Sequence[Sequence[float]]) -> tuple[list[Floats], list[str]]:
-    """Frequency sets as rows of an array padded with NaN, and labels of the sets."""
+    """First, second, ... frequencies of all sets, as arrays; and labels of the sets."""
     most = max((len(members) for members in frequencies), default=0)
     if min((len(members) for members in frequencies), default=0) < 1:
         raise SurveyError("frequencies: each set needs one frequency at least")

@@ -93,7 +93,7 @@ def middle(spread: Spread) -> float:
 
 
 def box_values(box: Box) -> tuple[float, ...]:
-    """Grid values of a parameter range, in increasing order."""
+    """Return the listed values of a component, or grid values of its range."""
     if box.values:
         return box.values
     assert box.low is not None
@@ -184,7 +184,7 @@ def scan_time(goal: Goal, chosen: Parameters) -> float:
 
 
 def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
-    """Mueller matrix scaled to a given element m22, the measure of depolarization."""
+    """Mueller matrix scaled to an element m22, with element m11 equal to 1."""
     base = matrix(mueller)
     if base[1, 1] == 0:
         base = np.diag([1.0, 1.0, -1.0, -1.0])
@@ -286,7 +286,7 @@ _NINETY_FIVE, _CUT = 1.959964, 2 * 1.959964
 
 
 def spreads_of(goal: Goal) -> dict[str, Spread]:
-    """Parameter ranges of a goal, by parameter name."""
+    """Stated ranges of the water and target properties of a goal, by name."""
     waters, targets = goal.waters, goal.targets
     ranges = {
         "attenuation": waters.attenuation,
@@ -320,7 +320,7 @@ def drawn(goal: Goal, count: int | None = None) -> dict[str, Floats]:
 
 
 def values_at(spread: Spread, share: Floats) -> Floats:
-    """Values of a parameter range at given cumulative probabilities."""
+    """Quantiles of a parameter's distribution at cumulative probabilities."""
     low, high = spread.low, spread.high
     logarithm = spread.distribution.startswith("log")
     if logarithm:

@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Photons:
-    """Signals of the middle beam by photon transport, relative to the model."""
+    """Signals of the middle beam by photon transport, relative to small-angle model."""
 
     histories: int
     """Number of photon histories [1]."""
@@ -63,7 +63,7 @@ def follow_photons(
     seed: int = 1,
     progress: Callable[[str, float], None] | None = None,
 ) -> Photons:
-    r"""Simulate photon transport for the middle beam of a survey.
+    r"""Compare photon transport with the small-angle model in a survey's middle beam.
 
     A phase :math:`\Delta\varphi` above that of the model, by light that scattering
     delays, shifts a range by :math:`v \Delta\varphi / 4 \pi f`.
@@ -180,7 +180,7 @@ def _compared(
 def _ratio(
     light: Complex, covariance: Floats, expected: Complex
 ) -> tuple[Complex, Floats, Floats]:
-    """Ratio of a simulated to a predicted signal, with uncertainties."""
+    """Ratio of simulated to predicted signal; errors of its modulus and its phase."""
     lit = (np.abs(expected) > 0) & (np.abs(light) > 0)
     along = np.where(lit, light, 1.0) / np.where(lit, np.abs(light), 1.0)
     ahead = np.stack([along.real, along.imag], axis=-1)
@@ -412,7 +412,7 @@ def _truth(survey: Survey, image: xr.Dataset) -> Floats:
 def _differences(
     name: str, simulated: Scans, photons: Photons | None, late: float, accuracy: float
 ) -> list[str]:
-    """Messages about excessive differences from the prediction."""
+    """Return a message for each difference from the prediction beyond its limit."""
     differences = []
     if not simulated.holds:
         differences.append(

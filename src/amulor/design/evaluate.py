@@ -226,7 +226,7 @@ def scheme_of(text: str) -> tuple[str, ...]:
 
 
 def _several(names: str | Sequence[str] | None, default: str) -> tuple[list[str], bool]:
-    """Values of a text parameter as a list, and whether a list was given."""
+    """Return names as a list, and whether the argument is a sequence of names."""
     if names is None:
         return [default], False
     if isinstance(names, str):
@@ -237,7 +237,7 @@ def _several(names: str | Sequence[str] | None, default: str) -> tuple[list[str]
 
 
 def _distance_of(survey: Survey) -> float:
-    """Middle of the target distances in a survey [m]."""
+    """Midpoint of nearest and farthest target distance in a survey [m]."""
     reach = target_reach(survey)
     if reach is None:
         raise SurveyError(
@@ -248,7 +248,7 @@ def _distance_of(survey: Survey) -> float:
 
 
 def _frequency_sets(survey: Survey, arrays: Arranged) -> Floats:
-    """Return the sets of modulation frequencies, shape (K, ...) [Hz]."""
+    """Return the sets of modulation frequencies, K per set, shape (K, ...) [Hz]."""
     if arrays.frequencies is not None:
         return arrays.frequencies
     if "frequency" in arrays.values:
@@ -264,7 +264,7 @@ def _variables(
     case: Case,
     wrong_interval: float,
 ) -> dict[str, NDArray[Any]]:
-    """Variables of the resulting Dataset, as arrays of one shape."""
+    """Compute the variables of the resulting Dataset from the errors."""
     column = {name: errors.result[..., k] for k, name in enumerate(kernel.RESULTS)}
     variance = sum(column[name] for name in kernel.RANDOM)
     water_bias_square = sum(column[name] ** 2 for name in kernel.SYSTEMATIC)
@@ -336,7 +336,7 @@ _NEAREST, _FARTHEST, _STEPS = 0.3, 60.0, 160
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """Distances at which an instrument meets a required accuracy in one water."""
+    """Interval of distances at which an instrument is accurate enough in one water."""
 
     water: str
     """Name of the water."""
@@ -360,7 +360,7 @@ def reach(
     reflectance: float | None = None,
     method: str = "open-water",
 ) -> Reach:
-    """Return the distances at which an instrument meets a required accuracy."""
+    """Return the longest interval of distances that meets a required accuracy."""
     title, properties = WATERS[water]
     # A survey's own far wall is not part of another water.
     moved = survey.with_({"water": properties})

@@ -41,7 +41,7 @@ class Place:
 
 
 def place_of(survey: Survey, distance: Floats) -> Place:
-    """Geometry of a survey's instrument at given slant ranges."""
+    """Return the geometry of a survey's instrument at several slant ranges."""
     crossed = medium_of(survey)
     azimuth, elevation = np.array(survey.scan.azimuth), np.array(survey.scan.elevation)
     instrument = survey.instrument
@@ -80,7 +80,7 @@ def aim_of(survey: Survey) -> float:
 
 
 def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
-    """Survey with a new baseline, and the receiver aimed at a given distance."""
+    """Survey with a new baseline, and the receiver aimed at the beam at a distance."""
     instrument = survey.instrument
     start = np.asarray(instrument.emitter.position)
     side = np.asarray(instrument.receiver.position) - start

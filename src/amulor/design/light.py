@@ -98,7 +98,7 @@ def columns(
     depth: Floats,
     frequency: Floats,
 ) -> Columns:
-    r"""Compute water signals up to each depth, by the small-angle model.
+    r"""Compute water signals up to each depth and in total, by the small-angle model.
 
     :math:`\ln F(z)` of eq. (29) of Ricci et al. 2010, as rebuilt, is computed at 64
     depths for each look and interpolated by a cubic spline in :math:`\ln z`. The water
@@ -325,7 +325,7 @@ _STEP = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Survey with its water properties, and the values of its parameters."""
+    """Survey, its water properties, and its values on the axes of an evaluation."""
 
     survey: Survey
     """Survey: instrument, water and target."""
@@ -363,7 +363,7 @@ def lit(
     joint: bool,
     late: bool = True,
 ) -> Lit:
-    """Compute signals that do not depend on power, dwell time, channels or method."""
+    """Compute signals per launched power, common to dwell times, channels, methods."""
     by_axis = values_on_axes(case, values)
     distance, reach = np.unique(values["distance"], return_inverse=True)
     places, place = _places(case, values, distance)
@@ -385,7 +385,7 @@ def lit(
 
 
 def values_on_axes(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
-    """Values of all parameters, with the survey's values for constant parameters."""
+    """Values of all parameters; those of the survey for parameters that do not vary."""
     by_axis = {
         name: np.asarray(value) for name, value in case.survey_values.items()
     } | values
@@ -397,7 +397,7 @@ def values_on_axes(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
 
 
 def case_of(survey: Survey, water: WaterProperties) -> Case:
-    """Survey with its water properties, and the value of each parameter."""
+    """Return a survey with its water properties and values on the evaluation axes."""
     instrument = survey.instrument
     receiver = np.asarray(instrument.receiver.position)
     survey_values = {
@@ -483,7 +483,7 @@ def _light(
     *,
     joint: bool,
 ) -> tuple[kernel.Light, Floats]:
-    """Signals for the compiled loops, and the mean square scattering angle."""
+    """Signals for the compiled loops, and the mean square scattering angle [rad^2]."""
     before = distance[0] - float(places[0].depth[0])
     depth = distance - before
     if depth[0] <= 0:

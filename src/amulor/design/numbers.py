@@ -128,7 +128,7 @@ def assessed(
 
 
 def _ordered(method: str, pairs: tuple[str, ...]) -> tuple[str, ...]:
-    """Channels in the order that a rejection method requires."""
+    """Return the channel pair that a rejection method needs, else all channels."""
     if method not in PREDICTED:
         raise SurveyError(
             f"method: found {method!r}, but it must be one of {', '.join(PREDICTED)}"
@@ -145,7 +145,7 @@ def _ordered(method: str, pairs: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _repetition(frequencies: Floats, group_index: float) -> Floats:
-    """Range interval after which all phases of a frequency set repeat [m]."""
+    """Ambiguity interval of a set's smallest frequency or frequency difference [m]."""
     smallest = np.nanmin(frequencies, axis=0)
     if len(frequencies) > 1:
         apart = np.diff(np.sort(frequencies, axis=0), axis=0)
@@ -154,7 +154,7 @@ def _repetition(frequencies: Floats, group_index: float) -> Floats:
 
 
 def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floats:
-    """Range error from uneven reflectance in the laser spot on a slope [m]."""
+    """Range error from uneven reflectance in the spot on an inclined surface [m]."""
     emitter = case.survey.instrument.emitter
     width = np.hypot(
         emitter.beam_radius or 0.0, (emitter.beam_divergence or 0.0) * distance
@@ -163,7 +163,7 @@ def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floa
 
 
 def _numbers(case: Case, by_axis: dict[str, Floats], lighting: Lit) -> dict[str, Any]:
-    """Parameters of each point for the compiled loops, in the columns `NUMBERS`."""
+    """Parameters of each point for the compiled loops, by column name."""
     survey = case.survey
     instrument, detector = survey.instrument, survey.instrument.detector
     constant = np.minimum(instrument.lock_in.time_constant, _LOCK_IN * by_axis["dwell"])
@@ -225,7 +225,7 @@ def _fractions(
     surface: str,
     flat: Any,
 ) -> Floats:
-    """Fraction of target or water light that passes each analyzer, (point, channel)."""
+    """Fraction of target or water light that each analyzer passes, (point, channel)."""
     if surface == "target":
         description: Any = "painted-metal"
         if case.survey.targets:

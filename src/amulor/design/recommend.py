@@ -66,7 +66,7 @@ class Shares:
 
 
 def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
-    """Optimize the division of a pixel's dwell time between the frequencies.
+    """Return the best division of dwell time between 2 or 3 frequencies, or None.
 
     Every division into twentieths is evaluated by its error at the worst distance, at
     the required quantile of 16 random waters. Divisions in which a wrong interval is
@@ -127,7 +127,7 @@ def _error(
     bias: Floats,
     dwell: tuple[int, ...],
 ) -> float:
-    """Range error at the worst distance [m]; infinite if ambiguous."""
+    """Range error at the worst distance and required quantile [m]; inf if ambiguous."""
     variances = np.stack([variance[k, number] for k, number in enumerate(dwell)])
     biases = np.stack([bias[k, number] for k, number in enumerate(dwell)])
     weight = 1 / np.maximum(variances, 1e-30)
@@ -400,7 +400,7 @@ def _kind(chosen: Parameters) -> tuple[str, str, str, int]:
 
 
 def _runner_up(result: SearchResult) -> Candidate | None:
-    """Best candidate of a different kind, else the second best."""
+    """Best candidate of a different kind, else the second best; None if only one."""
     best, *following = result.best
     others = [
         candidate
@@ -449,7 +449,7 @@ def _choice(goal: Goal, candidate: Candidate) -> Choice:
 
 
 def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
-    """Errors of an instrument in all random waters, over the required distances."""
+    """Errors of an instrument in random waters, at required distances and between."""
     distance = np.unique(
         [*goal.asked, *np.linspace(goal.asked[0], goal.asked[-1], _BETWEEN)]
     )
@@ -469,7 +469,7 @@ def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
 
 
 def _between(goal: Goal, errors: xr.DataArray) -> Between:
-    """Largest error over all distances, at the required quantile of waters."""
+    """Largest error over all distances, at the required quantile of random waters."""
     # The value not exceeded in the required share of draws, as in the search.
     error = errors.quantile(goal.accuracy.share, "draw", method="inverted_cdf")
     worst = error.isel(distance=int(error.argmax("distance")))
@@ -477,7 +477,7 @@ def _between(goal: Goal, errors: xr.DataArray) -> Between:
 
 
 def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
-    """Parameters of an instrument at a limit set by the goal."""
+    """Parameters of an instrument that lie at a limit of the goal."""
     parts = goal.components
     laser = laser_of(goal, chosen.laser)
     edges: list[tuple[str, float, tuple[float, ...]]] = [

@@ -87,7 +87,7 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Errors, scan time and cost of candidates, at the required quantile of waters."""
+    """Errors of candidates at the required quantile of waters; scan times and costs."""
 
     error: Floats
     """Total error, shape (candidate, distance) [m]."""
@@ -144,7 +144,7 @@ def _log(ratio: Floats) -> Floats:
 def draws_at(
     goal: Goal, chosen: Parameters, count: int | None = None
 ) -> dict[str, Floats]:
-    """Random waters and targets, converted to the wavelength of an instrument."""
+    """Random water and target properties, at the wavelength of an instrument."""
     draws = drawn(goal, count)
     scale = water_scale(goal, chosen) if draws else {}
     return {name: values * scale.get(name, 1.0) for name, values in draws.items()}
@@ -262,7 +262,7 @@ class Judge:
         return {**values, "aim": aim, "distance": self._distance, **self._draws}
 
     def _figures(self, errors: Assessed) -> tuple[Floats, Floats, Floats, Floats]:
-        """Errors at the required quantile of the random waters and targets."""
+        """Error, wrong-interval chance, output, validity at the required quantile."""
         column = {name: errors.result[..., k] for k, name in enumerate(kernel.RESULTS)}
         square = errors.late**2 + errors.footprint**2
         for name in kernel.RANDOM:
@@ -319,7 +319,7 @@ def _along(values: Floats, dimension: int) -> Floats:
 
 
 def _part(value: NDArray, index: tuple[slice, ...]) -> NDArray:  # type: ignore[type-arg]
-    """Block of an array by index, without slicing dimensions of length 1."""
+    """Block of an array by index; dimensions of length 1 stay whole."""
     if value.ndim != _DIMENSIONS:
         return value
     return value[

@@ -71,7 +71,7 @@ def candidate_of(judge: Judge, chosen: Parameters) -> Candidate:
 
 
 def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Exchange single frequencies as long as the figure of merit improves."""
+    """Change single frequencies while merit improves; return best and trial count."""
     modulation = goal.components.modulation
     if modulation.sets:
         return start, 0
@@ -129,7 +129,7 @@ def _neighbours(
 def _dwells(
     goal: Goal, like: Parameters, sets: tuple[tuple[float, ...], ...]
 ) -> tuple[float, ...]:
-    """Available dwell times, and dwell times that use the full scan time."""
+    """Available dwell times, and those that use the whole allowed scan time."""
     box = goal.components.dwell
     values = {like.dwell, *box_values(box)}
     if not box.values and box.low is not None and box.high is not None:
@@ -143,7 +143,7 @@ def _dwells(
 
 
 def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Exchange components for cheaper ones as long as all requirements are met."""
+    """Exchange components for cheaper ones while the goal is met; count the trials."""
     best, tried = start, 0
     for _ in range(_EXCHANGES):
         candidates: list[Candidate] = []
@@ -307,7 +307,7 @@ def search(goal: Goal) -> SearchResult:
 
 
 def _worst(score: Score) -> Score:
-    """Score at the worst distance of each candidate."""
+    """Score with each candidate's largest error and wrong-interval probability."""
     return replace(
         score,
         error=score.error.max(axis=1, keepdims=True),
@@ -331,7 +331,7 @@ def _grids(goal: Goal, laser: str) -> Iterator[tuple[Grid, Score, Parameters]]:
 
 
 def _grid(goal: Goal, laser: str) -> Grid:
-    """Parameter grid of one laser, with single frequencies or given sets."""
+    """Parameter grid of one laser, with the goal's sets or single frequencies."""
     parts = goal.components
     source = laser_of(goal, laser)
     sets = parts.modulation.sets or tuple((f,) for f in frequency_grid(goal))
@@ -346,7 +346,7 @@ def _grid(goal: Goal, laser: str) -> Grid:
 
 
 def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Parameters]:
-    """Choose the starting candidates of the search: the best and the cheapest."""
+    """Choose starting candidates: the best, and the cheapest that meet the goal."""
     chosen: list[int] = []
     alone = not goal.components.modulation.sets and goal.components.modulation.most > 1
     for with_intervals in (True, False) if alone else (True,):
@@ -389,7 +389,7 @@ def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Optimize the parameters of a candidate; return it and the evaluation count."""
+    """Optimize a candidate's parameters; return the better one and trial count."""
     from scipy.optimize import minimize
 
     names, low, high = _ranges(goal, start.parameters)
@@ -431,7 +431,7 @@ def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int
 
 
 def _ranges(goal: Goal, chosen: Parameters) -> tuple[list[str], Floats, Floats]:
-    """Parameters that refinement may change, with their limits."""
+    """Names, lower and upper limits of the parameters that refinement may change."""
     limits: list[tuple[str, float, float]] = []
     for name in ("baseline", "radius", "field_of_view", "dwell"):
         box: Box = getattr(goal.components, name)
@@ -451,7 +451,7 @@ def _ranges(goal: Goal, chosen: Parameters) -> tuple[list[str], Floats, Floats]:
 
 
 def _value(chosen: Parameters, name: str) -> float:
-    """Value of a parameter by name."""
+    """Value of a parameter, or of one frequency, by its name."""
     field, _, number = name.partition(".")
     value = getattr(chosen, field)
     return float(value[int(number)]) if number else float(value)

@@ -69,7 +69,7 @@ class Uncertain:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """Sobol indices of uncertain inputs: fractions of the log error's variance."""
+    """Sobol indices: fractions of the log error's variance, by uncertain input."""
 
     numbers: tuple[Uncertain, ...]
     """Uncertain inputs."""
@@ -108,7 +108,7 @@ class Sensitivity:
 
 
 def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
-    """Uncertain inputs of an instrument in use: water, target and assumptions."""
+    """Uncertain inputs of an instrument: water, target, losses, noise, assumptions."""
     numbers = [
         Uncertain(
             axis=name,
@@ -168,7 +168,7 @@ def sensitivity(
     spreads = spreads_of(goal)
 
     def errors(shares: Floats) -> Floats:
-        """Logarithm of the error at quantiles of all inputs, shape (number, n)."""
+        """Logarithm of the largest error, from shares of shape (input, sample)."""
         axes: dict[str, Any] = {}
         for variable, share in zip(numbers, shares, strict=True):
             if variable.stated:

@@ -144,7 +144,7 @@ _HALVINGS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """Assumption, with the value at which the runner-up becomes better."""
+    """Assumption, and its value at which the second-best design overtakes the best."""
 
     label: str
     """Readable name of the assumption."""
@@ -161,7 +161,7 @@ class Turn:
 def what_if(
     goal: Goal, best: Parameters, other: Parameters, *, draws: int = 16
 ) -> tuple[Turn, ...]:
-    """Return the values of assumptions at which another instrument becomes better.
+    """Return for each assumption the value at which the other instrument is better.
 
     Both instruments are ranked as in the search: first those that meet all
     requirements, then by cost if the goal states prices, then by error. One assumption
@@ -199,7 +199,7 @@ def _crossing(
     scaled: Callable[[float], Goal | None],
     draws: int,
 ) -> float | None:
-    """Factor nearest to 1 that makes the other instrument better; None if none does."""
+    """Smallest change, as a factor, that makes the other instrument better, or None."""
 
     def wins(logarithm: float) -> bool | None:
         changed = scaled(math.exp(logarithm))

@@ -58,7 +58,7 @@ def write_set(
     *,
     overwrite: bool,
 ) -> str:
-    """Write all sheets as one PDF file, and each as SVG, lines also as DXF."""
+    """Write all sheets to one PDF file, each sheet to SVG, and lines to DXF."""
     plane = products.plane_of(surface.frame, order.side)
     body, reason = _body_of(image)
     order = replace(order, scale=_scale_of(order, surface, plane, body))
@@ -110,7 +110,7 @@ def write_set(
 def middle_line(
     surface: products.Surface, plane: products.Plane
 ) -> tuple[float, float, float, float]:
-    """Return the line through the middle of a surface along its longer side [m]."""
+    """Return a section line through a surface's middle, along its longer side [m]."""
     flat = surface.position[np.unique(surface.triangles)] @ plane.axes[:2].T
     low, high = flat.min(axis=0), flat.max(axis=0)
     middle = np.median(flat, axis=0)
@@ -124,7 +124,7 @@ def middle_line(
 
 
 def _body_of(image: xr.Dataset) -> tuple[Revolution | None, str]:
-    """Fit a surface of revolution; without one, return the reason."""
+    """Fit a surface of revolution; None and the reason if it fails or is doubtful."""
     try:
         body = drawings.turned_body(image)
     except CubeError as error:
@@ -138,7 +138,7 @@ def _scale_of(
     plane: products.Plane,
     body: Revolution | None,
 ) -> float:
-    """Return one scale for all sheets [1]."""
+    """Return the scale denominator common to all sheets [1]."""
     scale = drawings.scale_of(order, surface, plane)
     if order.scale is not None or body is None:
         return scale
@@ -153,7 +153,7 @@ def _elevation(
     order: Order,
     remarks: Said,
 ) -> Page:
-    """Draw the shaded relief with contour lines."""
+    """Draw the shaded relief of a surface, with contour lines."""
     scale = drawings.scale_of(order, surface, plane)
     drawn = replace(order, product="orthoimage")
     raster = drawings.flagged_raster(image, surface, plane, drawn, scale)
@@ -185,7 +185,7 @@ def _elevation(
 def _contours(
     raster: products.Raster, interval: float, order: Order, remarks: Said
 ) -> tuple[list[products.Contour], LineProduct | None]:
-    """Return contour lines of a raster; none of a surface that crosses no level."""
+    """Return contour lines and their drawing; an empty list and None without any."""
     try:
         contours = products.contours(raster, interval=interval)
         product = drawings.contour_product(raster, contours, interval, order, remarks)
@@ -195,7 +195,7 @@ def _contours(
 
 
 def contour_interval(raster: products.Raster, *, levels: int = _LEVELS) -> float:
-    """Return a usual contour interval for a number of levels, above the noise [m]."""
+    """Return a rounded contour interval for a number of levels, above noise [m]."""
     finite = raster.height[np.isfinite(raster.height)]
     low, high = np.percentile(finite, [_STRAY, 100 - _STRAY])
     sigma = float(np.nanmedian(raster.own))
@@ -219,7 +219,7 @@ def _deviation(
     remarks: Said,
     body: Revolution | None,
 ) -> Page:
-    """Draw the deviation from a mesh, or from the fitted surface of revolution."""
+    """Draw the deviation from a reference, or from the fitted surface of revolution."""
     if order.against is not None:
         deviation = references.compare(surface, order)
         name, place = order.against.name, references.PLACE_KNOWN

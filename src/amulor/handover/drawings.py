@@ -79,7 +79,7 @@ class LineProduct:
 def section(
     surface: products.Surface, plane: products.Plane, order: Order, remarks: Said
 ) -> LineProduct:
-    """Cut a surface along a plane and return the profile."""
+    """Draw the section of a surface along a line."""
     assert order.line is not None
     cut = products.section(surface, plane, start=order.line[:2], end=order.line[2:])
     pieces = int(cut.piece.max()) + 1
@@ -134,7 +134,7 @@ def section(
 
 
 def turned_body(image: xr.Dataset) -> measure.Revolution:
-    """Fit a surface of revolution to all pixels of a range image on a surface."""
+    """Fit a surface of revolution to the surface pixels of a range image."""
     surface = products.surface(image)
     region = np.zeros(image["slant_range"].size, dtype=bool)
     region[surface.pixel] = True
@@ -148,7 +148,7 @@ def profile(
     *,
     body: measure.Revolution | None = None,
 ) -> LineProduct:
-    """Return the half-profile of a surface of revolution, with diameters."""
+    """Draw the half-profile of a surface of revolution, with diameters."""
     turned = body or turned_body(image)
     fit = turned.fit
     height = turned.height - turned.height[0]
@@ -190,7 +190,7 @@ def profile(
 
 
 def axis_of(turned: measure.Revolution) -> tuple[Floats, Floats]:
-    """Return the unit vector of a body's axis, and its point [m]."""
+    """Return the axis of a body: its unit vector, and a point on it [m]."""
     axis, point = (
         np.array([turned.fit.values[f"{name}_{at}"] for at in "xyz"])
         for name in ("axis", "point")
@@ -242,7 +242,7 @@ def _profile_drawing(
 def _seen_along(
     surface: products.Surface, axis: Floats, base: Floats, cell: float
 ) -> products.Raster:
-    """Return a surface raster with the given axis upright and the base as origin."""
+    """Return a raster of a surface, with an axis upright and `base` as origin."""
     nearer = -surface.direction.mean(axis=0)
     nearer -= (nearer @ axis) * axis
     nearer /= np.linalg.norm(nearer)
@@ -256,7 +256,7 @@ def _seen_along(
 
 
 def contours(raster: products.Raster, order: Order, remarks: Said) -> LineProduct:
-    """Return the contour lines of a raster."""
+    """Draw the contour lines of a raster, by default every 10 mm."""
     interval = order.contours if order.contours is not None else 0.01
     lines = products.contours(raster, interval=interval)
     return contour_product(raster, lines, interval, order, remarks)
@@ -269,7 +269,7 @@ def contour_product(
     order: Order,
     remarks: Said,
 ) -> LineProduct:
-    """Return contour lines with labels, table and a warning about noise."""
+    """Draw contour lines with labels, a table, and a warning about noise."""
     if not lines:
         raise CubeError(
             f"no contour line every {interval * 1e3:g} mm stands out of the noise; "
@@ -328,7 +328,7 @@ def scale_of(order: Order, surface: products.Surface, plane: products.Plane) -> 
 
 
 def cell_of(order: Order, surface: products.Surface, scale: float) -> float:
-    """Return the raster cell size [m]: from the order, else from print or pixels."""
+    """Return the cell size: as ordered, else printed dot or rounded pixel size [m]."""
     if order.cell is not None:
         return order.cell
     if order.product == "orthoimage":

@@ -89,7 +89,7 @@ def product_of(
     against: object = None,
     contours: object = None,
 ) -> Product:
-    """Return the kind of product that a file name and the given options imply."""
+    """Return the kind of product that a file ending and the options imply."""
     ending = path.suffix.lower()
     if line is not None:
         return "section"

@@ -157,7 +157,7 @@ def _endings(product: str) -> tuple[str, ...]:
 
 
 def _plain(stem: str) -> str:
-    """Return a file name that is valid on every system, without folders."""
+    """Replace all characters of a file name but letters, digits, - and _."""
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in stem)
     return name.strip("_")[:80] or "scan"
 

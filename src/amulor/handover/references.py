@@ -75,7 +75,7 @@ PLACE_KNOWN = "The reference's own place counts as known"
 def described(
     deviation: products.Deviation, remarks: Said, name: str, place: str
 ) -> Said:
-    """Return title and statements of a comparison with a reference of a name."""
+    """Return title and statements of a comparison with the reference `name`."""
     return (
         f"{remarks[0]}: deviation",
         [
@@ -109,7 +109,7 @@ def compare(surface: products.Surface, order: Order) -> products.Deviation:
 
 
 def _frame_of(earlier: xr.Dataset, frame: Frame) -> Frame:
-    """Return the frame of an earlier scan; by default the frame of the present scan."""
+    """Return the frame of an earlier scan; with this scan's pose if it states none."""
     try:
         return imaging.frame_of(earlier, axes=frame.name)
     except CubeError:
@@ -212,7 +212,7 @@ def _write_map(
 def deviation_sheet(
     deviation: products.Deviation, order: Order, statements: Said
 ) -> tuple[Figure, formats.TitleBlock]:
-    """Draw significant deviations in color on a sheet."""
+    """Draw deviations on a sheet, in color where they are significant."""
     raster, scale = _raster(deviation, order, fine=True)
     value, sure = raster.layers["value"], raster.layers["sure"]
     shown = np.where(sure >= 0.5, value, np.nan)
@@ -228,7 +228,7 @@ def deviation_sheet(
 def _raster(
     deviation: products.Deviation, order: Order, *, fine: bool = False
 ) -> tuple[products.Raster, float]:
-    """Return deviations, uncertainties and significance as a raster, and its scale."""
+    """Return deviations, uncertainties and significance as a raster, and the scale."""
     surface = deviation.surface
     plane = products.plane_of(surface.frame, order.side)
     scale = drawings.scale_of(order, surface, plane)

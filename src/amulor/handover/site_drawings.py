@@ -91,7 +91,7 @@ def write_site_drawings(
     *,
     overwrite: bool = False,
 ) -> str:
-    """Write plan, sections and details as one PDF file, each as SVG, lines as DXF."""
+    """Write plan, sections and details to one PDF file, each to SVG, lines to DXF."""
     epoch = order.epoch or site.epoch[-1].name
     visit = [scan for scan in scans if scan.epoch == epoch]
     if not visit:
@@ -483,7 +483,7 @@ class _Drawer:
 def _middle_lines(
     west: float, east: float, south: float, north: float
 ) -> tuple[tuple[float, float, float, float], ...]:
-    """Return section lines through the middle, along the longer side first [m]."""
+    """Return two section lines [m] through the middle, the longer one first."""
     x, y = (west + east) / 2, (south + north) / 2
     beyond = _BEYOND * max(east - west, north - south)
     across = (west - beyond, y, east + beyond, y)
@@ -498,7 +498,7 @@ def _tiles(
     overview: float,
     window: tuple[float, float, float, float],
 ) -> list[tuple[float, float, float, float]]:
-    """Return windows of detail sheets; none if one sheet of A3 holds the plan [m]."""
+    """Return the windows [m] of A3 detail sheets; empty if the overview is enough."""
     if scale is None or scale >= overview:
         return []
     west, east, south, north = window
@@ -527,7 +527,7 @@ def _has_surface(
 
 
 def _rounded_down(value: float) -> float:
-    """Return the largest number of the series 1, 2, 5, 10, ... not above a value."""
+    """Round down to the series 1, 2, 5, 10, ...; 1 for smaller values."""
     if value < 1:
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))

@@ -67,7 +67,7 @@ class Step:
 
 
 def chain(task: Task) -> tuple[Step, ...]:
-    """Return the processing steps of a scan, from samples to point cloud."""
+    """Return the processing steps of a scan, from its input to the point cloud."""
     steps: list[Step] = []
     folder, current = Path(task.folder), Path(task.file)
 
@@ -234,7 +234,7 @@ def make_part(task: Task, name: str, begin: int, end: int) -> None:
 
 
 def whole(step: Step, path: Path) -> None:
-    """Join the row ranges of a file if all exist, else compute the whole file."""
+    """Write a file: join its row ranges if all exist, else compute all rows."""
     if step.name == "cloud.ply":
         cloud_file(step.of, path, rows=step.task.tile_rows, overwrite=True)
         return

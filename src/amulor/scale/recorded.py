@@ -234,7 +234,7 @@ def _sorted(
     shared: _Known,
     size: int,
 ) -> recordings.Recording:
-    """Sort the samples into one file per tile; return the axes of the recording."""
+    """Sort the samples into a file per tile; return axes and open-water shots."""
     before: dict[tuple[int, int], int] = {}
     scanned: set[tuple[int, int]] = set()
     shots: list[Scratch] = []
@@ -287,7 +287,7 @@ def _bands(survey: Survey, size: int) -> Iterator[tuple[int, int]]:
 def _band(
     recording: recordings.Recording, folder: Path, size: int, rows: tuple[int, int]
 ) -> recordings.Band:
-    """Return the samples of some rows and their neighbors, from the sorted files."""
+    """Return the samples of some rows and of adjacent rows, from the sorted files."""
     begin, end = recordings.band_with_neighbours(recording.survey, rows)
     parts = [np.zeros(0, dtype=_PLACED)]
     for tile in range(begin // size, (end - 1) // size + 1):
@@ -302,7 +302,7 @@ def _band(
 
 
 def _typical(recording: recordings.Recording, folder: Path, size: int) -> Floats:
-    """Return the median difference between neighboring pixels, by channel."""
+    """Return median differences of neighboring pixels, by frequency and channel."""
     shape = len(recording.frequencies), len(recording.pairs)
     for rows in _bands(recording.survey, size):
         band = _band(recording, folder, size, rows)
@@ -326,7 +326,7 @@ def _median_of(path: Path) -> float:
 
 
 def _ranked(path: Path, rank: int) -> float:
-    """Return the number of a rank in a file, from 0, by 16-bit radix selection."""
+    """Return the number at a rank of the sorted file, from 0, by radix selection."""
     value = 0
     for shift in (48, 32, 16, 0):
         counts = np.zeros(2**16, dtype=np.int64)

@@ -19,7 +19,7 @@ __all__ = ["SimulatedSummary", "simulate_file"]
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSummary:
-    """Size of a simulated cube, and fractions of beams and samples."""
+    """Size of a simulated cube, fractions of hitting beams and saturated samples."""
 
     sizes: dict[str, int]
     """Lengths of the dimensions of the cube [1]."""

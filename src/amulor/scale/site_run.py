@@ -45,7 +45,7 @@ __all__ = ["Done", "Task", "is_made", "run_site", "work", "work_on_rows"]
 
 
 def work(task: Task, until: str | None = None) -> Done:
-    """Process a scan from samples to point cloud."""
+    """Compute all files of a scan, up to the point cloud, or only the file `until`."""
     set_up_worker()
     record = Record(Path(task.folder))
     record.tidy()
@@ -67,7 +67,7 @@ def is_made(task: Task, name: str) -> bool:
 
 
 def work_on_rows(task: Task, name: str, begin: int, end: int) -> str:
-    """Compute some rows of a file; `work` joins the rows of the scan later."""
+    """Compute some rows of a file; return the error message, empty if none."""
     set_up_worker()
     try:
         with dated(datetime.datetime.fromisoformat(task.started)):
@@ -182,7 +182,7 @@ class _Spread:
         self._next(_Underway(task=task, stages=stages))
 
     def _next(self, scan: _Underway) -> None:
-        """Check if the next file of a scan exists; after the last one, end the scan."""
+        """Submit the check of a scan's next file, or its remaining work without one."""
         if scan.stages:
             self._submit("asked", scan, is_made, scan.stages[0])
         else:
@@ -196,7 +196,7 @@ class _Spread:
         self.futures.add(future)
 
     def after(self, future: Any, error: str) -> Done | None:
-        """Continue a scan after a finished task; return the result at its end."""
+        """Continue a scan after a finished task; return the result after the last."""
         scan, kind = self._known.pop(future.key)
         answer = None if error else future.result()
         name = scan.stages[0] if scan.stages else ""

@@ -51,7 +51,7 @@ def missing_of(folder: Path) -> list[str]:
 def _field_table(
     folder: Path, name: str, fields: Sequence[str], problems: list[str]
 ) -> dict[str, str]:
-    """Read a table of fields and values; report fields that are missing."""
+    """Read a table of fields and values; report missing and empty fields."""
     rows = _rows(folder, name, problems)
     values = {row.get("field") or "": (row.get("value") or "").strip() for row in rows}
     if rows:

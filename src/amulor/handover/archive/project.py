@@ -228,7 +228,7 @@ def _described(path: Path) -> Project:
 
 
 def read_project(path: Path) -> Project:
-    """Read the description of a project."""
+    """Read the description of a project, and check that its files exist."""
     project = _described(path)
     scans, wrong = [], []
     for number, scan in enumerate(project.scans):

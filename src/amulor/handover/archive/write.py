@@ -40,7 +40,7 @@ _FORMATS = {
 
 
 def write_archive(project: Project, folder: Path) -> dict[str, int]:
-    """Write a project's folder in the form that heritage archives require.
+    """Write the folder of a project for a heritage archive.
 
     The folder follows the ADS / Digital Antiquity Guides to Good Practice for laser
     scanning. It has raw scans as recorded; the registered cloud of each scan as text,
@@ -107,7 +107,7 @@ def _fill(project: Project, hidden: Path) -> dict[str, int]:
 
 
 def _frames(project: Project) -> list[imaging.Frame]:
-    """Return the frame of each scan's points; raise if the frames differ."""
+    """Return the frame of each scan; raise if reference systems or offsets differ."""
     frames = []
     for scan in project.scans:
         image = io.read_cube(scan.image)
