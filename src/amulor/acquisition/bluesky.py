@@ -148,7 +148,7 @@ class ScanDevice:
     # -- called by a RunEngine ---------------------------------------------------------
 
     def stage(self) -> Any:
-        """Connect the devices; finished when the first sample can be acquired."""
+        """Connect the devices; the status is done once sampling can start."""
         if self._thread is not None:
             raise InstrumentError(
                 "this scan was staged before; make another one, with resume=True"
@@ -160,7 +160,7 @@ class ScanDevice:
         return self._ready
 
     def set(self, number: int) -> Any:
-        """Acquire samples up to a given number, counted in this run [1]."""
+        """Acquire samples up to a number, counted from the start of this run [1]."""
         status = _Status()
         with self._changed:
             self._pause_requested = False
@@ -192,7 +192,7 @@ class ScanDevice:
 
     @property
     def stream(self) -> str:
-        """Name of the current sample's stream: dark, open_water or scan."""
+        """Name of the current sample's event stream: its kind, such as scan or dark."""
         return self._samples[self._current][0].kind
 
     def finished_before(self, number: int) -> bool:
@@ -208,7 +208,7 @@ class ScanDevice:
             await asyncio.get_running_loop().run_in_executor(None, self._wait_for_pause)
 
     def unstage(self) -> Any:
-        """End the scan; finished when all devices are safe and released."""
+        """End the scan; the status is done once all devices are safe and released."""
         with self._changed:
             self._end_requested = True
             self._changed.notify_all()
@@ -233,7 +233,7 @@ class ScanDevice:
     # -- called by the scan, in its thread ---------------------------------------------
 
     def pause_wanted(self) -> bool:
-        """Wait for the next sample request; True (pause) if none comes in time."""
+        """Wait for the next sample request; True for a pause, an end or a timeout."""
         self._ready.resolve(None)
         with self._changed:
             requested = self._changed.wait_for(
@@ -247,7 +247,7 @@ class ScanDevice:
             return not requested or self._end_requested or self._pause_requested
 
     def go_on(self) -> bool:
-        """Wait for the next request, all devices safe; False if it ends the scan."""
+        """Wait for the next request during a pause; False if it ends the scan."""
         with self._changed:
             self._paused = True
             self._changed.notify_all()

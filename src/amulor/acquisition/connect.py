@@ -168,7 +168,7 @@ class OperatorTargetStage:
         self._ask = ask
 
     def identity(self) -> str:
-        """Return the identity of an operator, who has no serial number."""
+        """Return "operator"."""
         return "operator"
 
     def bring_in(self, *, timeout: float) -> None:
@@ -197,7 +197,7 @@ def connect(
     ask: Callable[[str], None] | None = None,
     shutter_closed: bool = False,
 ) -> Devices:
-    """Connect all devices in the settings of a scan.
+    """Connect all devices in the settings of a scan, and switch the laser off.
 
     Simulated devices have a shutter if the settings or the scan need one.
     """
@@ -217,7 +217,7 @@ def connect(
 def _refuse_target(
     survey: Survey, settings: Settings, ask: Callable[[str], None] | None
 ) -> None:
-    """Raise if open-water references need a target stage or operator but have none."""
+    """Raise if the operator for the target, or a stage for references, is missing."""
     driver = settings.target.driver
     if driver == "operator" and ask is None:
         raise InstrumentError(
@@ -260,7 +260,7 @@ def _shutter(
 def simulated_bench(
     survey: Survey, settings: Settings, *, scene: Scene, clock: Clock, part: int = 0
 ) -> Bench:
-    """Return the simulated instrument for a survey."""
+    """Return the simulated bench for a survey."""
     simulation = settings.simulation
     return Bench(
         survey,
@@ -334,7 +334,7 @@ def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
 
 
 def _addresses(settings: Settings) -> list[str]:
-    """Return the distinct addresses of all devices."""
+    """Return the distinct addresses of all devices, or class and arguments."""
     parts = (
         settings.lock_in,
         settings.scanner,

@@ -211,7 +211,7 @@ class Dwell:
 
 
 def lacking(device: Device, *words: str) -> list[str]:
-    """Return the names of the given methods that a device does not have."""
+    """Return the names of the required methods that a device lacks."""
     return [word for word in words if not hasattr(device, word)]
 
 
@@ -273,7 +273,7 @@ class DwellReader:
         return [self._lock_in.read()]
 
     def _read(self, *, waited: bool) -> Dwell:
-        """Read a dwell one query at a time; update the noise estimate if settled."""
+        """Read a dwell query by query; update the noise if readings agreed before."""
         readings: list[list[Reading]] = []
         moments: list[float] = []
         for place in range(self._number):

@@ -219,7 +219,7 @@ def _waveform(value: Any) -> str | None:
 def _all_of(
     check: Callable[[Any], str | None], *, count: int | None = None
 ) -> Callable[[Any], str | None]:
-    """Return a check that applies a given check to all items of a sequence."""
+    """Return a check that applies another check to all items of a sequence."""
 
     def checked(value: Any) -> str | None:
         if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):

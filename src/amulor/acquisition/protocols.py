@@ -45,7 +45,7 @@ class Reading:
 
 
 class Device(Protocol):
-    """Methods that every device of a scan has."""
+    """Methods common to all devices of a scan."""
 
     def identity(self) -> str:
         """Return maker, model, serial number and firmware from the device."""
@@ -61,10 +61,10 @@ class Device(Protocol):
 
 
 class LockIn(Device, Protocol):
-    """Lock-in amplifier whose oscillator is its reference."""
+    """Lock-in amplifier that demodulates the detector signal."""
 
     def prepare(self, *, time_constant: float) -> None:
-        """Set internal reference, one-pole output filter and time constant [s]."""
+        """Set the reference, a one-pole output filter and the time constant [s]."""
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
         """Set the modulation frequency, wait for lock, return the actual one [Hz]."""
@@ -181,7 +181,7 @@ class Digitiser(Device, Protocol):
         """Modulate at several frequencies at once [Hz]; return the actual ones [Hz]."""
 
     def acquire(self, duration: float) -> Waveform:
-        """Return a record of this duration [s], shorter if the memory is full."""
+        """Return a record of a duration [s], shorter if the memory is full."""
 
 
 class Source(Device, Protocol):

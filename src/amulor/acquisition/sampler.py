@@ -284,7 +284,7 @@ class Sampler:
         return records
 
     def _arrange(self, step: Step) -> None:
-        """Set frequency, polarization, target and laser."""
+        """Set frequency, polarization, target, shutter and laser."""
         if step.frequencies != self._frequencies:
             self._set_frequencies(step.frequencies)
         if step.key.polarization != self._polarization:
@@ -387,7 +387,7 @@ class Sampler:
         self._new = True
 
     def _wait_for_darkness(self) -> None:
-        """Wait until the output filter has lost the echo, beside `settling`."""
+        """Wait, in addition to `settling`, until the filter output has decayed."""
         self._devices.clock.sleep(_TO_DARKNESS * self._constant)
 
     def _move_target(self, kind: str) -> None:

@@ -174,7 +174,7 @@ def shutter_leakage(
     dark: tuple[Complex, Floats],
     frequency: Floats,
 ) -> tuple[Leakage, ...]:
-    """Return the leakage measured in a scan with closed shutter; empty if none.
+    """Return the leakage from closed-shutter readings of a scan; empty without any.
 
     The readings before, during and after the scan are averaged.
     """
@@ -239,7 +239,7 @@ def _mean_of(signal: Complex, variance: Floats) -> tuple[Complex, Floats]:
 
 
 def from_reference(cube: xr.Dataset) -> Calibration:
-    """Return the phase of the standing reference during the calibration of a delay.
+    """Return the phases of the standing reference in a cube, as a calibration.
 
     Parameters
     ----------
@@ -619,7 +619,7 @@ def _over_distances(
     cube: xr.Dataset,
     uncertainty: float | None,
 ) -> Calibration:
-    """Average phases over distances; estimate errors by frequency and group index.
+    """Average phases over distances; add phase errors; estimate the group index.
 
     `rest` are the phases beyond the table, shape (frequency, further cubes) [rad].
     """
@@ -681,7 +681,7 @@ def _delay_uncertainty(
 
 
 def _applied(plates: Sequence[xr.Dataset]) -> dict[str, Any]:
-    """Return the calibrations that were applied to all cubes of a plate, by field."""
+    """Return the calibration applied to the plate cubes; raise if references differ."""
     phases = {tuple(cube.attrs.get("reference_phase_rad", ())) for cube in plates}
     if len(phases) > 1:
         raise CubeError(
@@ -697,7 +697,7 @@ def _with_leakage(
     leakage: Sequence[Leakage], frequency: float, channel: str, more: complex,
     uncertainty: float,
 ) -> list[Leakage]:  # fmt: skip
-    """Return all leakage; for one channel, add the excess over the shutter leakage."""
+    """Return the leakage entries, with an excess added to that of one channel."""
     at = (frequency, channel)
     result = [e for e in leakage if (e.modulation_frequency, e.polarization) != at]
     for entry in leakage:
@@ -776,7 +776,7 @@ def _across(turned: Complex, signal: Complex, cube: xr.Dataset, prefix: str) -> 
 def _fit_filters(
     transmission: Floats, signal: Complex, sigma: Floats
 ) -> tuple[Floats, Floats, Floats, complex, float]:
-    """Fit signals behind filters; return amplitudes, phases, their errors, leakage.
+    """Fit signals behind filters: amplitude, phase (with error), leakage (with error).
 
     The transmission is uncertain, so the signals are uncertain along their phasor.
     """

@@ -298,7 +298,7 @@ def phase_correction(
     *,
     modulation_frequency: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the phase correction of samples [rad], and a mask of corrected samples."""
+    """Return the phase correction of samples [rad], and whether the table has them."""
     nearest = _entry(calibration, modulation_frequency)
     at = np.asarray(nearest.amplitudes)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -383,7 +383,7 @@ def _by_channel(
 def reference_shift(
     calibration: Calibration, cube: xr.Dataset
 ) -> tuple[Floats, dict[str, object]]:
-    """Return phases by which to turn samples back, and the attributes that change.
+    """Return phase shifts of the standing reference [rad], and the changed attributes.
 
     The drift of a scan was corrected to one phase of its standing reference. The shift
     corrects it to the phase during the calibration. Shape (frequency, polarization).
@@ -448,7 +448,7 @@ def temperature_shift(
 
 
 def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
-    r"""Subtract leakage and correct the phases of samples and references.
+    r"""Subtract leakage and correct phases, in samples and open-water references.
 
     If the calibration has phases of the standing reference, the samples are corrected
     to them.

@@ -96,7 +96,7 @@ class Samples:
 
 
 def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
-    """Return the modulation frequencies that the instrument reads back [Hz]."""
+    """Return the median read-back frequencies [Hz], else the commanded frequencies."""
     commanded = np.array(survey.instrument.modulation_frequencies)
     frequency = commanded.copy()
     for number, values in enumerate(samples["modulation_frequency"]):
@@ -164,7 +164,7 @@ def dark_output(
 def phase_drift(
     survey: Survey, journal: Journal, dark: tuple[NDArray[np.complex128], Floats]
 ) -> PhaseDrift | None:
-    """Return the phase drift by a standing reference; None without readings."""
+    """Return the phase drift from readings of the standing reference; None without."""
     reference = survey.scan.reference
     recorded = [*journal.samples(plan.REFERENCE)]
     if reference is None or not recorded:
@@ -193,7 +193,7 @@ def phase_drift(
 
 
 def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) -> Floats:
-    """Return the variance of each sample by photoelectron shot noise [V^2]."""
+    """Return each sample's noise variance: measured, else computed shot noise [V^2]."""
     detector = survey.instrument.detector
     volt = detector.volt_per_photoelectron_rate
     lower = samples["raw_amplitude"] / (survey.instrument.modulation_depth * volt)

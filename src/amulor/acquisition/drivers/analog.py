@@ -24,7 +24,7 @@ class Outputs(Protocol):
         """Return the identity of the device that has the outputs."""
 
     def set(self, volts: dict[str, float]) -> dict[str, float]:
-        """Set the outputs [V]; return the voltages read back, if available [V]."""
+        """Set the outputs [V]; return the voltages read back, else the set values."""
 
     def close(self) -> None:
         """Release the outputs."""
@@ -205,7 +205,7 @@ class AnalogScanner:
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
-        """Turn to a direction; return the direction from the set voltages [rad]."""
+        """Turn to a direction [rad]; return the direction for the output voltages."""
         names = (self._settings.azimuth.output, self._settings.elevation.output)
         volts = [
             mirror.volts(angle)

@@ -44,7 +44,7 @@ class DigitiserLockIn:
         return self._digitiser.identity()
 
     def prepare(self, *, time_constant: float) -> None:
-        """Set the largest input range; a digitizer has no time constant."""
+        """Configure the digitizer, and select its largest input range."""
         self._digitiser.prepare()
         self._set_range(len(self._digitiser.ranges) - 1)
 
@@ -66,11 +66,11 @@ class DigitiserLockIn:
         return [*actual]
 
     def read(self) -> Reading:
-        """Return the demodulated outputs of one record."""
+        """Return the outputs of one record at the first frequency."""
         return self.read_all()[0]
 
     def read_all(self) -> list[Reading]:
-        """Return the demodulated outputs of one record at every frequency."""
+        """Return the outputs of one record at every frequency."""
         recorded = self.record(0.0)
         return [
             Reading(
@@ -88,7 +88,7 @@ class DigitiserLockIn:
         ]
 
     def record(self, duration: float) -> Recorded:
-        """Return the mean of all records that fit into a duration [s], at least one."""
+        """Demodulate all records that fit into a duration [s], at least one."""
         began = self._clock.now()
         signals, variances, means, offsets = [], [], [], []
         overload, unlocked = Overload.NONE, False

@@ -94,7 +94,7 @@ class OphydScanner:
     def refuse_beyond_reach(
         self, azimuth: Sequence[float], elevation: Sequence[float]
     ) -> None:
-        """Raise if an axis refuses one of these directions [rad]."""
+        """Raise if an axis refuses a direction [rad] of the scan or of parking."""
         settings = self._settings
         if settings.park_azimuth is not None and settings.park_elevation is not None:
             azimuth = [*azimuth, settings.park_azimuth]
@@ -239,13 +239,13 @@ class OphydLockIn:
         return self._factor * float(self._options["full_scale"])
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 [V]; return its read-back [V]."""
+        """Set the voltage of auxiliary output 1, 2, ...; return its read-back [V]."""
         path = self._numbered("outputs", self._outputs, number)
         self._device.set(path, voltage)
         return float(self._device.value(path))
 
     def input(self, number: int) -> float:
-        """Return the voltage at an auxiliary input, counted from 1 [V]."""
+        """Return the voltage at auxiliary input 1, 2, ... [V]."""
         return float(self._device.value(self._numbered("inputs", self._inputs, number)))
 
     def reconnect(self) -> None:

@@ -149,7 +149,7 @@ class PiController:
         self._link.close()
 
     def _stop(self) -> None:
-        """Halt all axes smoothly, then stop abruptly any axis that still moves."""
+        """Halt all axes smoothly; stop them abruptly if one still moves."""
         self._link.send("HLT")
         (code,) = self._link.ask("ERR?")
         if code in ("0", str(_STOPPED)) and self._comes_to_rest():

@@ -116,7 +116,7 @@ class PymeasureLockIn:
         return math.sqrt(2) * float(self._options["full_scale"])
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 [V]; return its read-back [V]."""
+        """Set the voltage of auxiliary output 1, 2, ...; return its read-back [V]."""
         if not 1 <= number <= len(self._outputs):
             raise InstrumentError(
                 f"lock_in.options.outputs names {len(self._outputs)} outputs, asked "

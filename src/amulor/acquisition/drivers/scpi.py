@@ -300,7 +300,7 @@ class ScpiLockIn:
         return self._peak(self._place)
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 [V]; return its read-back [V]."""
+        """Set the voltage of auxiliary output 1, 2, ...; return its read-back [V]."""
         words = self._words
         if words.output is None or words.output_read is None:
             raise InstrumentError(

@@ -54,7 +54,7 @@ class Stanford:
         return self._identity
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, numbered as on the panel; read it back [V]."""
+        """Set the voltage of auxiliary output 1, 2, ...; return its read-back [V]."""
         if not 1 <= number <= self._outputs:
             raise InstrumentError(
                 f"{self.model} has auxiliary outputs 1 to {self._outputs}, asked for "
@@ -64,7 +64,7 @@ class Stanford:
         return self.number(f"{word} {code},{voltage:.3f};{word}? {code}")
 
     def input(self, number: int) -> float:
-        """Return the voltage at an auxiliary input, numbered as on the panel [V]."""
+        """Return the voltage at auxiliary input 1, 2, ... [V]."""
         if not 1 <= number <= self._inputs:
             raise InstrumentError(
                 f"{self.model} has auxiliary inputs 1 to {self._inputs}, asked for was "
@@ -168,7 +168,7 @@ _FINER_BELOW = 0.2
 
 
 class Sr844(Stanford):
-    """Lock-in amplifier SR844, with its internal oscillator as the reference.
+    """Lock-in amplifier SR844, with an internal or an external reference.
 
     The commands are those of chapter 4 of its manual: syntax (4-8, 4-10), SNAP? (4-25,
     4-26), LIAS? (4-32). Its outputs are in volts rms, with a phase that falls with
@@ -190,7 +190,7 @@ class Sr844(Stanford):
         self._link.send(f"OUTX {int('GPIB' in self._link.address.upper())}")
 
     def prepare(self, *, time_constant: float) -> None:
-        """Set internal reference, one-pole output filter and time constant [s]."""
+        """Set the reference, a one-pole output filter and the time constant [s]."""
         code = self.index_of(time_constant, TIME_CONSTANTS, "time constant")
         self._sensitivity = len(SENSITIVITIES) - 1
         self._wide = self._close = _NORMAL

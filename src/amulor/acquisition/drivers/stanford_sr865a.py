@@ -54,7 +54,7 @@ class _BufferIsFull(Exception):  # noqa: N818  caught inside this module
 
 
 class Sr865a(Stanford):
-    """Lock-in amplifier SR865A, with its internal oscillator as the reference.
+    """Lock-in amplifier SR865A, with an internal or an external reference.
 
     The commands are those of the remote programming chapter of its manual: RSRC, FREQ,
     OFLT, OFSL, SCAL, IRNG, SNAP?, LIAS?, AUXV. Outputs that the panel counts from 1 to
@@ -92,7 +92,7 @@ class Sr865a(Stanford):
         self._began_after, self._began_before, self._noted = -math.inf, math.inf, 0.0
 
     def prepare(self, *, time_constant: float) -> None:
-        """Set internal reference, one-pole output filter and time constant [s]."""
+        """Set the reference, a one-pole output filter and the time constant [s]."""
         code = self.index_of(time_constant, TIME_CONSTANTS, "time constant")
         self._scale = 0
         self._range = self.index_of(self._first_range, INPUT_RANGES, "input range", "V")

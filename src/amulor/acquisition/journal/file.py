@@ -197,7 +197,7 @@ def reader(path: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Convert errors of SQLite and the operating system to helpful FormatErrors."""
+    """Convert errors of SQLite and the operating system to FormatErrors with advice."""
     try:
         yield
     except sqlite3.IntegrityError as error:

@@ -233,7 +233,7 @@ class Journal:
             self._claim = None
 
     def meta(self) -> dict[str, str]:
-        """Return the metadata of the scan, as written at its start.
+        """Return the metadata of the scan, with verified checksums.
 
         Raises
         ------
@@ -342,7 +342,7 @@ class Journal:
                 yield key, record
 
     def newer(self, than: int) -> list[tuple[int, Key, Record]]:
-        """Return number, key and record of all samples after a given number.
+        """Return number, key and record of all samples with a number above `than`.
 
         Parameters
         ----------
@@ -429,7 +429,7 @@ class Journal:
         return self.folder / FILE_NAME
 
     def refuse_another(self, meta: Mapping[str, str]) -> None:
-        """Raise unless the journal has the given schema, survey and instrument.
+        """Raise if the journal has another schema version, survey or instrument.
 
         Parameters
         ----------

@@ -37,7 +37,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 def _pattern(
     names: tuple[str, ...], kinds: tuple[type, ...]
 ) -> tuple[int, struct.Struct, list[int], list[int]]:
-    """Return a row's layout: CRC of names, binary number format, indices by type."""
+    """Return a row's layout: CRC of names, number format, indices of numbers, texts."""
     texts = [place for place, kind in enumerate(kinds) if kind is str]
     numbers = [
         place for place, kind in enumerate(kinds) if kind not in (str, type(None))
@@ -196,7 +196,7 @@ def row_of(key: Key, record: Record) -> tuple[Any, ...]:
 def refuse_another(
     folder: Path, path: Path, result: Mapping[str, str], meta: Mapping[str, str]
 ) -> None:
-    """Raise unless the journal has the given schema, survey and instrument."""
+    """Raise if the journal has another schema version, survey or instrument."""
     version = result.get("journal_schema")
     if version != SCHEMA_VERSION:
         raise FormatError(
@@ -221,7 +221,7 @@ def refuse_another(
 
 
 def _differences(before: str, now: str) -> str:
-    """List the devices whose identity or settings changed since the scan began."""
+    """Describe the devices whose identity changed since the scan began."""
     old, new = json.loads(before), json.loads(now)
     changed = [
         f"{name} was {old.get(name, 'not there')}, is {new.get(name, 'not there')}"

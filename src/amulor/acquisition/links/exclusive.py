@@ -59,7 +59,7 @@ class DeviceLocks:
 
 
 def hold(*addresses: str) -> DeviceLocks:
-    """Return locks for devices, held until this program ends or releases them."""
+    """Lock devices until this program ends or releases the locks."""
     folder = lock_folder()
     names = {name: address for address in addresses for name in device_names(address)}
     locks = DeviceLocks()

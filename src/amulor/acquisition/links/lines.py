@@ -165,7 +165,7 @@ class Link:
         serial: SerialPort = SerialPort(),
         lock: bool = False,
     ) -> Link:
-        """Open a link."""
+        """Open a link through PyVISA."""
         try:
             pyvisa = importlib.import_module("pyvisa")
         except ImportError:

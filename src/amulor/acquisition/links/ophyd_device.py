@@ -146,7 +146,7 @@ class OphydDevice:
     def call(
         self, action: str, call: Callable[[], Any], *, timeout: float | None = None
     ) -> Any:
-        """Run an action in the event loop; an error contains the name of the action."""
+        """Run an action in the event loop; error messages contain its name."""
         limit = self._timeout if timeout is None else timeout
         try:
             return self._loop.run(call, timeout=limit)

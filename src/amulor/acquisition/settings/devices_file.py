@@ -273,7 +273,7 @@ class SimulationSettings(Description):
 
 
 class Settings(Description):
-    """Devices of a scan; by default all are simulated.
+    """Devices and procedure of a scan; all devices are simulated by default.
 
     Examples
     --------

@@ -40,7 +40,7 @@ def driver_check(part: str, *builtin: str) -> AfterValidator:
 
 
 class Linked(Description):
-    """Base class of all sections of the devices file that have an address."""
+    """Base class of the sections of the devices file with an address."""
 
     address: Address | None = None
     """VISA resource name, such as "GPIB0::8::INSTR" or

@@ -366,7 +366,7 @@ class SimulatedDigitiser:
         return [*frequencies]
 
     def acquire(self, duration: float) -> Waveform:
-        """Return a record of this duration [s], shorter if the memory is full."""
+        """Return a record of a duration [s], shorter if the memory is full."""
         faults, number = self.bench.faults, self.bench.readings + 1
         if faults.active("timeout", number) or faults.active("lost-link", number):
             self.bench.readings += 1

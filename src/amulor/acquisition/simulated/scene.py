@@ -95,7 +95,7 @@ class Places:
         return number
 
     def passed(self, start: complex, end: complex) -> list[tuple[float, int]]:
-        """Return path fraction and index of each scene direction on a straight path."""
+        """Return path fraction and index of each new nearest direction along a path."""
         towards, path = self._direction - start, end - start
         level = np.abs(towards) ** 2
         slope = -2 * (towards.real * path.real + towards.imag * path.imag)

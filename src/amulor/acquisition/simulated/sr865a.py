@@ -198,7 +198,7 @@ _DATA = 4
 
 
 class SimulatedSr865a(SimulatedStanford):
-    """Simulated SR865A, of which only the input range can overload."""
+    """Simulated SR865A: settings, auxiliary channels, status bits, capture buffer."""
 
     model = "SR865A"
     unlocked_bit = _UNLOCKED
