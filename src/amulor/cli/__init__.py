@@ -125,7 +125,7 @@ COMMANDS = {
     ),
     "site report": (
         "site:report",
-        "Draw a site into one HTML file: plan, poses, errors, change.",
+        "Write a site report in one HTML file: plan, poses, errors, change.",
     ),
     "site drawings": (
         "site:drawings",
@@ -136,7 +136,7 @@ COMMANDS = {
         "archive:archive",
         "Write the archive folder of a project, or check one.",
     ),
-    "report": ("report:report", "Draw range images into one HTML file."),
+    "report": ("report:report", "Write a report of range images in one HTML file."),
     "reproduce ricci2010": (
         "reproduce:ricci2010",
         "Redraw the figures of Ricci et al. 2010 and check their statements.",
@@ -422,7 +422,7 @@ class _Ended(KeyboardInterrupt):
 
 @contextmanager
 def _ended_in_order() -> Iterator[None]:
-    """Remove half-written files if a signal ends the program.
+    """Raise an exception on a termination signal, so that partial files are removed.
 
     The first SIGTERM or SIGHUP does so; further ones are ignored meanwhile. Signals
     that the program was started to ignore, as by nohup, stay ignored. Commands that

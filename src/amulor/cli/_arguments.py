@@ -40,7 +40,7 @@ def refusing(option: str = "") -> Iterator[None]:
 
 
 def quantity_of(option: str, text: str, quantity: str) -> float:
-    """Parse an option that has a number and a unit, into SI units.
+    """Parse an option with a number and a unit; return the value in SI units.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def quantity_of(option: str, text: str, quantity: str) -> float:
 
 
 def frequencies_of(option: str, text: str) -> list[float]:
-    """Parse an option that lists modulation frequencies, into Hz.
+    """Parse an option with modulation frequencies, a list or a range [Hz].
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def frequencies_of(option: str, text: str) -> list[float]:
 def interval_of(
     nearest: str | None, farthest: str | None
 ) -> tuple[float, float] | None:
-    """Parse the options for the nearest and farthest slant range, into meters.
+    """Parse the options --nearest and --farthest; None without them [m].
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ def print_next(command: str) -> None:
 
 
 def print_flags(counts: Mapping[str, int], total: int) -> None:
-    """Print the most frequent flag, and advice if nearly all values have it."""
+    """Print the most frequent flag, and advice if over 90 % of the values have it."""
     if not counts:
         return
     from amulor.view.explanations import explanations, hint

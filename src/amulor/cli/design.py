@@ -113,7 +113,7 @@ def design(
 
 
 def _print(recommendation: Recommendation, files: list[Path]) -> None:
-    """Print the recommended instrument, the reasons and its weaknesses."""
+    """Print the recommended instrument, its limits, the runner-up and the files."""
     goal = recommendation.goal
     print(f"{goal.name}: {recommendation.looked_at} candidates")
     for line in recommendation.impossible:
@@ -171,7 +171,7 @@ def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
 
 
 def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]]:
-    """Return all missed requirements, and the tightest met one of each kind."""
+    """Return missed requirements, and the tightest of each kind that is fully met."""
     kinds: dict[str, list[Requirement]] = {}
     for requirement in requirements:
         kinds.setdefault(requirement.name.partition(" at ")[0], []).append(requirement)
@@ -187,7 +187,7 @@ def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]
 
 
 def reasons_of(recommendation: Recommendation, *, confirm: bool) -> Reasons:
-    """Compute the reasons for a recommendation: trade-offs, sensitivity, what-if."""
+    """Compute trade-offs, sensitivity, what-if and, if requested, confirmations."""
     from amulor import _progress
     from amulor.design.confirm import confirm as confirmed
     from amulor.design.sensitivity import sensitivity, uncertain
@@ -263,7 +263,7 @@ def print_reasons(
     report: Path | None,
     figures: Path | None,
 ) -> None:
-    """Print why the instrument is recommended, and the paths of written files."""
+    """Print sensitivity, what-if results and confirmations, and the written files."""
     if reasons is None:
         return
     if reasons.sensitivity is not None:

@@ -233,7 +233,7 @@ def _by_rows(
 
 
 def scale_of(option: str, text: str) -> float:
-    """Parse the scale of a drawing from its option.
+    """Parse the scale of a drawing, such as 1:20; return the denominator.
 
     Parameters
     ----------

@@ -119,7 +119,7 @@ def _print_ranges(values: Any) -> None:
 
 
 def _uncertainty(image: Any) -> dict[str, Any]:
-    """Return the error budget of a range image as a dictionary for JSON [m]."""
+    """Return the error budget of a range image as a dictionary for JSON."""
     from dataclasses import asdict
 
     from amulor.imaging.budget import COVERAGE_FACTOR, error_budget
@@ -150,7 +150,7 @@ def _uncertainty(image: Any) -> dict[str, Any]:
 
 
 def _chance(probability: float | None) -> str:
-    """Return the limit of a probability as text; empty without a probability."""
+    """Return text for the limit of a probability; empty without a probability."""
     return "" if probability is None else f" (chance below {probability:.1g})"
 
 

@@ -189,7 +189,7 @@ def _stated(texts: list[str]) -> dict[str, Any]:
 
 
 def _print_choice(target: xr.Dataset) -> None:
-    """Print the modulation frequency that was chosen, the reason, and warnings."""
+    """Print the reason for the chosen modulation frequency, and warnings, if any."""
     if "frequency_choice" in target.attrs:
         print(target.attrs["frequency_choice"])
         for warning in filter(None, target.attrs["frequency_warnings"].split("; ")):

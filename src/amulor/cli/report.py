@@ -33,7 +33,7 @@ def report(
     tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Draw range images into one HTML file.
+    """Write a report of range images in one HTML file.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def report(
 def _shown(
     path: Path, rows: int | None, checks: list[Check]
 ) -> tuple[xr.Dataset, Whole]:
-    """Return a range image, thinned if large, and counts over all of its pixels."""
+    """Return a range image, every n-th pixel if large, and statistics of all pixels."""
     from amulor import pipeline
     from amulor.imaging import selection
     from amulor.io.netcdf import tile_rows

@@ -484,7 +484,7 @@ def report(
     second: str | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Draw a site into one HTML file: plan, poses, errors, change.
+    """Write a site report in one HTML file: plan, poses, errors, change.
 
     Parameters
     ----------

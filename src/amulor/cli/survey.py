@@ -209,7 +209,7 @@ def _print_errors(
 
 
 def _whereabouts(survey: Survey, position: tuple[float, float, float]) -> str:
-    """Describe the position of a target that lies outside all beams."""
+    """Describe why no beam meets a target: behind, beside the scan, or hidden."""
     right, down, forward = (
         value - origin
         for value, origin in zip(

@@ -1,4 +1,4 @@
-"""`amulor warm-up`: compilation of all loops in advance."""
+"""`amulor warm-up`: compilation of the numerical code in advance."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def warm_up() -> None:
 
 
 def _work() -> dict[str, Callable[[], object]]:
-    """Return short computations that together compile all loops, by name."""
+    """Return short computations that together compile the loops of commands."""
     from amulor.studies import ladder
     from amulor.survey import Survey
 
@@ -62,7 +62,7 @@ def _work() -> dict[str, Callable[[], object]]:
 
 
 def _scans(moments: Survey, tabulated: Survey) -> list[xr.Dataset]:
-    """Simulate two scans, in water described by moments and by a phase function."""
+    """Simulate scans by three models, in two waters; one scan without references."""
     from amulor import simulation
 
     for model in (simulation.ClosureModel(), simulation.DiffusionModel()):
@@ -74,7 +74,7 @@ def _scans(moments: Survey, tabulated: Survey) -> list[xr.Dataset]:
 
 
 def _images(cubes: list[xr.Dataset]) -> None:
-    """Run joint and open-water rejection; compute image, surface and deviation."""
+    """Run joint and open-water rejection; compute image, surface, deviation, raster."""
     from amulor import imaging, pipeline
 
     for cube in cubes:
@@ -88,7 +88,7 @@ def _images(cubes: list[xr.Dataset]) -> None:
 
 
 def _sweep(moments: Survey, tabulated: Survey) -> None:
-    """Compute water signals against frequency, for several forms of receiver."""
+    """Compute water signals by three models, for Gaussian and sharp receivers."""
     from amulor.simulation import backscatter
 
     sharp = tabulated.with_({"instrument.receiver.edge": "sharp"})

@@ -84,7 +84,7 @@ def _ended(live: Live) -> bool:
 
 
 def _on_screen(live: Live, channel: str, show: str, *, once: bool) -> None:
-    """Draw the running scan until it is finished or somebody presses Ctrl-C."""
+    """Draw the running scan until it is finished or interrupted by Ctrl-C."""
     from rich.console import Console
     from rich.live import Live as Screen
 

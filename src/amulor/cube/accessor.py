@@ -178,7 +178,7 @@ class CubeAccessor:
 
     @property
     def restored(self) -> xr.Dataset:
-        """Cube with the dimensions that a selection of single values had removed."""
+        """Cube with the dimensions restored that selections of single values remove."""
         return restore_dimensions(self._cube)
 
     @property
@@ -218,7 +218,7 @@ class CubeAccessor:
 
     @property
     def covariance(self) -> xr.DataArray:
-        """Covariance of in-phase and quadrature output, 0 if not in the cube [V2]."""
+        """Covariance of in-phase and quadrature output, 0 if not in the cube [V^2]."""
         if "in_phase_quadrature_covariance" in self._cube:
             return self._cube["in_phase_quadrature_covariance"]
         return xr.zeros_like(self._cube["in_phase"]).assign_attrs(units="V2")

@@ -21,7 +21,7 @@ _FREE_PREFIX = "user_"
 def checked(
     cube: xr.Dataset, level: str | None = None, *, name: str = "the cube"
 ) -> xr.Dataset:
-    """Return a cube; raise unless it conforms to the schema of its level.
+    """Return a cube with restored dimensions; raise unless it conforms to its schema.
 
     Every processing step calls it first.
 

@@ -38,7 +38,7 @@ JOINT_OUTLIERS = 1 - 1e-9
 def flags_of_pixels(
     flag: NDArray[np.int16], *, most_outliers: float = BREAKDOWN
 ) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
-    """Combine the flags of all frequencies into flags of pixels."""
+    """Return pixel flags combined over frequencies, and a mask of ignored samples."""
     unseen = (flag & QualityFlag.NO_TARGET) != 0
     # A target at half of the frequencies is present; the other frequencies are omitted.
     unseen &= unseen.mean(axis=0) <= _HALF

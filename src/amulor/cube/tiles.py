@@ -40,7 +40,7 @@ SAMPLES_AT_ONCE = 2**18
 
 
 def is_large(size: float) -> bool:
-    """Return whether a scan is so large that it is processed by rows."""
+    """Return whether a scan is processed by rows, from a variable's size [bytes]."""
     limit = os.environ.get("AMULOR_LARGE", "").strip() or LARGE
     try:
         return size > float(limit)
@@ -62,7 +62,7 @@ class Source(Protocol):
 
     @property
     def head(self) -> xr.Dataset:
-        """Variables and attributes without row dimension, such as open water."""
+        """Variables and coordinates without row dimension, and the attributes."""
         ...
 
     @property
@@ -93,7 +93,7 @@ class InMemory:
 
     @property
     def head(self) -> xr.Dataset:
-        """Variables, coordinates and attributes that have no row dimension."""
+        """Variables and coordinates without row dimension, and the attributes."""
         names = [name for name, v in self.cube.variables.items() if "row" in v.dims]
         return self.cube.drop_vars(names)
 
@@ -133,7 +133,7 @@ class Derived:
 
     @property
     def head(self) -> xr.Dataset:
-        """Variables, coordinates and attributes that have no row dimension."""
+        """Variables and coordinates without row dimension, and the attributes."""
         if self._head is None:
             self._head = InMemory(self.tile(0, 1)).head
         return self._head
@@ -296,7 +296,7 @@ _BAND = 8
 
 
 def sample_of(source: Source) -> xr.Dataset:
-    """Return bands of rows and columns from all over a scan, as a smaller cube.
+    """Return evenly spaced bands of rows and columns of a scan, as a smaller cube.
 
     Parameters
     ----------
@@ -366,7 +366,7 @@ def _with_gap(strip: xr.Dataset) -> xr.Dataset:
 
 
 def _without(cube: xr.Dataset, **places: Indices) -> xr.Dataset:
-    """Return a cube whose samples in given rows or columns are marked as missing."""
+    """Return a cube with the samples of some rows or columns marked as missing."""
     ((dimension, place),) = places.items()
     if not len(place):
         return cube
@@ -420,7 +420,7 @@ def fit_on_sample(
     needs_span: bool = True,
     **options: Any,
 ) -> OfRows:
-    """Fit a processing step to a sample of a scan's rows.
+    """Fit a processing step to a sample of a scan; return the step for its rows.
 
     `step(cube, *, fit=None, span=None, **options)` returns its result and the
     statistics that it used: `fit`, or those of the cube if `fit` is None. `span` is the

@@ -174,7 +174,7 @@ def _extremes(array: xr.DataArray) -> tuple[Any, Any]:
 
 
 def _place(values: xr.DataArray, value: float) -> str:
-    """Return the coordinates of the first sample with a given value, as text."""
+    """Return the indices of the first sample with a value, as text."""
     at = np.unravel_index(int(np.argmax(values.values == value)), values.shape)
     words = [f"{axis} {index}" for axis, index in zip(values.dims, at, strict=True)]
     return f"at {', '.join(words)}"

@@ -61,7 +61,7 @@ def write_cloud(
     shape: tuple[int, int] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud in the format given by the file's suffix.
+    """Write a point cloud in the format of the file's suffix.
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ def rounded_up(value: float) -> float:
 
 
 def grid_step(low: float, high: float, scale: float) -> float:
-    """Grid spacing [m] of a drawing to scale, for 20 to 50 mm on paper."""
+    """Grid spacing of a drawing [m]: 20 to 50 mm on paper, 8 to 20 mm if small."""
     step = rounded_up(0.02 * scale)
     return step if high - low >= 4 * step else rounded_up(0.008 * scale)
 

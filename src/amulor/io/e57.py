@@ -375,7 +375,7 @@ class Records:
         return in_blocks((_packed(records) for _, records in self._pieces()), BLOCK)
 
     def _pieces(self) -> Iterator[tuple[xr.Dataset | None, Arrays]]:
-        """Yield parts of the cloud, each with the E57 records of its rows."""
+        """Yield E57 records in row order, each with its part of the cloud or None."""
         rows, columns = self._shape
         done = 0
         for part in self._parts():
@@ -454,7 +454,7 @@ def _widen(
 def _in_the_instrument(
     cloud: xr.Dataset,
 ) -> tuple[xr.Dataset, NDArray[np.float64] | None]:
-    """Cloud in instrument axes, and the matrix from them to the cloud's frame."""
+    """Cloud in instrument axes, and the matrix to its frame; None without a change."""
     if cloud.attrs.get("frame", "instrument") == "instrument":
         return cloud, None
     matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)

@@ -167,7 +167,7 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
 
 
 def _arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
-    """Arrays of an npz file, by their names in the file format."""
+    """Arrays of the supported fields of an npz file, by name."""
     fields = (
         "counts",
         "bin_width_s",
@@ -302,7 +302,7 @@ BLOCK = 2**21
 def checked_frequency(
     histograms: Histograms, modulation_frequency: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return modulation frequencies; raise if histogram bins are too wide for them."""
+    """Return modulation frequencies; raise if invalid or too high for the bin width."""
     path = histograms.path
     try:
         frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=float))

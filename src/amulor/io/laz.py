@@ -274,7 +274,7 @@ def _lazrs_error() -> Any:
 
 
 def read_laz(path: Path, *, most: int) -> Shape:
-    """Read a LAS or LAZ file in chunks and thin it to a maximum number of points."""
+    """Read a LAS or LAZ file in chunks; return at most `most` of its points."""
     laspy = _laspy("reading")
     # The error describes the damage; its log would repeat it.
     logging.getLogger("laspy").addHandler(logging.NullHandler())

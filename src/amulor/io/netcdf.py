@@ -300,7 +300,7 @@ def _fill(group: Any, part: xr.Dataset) -> None:
 def _listing(
     part: xr.Dataset,
 ) -> tuple[dict[Hashable, dict[str, Any]], dict[str, Any]]:
-    """Attributes of variables and of their group, with the names of coordinates."""
+    """Attributes of variables and their group, with the CF attribute `coordinates`."""
     attributes = {key: dict(variable.attrs) for key, variable in part.variables.items()}
     listed: set[Hashable] = set(part.indexes)
     for key in part.data_vars:
@@ -328,7 +328,7 @@ def _create(
     *,
     shape: tuple[int, ...] | None = None,
 ) -> Any:
-    """Create a variable in a file; with a given shape, it is filled later."""
+    """Create a variable in a file; if `shape` is set, write no values yet."""
     import h5py
 
     values = variable.values
@@ -535,7 +535,7 @@ class CubeRows:
 
     @property
     def head(self) -> xr.Dataset:
-        """Variables and attributes that have no row dimension."""
+        """Variables and coordinates without row dimension, and the attributes."""
         return self._head
 
     @property
@@ -718,7 +718,7 @@ class RowWriter:
         self._written = 0
 
     def put(self, tile: xr.Dataset, begin: int) -> None:
-        """Write a tile of rows that begins at a given row."""
+        """Write a tile that begins at row `begin`; tiles must be in order."""
         tile = cubes.checked(tile, name=self._name)
         parts = {"": _root(tile)}
         for group in schema.GROUPS:
@@ -757,7 +757,7 @@ class RowWriter:
         self._written = end
 
     def end(self) -> None:
-        """Mark the file as complete."""
+        """Raise if any rows of the file are missing."""
         if self._written != self._rows:
             raise CubeError(
                 f"{self._name}: {self._written} of {self._rows} {self._over}s are "

@@ -147,7 +147,7 @@ def rounded_temperatures(temperatures: Floats) -> Floats:
 
 
 def at_temperature(values: Floats, temperature: float) -> NDArray[np.bool_]:
-    """Mask of samples at a temperature."""
+    """Mask of samples within 0.5 degC of a temperature."""
     return np.asarray(np.abs(values - temperature) <= _SPREAD / 2)
 
 

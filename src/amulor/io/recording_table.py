@@ -329,7 +329,7 @@ def _parsed(
     places: dict[int, str],
     texts: set[str | None],
 ) -> dict[str, NDArray[Any]]:
-    """Columns by name: numbers, or text if a cell is not a number."""
+    """Columns by name: numbers, or all as text if a cell is not a number."""
     import pandas as pd
 
     read = partial(
@@ -400,7 +400,7 @@ def _hdf5(path: Path, names: list[str], count: int | None) -> Iterator[Table]:
 
 
 def _flat(dataset: Any, begin: int, end: int) -> NDArray[Any]:
-    """Rows of an array from `begin` to before `end`, with texts decoded."""
+    """Elements of a flattened array from `begin` to before `end`, texts decoded."""
     if dataset.ndim == 0:
         values = np.asarray(dataset[()]).ravel()
     else:

@@ -279,7 +279,7 @@ def shots_of(
 def _gathered(
     samples: Samples, at: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]
 ) -> _Gathered:
-    """Mean signal of all valid samples at each pixel."""
+    """Mean signal of the valid samples at each channel and pixel, with flags."""
     zero = samples.signal == 0
     none = _is_none(samples.signal)
     measured = is_measured(samples.signal)

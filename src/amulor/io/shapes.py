@@ -193,7 +193,7 @@ _LAST = {"row": 2**31 - 1, "column": 2**31 - 1, "quality_flag": 2**15 - 1}
 
 
 def checked_cloud(cloud: xr.Dataset, *, name: str) -> xr.Dataset:
-    """Return a point cloud; raise if it is empty or has non-finite coordinates."""
+    """Return a point cloud; raise if it is empty or has invalid values."""
     cloud = cubes.checked(cloud, level="point_cloud", name=name)
     if cloud.sizes["point"] == 0:
         raise CubeError(
@@ -223,7 +223,7 @@ def checked_cloud(cloud: xr.Dataset, *, name: str) -> xr.Dataset:
 def checked_parts(
     parts: Iterable[xr.Dataset], count: int, *, name: str
 ) -> Iterator[xr.Dataset]:
-    """Yield the non-empty parts of a cloud; raise at non-finite coordinates."""
+    """Yield non-empty parts of a cloud; raise for invalid values or a wrong count."""
     summed = 0
     part = None
     for part in parts:

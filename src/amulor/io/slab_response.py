@@ -272,7 +272,7 @@ def mean_delay(slabs: Slabs) -> NDArray[np.float64]:
 def _ratio(
     slabs: Slabs, weight: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
-    """Frequency response of slabs, and variances of its logarithm's two parts."""
+    """Modulation ratio of each histogram; variances of its log modulus and phase."""
     level = slabs.background[:, np.newaxis]
     bins = weight.shape[1]
     # Less one, so that at low frequencies small numbers are added and not the

@@ -271,7 +271,7 @@ def medium_from_minimum(
     time_of_emission: float = 0.0,
     background_bins: tuple[int, int] | None = None,
 ) -> xr.Dataset:
-    r"""Estimate the water signal from scenes with targets at two distances.
+    r"""Estimate the water signal as bin-wise minimum of scenes at different distances.
 
     Parameters
     ----------
