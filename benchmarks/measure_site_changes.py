@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from measure_sites import drawn_sites, go_on, oracle, rows_of
+from measure_sites import drawn_sites, go_on, oracle, rows_of, version
 
 from amulor.errors import AmulorError
 from amulor.site.change.distances import change, regions
@@ -210,7 +210,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=1150.0)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    go_on(TABLE, COLUMNS, measured, options)
+    present = version("registration", "merging", "change")
+    go_on(TABLE, COLUMNS, measured, options, present)
     table(rows_of(TABLE))
 
 

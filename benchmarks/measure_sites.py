@@ -3,8 +3,9 @@
 Sites come from `tests/oracles/underwater_sites.py`, which shares no code with the
 package: beds, walls, bodies, planes and corners; starts wrong by up to 50 cm and 20
 degrees, stated as they are or too small; a fish, a scan that nothing explains, a drift
-over the rows, a delay, another height datum, and quiet sites. Each site is a row of
-`benchmarks/sites.csv`, with a digest of the code of `amulor.site` that measured it. A
+over the rows, a delay, another height datum, and quiet sites; from number 1000 on a
+scan of another place. Each site is a row of `benchmarks/sites.csv`, with a digest of
+the code of `amulor.site.registration` that measured it. A
 number of further sites is measured, and the campaign goes on where it ended. Without a
 number the table of all rows is printed. `--redo` measures rows of other versions again.
 
@@ -49,6 +50,8 @@ STARTS = ((0.01, 0.5), (0.05, 3.0), (0.05, 3.0), (0.15, 6.0), (0.3, 10.0), (0.5,
 #: The stated one over the drawn one; below 1 a statement is wrong [1].
 STATED = (1.0, 1.0, 1.0, 0.2)
 SPOILERS = ("quiet", "quiet", "quiet", "fish", "outlier", "drift", "delay", "datum")
+#: From this number on the scan a3 is one of another place.
+ELSEWHERE = 1000
 #: A pose is grossly wrong beyond so many standard uncertainties, and beyond so much
 #: [1, m, rad].
 GROSS = (6.0, 0.02, 0.01)
@@ -66,10 +69,13 @@ def ramp(distance: np.ndarray, size: float) -> np.ndarray:
     return distance + size * np.linspace(-1, 1, distance.shape[0])[:, None]
 
 
-def version() -> str:
-    """Digest of the code of `amulor.site` without its docstrings."""
+def version(*folders: str) -> str:
+    """Digest of the code of folders of `amulor.site` without its docstrings."""
     digest = hashlib.sha256()
-    for path in sorted((HERE.parent / "src/amulor/site").rglob("*.py")):
+    site = HERE.parent / "src/amulor/site"
+    for path in sorted(
+        path for part in folders for path in (site / part).rglob("*.py")
+    ):
         tree = ast.parse(path.read_text("utf-8"))
         for node in ast.walk(tree):
             body = getattr(node, "body", None)
@@ -89,6 +95,8 @@ def drawn(number: int) -> tuple[Any, dict[str, Any]]:
     kind = KINDS[number % len(KINDS)]
     rows = ROWS[kind]
     spoiler = SPOILERS[rng.integers(len(SPOILERS))]
+    if number >= ELSEWHERE:
+        spoiler = "elsewhere"
     position, degrees = STARTS[rng.integers(len(STARTS))]
     stated = STATED[rng.integers(len(STATED))]
     angle = np.radians(degrees)
@@ -132,6 +140,17 @@ def drawn(number: int) -> tuple[Any, dict[str, Any]]:
         spoiled["a2"] = fish
     elif spoiler == "outlier":
         spoiled["a3"] = lambda distance: 1.05 * distance + 0.1
+    elif spoiler == "elsewhere":
+        other = {
+            "wall": oracle.wall, "corner": oracle.corner, "amphorae": oracle.amphorae,
+        }.get(kind, oracle.bed)(rng)  # fmt: skip
+
+        def elsewhere(distance: np.ndarray) -> np.ndarray:
+            beams = oracle.grid(*distance.shape)[2]
+            away = oracle.cast(other, stations["a3"], beams)
+            return away + oracle.Noise().own * rng.normal(size=distance.shape)
+
+        spoiled["a3"] = elsewhere
     elif spoiler == "drift":
         size = float(rng.choice([0.005, 0.01, 0.03]))
         spoiled["a2"] = lambda distance: ramp(distance, size)
@@ -305,7 +324,7 @@ def table(rows: list[dict[str, str]]) -> None:
         f"{'68 %':>6} {'95 %':>6} {'gicp off':>8}"
     )
     groups = [(name, [r for r in rows if r["spoiler"] == name]) for name in
-              dict.fromkeys(SPOILERS)]  # fmt: skip
+              dict.fromkeys([*SPOILERS, "elsewhere"])]  # fmt: skip
     groups += [(f"{k}, quiet",
                 [r for r in rows if (r["kind"], r["spoiler"]) == (k, "quiet")])
                for k in KINDS]  # fmt: skip
@@ -344,7 +363,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=1150.0)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    go_on(TABLE, COLUMNS, measured, options)
+    go_on(TABLE, COLUMNS, measured, options, version("registration"))
     table(rows_of(TABLE))
 
 
@@ -353,9 +372,9 @@ def go_on(
     columns: tuple[str, ...],
     measure: Callable[[int], dict[str, Any]],
     options: argparse.Namespace,
+    present: str,
 ) -> None:
     """Add rows to a table, or measure rows of other versions again."""
-    present = version()
     rows: dict[int, Any] = {int(row["site"]): row for row in rows_of(path)}
     if options.redo:
         numbers = iter([n for n in rows if rows[n].get("version") != present])

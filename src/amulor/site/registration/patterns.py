@@ -54,6 +54,8 @@ _CHANCE = 1e-3
 #: Least score of a suspected error; by chance the strongest of a site is 2.1 on average
 #: over 28 tests [1].
 _SUSPECTED = 2.5
+#: Least score of a pattern that is named beside the strongest one, over its score [1].
+_ALIKE = 0.85
 #: Least part of excluded points and least misfit, over that of other pairs, in each
 #: pair of a scan that fits none [1]; sites without an error of a scan have 0 and 1.
 _MOVED, _MISFIT = 0.1, 1.2
@@ -365,6 +367,19 @@ def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
     strongest = max(tests, key=lambda test: abs(test.score))
     limit = float(norm.isf(_CHANCE / 2 / len(tests)))
     return strongest if abs(strongest.score) > limit else None
+
+
+def patterns_alike(
+    tests: Sequence[PatternTest], strongest: PatternTest
+) -> tuple[str, ...]:
+    """Return further patterns of a scan that explain its ranges nearly as well."""
+    return tuple(
+        test.pattern
+        for test in tests
+        if test.scan == strongest.scan
+        and test.pattern != strongest.pattern
+        and abs(test.score) > _ALIKE * abs(strongest.score)
+    )
 
 
 def unfit_scan(pairs: Sequence[Pair], scans: Sequence[str]) -> tuple[str, float] | None:

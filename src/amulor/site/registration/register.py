@@ -25,7 +25,11 @@ from amulor.site.registration.network import (
     KnownPose,
     Ties,
 )
-from amulor.site.registration.patterns import contradicted, unfit_scan
+from amulor.site.registration.patterns import (
+    contradicted,
+    patterns_alike,
+    unfit_scan,
+)
 from amulor.site.registration.pose import (
     ScanPose,
     best_pose,
@@ -385,6 +389,7 @@ def _contradictions(
                 scan=pattern.scan, error=pattern.pattern, shift=pattern.size, turn=0.0,
                 stated_shift=pattern.uncertainty, stated_turn=0.0,
                 score=pattern.score**2,
+                alike=patterns_alike(alignment.patterns, pattern),
             )
         )  # fmt: skip
     visit = {scan.name: scan.epoch for scan in site.scan}

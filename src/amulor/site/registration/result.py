@@ -67,6 +67,9 @@ class Contradiction:
     """Largest part of points in front of another scan's surface, for "sight"; part of
     points that meet other scans at their height, for "datum" [1]."""
 
+    alike: tuple[str, ...] = ()
+    """Further patterns that explain the ranges of the scan nearly as well."""
+
     @property
     def sentence(self) -> str:
         """Message that names the scan, the size of the contradiction, and a remedy."""
@@ -99,13 +102,14 @@ class Contradiction:
                 "both surfaces by targets"
             )
         if self.error and self.scan:
+            shapes = " or ".join(PATTERNS[name] for name in (self.error, *self.alike))
             return (
-                f"scan {self.scan!r}: its ranges change {PATTERNS[self.error]} by "
+                f"scan {self.scan!r}: its ranges change {shapes}, by "
                 f"{abs(self.shift) * 1e3:.1f} +- {self.stated_shift * 1e3:.1f} mm "
                 f"({np.sqrt(self.score):.1f} standard uncertainties) beside those of "
                 "its neighbors, which no pose and no stated error explains; look "
-                "whether the instrument drifted or its delay changed, or state the "
-                "drift of this scan"
+                "whether the instrument drifted, or its delay or water changed, state "
+                "the drift of this scan, or leave it out"
             )
         if self.error.startswith(("control ", "bar ")):
             return (
@@ -327,7 +331,13 @@ def _registration_of(content: dict[str, Any]) -> Registration:
             for w in content["weaknesses"]
         ),
         contradictions=tuple(
-            Contradiction(**{**item, "peers": tuple(item.get("peers", ()))})
+            Contradiction(
+                **{
+                    **item,
+                    "peers": tuple(item.get("peers", ())),
+                    "alike": tuple(item.get("alike", ())),
+                }
+            )
             for item in content["contradictions"]
         ),
         remarks=tuple(content["remarks"]),
