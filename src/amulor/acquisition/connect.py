@@ -60,7 +60,7 @@ class LockInGate:
         return f"output {self._settings.output} of {self._lock_in.identity()}"
 
     def on(self) -> None:
-        """Switch the laser on, if the interlock is closed."""
+        """Switch the laser on; raise if the interlock is open."""
         self.check()
         self._lock_in.set_output(self._settings.output, self._settings.on_voltage)
 

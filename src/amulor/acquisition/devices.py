@@ -31,7 +31,7 @@ _NO_PART_OF_IT = (
 
 @dataclass(frozen=True, kw_only=True)
 class Devices:
-    """All devices of a scan, connected."""
+    """Connected devices of a scan."""
 
     laser: Laser
     """Laser."""

@@ -116,7 +116,7 @@ class Settling:
     def unsettled_parts(
         self, entered: NDArray[np.complex128], mean: float, spacing: float
     ) -> int | None:
-        """Return the number of unsettled leading inputs; None if most are unsettled."""
+        """Return the count of unsettled leading inputs; None if over half of all."""
         size = max(round(self._constant / spacing), 1)
         blocks = [entered[at : at + size] for at in range(0, entered.size, size)]
         if len(blocks) > 1 and blocks[-1].size < size:

@@ -273,7 +273,7 @@ def open_water_grid(survey: Survey) -> Mapping[tuple[int, int], tuple[float, flo
 
 
 def _reference(survey: Survey, comb: Comb, place: tuple[int, int]) -> Iterator[Step]:
-    """Yield the readings of the standing reference before a row or round of shots."""
+    """Yield standing-reference readings before a row, or before a round of shots."""
     reference = survey.scan.reference
     if reference is None:
         return

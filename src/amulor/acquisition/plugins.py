@@ -46,7 +46,7 @@ Factory = Callable[[Wiring], Any]
 
 
 def names(part: str) -> list[str]:
-    """Return the names of devices that installed packages offer.
+    """Return the names of the drivers that installed packages offer for a part.
 
     Parameters
     ----------

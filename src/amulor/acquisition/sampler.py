@@ -36,12 +36,12 @@ class DarkLevel:
         self._readings: dict[str, deque[float]] = {}
 
     def add(self, polarization: str, means: Sequence[float]) -> None:
-        """Add the means of dark readings for a polarization [V]."""
+        """Add mean detector outputs of dark readings with a polarization [V]."""
         readings = self._readings.setdefault(polarization, deque(maxlen=_DARK_READINGS))
         readings.extend(means)
 
     def is_dark(self, polarization: str, means: Sequence[float]) -> bool:
-        r"""Return whether readings with the laser on contain no light.
+        r"""Return whether mean outputs with the laser on are not above the dark level.
 
         With n readings and m dark ones of mean d and standard deviation s, a mean is
         dark up to :math:`d + 5 s \sqrt{1 / n + 1 / m}`.
@@ -203,7 +203,7 @@ class Sampler:
     def _swept(
         self, sweeper: SweepReader, steps: Sequence[Step]
     ) -> tuple[list[Swept], SampleFlag]:
-        """Acquire the pixels of a row; repeat it after loss of lock or an overload."""
+        """Acquire the pixels of a row; repeat it all after loss of lock or overload."""
         flags, losses = SampleFlag.NONE, 0
         timeout = self._settings.scanner.move_timeout
         while True:

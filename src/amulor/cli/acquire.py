@@ -269,7 +269,7 @@ class _Interrupts:
             signal.signal(number, handler)
 
     def pause_wanted(self) -> bool:
-        """Return whether Ctrl-C was pressed."""
+        """Return whether a signal requests a pause or the end of the scan."""
         return self._wanted or self._leaving
 
     def go_on(self) -> bool:

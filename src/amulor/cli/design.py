@@ -171,7 +171,7 @@ def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
 
 
 def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]]:
-    """Return missed requirements, and the tightest of each kind that is fully met."""
+    """Return all missed requirements; of each kind fully met, only the tightest."""
     kinds: dict[str, list[Requirement]] = {}
     for requirement in requirements:
         kinds.setdefault(requirement.name.partition(" at ")[0], []).append(requirement)

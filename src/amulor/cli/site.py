@@ -400,7 +400,7 @@ def compare(
 
 
 def _first_of(number: int, motions: dict[int, Motion]) -> int:
-    """Return the number of the first region with the same motion as a region."""
+    """Return the number of the first region that moved like region `number`."""
     return next(k for k in sorted(motions) if motions[k] is motions[number])
 
 

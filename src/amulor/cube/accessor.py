@@ -173,7 +173,7 @@ class CubeAccessor:
 
     @property
     def level(self) -> str:
-        """Processing level of the cube: samples, target_signal, range_image, ..."""
+        """Processing level: samples, target_signal, range_image or point_cloud."""
         return str(self._cube.attrs["level"])
 
     @property
@@ -225,7 +225,7 @@ class CubeAccessor:
 
     @property
     def open_water(self) -> xr.Dataset | None:
-        """Open-water references, (modulation_frequency, ..., shot); None if none."""
+        """Open-water references over frequency, channel and shot; None without any."""
         return group(self._cube, "open_water")
 
     @property

@@ -115,7 +115,7 @@ _COMBINED = (
 
 
 def without_unknown_errors(cube: xr.Dataset) -> xr.Dataset:
-    """Return a cube without combined uncertainties where the error is unknown.
+    """Return a cube with combined uncertainties NaN where the error is unknown.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def error_unknown(cube: xr.Dataset) -> str:
 
 
 def _words(cube: xr.Dataset) -> str:
-    """Return the reason for an unknown range error, from a cube's flags and notes."""
+    """Return the reason for an unknown range error, from flags and attributes."""
     flag = cube["quality_flag"].values if "quality_flag" in cube else np.zeros(1, int)
     attribute = str(cube.attrs.get(_WORDS, ""))
     reasons = {

@@ -80,7 +80,7 @@ def aim_of(survey: Survey) -> float:
 
 
 def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
-    """Survey with a new baseline, and the receiver aimed at the beam at a distance."""
+    """Survey with a new baseline; the receiver axis meets the beam at `aim`."""
     instrument = survey.instrument
     start = np.asarray(instrument.emitter.position)
     side = np.asarray(instrument.receiver.position) - start

@@ -363,7 +363,7 @@ def lit(
     joint: bool,
     late: bool = True,
 ) -> Lit:
-    """Compute signals per launched power, common to dwell times, channels, methods."""
+    """Compute signals per launched power, for any dwell time, channel and method."""
     by_axis = values_on_axes(case, values)
     distance, reach = np.unique(values["distance"], return_inverse=True)
     places, place = _places(case, values, distance)

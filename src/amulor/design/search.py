@@ -55,13 +55,13 @@ class Candidate:
 def allowed(
     sets: tuple[tuple[float, ...], ...], top: float | None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return the frequency sets within a laser's limit, else the lowest set."""
+    """Return frequency sets within a laser's limit, else the set of lowest maximum."""
     good = tuple(members for members in sets if top is None or max(members) <= top)
     return good or (min(sets, key=max),)
 
 
 def candidate_of(judge: Judge, chosen: Parameters) -> Candidate:
-    """Evaluate a candidate in all random waters at all distances."""
+    """Score an instrument in the random waters and at the distances of a judge."""
     score = judge.of(chosen)
     return Candidate(
         parameters=chosen,

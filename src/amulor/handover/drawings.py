@@ -340,7 +340,7 @@ def cell_of(order: Order, surface: products.Surface, scale: float) -> float:
 
 
 def raster_statement(raster: products.Raster) -> str:
-    """Return a sentence on view direction, cell size and heights of a raster."""
+    """Return a sentence on view, cell size, heights and uncertainty of a raster."""
     names = raster.plane.names
     return (
         f"Seen from the {raster.plane.side}; heights ({names[2]}) count towards the "
@@ -408,7 +408,7 @@ def relief_statement(raster: products.Raster) -> str:
 
 
 def bands_of(raster: products.Raster, *, first: str) -> list[formats.Band]:
-    """Return height, height uncertainty and amplitude of a raster as GeoTIFF bands."""
+    """Return heights, height uncertainties and amplitudes of a raster as bands."""
     heights = [
         formats.Band(name="height towards the viewer", unit="m", values=raster.height),
         formats.Band(

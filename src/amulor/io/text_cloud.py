@@ -206,7 +206,7 @@ def _table(path: Path, mark: str | None, skip: int, width: int) -> np.ndarray:
 
 
 def _named(names: list[str] | None, width: int, name: str) -> list[str]:
-    """Names of all columns: from the header, or by default."""
+    """Names of all columns: from the header, else usual names for their number."""
     if width > _MOST_COLUMNS:
         raise FormatError(f"{name} has {width} columns; no point cloud has so many")
     if names is not None and {"x", "y", "z"} <= set(names) and len(names) == width:

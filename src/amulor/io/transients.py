@@ -33,7 +33,7 @@ _PARTS = 64
 
 
 def overlap_of(sums: Floats) -> Floats:
-    r"""Echo photons that probably remain in the bin-wise minimum of all scenes.
+    r"""Estimated echo photons in the bin-wise minimum of all scenes, per time bin.
 
     Scenes :math:`B + E_1`, :math:`B + E_2` have the minimum
     :math:`B + \min(E_1, E_2)`: where one echo has not ended when the other begins, the

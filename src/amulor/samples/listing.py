@@ -24,7 +24,7 @@ _LISTING = "samples.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """One set of sample data of the package.
+    """Set of sample data in the package.
 
     Examples
     --------

@@ -30,7 +30,7 @@ class Run(Protocol):
         """Inputs of the run, as numbers and text."""
 
     def __call__(self, number: int) -> Batch:
-        """Compute the batch of photons with a given number."""
+        """Compute a batch of photons by its number."""
 
 
 @contextmanager

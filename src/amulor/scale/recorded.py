@@ -302,7 +302,7 @@ def _band(
 
 
 def _typical(recording: recordings.Recording, folder: Path, size: int) -> Floats:
-    """Return median differences of neighboring pixels, by frequency and channel."""
+    """Return the median smallest neighbor difference, by frequency and channel."""
     shape = len(recording.frequencies), len(recording.pairs)
     for rows in _bands(recording.survey, size):
         band = _band(recording, folder, size, rows)

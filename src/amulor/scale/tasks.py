@@ -246,7 +246,7 @@ def cluster_client(scheduler: str, workers: int | None) -> Iterator[Any]:
 
 
 class Work(Protocol):
-    """Computation in numbered items that the workers of a cluster compute."""
+    """Computation in numbered items, for the workers of a cluster."""
 
     @property
     def file(self) -> str:

@@ -277,7 +277,7 @@ _ByFrequency = TypeVar("_ByFrequency", FrequencyCalibration, TemperatureCoeffici
 def _nearest(
     entries: Sequence[_ByFrequency], modulation_frequency: float
 ) -> _ByFrequency:
-    """Return the entry at a modulation frequency; refuse another one."""
+    """Return the entry at a modulation frequency; raise if there is none."""
     nearest = min(
         entries,
         key=lambda entry: abs(entry.modulation_frequency - modulation_frequency),
@@ -417,7 +417,7 @@ def reference_shift(
 def temperature_shift(
     calibration: Calibration, cube: xr.Dataset
 ) -> tuple[Floats, dict[str, object]]:
-    """Return phases due to the instrument temperature, and their error by attribute.
+    """Return the phase shift by instrument temperature [rad], and error attributes.
 
     Without a recorded temperature, the phase is zero, and the temperature has an even
     distribution over that of the run. Shape (frequency, 1).

@@ -290,12 +290,12 @@ class OphydLaser:
         return f"{self._enable} of {self._device.identity()}"
 
     def on(self) -> None:
-        """Switch the laser on, if the interlock is closed."""
+        """Switch the laser on; raise if the interlock is open."""
         self.check()
         self._device.set(self._enable, self._options.get("on", True))
 
     def off(self) -> None:
-        """Switch the laser off, and read its state back."""
+        """Switch the laser off; raise if its state is not off."""
         off_value = self._options.get("off", False)
         self._device.set(self._enable, off_value)
         state = self._device.value(self._state)

@@ -124,7 +124,7 @@ class ScpiLaser(_Scpi):
         self._words = settings.scpi
 
     def on(self) -> None:
-        """Switch the laser on, if the interlock is closed."""
+        """Switch the laser on; raise if the interlock is open."""
         self.check()
         self._send(self._words.prepare or ())
         self._send(self._words.on)
@@ -158,7 +158,7 @@ class ScpiLaser(_Scpi):
         return values
 
     def off(self) -> None:
-        """Switch the laser off, and read its state back."""
+        """Switch the laser off; raise if its state is not off."""
         self._send(self._words.off)
         answer = self._answer(self._words.state)
         if answer != self._words.is_off:

@@ -32,7 +32,7 @@ from amulor.errors import FormatError
 
 
 class Journal:
-    """An open journal; one writer at a time, any number of readers.
+    """Open journal of a scan, with one writer at a time and any number of readers.
 
     Use `create`, `resume` or `read`; close it, or use it in a `with` statement.
 
@@ -376,13 +376,13 @@ class Journal:
         return int(result[0])
 
     def last_elapsed(self) -> float:
-        """Return the elapsed time of the last sample; 0 without samples [s]."""
+        """Return the largest elapsed time of all samples; 0 without samples [s]."""
         with explained(self._path):
             (result,) = self._connection.execute("SELECT MAX(elapsed) FROM samples")
         return float(result[0] or 0.0)
 
     def begin_segment(self) -> int:
-        """Begin a segment and return its number; mark an open one as interrupted."""
+        """Begin a segment; mark open segments as interrupted; return the new number."""
         now = _now()
         with explained(self._path):
             self._connection.execute("BEGIN IMMEDIATE")

@@ -277,7 +277,7 @@ def _reason(error: Exception) -> str:
 
 
 class OctetLink:
-    """Link for bytes, over TCP or, through PyVISA, over a serial port."""
+    """Link for bytes: over TCP, or over a serial port through PyVISA."""
 
     def __init__(
         self,

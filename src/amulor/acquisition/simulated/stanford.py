@@ -55,7 +55,7 @@ class Number(NamedTuple):
 
 
 class SimulatedStanford:
-    """Simulated commands that both models share: settings, status bits, laser gate."""
+    """Simulated commands common to SR844 and SR865A: settings, status, laser gate."""
 
     model = ""
     unlocked_bit = 0
