@@ -163,9 +163,9 @@ def test_averaged_scans_register_within_their_errors(
     monkeypatch.setattr(align, "_MOST_OTHERS", 2500)
     drawn = drawn_sites.one_visit("bed", 6, rows=105)
     site = Site.from_toml(drawn_sites.written(drawn, tmp_path))
-    surfaces, images = surfaces_of(site)
+    surfaces, _ = surfaces_of(site)
     assert {surface.distance.shape for surface in surfaces.values()} == {(52, 70)}
-    result = register(site, surfaces=surfaces, images=images)
+    result = register(site)
     assert result.contradictions == ()
     assert sum(pair["points"] for pair in result.pairs) < 3000
     for name, (shift, _) in drawn.wrong(result).items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -69,17 +69,21 @@ _SOME = 3000
 _LEAST_HEIGHT = 0.02
 
 
-def surfaces_of(site: Site) -> tuple[dict[str, ScanSurface], dict[str, xr.Dataset]]:
+def surfaces_of(
+    site: Site, *, images_of: Container[str] | None = None
+) -> tuple[dict[str, ScanSurface], dict[str, xr.Dataset]]:
     """Return the surfaces and the range images of all scans of a site.
 
-    Scans of many pixels are averaged over blocks of pixels.
+    Scans of many pixels are averaged over blocks of pixels. `images_of` names the scans
+    whose images are needed; by default all.
     """
     surfaces, images = {}, {}
     for number, scan in enumerate(site.scan):
         tell(f"reading {scan.name}", number / len(site.scan))
         image = range_image_of(scan)
         image = averaged(image, block_size(site, scan.name, image))
-        images[scan.name] = image
+        if images_of is None or scan.name in images_of:
+            images[scan.name] = image
         surfaces[scan.name] = surface_of(site, scan, image)
     return surfaces, images
 
@@ -123,7 +127,7 @@ def register(
     """Register all scans of a site in one frame."""
     if surfaces is None or images is None:
         with part(0.0, 0.3):
-            surfaces, images = surfaces_of(site)
+            surfaces, images = surfaces_of(site, images_of=_with_targets(site))
     findings = start_findings(
         site, {name: item.position[item.usable] for name, item in surfaces.items()}
     )
@@ -144,6 +148,16 @@ def register(
     if _fits(corrected, surfaces, images) and not _fits(site, surfaces, images):
         raise CubeError("\n".join(findings.mistakes))
     return _registered(site, surfaces, images, (*findings.mistakes, *findings.remarks))
+
+
+def _with_targets(site: Site) -> set[str]:
+    """Return the names of the scans that contain targets."""
+    return {
+        place.scan
+        for target in site.target
+        if not isinstance(target, ScaleBar)
+        for place in target.places
+    }
 
 
 def _fits(
