@@ -13,11 +13,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import amulor
+from amulor.io.trajectories import TrajectoryMap, trajectory_from_table
 from amulor.studies import ladder
 from amulor.studies.ladder import Case
 from amulor.view import figures
 from amulor.view.report import png
 from amulor.view.style import COLOURS, new_figure, style
+from amulor.view.trajectory import write_figure
 
 FOLDER = Path(__file__).parent / "images"
 #: What the landing page shows: the channel and water that the water signal moves most.
@@ -115,6 +117,10 @@ def main() -> None:
         ("ladder-surfaces", figures.surfaces(after)),
     ):
         (FOLDER / f"{name}.png").write_bytes(png(figure, dots_per_inch=130))
+    example = Path(__file__).parents[1] / "examples" / "vehicle"
+    described = TrajectoryMap.from_toml(example / "columns.toml")
+    track = trajectory_from_table(example / "rov.csv", described)
+    write_figure(FOLDER / "vehicle" / "track.png", track, overwrite=True)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,11 @@ MODULES = {
         "trimesh": "trimesh",
     },
     "site": {"small-gicp": "small_gicp"},
+    "platform": {
+        "pynmeagps": "pynmeagps",
+        "mcap-ros2-support": "mcap_ros2",
+        "pyproj": "pyproj",
+    },
     "scale": {"dask": "dask", "distributed": "distributed"},
 }
 

@@ -87,6 +87,10 @@ COMMANDS = {
         "recordings:recordings",
         "Convert a recording of other software to a measurement cube.",
     ),
+    "import trajectory": (
+        "trajectory:trajectory",
+        "Convert the navigation log of a vehicle to a trajectory, and draw it.",
+    ),
     "info": ("info:info", "Print the contents of a file."),
     "explain": (
         "explain:explain",
@@ -149,6 +153,7 @@ TOPICS = {
         "calibrate plate",
         "acquire", "watch", "recover", "devices simulate",
         "import transients", "import recordings",
+        "import trajectory",
     ),
     "simulate": (
         "survey check", "survey schema", "simulate", "backscatter", "water",
@@ -202,6 +207,10 @@ EXAMPLES = {
         "amulor import recordings scan.csv --survey tank.toml --columns columns.toml "
         "-o samples.nc",
         "amulor reject",
+    ),
+    "import trajectory": (
+        "amulor import trajectory rov.csv --columns columns.toml -o track.csv",
+        "amulor export",
     ),
     "survey check": ("amulor survey check tank.toml", "amulor simulate"),
     "survey schema": ("amulor survey schema > survey.json", "amulor survey check"),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from amulor.handover import Order
-    from amulor.imaging import Frame
+    from amulor.imaging import Frame, MovingFrame
 
 Product = Literal[
     "cloud",
@@ -50,6 +50,8 @@ def export(
     without_mixed: Annotated[bool, Parameter(negative="")] = False,
     axes: Literal["instrument", "z-up", "pose"] = "instrument",
     pose: Path | None = None,
+    trajectory: Path | None = None,
+    mounting: Path | None = None,
     seen_from: Literal["front", "top"] = "front",
     scale: str | None = None,
     exaggeration: Annotated[
@@ -98,6 +100,12 @@ def export(
         forward, z up. "pose": east, north, up.
     pose
         TOML file with a section [pose]; by default the pose of the survey.
+    trajectory
+        Trajectory of the vehicle that carried the instrument, from `amulor import
+        trajectory`, for a cloud in axes east, north, up.
+    mounting
+        TOML file with a section [mounting]: lever arm, boresight and clock offset of
+        the instrument on the vehicle.
     seen_from
         View of a drawing: from the front (elevation), or from the top (plan).
     scale
@@ -141,7 +149,7 @@ def export(
     # Errors in options are reported first; checks of lengths need the image.
     options = line, against, cell, contours, farthest, product, largest_uncertainty
     if output.suffix.lower() in _CLOUDS and not any(options):
-        check_inputs(image, pose)
+        check_inputs(image, pose, trajectory, mounting)
 
     from amulor import handover, io
     from amulor.io.netcdf import is_large
@@ -173,7 +181,8 @@ def export(
         if largest_uncertainty is None
         else quantity_of("--largest-uncertainty", largest_uncertainty, "length")
     )
-    inputs = [path for path in (image, pose, against, project) if path is not None]
+    given = image, pose, against, project, trajectory, mounting
+    inputs = [path for path in given if path is not None]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
     by_rows = product == "cloud"
     if tile_rows is not None and not (by_rows and tile_rows >= 1):
@@ -181,7 +190,14 @@ def export(
             f"--tile-rows {tile_rows}: state 1 row or more, and a cloud: other "
             "products need the whole image"
         )
-    if by_rows and (tile_rows is not None or is_large(image)):
+    if (trajectory is None) != (mounting is None):
+        raise UsageError("--trajectory and --mounting must be given together")
+    if trajectory is not None and (pose is not None or tile_rows is not None):
+        raise UsageError(
+            "--trajectory excludes --pose and --tile-rows: every pixel has a pose of "
+            "its own, and the scan is read as a whole"
+        )
+    if by_rows and trajectory is None and (tile_rows is not None or is_large(image)):
         _by_rows(
             image, output, tile_rows, axes, pose, largest, good_only, without_mixed,
             overwrite=overwrite,
@@ -190,7 +206,11 @@ def export(
     with progress_bar() as progress:
         progress("reading", 0.0)
         cube = io.read_cube(image)
-        frame, cube = _chosen(cube, axes, pose, largest, good_only, without_mixed)
+        frame, cube = _chosen(
+            cube, axes, pose, largest, good_only, without_mixed,
+            moved=None if trajectory is None or mounting is None
+            else (trajectory, mounting),
+        )  # fmt: skip
         progress(f"making the {product}", 0.2)
         statements = handover.hand_over(
             cube, output, order, frame=frame, overwrite=overwrite
@@ -213,6 +233,7 @@ def _by_rows(
     overwrite: bool,
 ) -> None:
     """Write a cloud tile by tile, and print its summary."""
+    from amulor.imaging import Frame
     from amulor.io.netcdf import open_rows
     from amulor.pipeline import Selection, cloud_file
 
@@ -221,6 +242,7 @@ def _by_rows(
         with open_rows(image) as source:
             first = source.tile(0, 1)
         frame, _ = _chosen(first, axes, pose, None, False, False)
+        assert isinstance(frame, Frame)
         with refusing("--largest-uncertainty"):
             summary = cloud_file(
                 image, output, frame=frame, selection=selection, rows=rows,
@@ -328,15 +350,26 @@ def _chosen(
     largest: float | None,
     good_only: bool,
     without_mixed: bool,
-) -> tuple[Frame, xr.Dataset]:
+    *,
+    moved: tuple[Path, Path] | None = None,
+) -> tuple[Frame | MovingFrame, xr.Dataset]:
     """Return the frame for the points, and the image without excluded pixels."""
     from amulor import cube as cubes
     from amulor import imaging, survey
 
     cube = cubes.checked(cube, "range_image")
-    external = None if pose is None else survey.read_pose(pose)
-    chosen = "pose" if pose is not None else axes
-    frame = imaging.frame_of(cube, axes=chosen, pose=external)
+    frame: Frame | MovingFrame
+    if moved is None:
+        external = None if pose is None else survey.read_pose(pose)
+        chosen = "pose" if pose is not None else axes
+        frame = imaging.frame_of(cube, axes=chosen, pose=external)
+    else:
+        from amulor.io.trajectories import read_trajectory
+        from amulor.platform import read_mounting
+
+        frame = imaging.moving_frame(
+            cube, read_trajectory(moved[0]), read_mounting(moved[1])
+        )
     with refusing("--largest-uncertainty"):
         cube = imaging.leave_out(
             cube,

@@ -7,8 +7,8 @@ from pathlib import Path
 import xarray as xr
 
 from amulor import imaging, io
-from amulor.cube import DOUBTFUL, error_unknown
-from amulor.errors import FormatError
+from amulor.cube import DOUBTFUL, UNUSABLE, error_unknown
+from amulor.errors import CubeError, FormatError
 from amulor.handover import drawings, references
 from amulor.handover.drawing_set import write_set
 from amulor.handover.order import (
@@ -20,6 +20,7 @@ from amulor.handover.order import (
 )
 from amulor.imaging import products
 from amulor.imaging.frame import Frame
+from amulor.imaging.moving import MovingFrame
 from amulor.io import drawings as formats
 from amulor.view.sheet import colours_of, sheet
 
@@ -29,7 +30,7 @@ def hand_over(
     path: Path,
     order: Order,
     *,
-    frame: Frame | None = None,
+    frame: Frame | MovingFrame | None = None,
     overwrite: bool = False,
 ) -> str:
     """Make one product of a range image, such as a mesh, and write it to a file."""
@@ -42,6 +43,11 @@ def hand_over(
     frame = frame or imaging.frame_of(image)
     if order.product == "cloud":
         return _cloud(image, path, frame, overwrite=overwrite)
+    if isinstance(frame, MovingFrame):
+        raise CubeError(
+            f"a scan from a vehicle becomes a cloud, but no {order.product} so far; "
+            "write a cloud, such as cloud.laz, and mesh or draw it with another program"
+        )
     statements = statements_of(image, frame)
     title = order.title or str(image.attrs.get("title") or "scan")
     if order.product == "profile":
@@ -110,7 +116,9 @@ def hand_over(
     )
 
 
-def _cloud(image: xr.Dataset, path: Path, frame: Frame, *, overwrite: bool) -> str:
+def _cloud(
+    image: xr.Dataset, path: Path, frame: Frame | MovingFrame, *, overwrite: bool
+) -> str:
     cloud = imaging.point_cloud(image, frame=frame)
     if path.suffix.lower() == ".nc":
         io.write_cube(cloud, path, overwrite=overwrite)
@@ -120,4 +128,10 @@ def _cloud(image: xr.Dataset, path: Path, frame: Frame, *, overwrite: bool) -> s
     doubt = f", {marked} of them doubtful" if marked else ""
     words = error_unknown(image)
     doubt += f": {words}" if words else ""
+    if isinstance(frame, MovingFrame):
+        usable = (image["quality_flag"].values & UNUSABLE) == 0
+        missing = int((usable & ~frame.known).sum())
+        doubt += f"; {missing} without a pose left out" if missing else ""
+        if frame.unknown:
+            doubt += f"; not in the uncertainties: {', '.join(frame.unknown)}"
     return f"{cloud.sizes['point']} points{doubt}"

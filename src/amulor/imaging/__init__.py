@@ -9,6 +9,7 @@ from amulor.imaging import correlation, metrics
 from amulor.imaging.budget import ErrorBudget, error_budget
 from amulor.imaging.edges import flag_mixed, mixed_pixels
 from amulor.imaging.frame import Axes, Frame, frame_of
+from amulor.imaging.moving import MovingFrame, moving_frame
 from amulor.imaging.outliers import flag_outliers, outlying_pixels
 from amulor.imaging.point_cloud import point_cloud
 from amulor.imaging.range_image import range_image
@@ -22,6 +23,7 @@ __all__ = [
     "Axes",
     "ErrorBudget",
     "Frame",
+    "MovingFrame",
     "correlation",
     "error_budget",
     "flag_mixed",
@@ -31,6 +33,7 @@ __all__ = [
     "measure",
     "metrics",
     "mixed_pixels",
+    "moving_frame",
     "outlying_pixels",
     "point_cloud",
     "products",

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import CubeError
 from amulor.imaging.observation import readable_survey
+from amulor.platform import rotation_of
 from amulor.survey import Pose
 
 Floats = NDArray[np.float64]
@@ -146,6 +147,38 @@ class Frame:
         shifts[5] = level * np.cross(self.rotation[:, 2], away)
         return shifts
 
+    def at(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> Frame:
+        """Return the frame itself: the instrument stands still for all pixels.
+
+        Parameters
+        ----------
+        row, column : ndarray of int, shape (n,)
+            Pixels of the scan.
+
+        Returns
+        -------
+        Frame
+            This frame.
+        """
+        return self
+
+    def variance(self, points: ArrayLike, along: ArrayLike) -> Floats:
+        """Return the variance of coordinates due to the pose.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            In this frame [m].
+        along : array_like, shape (n, 3)
+            Unit vectors of the beams, not used by an instrument that stands still [1].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Variances of the coordinates [m^2].
+        """
+        return np.asarray((self.shared_errors(points) ** 2).sum(axis=0))
+
     @property
     def unknown(self) -> tuple[str, ...]:
         """Quantities of the pose without a stated uncertainty, by name."""
@@ -206,25 +239,12 @@ def frame_of(
         )
     return Frame(
         name=axes,
-        rotation=_attitude(pose),
+        rotation=rotation_of(pose.heading, pose.pitch, pose.roll),
         position=np.array(pose.position),
         crs=pose.crs,
         crs_offset=pose.crs_offset,
         pose=pose,
     )
-
-
-def _attitude(pose: Pose) -> Floats:
-    """Rotation matrix of a pose, from (right, down, forward) to (east, north, up)."""
-    sine, cosine = np.sin(pose.heading), np.cos(pose.heading)
-    level = np.array([sine, cosine, 0.0])
-    up = np.array([0.0, 0.0, 1.0])
-    right = np.array([cosine, -sine, 0.0])
-    forward = np.cos(pose.pitch) * level + np.sin(pose.pitch) * up
-    above = np.cos(pose.pitch) * up - np.sin(pose.pitch) * level
-    rolled = np.cos(pose.roll) * right - np.sin(pose.roll) * above
-    down = -(np.cos(pose.roll) * above + np.sin(pose.roll) * right)
-    return np.stack([rolled, down, forward], axis=1)
 
 
 def _surveyed_pose(image: xr.Dataset) -> Pose | None:

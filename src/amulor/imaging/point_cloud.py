@@ -9,19 +9,23 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE
 from amulor.imaging.frame import Frame, frame_of
+from amulor.imaging.moving import MovingFrame
 from amulor.imaging.observation import geometry_of
 
 
-def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
+def point_cloud(
+    image: xr.Dataset, *, frame: Frame | MovingFrame | None = None
+) -> xr.Dataset:
     r"""Convert the usable pixels of a range image into points in space.
 
     Parameters
     ----------
     image : xarray.Dataset
         Level `range_image`.
-    frame : Frame, optional
-        Axes of the points, from `frame_of`; by default x right, y down, z forward in
-        the axes of the instrument, in which the emitter is at its `emitter_position`.
+    frame : Frame or MovingFrame, optional
+        Axes of the points, from `frame_of` or `moving_frame`; by default x right, y
+        down, z forward in the axes of the instrument, in which the emitter is at its
+        `emitter_position`.
 
     Returns
     -------
@@ -29,14 +33,15 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
         Level `point_cloud`. `row` and `column` are the pixel of each point. The
         attribute `scan_shape` is the number of rows and columns of the scan. The
         attribute `frame_matrix` (16 numbers, row by row) transforms from the
-        instrument's axes to those of the points. Points lie on the beam as refracted by
-        the window.
+        instrument's axes to those of the points; a moving instrument has none. Points
+        lie on the beam as refracted by the window.
 
     Notes
     -----
     The uncertainty of x is :math:`u_x^2 = d_x^2 u_r^2 + \sum_k s_{kx}^2`, and likewise
     for y and z. Here d is the direction of the beam, :math:`u_r` the standard
-    uncertainty of the slant range, and s are shifts by the stated errors of the pose.
+    uncertainty of the slant range, and s are shifts by the stated errors of the pose. A
+    moving instrument adds the errors of its trajectory and of its motion.
     Beam directions are assumed to be exact. The errors of a point's three coordinates
     all result from its range error, so they are fully correlated.
 
@@ -55,16 +60,20 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
     image = cubes.checked(image, "range_image")
     frame = frame or frame_of(image)
     flag = image["quality_flag"].values
-    row, column = np.nonzero((flag & UNUSABLE) == 0)
+    usable = (flag & UNUSABLE) == 0
+    if isinstance(frame, MovingFrame):
+        usable = usable & frame.known
+    row, column = np.nonzero(usable)
+    placed = frame.at(row, column)
     geometry = geometry_of(image)
     position = geometry.position(image["slant_range"].values)
-    points = frame.place(position[row, column])
-    along = frame.turn(
+    points = placed.place(position[row, column])
+    along = placed.turn(
         np.broadcast_to(geometry.beam.direction, position.shape)[row, column]
     )
     sigma = image["slant_range_uncertainty"].values[row, column]
     variance = (along * sigma[:, None]) ** 2
-    variance += (frame.shared_errors(points) ** 2).sum(axis=0)
+    variance += placed.variance(points, along)
     cloud = cubes.build(
         "point_cloud",
         {
@@ -90,7 +99,11 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
             "scan_shape": np.array(flag.shape, dtype=np.int32),
             "frame": frame.name,
             "frame_axes": frame.axes,
-            "frame_matrix": frame.matrix.ravel(),
+            **(
+                {"frame_matrix": frame.matrix.ravel()}
+                if isinstance(frame, Frame)
+                else {}
+            ),
             "crs": frame.crs,
             "crs_offset": np.array(frame.crs_offset),
             "pose_unknown": ", ".join(frame.unknown),

@@ -455,7 +455,7 @@ def _in_the_instrument(
     cloud: xr.Dataset,
 ) -> tuple[xr.Dataset, NDArray[np.float64] | None]:
     """Cloud in instrument axes, and the matrix to its frame; None without a change."""
-    if cloud.attrs.get("frame", "instrument") == "instrument":
+    if cloud.attrs.get("frame", "instrument") in ("instrument", "trajectory"):
         return cloud, None
     matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)
     away = [cloud[axis].values - matrix[k, 3] for k, axis in enumerate("xyz")]

@@ -8,7 +8,7 @@ import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,11 @@ class ColumnSettings(Description):
     """Temperature of the water [degC]."""
     what: Column | None = None
     """Kind of each sample, target or open water: see `constants.open_water`."""
+
+    @property
+    def texts(self) -> set[str]:
+        """Names of the columns that hold text."""
+        return {name for name in (self.polarization, self.what) if name is not None}
 
     @model_validator(mode="after")
     def _a_signal_and_a_place_are_stated(self) -> Self:
@@ -213,15 +218,40 @@ class Table:
         return f"{self._path}, sample {number + self._first}"
 
 
-def read_table(path: Path, described: RecordingMap) -> Table:
+class Columns(Protocol):
+    """Interface of the assignment of columns to quantities."""
+
+    @property
+    def texts(self) -> set[str]:
+        """Names of the columns that hold text."""
+        ...
+
+    def __iter__(self) -> Iterator[tuple[str, Any]]:
+        """Yield each quantity with the name of its column, or None."""
+        ...
+
+
+class ColumnMap(Protocol):
+    """Interface of a map of columns: file format, and the column of each quantity."""
+
+    @property
+    def table(self) -> TableSettings:
+        """File format of the table."""
+        ...
+
+    @property
+    def columns(self) -> Columns:
+        """Names of columns."""
+        ...
+
+
+def read_table(path: Path, described: ColumnMap) -> Table:
     """Read the columns of a recording to which its map assigns quantities."""
     (table,) = table_parts(path, described, None)
     return table
 
 
-def table_parts(
-    path: Path, described: RecordingMap, count: int | None
-) -> Iterator[Table]:
+def table_parts(path: Path, described: ColumnMap, count: int | None) -> Iterator[Table]:
     """Read the mapped columns of a recording, in blocks of a number of samples."""
     names = [name for _, name in described.columns if name is not None]
     try:
@@ -237,10 +267,10 @@ def table_parts(
         raise FormatError(f"{path}: is no text; state table.format") from None
 
 
-def _csv(path: Path, described: RecordingMap, count: int | None) -> Iterator[Table]:
+def _csv(path: Path, described: ColumnMap, count: int | None) -> Iterator[Table]:
     settings = described.table
     needed = [name for _, name in described.columns if name is not None]
-    texts = {described.columns.polarization, described.columns.what}
+    texts = described.columns.texts
     with path.open(encoding="utf-8-sig", newline="") as file:
         plain = map(_with_single_spaces, file) if settings.delimiter == " " else file
         lines = itertools.islice(enumerate(plain, start=1), settings.skip, None)
@@ -327,7 +357,7 @@ def _parsed(
     content: str,
     settings: TableSettings,
     places: dict[int, str],
-    texts: set[str | None],
+    texts: set[str],
 ) -> dict[str, NDArray[Any]]:
     """Columns by name: numbers, or all as text if a cell is not a number."""
     import pandas as pd

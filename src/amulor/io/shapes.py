@@ -283,7 +283,7 @@ def provenance_lines(cloud: xr.Dataset) -> list[str]:
 def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
     """Return the meaning of a product's coordinates, as lines of text."""
     lines = [f"axes: {attributes.get('frame_axes', _AXES)}"]
-    if attributes.get("frame", "instrument") != "instrument":
+    if attributes.get("frame", "instrument") not in ("instrument", "trajectory"):
         numbers = " ".join(f"{v:.12g}" for v in attributes["frame_matrix"])
         lines.append(f"from the instrument's axes, 4 x 4 row by row: {numbers}")
     if attributes.get("crs"):

@@ -1,0 +1,173 @@
+"""Frame of products of a scan that was measured from a moving vehicle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.errors import CubeError
+from amulor.imaging.observation import readable_survey
+from amulor.platform import InstrumentPoses, Mounting, Trajectory, instrument_poses
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingFrame:
+    """Site axes, and the pose of a moving instrument at each pixel.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> from amulor.platform import Mounting, Trajectory
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> track = Trajectory.of_angles(
+    ...     time=np.arange(0.0, 2000.0, 10.0),
+    ...     position=np.zeros((200, 3)) + [0, 0, -8],
+    ...     heading=0.0,
+    ... )
+    >>> frame = imaging.moving_frame(image, track, Mounting())
+    >>> cloud = imaging.point_cloud(image, frame=frame)
+    >>> bool(cloud["z"].max() < -7.5)  # the ladder hangs 8 m below the surface
+    True
+    """
+
+    poses: InstrumentPoses
+    """Poses of the instrument, one per pixel, row by row."""
+    shape: tuple[int, int]
+    """Rows and columns of the scan."""
+    crs: str
+    """Coordinate reference system; none if empty."""
+    crs_offset: tuple[float, float, float]
+    """Offset to add to coordinates to obtain those of the reference system [m]."""
+    name: Literal["trajectory"] = "trajectory"
+    """Kind of axes."""
+
+    axes = (
+        "right-handed: x east, y north, z up, in the local frame of the trajectory [m]"
+    )
+    meanings = ("position to the east", "position to the north", "position upwards")
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Mask of the pixels at which the trajectory has a pose, (row, column)."""
+        return self.poses.known.reshape(self.shape)
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Quantities without a stated uncertainty, by name."""
+        return self.poses.unknown
+
+    def at(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> InstrumentPoses:
+        """Return the poses of the instrument at selected pixels.
+
+        Parameters
+        ----------
+        row, column : ndarray of int, shape (n,)
+            Pixels of the scan.
+
+        Returns
+        -------
+        InstrumentPoses
+            Their poses.
+        """
+        return self.poses.part(row * self.shape[1] + column)
+
+
+def moving_frame(
+    image: xr.Dataset, trajectory: Trajectory, mounting: Mounting
+) -> MovingFrame:
+    """Return the frame of a scan that was measured from a moving vehicle.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Range image with the time of each pixel.
+    trajectory : Trajectory
+        Trajectory of the vehicle. Times since 1970 (clock "unix") are compared with the
+        start of the scan, others with the time since this start.
+    mounting : Mounting
+        Place and attitude of the instrument on the vehicle, and its clock.
+
+    Returns
+    -------
+    MovingFrame
+        The pose at each pixel. A pixel has the pose in the middle of its measuring
+        time, in which all frequencies and channels were measured.
+
+    Raises
+    ------
+    CubeError
+        If the image has no times, or no pixel was measured during the trajectory.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> from amulor.platform import Mounting, Trajectory
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> track = Trajectory.of_angles(
+    ...     time=[0.0, 60.0], position=[[0, 0, -8], [0, 6, -8]], heading=0.0
+    ... )
+    >>> frame = imaging.moving_frame(image, track, Mounting())
+    >>> bool(frame.known.any()), frame.unknown
+    (True, ('trajectory', 'lever arm', 'boresight', 'clock offset'))
+    """
+    if "time" not in image.coords:
+        raise CubeError(
+            "the range image has no time of each pixel; a scan from a vehicle needs "
+            "them: acquire it with amulor, or import them with the recording"
+        )
+    time = np.asarray(image["time"].values, dtype=float)
+    duration = _duration(image, time)
+    instants = time.ravel() + duration / 2
+    if trajectory.clock == "unix":
+        instants = instants + _start_of(image)
+    poses = instrument_poses(trajectory, mounting, instants, duration=duration)
+    if not poses.known.any():
+        begin, end = trajectory.time[[0, -1]]
+        first, last = poses.vehicle.time.min(), poses.vehicle.time.max()
+        raise CubeError(
+            f"no pixel was measured during the trajectory: it lasts from {begin:.3f} "
+            f"to {end:.3f} s, the scan from {first:.3f} to {last:.3f} s on its clock; "
+            "check mounting.clock_offset"
+        )
+    return MovingFrame(
+        poses=poses,
+        shape=(time.shape[0], time.shape[1]),
+        crs=trajectory.crs,
+        crs_offset=trajectory.crs_offset,
+    )
+
+
+def _duration(image: xr.Dataset, time: Floats) -> float:
+    """Measuring time of a pixel: as planned, but no longer than between pixels [s]."""
+    steps = np.abs(np.diff(time, axis=1)).ravel()
+    between = float(np.median(steps)) if steps.size else np.inf
+    survey = readable_survey(image)
+    planned = np.inf
+    if survey is not None:
+        count = len(survey.instrument.modulation_frequencies)
+        planned = survey.scan.dwell * count * len(survey.instrument.polarizations)
+    shortest = min(between, planned)
+    return shortest if np.isfinite(shortest) else 0.0
+
+
+def _start_of(image: xr.Dataset) -> float:
+    """Start of a scan as Unix time [s]."""
+    text = str(image.attrs.get("time_coverage_start", ""))
+    if not text:
+        raise CubeError(
+            "the range image has no date of its start, but the trajectory has dates; "
+            'import the trajectory with constants.clock = "relative", and state the '
+            "difference as mounting.clock_offset"
+        )
+    moment = datetime.fromisoformat(text)
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()

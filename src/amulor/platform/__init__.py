@@ -1,0 +1,21 @@
+"""Platform of the instrument: its trajectory, and the pose of every reading."""
+
+from amulor.platform.attitude import rotation_of
+from amulor.platform.mounting import Mounting, read_mounting
+from amulor.platform.poses import InstrumentPoses, instrument_poses
+from amulor.platform.trajectory import Poses, Trajectory
+
+__all__ = [
+    "InstrumentPoses",
+    "Mounting",
+    "Poses",
+    "Trajectory",
+    "instrument_poses",
+    "read_mounting",
+    "rotation_of",
+]
+
+
+def __dir__() -> list[str]:
+    """List the public names without the modules that define them."""
+    return sorted(__all__)

@@ -1,0 +1,96 @@
+"""Attitudes: heading, pitch and roll as rotations, and rotations as vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+Floats = NDArray[np.float64]
+
+
+def rotation_of(heading: ArrayLike, pitch: ArrayLike, roll: ArrayLike) -> Floats:
+    r"""Return rotation matrices of attitudes stated by heading, pitch and roll.
+
+    Parameters
+    ----------
+    heading : array_like
+        Direction of the forward axis, clockwise from north [rad].
+    pitch : array_like
+        Elevation of the forward axis [rad].
+    roll : array_like
+        Angle of the right axis below the horizontal, about the forward axis [rad].
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Rotations from (right, down, forward) to (east, north, up) [1].
+
+    Notes
+    -----
+    The columns of the matrix are the right, down and forward axis. With heading h,
+    pitch p and roll r, the forward axis is
+    :math:`(\sin h \cos p, \cos h \cos p, \sin p)`.
+
+    Examples
+    --------
+    An instrument that looks east and slightly down:
+
+    >>> import numpy as np
+    >>> from amulor import platform
+    >>> turn = platform.rotation_of(np.pi / 2, np.radians(-10), 0.0)
+    >>> print((turn @ [0, 0, 1]).round(3) + 0.0)  # forward: east, north, up
+    [ 0.985  0.    -0.174]
+    """
+    heading, pitch, roll = np.broadcast_arrays(heading, pitch, roll)
+    sine, cosine = np.sin(heading), np.cos(heading)
+    nothing = np.zeros_like(sine)
+    level = np.stack([sine, cosine, nothing], axis=-1)
+    up = np.array([0.0, 0.0, 1.0])
+    right = np.stack([cosine, -sine, nothing], axis=-1)
+
+    def turned(angle: Floats, first: Floats, second: Floats) -> Floats:
+        return np.cos(angle)[..., None] * first + np.sin(angle)[..., None] * second
+
+    forward = turned(pitch, level, up)
+    above = turned(pitch, np.broadcast_to(up, level.shape), -level)
+    return np.stack(
+        [turned(roll, right, -above), -turned(roll, above, right), forward], axis=-1
+    )
+
+
+def turn_between(first: Rotation, second: Rotation) -> Floats:
+    """Return the rotation vectors, in site axes, from first to second attitudes."""
+    return np.asarray((second * first.inv()).as_rotvec())
+
+
+def cross_matrix(vectors: Floats) -> Floats:
+    """Return the skew-symmetric cross-product matrices of vectors, (..., 3, 3)."""
+    matrix = np.zeros((*vectors.shape[:-1], 3, 3))
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
+    return matrix - np.swapaxes(matrix, -1, -2)
+
+
+def covariance_of(
+    turns: Floats, position: ArrayLike, heading: ArrayLike, level: ArrayLike
+) -> Floats:
+    """Return pose covariances from uncertainties of position, heading and level.
+
+    `turns` are rotations to (east, north, up), shape (n, 3, 3). The uncertainties are
+    numbers or have one value per pose; that of the position may have three.
+    """
+    count = len(turns)
+    covariance = np.zeros((count, 6, 6))
+    places = np.asarray(position, dtype=float)
+    if places.shape == (count,):
+        places = places[:, None]
+    covariance[:, :3, :3] = np.broadcast_to(places, (count, 3))[:, :, None] ** 2
+    covariance[:, :3, :3] *= np.eye(3)
+    up = np.broadcast_to([0.0, 0.0, 1.0], (count, 3))
+    axes = np.stack([up, turns[:, :, 0], turns[:, :, 2]], axis=-1)
+    sigma = [np.broadcast_to(np.asarray(value, dtype=float), (count,)) for value in (
+        heading, level, level)]  # fmt: skip
+    spread = axes * np.stack(sigma, axis=-1)[:, None, :]
+    covariance[:, 3:, 3:] = spread @ np.swapaxes(spread, 1, 2)
+    return covariance

@@ -1,0 +1,271 @@
+"""Poses of the instrument on a moving vehicle, and the errors of points they place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.platform.attitude import cross_matrix, rotation_of
+from amulor.platform.mounting import Mounting
+from amulor.platform.trajectory import Poses, Trajectory
+
+Floats = NDArray[np.float64]
+
+#: Rotation from (right, down, forward) axes of a level vehicle with heading north to
+#: (east, north, up).
+_LEVEL = rotation_of(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentPoses:
+    r"""Poses of the instrument at the times of its readings.
+
+    Notes
+    -----
+    A point y in instrument axes lies at :math:`p + R (l + B y)`. Here p and R are the
+    pose of the vehicle, l is the lever arm and B the attitude of the instrument on the
+    vehicle. Errors of the pose differ from reading to reading. Errors of lever arm,
+    boresight and clock are common to all readings.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor.platform import Mounting, Trajectory, instrument_poses
+    >>> track = Trajectory.of_angles(
+    ...     time=[0.0, 1.0, 2.0],
+    ...     position=[[0, 0, -5], [0, 0.2, -5], [0, 0.4, -5]],
+    ...     heading=0.0,
+    ...     position_uncertainty=0.01,
+    ...     heading_uncertainty=1e-3,
+    ...     level_uncertainty=1e-3,
+    ... )
+    >>> down = Mounting(
+    ...     pitch="-90 deg", lever_arm_uncertainty="2 mm",
+    ...     boresight_uncertainty="1 mrad", clock_uncertainty="5 ms",
+    ... )
+    >>> poses = instrument_poses(track, down, [0.5, 1.5])
+    >>> sea_bed = poses.place([[0, 0, 3], [0, 0, 3]])
+    >>> print(sea_bed.round(3) + 0.0)
+    [[ 0.   0.1 -8. ]
+     [ 0.   0.3 -8. ]]
+    >>> print(np.sqrt((poses.shared_errors(sea_bed) ** 2).sum(axis=0))[0].round(4))
+    [0.0036 0.0037 0.002 ]
+    """
+
+    vehicle: Poses
+    """Poses of the vehicle."""
+    lever_arm: Floats
+    """Origin of the instrument in vehicle axes, shape (3,) [m]."""
+    boresight: Floats
+    """Rotation from instrument axes to vehicle axes, shape (3, 3) [1]."""
+    lever_arm_uncertainty: float | None
+    """Standard uncertainty of each component of the lever arm; None if unknown [m]."""
+    boresight_uncertainty: float | None
+    """Standard uncertainty of each boresight angle; None if unknown [rad]."""
+    clock_uncertainty: float | None
+    """Standard uncertainty of the clock offset; None if unknown [s]."""
+    duration: float = 0.0
+    """Measuring time of each reading; its time is the middle [s]."""
+
+    def part(self, index: NDArray[np.intp]) -> InstrumentPoses:
+        """Return the poses of selected readings."""
+        vehicle = {
+            entry.name: getattr(self.vehicle, entry.name)[index]
+            for entry in fields(Poses)
+        }
+        return replace(self, vehicle=Poses(**vehicle))
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Mask of the readings at whose times the trajectory has a pose, shape (n,)."""
+        return self.vehicle.known
+
+    @property
+    def rotation(self) -> Floats:
+        """Rotations from instrument axes to the site, shape (n, 3, 3) [1]."""
+        return self.vehicle.rotation @ self.boresight
+
+    @property
+    def position(self) -> Floats:
+        """Origin of the instrument's axes in the site, shape (n, 3) [m]."""
+        return self.vehicle.position + self.vehicle.rotation @ self.lever_arm
+
+    @property
+    def velocity(self) -> Floats:
+        """Velocity of the instrument's origin in site axes, shape (n, 3) [m/s]."""
+        return self._velocity_of(self.position)
+
+    def _velocity_of(self, points: Floats) -> Floats:
+        """Velocity of points that move with the vehicle, shape (n, 3) [m/s]."""
+        turn = np.cross(self.vehicle.turn_rate, points - self.vehicle.position)
+        return np.asarray(self.vehicle.velocity + turn)
+
+    def place(self, points: ArrayLike) -> Floats:
+        """Transform one point per reading from instrument axes to the site.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            Right, down, forward at each reading [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            East, north, up [m].
+        """
+        away = np.asarray(points, dtype=float)
+        return np.asarray(self.position + np.einsum("nij,nj->ni", self.rotation, away))
+
+    def turn(self, directions: ArrayLike) -> Floats:
+        """Rotate one direction per reading from instrument axes to the site.
+
+        Parameters
+        ----------
+        directions : array_like, shape (n, 3)
+            Right, down, forward at each reading [1].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            East, north, up [1].
+        """
+        away = np.asarray(directions, dtype=float)
+        return np.asarray(np.einsum("nij,nj->ni", self.rotation, away))
+
+    def covariance(self, points: ArrayLike) -> Floats:
+        """Return the covariance of points due to errors of the trajectory.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            One point per reading, in site axes [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 3, 3)
+            Covariance of the coordinates; NaN where that of the pose is unknown [m^2].
+        """
+        away = np.asarray(points, dtype=float) - self.vehicle.position
+        jacobian = np.zeros((away.shape[0], 3, 6))
+        jacobian[:, :, :3] = np.eye(3)
+        jacobian[:, :, 3:] = -cross_matrix(away)
+        stated = self.vehicle.covariance
+        return np.asarray(jacobian @ stated @ np.swapaxes(jacobian, 1, 2))
+
+    def variance(self, points: ArrayLike, along: ArrayLike) -> Floats:
+        r"""Return the variance of coordinates due to pose, mounting and motion.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            One point per reading, in site axes [m].
+        along : array_like, shape (n, 3)
+            Unit vectors of the beams, in site axes [1].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Variances of east, north and up; NaN where that of the pose is unknown
+            [m^2].
+
+        Notes
+        -----
+        A reading lasts for the time T, in which the range changes by
+        :math:`v_r T`. Its mean is uncertain by :math:`|v_r| T / \sqrt{12}` along the
+        beam, with the range rate :math:`v_r`.
+        """
+        beams = np.asarray(along, dtype=float)
+        own = np.einsum("nii->ni", self.covariance(points))
+        rate = np.einsum("ni,ni->n", self.velocity, beams)
+        smear = (rate * self.duration)[:, None] * beams / np.sqrt(12)
+        shared = (self.shared_errors(points) ** 2).sum(axis=0)
+        return np.asarray(own + shared + smear**2)
+
+    def shared_errors(self, points: ArrayLike) -> Floats:
+        """Return the shift of points by each error that all readings have in common.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            One point per reading, in site axes [m].
+
+        Returns
+        -------
+        ndarray, shape (7, n, 3)
+            Shift by one standard uncertainty of the lever arm (right, down, forward),
+            of the boresight (about the instrument's right, down and forward axis) and
+            of the clock offset; 0 for unknown uncertainties, see `unknown` [m].
+        """
+        at = np.asarray(points, dtype=float)
+        shifts = np.zeros((7, *at.shape))
+        turns, away = self.rotation, at - self.position
+        arm, bend = self.lever_arm_uncertainty, self.boresight_uncertainty
+        for axis in range(3):
+            shifts[axis] = (arm or 0.0) * self.vehicle.rotation[:, :, axis]
+            shifts[3 + axis] = (bend or 0.0) * np.cross(turns[:, :, axis], away)
+        shifts[6] = (self.clock_uncertainty or 0.0) * self._velocity_of(at)
+        return shifts
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Quantities without a stated uncertainty, by name."""
+        stated = {
+            "lever arm": self.lever_arm_uncertainty,
+            "boresight": self.boresight_uncertainty,
+            "clock offset": self.clock_uncertainty,
+        }
+        missing = [name for name, value in stated.items() if value is None]
+        covariance = self.vehicle.covariance[self.known]
+        if not np.isfinite(covariance).all():
+            missing.insert(0, "trajectory")
+        return tuple(missing)
+
+
+def instrument_poses(
+    trajectory: Trajectory,
+    mounting: Mounting,
+    time: ArrayLike,
+    *,
+    duration: float = 0.0,
+) -> InstrumentPoses:
+    """Return the poses of an instrument on a moving vehicle.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Poses of the vehicle.
+    mounting : Mounting
+        Place and attitude of the instrument on the vehicle, and its clock.
+    time : array_like, shape (n,)
+        Times of the middle of the readings on the instrument's clock [s].
+    duration : float
+        Measuring time of each reading [s].
+
+    Returns
+    -------
+    InstrumentPoses
+        Poses with their errors, NaN where the trajectory has none.
+
+    Examples
+    --------
+    >>> from amulor.platform import Mounting, Trajectory, instrument_poses
+    >>> track = Trajectory.of_angles(
+    ...     time=[10.0, 11.0], position=[[0, 0, 0], [0.3, 0, 0]], heading=0.0
+    ... )
+    >>> poses = instrument_poses(track, Mounting(clock_offset="10 s"), [0.5])
+    >>> poses.position.round(6).tolist()
+    [[0.15, 0.0, 0.0]]
+    """
+    instants = np.atleast_1d(np.asarray(time, dtype=float)) + mounting.clock_offset
+    turn = rotation_of(mounting.heading, mounting.pitch, mounting.roll)
+    return InstrumentPoses(
+        vehicle=trajectory.at(instants),
+        lever_arm=np.array(mounting.lever_arm),
+        boresight=_LEVEL.T @ turn,
+        lever_arm_uncertainty=mounting.lever_arm_uncertainty,
+        boresight_uncertainty=mounting.boresight_uncertainty,
+        clock_uncertainty=mounting.clock_uncertainty,
+        duration=duration,
+    )

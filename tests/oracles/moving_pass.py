@@ -1,0 +1,65 @@
+"""Points of a pulsed-like scan from a moving vehicle, by elementary rotations.
+
+Nothing here uses the product. A vehicle moves along a straight line; its attitude is a
+product of three elementary rotations; the beam is followed to a wavy sea bed by
+bisection. Axes of the instrument and of the vehicle are right, down, forward; those of
+the site are east, north, up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def elementary(axis: int, angle: float) -> np.ndarray:
+    """Matrix of a rotation by an angle about a coordinate axis, right-handed."""
+    c, s = np.cos(angle), np.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[i, i], matrix[j, j], matrix[i, j], matrix[j, i] = c, c, -s, s
+    return matrix
+
+
+#: East, north, up of the axes right, down, forward of a level vehicle heading north.
+LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def attitude(heading: float, pitch: float, roll: float) -> np.ndarray:
+    """Rotation from right, down, forward to east, north, up.
+
+    The vehicle, level and heading north, rolls about its forward axis (north), then
+    pitches about the right axis (east), then turns clockwise about up.
+    """
+    rolled = elementary(1, roll)  # about north: the right (east) side goes down
+    pitched = elementary(0, pitch)  # about east: the bow (north) goes up
+    turned = elementary(2, -heading)  # about up, clockwise
+    return turned @ pitched @ rolled @ LEVEL
+
+
+def sea_bed(east: float, north: float) -> float:
+    """Height of a wavy sea bed [m]."""
+    return -11.0 + 0.15 * np.sin(1.3 * east + 0.4) * np.cos(0.9 * north)
+
+
+def distance_to_bed(start: np.ndarray, direction: np.ndarray) -> float:
+    """Distance along a ray to the sea bed, by bisection to the last bit [m]."""
+    low, high = 0.0, 2000.0
+    for _ in range(200):
+        middle = (low + high) / 2
+        point = start + middle * direction
+        if point[2] > sea_bed(point[0], point[1]):
+            low = middle
+        else:
+            high = middle
+    return (low + high) / 2
+
+
+def beam_of(azimuth: float, elevation: float) -> np.ndarray:
+    """Unit vector of a beam: right, down, forward."""
+    return np.array(
+        [
+            np.cos(elevation) * np.sin(azimuth),
+            -np.sin(elevation),
+            np.cos(elevation) * np.cos(azimuth),
+        ]
+    )

@@ -1,0 +1,145 @@
+"""Trajectories: interpolation against closed forms, gaps, errors and their coverage."""
+
+import moving_pass
+import numpy as np
+import pytest
+
+from amulor.platform import Trajectory, rotation_of
+
+TIME = np.linspace(0.0, 20.0, 201)
+
+
+def _course(time):
+    """A course with changing speed, heading, pitch and roll, in closed form."""
+    place = np.stack(
+        [3 * np.sin(0.1 * time), 0.2 * time, -8 + 0.1 * np.sin(0.5 * time)], axis=-1
+    )
+    return place, 0.05 * time, 0.03 * np.sin(0.8 * time), 0.05 * np.cos(0.6 * time)
+
+
+def _track(time=TIME, **options):
+    place, heading, pitch, roll = _course(time)
+    return Trajectory.of_angles(
+        time=time, position=place, heading=heading, pitch=pitch, roll=roll, **options
+    )
+
+
+@pytest.mark.parametrize("angles", [(0, 0, 0), (1.1, 0.3, -0.4), (-2.5, -1.5, 2.0)])
+def test_attitudes_are_those_of_elementary_rotations(angles):
+    np.testing.assert_allclose(
+        rotation_of(*angles), moving_pass.attitude(*angles), atol=1e-15
+    )
+
+
+def test_poses_between_messages_follow_a_smooth_course():
+    at = np.linspace(1.0, 19.0, 333)
+    place, *angles = _course(at)
+    poses = _track().at(at)
+    np.testing.assert_allclose(poses.position, place, atol=1e-8)
+    expected = np.array([moving_pass.attitude(*row) for row in np.transpose(angles)])
+    np.testing.assert_allclose(poses.rotation, expected, atol=1e-7)
+
+
+def test_velocities_are_the_derivatives_of_the_course():
+    at = np.linspace(1.0, 19.0, 50)
+    poses = _track().at(at)
+    speed = np.stack(
+        [0.3 * np.cos(0.1 * at), np.full(50, 0.2), 0.05 * np.cos(0.5 * at)], axis=-1
+    )
+    np.testing.assert_allclose(poses.velocity, speed, atol=1e-6)
+    step = 1e-4
+    rotations = [
+        np.array(
+            [
+                moving_pass.attitude(*row[1:])
+                for row in zip(*_course(at + d), strict=True)
+            ]
+        )
+        for d in (-step, step)
+    ]
+    slope = (rotations[1] - rotations[0]) / (2 * step)
+    spin = slope @ np.swapaxes((rotations[0] + rotations[1]) / 2, 1, 2)
+    expected = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=-1)
+    np.testing.assert_allclose(poses.turn_rate, expected, atol=1e-5)
+
+
+def test_headings_across_north_take_the_short_way():
+    track = Trajectory.of_angles(
+        time=[0.0, 1.0, 2.0, 3.0],
+        position=np.zeros((4, 3)),
+        heading=np.radians([358.0, 359.0, 0.0, 1.0]),
+    )
+    forward = track.at([1.5]).rotation[0, :, 2]
+    assert np.degrees(np.arctan2(forward[0], forward[1])) == pytest.approx(-0.5)
+
+
+def test_nothing_is_extrapolated_or_taken_from_gaps():
+    time = np.concatenate([np.arange(0, 5, 0.5), np.arange(12, 17, 0.5)])
+    track = _track(time)
+    poses = track.at([-0.1, 0.0, 4.5, 4.6, 11.9, 12.0, 16.5, 16.6])
+    assert poses.known.tolist() == [False, True, True, False, False, True, True, False]
+    assert track.gaps.tolist() == [[4.5, 12.0]]
+    assert np.isnan(poses.covariance[~poses.known]).all()
+
+
+def test_a_single_pose_between_gaps_is_no_trajectory():
+    time = np.array([0.0, 0.5, 1.0, 10.0, 20.0, 20.5, 21.0])
+    assert not _track(time).at([10.0]).known[0]
+
+
+def test_covariances_are_those_of_the_messages_and_linear_between_them():
+    sigma = np.linspace(0.01, 0.03, 201)
+    track = _track(
+        position_uncertainty=sigma, heading_uncertainty=2e-3, level_uncertainty=1e-3
+    )
+    at = np.array([TIME[50], (TIME[50] + TIME[51]) / 2])
+    found = track.at(at).covariance
+    expected = [sigma[50] ** 2, (sigma[50] ** 2 + sigma[51] ** 2) / 2]
+    np.testing.assert_allclose(found[:, 0, 0], expected, rtol=1e-9)
+    # The heading turns about up; pitch and roll together about any level axis.
+    turned = found[0, 3:, 3:]
+    assert np.sqrt(turned[2, 2]) == pytest.approx(2e-3, rel=2e-3)
+    assert np.sqrt(turned[0, 0]) == pytest.approx(1e-3, rel=3e-2)
+
+
+@pytest.mark.parametrize("interval", [0.5, 1.0, 2.0])
+def test_the_interpolation_error_covers_a_course_sampled_too_rarely(interval):
+    rng = np.random.default_rng(11)
+    pulls = []
+    for _ in range(40):
+        rate, phase = rng.uniform(0.3, 1.5), rng.uniform(0, 6, 3)
+        time = np.arange(0, 30, interval)
+        at = rng.uniform(0, time[-1], 60)
+
+        def place(t, rate=rate, phase=phase):
+            return 0.3 * np.sin(rate * t[:, None] + phase)
+
+        track = Trajectory.of_angles(
+            time=time, position=place(time), heading=0.0, position_uncertainty=0.0,
+            heading_uncertainty=0.0, level_uncertainty=0.0,
+        )  # fmt: skip
+        poses = track.at(at)
+        sigma = np.sqrt(np.einsum("nii->ni", poses.covariance)[:, :3])
+        pulls.append((poses.position - place(at)) / sigma)
+    assert np.mean(np.abs(np.concatenate(pulls)) < 1.96) > 0.93
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"time": np.zeros(3)}, "not after time 0; sort"),
+        ({"position": np.zeros((2, 3))}, r"position has shape \(2, 3\); needed is \(3"),
+        ({"position": np.full((3, 3), np.nan)}, "position has a value"),
+        ({"longest_gap": 0.0}, "longest_gap 0; needed is above"),
+    ],
+)
+def test_impossible_trajectories_are_refused(change, words):
+    fields = {
+        "time": np.arange(3.0),
+        "position": np.zeros((3, 3)),
+        "attitude": np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)),
+        "covariance": np.zeros((3, 6, 6)),
+        "longest_gap": 5.0,
+    }
+    with pytest.raises(ValueError, match=words):
+        Trajectory(**{**fields, **change})
