@@ -505,6 +505,7 @@ def report(
     from amulor.cli._arguments import check_ending
     from amulor.cli._output import progress_bar
     from amulor.site import Site
+    from amulor.site.merging.plan import placed
     from amulor.view import site_report
 
     io.check_output(output, overwrite=overwrite, inputs=[site, poses])
@@ -525,6 +526,9 @@ def report(
             merged.site,
             merged.registration,
             merged.cloud,
+            scans=placed(
+                merged.site, merged.registration, merged.surfaces, merged.images
+            ),
             change=change,
             places=places,
             motions=motions,

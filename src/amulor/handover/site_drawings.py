@@ -23,15 +23,9 @@ from amulor.io.files import check_output
 from amulor.site import Site
 from amulor.site.merging import plan
 from amulor.site.merging.plan import PlacedScan
-from amulor.site.registration.result import Registration, relative_covariance
-from amulor.view.sheet import (
-    Annotations,
-    Station,
-    fitting_scale,
-    largest_on_a3,
-    sheet,
-)
-from amulor.view.style import COLOURS
+from amulor.site.registration.result import Registration
+from amulor.view.sheet import Annotations, fitting_scale, largest_on_a3, sheet
+from amulor.view.site_plan import annotations_of, visit_colours
 
 Floats = NDArray[np.float64]
 
@@ -41,8 +35,6 @@ _CELL, _ELLIPSE = 2.54e-4, 6e-3
 _FINE = 6.0
 #: Contour lines of a plan, about [1].
 _LEVELS = 16
-#: Colors of visits; contours have another one.
-_VISITS = tuple(colour for colour in COLOURS if colour != "#D55E00")
 #: Cells across the raster for the outline of a scan [1].
 _OUTLINE = 150
 #: Part by which a section line exceeds the plan at both ends [1].
@@ -187,6 +179,7 @@ class _Drawer:
         self.footprints = {
             scan.name: plan.footprint(scan, cell=key.cell) for scan in visit
         }
+        self.colours = visit_colours(site)
         self.raster: products.Raster | None = None
         self.interval = order.contours
 
@@ -221,7 +214,15 @@ class _Drawer:
             contours = products.contours(coarse, interval=self.interval)
         except CubeError:
             contours = []
-        annotations = self._annotations(scale, window, cuts)
+        annotations = annotations_of(
+            self.site,
+            self.registration,
+            self.visit,
+            largest=_ELLIPSE * scale,
+            outlines=self.footprints,
+            window=None if cuts else window,
+            cuts=cuts,
+        )
         block = self._block(name, self._statements(raster, annotations))
         legend = [(self.colours[self.epoch], "", "footprints and stations")]
         if annotations.stations:
@@ -250,58 +251,6 @@ class _Drawer:
             lines=self._plan_lines(contours, annotations, block, raster),
             scale=scale,
         )
-
-    def _annotations(
-        self,
-        scale: float,
-        window: tuple[float, float, float, float],
-        cuts: Mapping[str, Floats],
-    ) -> Annotations:
-        west, east, south, north = window
-        first = self.site.scan[0].name
-        spreads = {
-            scan.name: relative_covariance(self.registration, scan.name, first)[:2, :2]
-            for scan in self.visit
-        }
-        largest = max(
-            math.sqrt(max(float(np.linalg.eigvalsh(spread)[-1]), 0.0))
-            for spread in spreads.values()
-        )
-        targets = {
-            name: np.asarray(point)[:2]
-            for name, point in self.registration.points.items()
-            if west <= point[0] <= east and south <= point[1] <= north
-        }
-        return Annotations(
-            outlines=[
-                (self.colours[scan.epoch], self.footprints[scan.name])
-                for scan in self.visit
-            ],
-            stations={
-                scan.name: Station(
-                    position=self.registration.poses[scan.name].position[:2],
-                    covariance=spreads[scan.name],
-                    colour=self.colours[scan.epoch],
-                )
-                for scan in self.visit
-                if cuts or self._inside(scan, window)
-            },
-            enlarged=_rounded_down(_ELLIPSE * scale / max(largest, 1e-9)),
-            targets=targets,
-            cuts=cuts,
-        )
-
-    def _inside(
-        self, scan: PlacedScan, window: tuple[float, float, float, float]
-    ) -> bool:
-        x, y = self.registration.poses[scan.name].position[:2]
-        return bool(window[0] <= x <= window[1] and window[2] <= y <= window[3])
-
-    @property
-    def colours(self) -> dict[str, str]:
-        """Color of each visit."""
-        names = [visit.name for visit in self.site.epoch]
-        return {name: _VISITS[n % len(_VISITS)] for n, name in enumerate(names)}
 
     def _statements(
         self, raster: products.Raster, annotations: Annotations
@@ -524,11 +473,3 @@ def _has_surface(
     rows = (raster.rows >= south) & (raster.rows <= north)
     columns = (raster.columns >= west) & (raster.columns <= east)
     return bool(np.isfinite(raster.height[np.ix_(rows, columns)]).any())
-
-
-def _rounded_down(value: float) -> float:
-    """Round down to the series 1, 2, 5, 10, ...; 1 for smaller values."""
-    if value < 1:
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(value))
-    return max(step for step in (1, 2, 5) if step * power <= value) * power

@@ -164,7 +164,7 @@ def colours_of(
 ) -> tuple[NDArray[np.uint8], tuple[float, float], str]:
     """Pixel colors of a raster, with the limits and the unit of the color scale."""
     if show == "relief":
-        return _relief(raster), (0.0, 1.0), ""
+        return relief(raster), (0.0, 1.0), ""
     unit = "mV" if show == "amplitude" else "mm"
     values_shown = {
         "amplitude": raster.amplitude,
@@ -222,7 +222,7 @@ def sheet(
 ) -> Figure:
     """Draw a raster on the smallest ISO sheet that fits it at its scale."""
     pixels, limits, unit = colours_of(raster, show, values=values)
-    extent = _extent(raster)
+    extent = extent_of(raster)
     room = _ROOM * scale
     around = _around(extent, annotations, room)
     with style():
@@ -241,7 +241,7 @@ def sheet(
             )  # fmt: skip
         paper.grid(raster.plane.names[:2])
         if annotations is not None:
-            _annotate(axis, annotations)
+            annotate(axis, annotations)
         entries = [("#ffffff", "", "no surface measured")]
         if hatched:
             entries.append(("#ffffff", "//////", "doubtful pixels"))
@@ -270,7 +270,7 @@ def _around(
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def _extent(raster: Raster) -> tuple[float, float, float, float]:
+def extent_of(raster: Raster) -> tuple[float, float, float, float]:
     """Left, right, lower and upper edge of a raster in its drawing plane [m]."""
     rows, columns = raster.height.shape
     right = raster.left + columns * raster.cell
@@ -316,9 +316,9 @@ def line_sheet(
         paper = _Paper(extent, drawing, scale=scale, heights=heights, bars=bars)
         axis = paper.axis
         if picture is not None:
-            pixels = _relief(picture)
+            pixels = relief(picture)
             pixels[:, picture.columns < 0] = 0
-            axis.imshow(pixels, extent=_extent(picture), aspect="auto")
+            axis.imshow(pixels, extent=extent_of(picture), aspect="auto")
             axis.set_xlim(extent[:2])
             axis.set_ylim(extent[2:])
         bands = [
@@ -522,7 +522,7 @@ class _Paper:
         x = self.width - _BORDER - wide - 10
         y = self.below - _TITLE - 2 * _FIELD - high - 8
         axis = self._axes(x, y, wide, high)
-        axis.imshow(_relief(raster), extent=_extent(raster), aspect="auto")
+        axis.imshow(relief(raster), extent=extent_of(raster), aspect="auto")
         axis.plot(*cut.T, color=_OVER, lw=1.0, clip_on=False)
         onward = 6 * (cut[1] - cut[0]) / np.linalg.norm(cut[1] - cut[0])
         names = letter, f"{letter}'"
@@ -590,7 +590,7 @@ def _contour_lines(axis: Axes, contours: Sequence[Contour], scale: float) -> Non
             _label(axis, line.points, f"{level:.4g}")
 
 
-def _annotate(axis: Axes, annotations: Annotations) -> None:
+def annotate(axis: Axes, annotations: Annotations) -> None:
     """Draw outlines, stations with error ellipses, targets and section lines."""
     box = {"facecolor": "#ffffff", "alpha": 0.75, "lw": 0, "pad": 0.4}
     offset: Any = {"textcoords": "offset points", "fontsize": _LETTERS, "bbox": box}
@@ -674,7 +674,7 @@ def _scale_bar(frame: Axes, scale: float, at: tuple[float, float]) -> None:
         )
 
 
-def _relief(raster: Raster) -> NDArray[np.uint8]:
+def relief(raster: Raster) -> NDArray[np.uint8]:
     """Shaded relief of a raster, lit from the upper left, averaged over 3 x 3 cells."""
     covered = np.isfinite(raster.height)
     filled = np.where(covered, raster.height, 0.0)

@@ -14,6 +14,7 @@ from amulor.site.change.distances import Change, Region
 from amulor.site.change.moved import Motion
 from amulor.site.description import ScaleBar, Site
 from amulor.site.merging.cloud import Merged
+from amulor.site.merging.plan import PlacedScan
 from amulor.site.registration.reliability import (
     ObservationGroup,
     Reliability,
@@ -23,10 +24,10 @@ from amulor.site.registration.reliability import (
 from amulor.site.registration.result import Registration, relative_covariance
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report
 from amulor.view.sheet import error_ellipse
+from amulor.view.site_plan import plan_figure
 from amulor.view.style import (
     COLOURS,
     DIFFERENCE_MAP,
-    DISTANCE_MAP,
     ERROR_MAP,
     new_figure,
     style,
@@ -44,6 +45,7 @@ def write(
     registration: Registration,
     cloud: Merged,
     *,
+    scans: Sequence[PlacedScan],
     change: Change | None = None,
     places: Sequence[Region] = (),
     motions: Mapping[int, Motion] | None = None,
@@ -51,14 +53,17 @@ def write(
 ) -> None:
     """Write the report on a site as one HTML file."""
     with style():
+        plan, enlarged = plan_figure(site, registration, scans)
         parts: list[Part] = [Paragraph(_summary(site, registration, cloud))]
         parts += [
             Heading("Plan"),
             Picture(
-                plan(site, registration, cloud),
-                "Heights of all scans, instruments (crosses, with the ellipse of two "
-                "standard uncertainties against the first scan, fifty times enlarged) "
-                "and targets (rings).",
+                plan,
+                f"Visit {site.epoch[-1].name} from above, shaded, with targets (rings) "
+                "and the stations of all visits (crosses). The ellipses are one "
+                f"standard uncertainty against {site.scan[0].name}, enlarged "
+                f"{enlarged:g} times. The command amulor site drawings draws it to "
+                "scale.",
             ),
             Heading("Poses"),
             _poses(site, registration),
@@ -76,49 +81,6 @@ def write(
         if change is not None:
             parts += _changed(change, places, motions or {})
         write_report(path, site.name, parts, overwrite=overwrite)
-
-
-def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
-    """Draw the merged points and scan positions of a site from above."""
-    figure = new_figure(7.0, 5.6)
-    axes = figure.add_subplot()
-    some = _thinned(np.flatnonzero(~cloud.moving))
-    place = cloud.position[some]
-    order = np.argsort(place[:, 2])
-    points = axes.scatter(
-        place[order, 0],
-        place[order, 1],
-        c=place[order, 2],
-        s=0.6,
-        cmap=DISTANCE_MAP,
-        linewidths=0,
-        rasterized=True,
-    )
-    figure.colorbar(points, ax=axes, label="height [m]", shrink=0.8)
-    epochs = [visit.name for visit in site.epoch]
-    first = site.scan[0].name
-    for scan in site.scan:
-        pose = registration.poses[scan.name]
-        colour = COLOURS[(1 + epochs.index(scan.epoch)) % len(COLOURS)]
-        at = pose.position[:2]
-        axes.plot(*at, "x", color=colour, markersize=6)
-        axes.annotate(
-            scan.name, (at[0], at[1]), xytext=(4, 4), textcoords="offset points"
-        )
-        spread = relative_covariance(registration, scan.name, first)[:2, :2]
-        axes.add_patch(error_ellipse(at, spread, factor=2 * 50, colour=colour))
-    for name, point in registration.points.items():
-        axes.add_patch(Circle((float(point[0]), float(point[1])), 0.06, fill=False))
-        axes.annotate(
-            name, (point[0], point[1]), xytext=(5, -9), textcoords="offset points"
-        )
-    for number, name in enumerate(epochs):
-        axes.plot([], [], "x", color=COLOURS[(1 + number) % len(COLOURS)], label=name)
-    axes.legend(loc="upper right")
-    axes.set_aspect("equal")
-    axes.set_xlabel("east [m]")
-    axes.set_ylabel("north [m]")
-    return figure
 
 
 def ellipses(site: Site, registration: Registration) -> Figure:
@@ -186,7 +148,8 @@ def errors(cloud: Merged) -> Figure:
     largest = np.sqrt(np.linalg.eigvalsh(cloud.covariance[some])[:, -1]) * 1e3
     points = axes[0].scatter(
         *cloud.position[some, :2].T, c=largest, s=0.6, cmap=ERROR_MAP, linewidths=0,
-        vmin=0, vmax=float(np.quantile(largest, 0.99)), rasterized=True,
+        vmin=float(np.quantile(largest, 0.01)), vmax=float(np.quantile(largest, 0.99)),
+        rasterized=True,
     )  # fmt: skip
     figure.colorbar(points, ax=axes[0], label="standard uncertainty [mm]")
     axes[0].set_aspect("equal")

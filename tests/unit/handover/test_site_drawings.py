@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -132,3 +133,17 @@ def test_an_error_ellipse_has_the_axes_of_its_covariance() -> None:
     assert ellipse.get_height() == pytest.approx(0.2)
     assert ellipse.get_angle() % 180 == pytest.approx(30)
     Figure().add_subplot().add_patch(ellipse)
+
+
+def test_the_report_shows_the_same_plan(site) -> None:
+    report = site.with_name("site.html")
+    poses = ["--poses", str(site.with_name("poses.json"))]
+    assert main(["site", "report", str(site), *poses, "-o", str(report)]) == 0
+    text = report.read_text()
+    first = text[: text.index("<table")]
+    assert first.count("<img") == 1
+    assert "Visit two from above, shaded" in first
+    # All poses are exact: the factor is a round number of the series 1, 2, 5.
+    enlarged = re.search(r"enlarged (\S+) times", first)
+    assert enlarged is not None
+    assert float(enlarged[1]) >= 1
