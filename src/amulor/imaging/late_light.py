@@ -224,6 +224,7 @@ def _between(
             tilt=geometry.tilt[..., None],
             cross_tilt=geometry.cross_tilt[..., None],
             standoff=geometry.standoff[..., None],
+            absorption=water.absorption,
         )
         mean = np.tensordot(np.atleast_2d(weight), echo_delay, axes=1)
         # Over the square of the distance it is nearly even, and so well interpolated.

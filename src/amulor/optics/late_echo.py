@@ -58,6 +58,7 @@ def late_echo(
     tilt: ArrayLike = 0.0,
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
+    absorption: ArrayLike = 0.0,
 ) -> Array:
     r"""Return the range excess of an echo due to forward scattering and aperture [m].
 
@@ -88,6 +89,8 @@ def late_echo(
         baseline, as in `small_angle.overlap` [rad].
     standoff : array_like
         Air and glass before the water, as a depth of water [m].
+    absorption : array_like
+        Absorption coefficient a of the water [1/m].
 
     Returns
     -------
@@ -124,13 +127,15 @@ def late_echo(
 
     .. math::
 
-       \arg \exp N \Bigl[\Bigl(1 - \frac{i \omega \ell}{v N k}\Bigr)^{-k} - 1\Bigr],
+       \arg \exp N \Bigl[\Bigl(1 + \frac{\ell}{N k}
+       \Bigl(a - \frac{i \omega}{v}\Bigr)\Bigr)^{-k} - 1\Bigr],
        \quad N = -\ln u, \quad k = 0.1.
 
     Here N is the mean number of scattering events of received light. Each adds a delay
     from a gamma distribution. Its shape k is empirical, from photon transport, and has
-    no effect below some 50 MHz. If the receiver sees all of a plane, half of
-    :math:`\ell` is :math:`b_f \langle\theta^2\rangle z^2 / 4`.
+    no effect below some 50 MHz. The absorption a removes more of the longer paths. If
+    the receiver sees all of a plane, half of :math:`\ell` is
+    :math:`b_f \langle\theta^2\rangle z^2 / 4`.
 
     Against photon transport (Petzold, Fournier-Forand, Henyey-Greenstein 0.95 and a
     two-term function; b z of 0.6 to 3.2; a surface of reflectance 0.1) the root mean
@@ -176,7 +181,10 @@ def late_echo(
         "cross_tilt": finite(cross_tilt, name="cross_tilt", unit="rad"),
         "standoff": not_negative(standoff, name="standoff", unit="m"),
     }
-    broadcast(modulation_frequency=frequency, group_index=index, **places)
+    loss = not_negative(absorption, name="absorption", unit="1/m")
+    broadcast(
+        modulation_frequency=frequency, group_index=index, absorption=loss, **places
+    )
     shape = np.broadcast_shapes(*(value.shape for value in places.values()))
     flat = {
         name: np.broadcast_to(value, shape).ravel() for name, value in places.items()
@@ -189,21 +197,25 @@ def late_echo(
     scattered, bare, unscattered = terms.reshape(3, *shape)
     rate = 2 * np.pi * index / speed_of_light
     return np.asarray(
-        (bare + _at_frequency(rate * frequency, scattered, unscattered)) / 2
+        (bare + _at_frequency(rate * frequency, scattered, unscattered, loss)) / 2
     )
 
 
-def _at_frequency(rate: Array, excess: Array, unscattered: Array) -> Array:
+def _at_frequency(
+    rate: Array, excess: Array, unscattered: Array, absorption: Array
+) -> Array:
     """Return the apparent excess path at a frequency, from the phase of the echo [m].
 
     The rate is that of the phase with the way [rad/m].
     """
     # Clear water has no scatterings and no excess.
     count = np.maximum(-np.log(unscattered), 1e-9)
-    per_scattering = (1 - 1j * rate * excess / (count * _SHAPE)) ** -_SHAPE
+    each = excess / (count * _SHAPE)
+    per_scattering = (1 + (absorption - 1j * rate) * each) ** -_SHAPE
     with np.errstate(invalid="ignore", divide="ignore"):
         apparent = count * per_scattering.imag / rate
-    return np.asarray(np.where(rate > 0, apparent, excess))
+    slow = excess * (1 + absorption * each) ** (-_SHAPE - 1)
+    return np.asarray(np.where(rate > 0, apparent, slow))
 
 
 @dataclass(frozen=True, kw_only=True)
