@@ -227,8 +227,7 @@ def _inside(image: xr.Dataset, clip: Any) -> np.ndarray:
     low, high = (_limits(clip, side) for side in ("low", "high"))
     low = np.where(np.isnan(low), -np.inf, low)
     high = np.where(np.isnan(high), np.inf, high)
-    within: np.ndarray = ((place >= low) & (place <= high)).all(axis=-1)
-    return within
+    return np.asarray(((place >= low) & (place <= high)).all(axis=-1))
 
 
 def _limits(clip: Any, side: str) -> np.ndarray:
