@@ -368,7 +368,9 @@ def _chosen(
         from amulor.platform import read_mounting
 
         frame = imaging.moving_frame(
-            cube, read_trajectory(moved[0]), read_mounting(moved[1])
+            cube,
+            trajectory=read_trajectory(moved[0]),
+            mounting=read_mounting(moved[1]),
         )
     with refusing("--largest-uncertainty"):
         cube = imaging.leave_out(

@@ -33,7 +33,7 @@ class MovingFrame:
     ...     position=np.zeros((200, 3)) + [0, 0, -8],
     ...     heading=0.0,
     ... )
-    >>> frame = imaging.moving_frame(image, track, Mounting())
+    >>> frame = imaging.moving_frame(image, trajectory=track, mounting=Mounting())
     >>> cloud = imaging.point_cloud(image, frame=frame)
     >>> bool(cloud["z"].max() < -7.5)  # the ladder hangs 8 m below the surface
     True
@@ -82,7 +82,7 @@ class MovingFrame:
 
 
 def moving_frame(
-    image: xr.Dataset, trajectory: Trajectory, mounting: Mounting
+    image: xr.Dataset, *, trajectory: Trajectory, mounting: Mounting
 ) -> MovingFrame:
     """Return the frame of a scan that was measured from a moving vehicle.
 
@@ -116,7 +116,7 @@ def moving_frame(
     >>> track = Trajectory.of_angles(
     ...     time=[0.0, 60.0], position=[[0, 0, -8], [0, 6, -8]], heading=0.0
     ... )
-    >>> frame = imaging.moving_frame(image, track, Mounting())
+    >>> frame = imaging.moving_frame(image, trajectory=track, mounting=Mounting())
     >>> bool(frame.known.any()), frame.unknown
     (True, ('trajectory', 'lever arm', 'boresight', 'clock offset'))
     """

@@ -73,7 +73,9 @@ def passed(ladder):
 def test_points_of_a_straight_pass_are_those_of_an_independent_renderer(passed):
     image, points = passed
     frame = imaging.moving_frame(
-        image, _track(float(image["time"].max())), Mounting(**MOUNTING)
+        image,
+        trajectory=_track(float(image["time"].max())),
+        mounting=Mounting(**MOUNTING),
     )
     cloud = imaging.point_cloud(image, frame=frame)
     found = np.stack([cloud[axis].values for axis in "xyz"], axis=-1)
@@ -99,7 +101,7 @@ def test_pixels_without_a_pose_are_left_out(passed):
     track = Trajectory.of_angles(
         time=time, position=START + time[:, None] * SPEED, heading=0.0
     )
-    frame = imaging.moving_frame(image, track, Mounting())
+    frame = imaging.moving_frame(image, trajectory=track, mounting=Mounting())
     cloud = imaging.point_cloud(image, frame=frame)
     taken = image["time"].values[cloud["row"].values, cloud["column"].values]
     assert taken.max() < half
@@ -111,12 +113,14 @@ def test_a_trajectory_of_another_time_is_refused(ladder):
     time = np.arange(1e4, 1e4 + 9)
     track = Trajectory.of_angles(time=time, position=np.zeros((9, 3)), heading=0.0)
     with pytest.raises(CubeError, match=r"no pixel .* from 10000\.000 to 10008\.000 s"):
-        imaging.moving_frame(ladder, track, Mounting())
+        imaging.moving_frame(ladder, trajectory=track, mounting=Mounting())
 
 
 def test_an_image_without_times_is_refused(ladder):
     with pytest.raises(CubeError, match="has no time of each pixel"):
-        imaging.moving_frame(ladder.drop_vars("time"), _track(9.0), Mounting())
+        imaging.moving_frame(
+            ladder.drop_vars("time"), trajectory=_track(9.0), mounting=Mounting()
+        )
 
 
 def test_range_changes_during_a_pixel_enter_the_uncertainty():
