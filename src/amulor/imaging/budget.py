@@ -37,7 +37,7 @@ def completed(
     fit: LateFit | None = None,
     patches: Patches | None = None,
 ) -> tuple[Ranges, dict[str, Any], LateFit, Patches | None]:
-    """Subtract late light, add error terms; return also attributes and statistics."""
+    """Subtract late light, add error terms; return ranges, attributes, statistics."""
     slant_range = np.where(ranges.usable, ranges.slant_range, np.nan)
     light, fit = late_light(observation, slant_range, weight=ranges.weight, fit=fit)
     ranges, shared = _without_instrument(observation, ranges)

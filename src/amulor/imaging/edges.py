@@ -95,7 +95,7 @@ def mixed_pixels(
 
 
 def clear_of_both(image: xr.Dataset, *, reach: int = 2) -> Floats:
-    """Distance of pixels from both adjacent surfaces, in standard errors.
+    """Distance of pixels to the nearer of two adjacent surfaces, in standard errors.
 
     Zero where they lie between none.
     """

@@ -280,7 +280,7 @@ def _image(
     fit: LateFit | None = None,
     patches: Patches | None = None,
 ) -> tuple[xr.Dataset, LateFit, Patches | None]:
-    """Range image with error budget from given ranges, and the statistics used."""
+    """Range image with error budget; return also late-light and corner statistics."""
     ranges, attributes, fit, patches = budget.completed(
         observation, ranges, fit=fit, patches=patches
     )

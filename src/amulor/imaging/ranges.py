@@ -214,7 +214,7 @@ def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Fl
 def _terms(
     channel: xr.Dataset, per_phase: Floats, total: Floats, together: Floats | None
 ) -> tuple[dict[str, Floats], Floats | None]:
-    """Error terms scaled to a given total, in proportion to their variances.
+    """Error terms scaled to a total; return also the variance without a term.
 
     Terms that pixels and perhaps frequencies share divide what is `together`. Variance
     that no term explains comes second [m^2]; None where no term is stored.

@@ -109,7 +109,7 @@ def target_cube(
 def present_terms(
     terms: Mapping[str, Covariance], selected: tuple[str, ...] | None = None
 ) -> dict[str, Covariance]:
-    """Return the error terms with the given names; without names, all nonzero terms."""
+    """Return the selected error terms by name; without selection, the nonzero terms."""
     return {
         name: errors
         for name, errors in terms.items()

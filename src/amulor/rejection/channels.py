@@ -135,7 +135,7 @@ def _solve(
     water_weight: Floats,
     prior: Covariance | None,
 ) -> tuple[Complex, Floats, Floats]:
-    """Return target signals, their covariances as three columns, and gains."""
+    """Return target signals, covariances as three columns, and channel gains."""
     count, channels = signal.shape
     blocks = np.zeros((count, channels, 2, channels, 2))
     for c, error in enumerate(errors):

@@ -54,7 +54,7 @@ def _combine(
     fit: CombinedFit | None = None,
     span: tiles.Span | None = None,
 ) -> tuple[xr.Dataset, CombinedFit]:
-    """Combine the channels of a scan or, with `fit`, of some of its rows."""
+    """Combine the channels of a scan or, with `fit`, of rows; return also the fit."""
     scan = Observation(cube=cubes.checked(cube, "samples"))
     scan, noise_scale = with_noise_of_shots(
         scan, None if fit is None else fit.noise_scale

@@ -168,7 +168,7 @@ def _repeat_distance(cube: xr.Dataset) -> float:
 
 
 def _shots_are_doubted(cube: xr.Dataset, rows: list[Row]) -> bool:
-    """Return whether open-water references leave too few trusted pixels."""
+    """Return whether no method trusts enough pixels despite open-water references."""
     ran = any(row.polarization for row in rows)
     trusted = max((row.trusted for row in rows), default=0.0)
     return ran and cube.amulor.open_water is not None and trusted < _FEW
@@ -344,7 +344,7 @@ def _fit_auto(
     interval: Interval = None,
     comparison: Comparison | None = None,
 ) -> tiles.OfRows:
-    """Compare the methods on a sample of a scan, and fit the recommended one."""
+    """Fit the recommended method; without `comparison`, compare a sample first."""
     if comparison is None:
         sample = cubes.without_groups(tiles.sample_of(source), "truth")
         comparison = compare(sample, interval=interval)
@@ -493,7 +493,7 @@ def _instrument_error(target: xr.Dataset) -> float:
 
 
 def _has_neighbor(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the mask of pixels with at least one neighbor in a given mask.
+    """Return the mask of pixels with a `mask` pixel among the eight neighbors.
 
     The pixel of a scan with a single one counts as having a neighbor.
     """
@@ -512,7 +512,7 @@ def _has_neighbor(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _errors(
     target: xr.Dataset, usable: NDArray[np.bool_], excluded: NDArray[np.bool_]
 ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-    """Estimate the range errors of usable pixels, excluding selected samples.
+    """Return range noise, bias, agreement of frequencies, and path of usable pixels.
 
     Uncertainty and estimated bias of the slant range [m], whether the frequencies
     agree, and the optical path [m].
@@ -587,7 +587,7 @@ def _joint_path(target: xr.Dataset) -> Floats:
 def _disagreement(
     trials: list[_Trial], best: int, cube: xr.Dataset
 ) -> tuple[Row | None, float]:
-    """Find the method that differs most, and significantly, in range from the best.
+    """Return the row that differs most in range from the best, and difference [m].
 
     And the median difference, less whole intervals after which phases repeat [m].
     """

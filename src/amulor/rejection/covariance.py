@@ -83,7 +83,7 @@ class Covariance:
 
 
 def along(signal: Complex, size: float) -> Covariance:
-    """Return the covariance due to a random relative change of a signal."""
+    """Return the covariance due to a random relative amplitude error of a signal."""
     return Covariance(
         (size * signal.real) ** 2,
         (size * signal.imag) ** 2,
@@ -117,13 +117,13 @@ def times(rows: Floats, matrix: Floats) -> Floats:
 
 
 def isotropic(size: Floats) -> Covariance:
-    """Return the covariance of independent errors of equal size in both outputs."""
+    """Return the covariance of equal, independent output errors of total `size`."""
     half = size**2 / 2
     return Covariance(half, half, np.zeros(half.shape))
 
 
 def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
-    """Stack covariances by frequency and channel into arrays of a given shape."""
+    """Stack covariances by frequency and channel into arrays of shape `shape`."""
     return Covariance(
         *(
             np.array([getattr(part, name) for part in parts]).reshape(shape)

@@ -185,7 +185,7 @@ def _keep(
     fit: FrequencyFit | None = None,
     span: tiles.Span | None = None,
 ) -> tuple[xr.Dataset, FrequencyFit]:
-    """Keep one frequency of a scan or, with `fit`, of some of its rows."""
+    """Select one frequency of a scan, or with `fit` of rows; return also the fit."""
     cube = cubes.checked(cube, "samples")
     scan = Observation(cube=cube)
     warnings: tuple[str, ...] = ()
@@ -256,7 +256,7 @@ def frequency(
     modulation_frequency: float | None = None,
     interval: tuple[float, float] | None = None,
 ) -> xr.Dataset:
-    """Keep only the best modulation frequency; the water signal is not subtracted.
+    """Keep a single frequency, by default the best; the water is not subtracted.
 
     Parameters
     ----------
@@ -318,7 +318,7 @@ def _channel(names: list[str], figures: Merit, polarization: str | None) -> int:
 
 
 def _fitted_cut_off(scan: Observation, channel: int) -> float | None:
-    """Fit the first-order cut-off of the open-water shots [Hz]; None if not visible."""
+    """Fit the first-order cut-off of open water [Hz]; None if outside the sweep."""
     signal, frequency = shots_of(scan).signal[:, channel], scan.frequency
     amplitude = np.abs(np.nanmean(signal, axis=-1))
     try:

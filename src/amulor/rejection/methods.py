@@ -162,7 +162,7 @@ class Method:
         )
 
     def unknown(self, options: Mapping[str, Any]) -> tuple[str, ...]:
-        """List the given options that the method does not support.
+        """Return the options that are not None and not supported by the method.
 
         Parameters
         ----------
@@ -183,7 +183,7 @@ class Method:
         )
 
     def _accepted(self, options: dict[str, Any]) -> dict[str, Any]:
-        """Return the given options; ValueError for an unsupported option."""
+        """Return the options that are not None; ValueError if one is unsupported."""
         if unknown := self.unknown(options):
             raise ValueError(
                 f"the method {self.name} has no option {', '.join(unknown)}; it has "
@@ -351,7 +351,7 @@ def reject(
     interval: tuple[float, float] | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Remove the water signal from samples by the method with a given name.
+    """Remove the water signal from samples by the named rejection method.
 
     Parameters
     ----------

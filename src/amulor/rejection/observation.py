@@ -105,7 +105,7 @@ class Observation:
 
     @cached_property
     def time(self) -> Floats | None:
-        """Time of each pixel; None if any is missing [s]."""
+        """Time of each pixel [s]; None if any is missing."""
         if "time" not in self.cube:
             return None
         time = self.cube["time"].values.astype(float)
@@ -113,7 +113,7 @@ class Observation:
 
     @cached_property
     def origin_z(self) -> Floats | None:
-        """Forward position of a moving emitter; None for an emitter at rest [m]."""
+        """Forward position of a moving emitter [m]; None for an emitter at rest."""
         if "origin_z" not in self.cube.coords:
             return None
         return np.asarray(self.cube["origin_z"].values)

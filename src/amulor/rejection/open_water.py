@@ -44,7 +44,7 @@ def _subtract(
     span: tiles.Span | None = None,
     **options: Any,
 ) -> tuple[xr.Dataset, OpenWaterFit]:
-    """Subtract open water from a scan or, with `fit`, from some of its rows."""
+    """Subtract open water from a scan, or with `fit` from rows; return also the fit."""
     scan = Observation(cube=cubes.checked(cube, "samples"))
     scan, noise_scale = with_noise_of_shots(
         scan, None if fit is None else fit.noise_scale
@@ -245,7 +245,7 @@ def reference_attributes(subtracted: Subtraction) -> dict[str, Any]:
 
 
 def channel_phase_attributes(channel_phase: ChannelPhase | None) -> dict[str, Any]:
-    """Return the targets' phase difference between channels, as attributes."""
+    """Return the channels' phase difference and its probability, as attributes."""
     if channel_phase is None:
         return {}
     attributes: dict[str, Any] = {

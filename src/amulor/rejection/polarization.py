@@ -310,7 +310,7 @@ def _unmix(
     fit: PolarizationFit | None = None,
     span: tiles.Span | None = None,
 ) -> tuple[xr.Dataset, PolarizationFit]:
-    """Unmix a scan or, with `fit`, some of its rows."""
+    """Unmix a scan or, with `fit`, some of its rows; return also the fit."""
     scan = Observation(cube=cubes.checked(cube, "samples"))
     scan, noise_scale = with_noise_of_shots(
         scan, None if fit is None else fit.noise_scale
@@ -482,7 +482,7 @@ def _fluctuations(
     fit: FluctuationFit | None,
     span: tiles.Span | None,
 ) -> tuple[list[Covariance], FluctuationFit]:
-    """Return the water fluctuation by channel, scaled to the co-polarized water."""
+    """Return the water-fluctuation covariance of both channels, and its fit."""
     if relative is not None:
         size, usual = raised_to_median_amplitude(
             water, None if fit is None else fit.usual

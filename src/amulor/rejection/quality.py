@@ -100,7 +100,7 @@ def looks_like_water(
     water_signal: NDArray[np.complex128],
     uncertainty: Covariance,
 ) -> tuple[NDArray[np.bool_], dict[str, NDArray[np.float64]]]:
-    """Return the pixels whose signal has the shape of the water signal.
+    """Return the mask of pixels shaped like the water signal, and test statistics.
 
     Least squares with the covariances of the samples: the multiple of the water signal
     differs from zero by five standard errors, and chance makes so large a residual in
@@ -153,7 +153,7 @@ def channels_disagree(
     shown: NDArray[np.bool_] | None = None,
     fit: tuple[Disagreement, ...] | None = None,
 ) -> tuple[NDArray[np.bool_], tuple[Disagreement, ...], NDArray[np.float32]]:
-    """Return the mask of samples whose phases differ between channels.
+    """Return the mask of deviating phases between channels, limits and deviations.
 
     Both samples of a pair are marked, for nothing tells which one is wrong. None are
     where more than 15 % of the samples of a pair disagree, which is no chance. Pixels

@@ -265,7 +265,7 @@ def _column_over_target(target: Complex, column: Complex, usual: Floats) -> Floa
 
 
 def _usual_size(column: Complex) -> Floats:
-    """Return the median nonzero amplitude of columns, per frequency and channel."""
+    """Return the median nonzero amplitude of hidden columns, (frequency, channel)."""
     return np.array(
         [
             [

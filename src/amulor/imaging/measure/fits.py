@@ -357,7 +357,7 @@ class _Bent:
 
 
 def tangent_plane(points: Points) -> tuple[Floats, Floats, Floats, Floats]:
-    """Centroid, normal, two tangents, and slopes of the plane through points."""
+    """Centroid, mean direction to the receiver, two axes across it, plane slopes."""
     middle = points.position.mean(axis=0)
     back = -points.direction.mean(axis=0)
     back /= np.linalg.norm(back)

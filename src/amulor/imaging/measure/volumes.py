@@ -210,7 +210,7 @@ class _Surface:
 
 
 def _interpolation(usable: NDArray[np.bool_]) -> tuple[csr_array, Floats]:
-    """Weights of the measured ranges in each pixel, and the gap bridged [pixel]."""
+    """Weights of the measured ranges in each pixel, and width of the gap [pixel]."""
     low, high, gap = _neighbors(usable)
     low_down, high_down, gap_down = (part.T for part in _neighbors(usable.T))
     down = gap_down < gap

@@ -180,7 +180,7 @@ def normal_equations(
     transfer: Complex,
     phase_per_path: Floats,
 ) -> Normal:
-    """Return the normal equations of the first `used` parameters at given values."""
+    """Return the normal equations of the first `used` parameters at `state`."""
     pixels = fitted.pixels
     parts = modelled(state, fitted, transfer=transfer, phase_per_path=phase_per_path)
     deviation = None

@@ -534,7 +534,7 @@ class Frame:
         return float(depth[np.argmax(remaining <= _NOTHING_LEFT * remaining[0])])
 
     def quantiles(self, shape: Shape, fraction: Floats) -> Floats:
-        """Return the depths at which the water signal reaches given fractions [m]."""
+        """Return depths at which the cumulative overlap reaches `fraction` [m]."""
         depth = np.linspace(0, min(self.nothing_left(shape), self.end), 4000)
         light = self.overlap(depth, shape).mean(axis=0)
         total = np.cumsum(light)

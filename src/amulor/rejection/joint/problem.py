@@ -100,7 +100,7 @@ class Problem:
     def descend(
         self, state: Shared, steps: int, *, free: bool, paths: Floats | None = None
     ) -> tuple[Shared, Floats]:
-        """Iterate Gauss-Newton steps until they are small compared with the errors."""
+        """Iterate Gauss-Newton steps; return shared parameters and pixel paths."""
         layout = layout_of(state)
         used = layout.size if free else layout.rigid
         estimates = self.local(state, paths)
@@ -184,7 +184,7 @@ class Problem:
     def local(
         self, state: Shared, paths: Floats | None, pixels: Pixels | None = None
     ) -> Estimates:
-        """Estimate the most likely paths and amplitudes of all or given pixels."""
+        """Estimate paths and amplitudes of `pixels`, by default of all targets."""
         start = None if paths is None else np.nan_to_num(paths, nan=0.0)
         pixels = drifted(self.targets if pixels is None else pixels, state.trend)
         return estimate(

@@ -29,7 +29,7 @@ _SAME_PLACE = 1e-4
 def shot_directions(
     middle: tuple[float, float], shots: Observation | None
 ) -> tuple[Floats, Floats]:
-    """Return directions of open-water references, or the scan's middle [rad]."""
+    """Return directions of references; the scan's middle if not recorded [rad]."""
     if shots is None:
         return np.zeros(0), np.zeros(0)
     azimuth, elevation = (
@@ -42,7 +42,7 @@ def shot_directions(
 def shot_pixels(
     frame: Frame, shots: Observation | None, directions: tuple[Floats, Floats]
 ) -> Pixels | None:
-    """Return the open-water references as samples of the likelihood."""
+    """Return a sample of the open-water references; None if there are none."""
     if shots is None:
         return None
     count = shots.signal.shape[-1]

@@ -41,7 +41,7 @@ def is_detected(estimates: Estimates) -> NDArray[np.bool_]:
 
 
 def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
-    """Return the mask of pixels without outliers, such as edges, fish or bubbles.
+    """Return the mask of pixels whose chi-square is not improbably large.
 
     The reference is the median misfit: a model that is wrong for all pixels makes none
     of them an outlier.
@@ -133,7 +133,7 @@ def scatter_of(
 
 
 def _significant_scale(square: float, parts: list[_Residuals]) -> float:
-    """Return the noise scale, or 1 if not significantly different from 1."""
+    """Return the noise scale; 1 if it is not significantly above 1."""
     freedom = sum(part.freedom for part in parts)
     # Adjacent differences share a pixel, which increases the variance by 3/2.
     chance = 3 * np.sqrt(3 / max(freedom, 1))
@@ -300,7 +300,7 @@ def part_of(estimates: Estimates, index: NDArray[np.intp]) -> Estimates:
 
 
 def disagrees(estimates: Estimates, typical: float = 1.0) -> Bools:
-    """Return the mask of pixels with a single outlying sample."""
+    """Return the mask of pixels whose most outlying sample is significant."""
     samples = np.maximum(estimates.used / 2, 1)
     return np.asarray(estimates.outlying > 2 * typical * np.log(samples / CHANCE))
 

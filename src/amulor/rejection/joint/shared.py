@@ -205,7 +205,7 @@ def fit(
     deepest: float,
     turn_width: float = 0.0,
 ) -> Shared:
-    """Estimate the shared parameters, by maximum likelihood over all pixels.
+    """Estimate the shared parameters from target pixels and open-water references.
 
     Damped Gauss-Newton on the strengths, k', b_f <theta^2> and b_f and then, with
     normal priors, on departures from the model: a smooth factor on the overlap,

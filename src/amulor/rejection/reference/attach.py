@@ -148,7 +148,7 @@ def _refuse_other_surveys(cube: xr.Dataset, reference: xr.Dataset) -> None:
 def _first_difference(
     ours: Mapping[str, Any], theirs: Mapping[str, Any]
 ) -> tuple[str, Any, Any] | None:
-    """Return name and both values of the first field that differs."""
+    """Return name and both values of the first differing field; None if equal."""
     for name, value in ours.items():
         # The reference may have been recorded at more frequencies and channels.
         if name in ("modulation_frequencies", "polarizations"):

@@ -623,7 +623,7 @@ def raised_to_shot_amplitude(
     fit: WaterFit | None = None,
     span: Span | None = None,
 ) -> tuple[Complex, WaterFit]:
-    """Return the water signal, with amplitudes no smaller than in the references.
+    """Return the water signal, at least as strong as the references, and the fit.
 
     The result has the phases of `water` and the larger of both amplitudes [V]. It is
     for errors proportional to the water signal. A fluctuation that makes the estimated
@@ -638,7 +638,7 @@ def raised_to_shot_amplitude(
 def raised_to_median_amplitude(
     water: Complex, usual: Floats | None = None
 ) -> tuple[Complex, Floats]:
-    """Return the water signal, with amplitudes raised to the median over the scan.
+    """Return the water signal, raised to at least the median, and the median.
 
     As `raised_to_shot_amplitude`, for cubes without shots. Also return the median
     amplitude of each frequency and channel, or `usual` if given [V].

@@ -231,7 +231,7 @@ def hidden_fraction(
     paper: bool = False,
     fit: Column | None = None,
 ) -> tuple[NDArray[np.complex128], Column]:
-    """Return the fraction of the open-water signal from behind the target.
+    """Return the fraction of open water from behind the target, and its model.
 
     Fraction of the open-water signal over (modulation_frequency, polarization, row,
     column), complex since it comes later [1], NaN where the depth [m] is not settled;

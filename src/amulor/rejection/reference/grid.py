@@ -58,7 +58,7 @@ class Plan:
 
 
 def judge_plan(survey: Survey) -> Plan | None:
-    """Estimate the interpolation error of the open-water shots that a survey plans.
+    """Estimate the interpolation error of a survey's planned shots; None without any.
 
     Shots without noise are interpolated as by `shots.fit_shots`: by a polynomial of the
     signal itself, or of its ratio to the water model with the smallest cross-validation
@@ -197,7 +197,7 @@ def _best(
     *,
     scatter: float,
 ) -> tuple[int | None, list[int]]:
-    """Select the water model by cross-validation; None if no model is needed.
+    """Select water model (None if not needed) and degrees by cross-validation.
 
     And the degree of its polynomial at each frequency.
     """

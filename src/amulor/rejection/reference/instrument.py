@@ -109,7 +109,7 @@ def drift_of_references(cube: xr.Dataset) -> PhaseDrift | None:
 def _halves(
     signal: Complex, group: NDArray[np.intp]
 ) -> tuple[Complex | None, Floats | None]:
-    """Return the relative change between two halves of the references, and its error.
+    """Return change between halves of references, and error; None if undetermined.
 
     Shape (frequency, channel); None where the halves have too little in common.
     """

@@ -129,7 +129,7 @@ class ModelBehindShots:
 def model_behind_shots(
     scan: Observation, shots: Observation, directions: Floats, *, span: Span
 ) -> ModelBehindShots | None:
-    """Choose the water model with the least cross-validation error at the references.
+    """Choose the water model of least cross-validation error; None if none helps.
 
     None without a survey, and if a polynomial alone is sufficient for the water of the
     survey or fits the shots better than any model. `directions` are those of the shots,

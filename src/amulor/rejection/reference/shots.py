@@ -473,7 +473,7 @@ _STEPS = 12
 def with_noise_of_shots(
     scan: Observation, scale: float | None = None
 ) -> tuple[Observation, float]:
-    """Scale the stated errors of a scan to match the scatter of open-water shots.
+    """Scale stated errors to the scatter of references; return also the factor.
 
     The stated errors of samples and shots times `scale`, by default that of
     `noise_scale`, which the attribute `open_water_noise_scale` says; the scan as it is,
@@ -541,7 +541,7 @@ def scatter_of(
 
 
 def noise_scale(scatters: list[Scatter]) -> float:
-    r"""Estimate the ratio of the scatter of open-water references to stated errors.
+    r"""Return the ratio of scatter to stated errors; 1 if not significantly above.
 
     Shots of a direction scatter by :math:`s^2 u^2 + r\,|W|^2`: noise, which is stated
     as u, and a fluctuation of the water in proportion to its signal W, one r for each

@@ -171,7 +171,7 @@ _SURE = 5.0
 def logarithms(
     shots: Complex, variance: Floats, group: NDArray[np.intp]
 ) -> tuple[Complex, complex] | None:
-    r"""Return the log mean signal of each direction, and the reference value."""
+    r"""Return ln of mean signals over a reference, and reference; None if undefined."""
     count = np.bincount(group)
     mean = (
         np.bincount(group, shots.real) + 1j * np.bincount(group, shots.imag)
@@ -337,7 +337,7 @@ def _cross_validation(
 def _logarithmic(
     ratio: Complex, variance: Floats, places: Places, powers: NDArray[np.intp]
 ) -> tuple[Complex, complex] | None:
-    """Fit a polynomial to the logarithms; None where a logarithm is undefined."""
+    """Return polynomial of ln of the signal, and reference value; None if undefined."""
     if len(places.distinct) < max(2, len(powers)):
         return None
     means = logarithms(ratio, variance, places.group)

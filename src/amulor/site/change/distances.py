@@ -300,7 +300,7 @@ class _Means:
     registration: Registration
 
     def onto(self, names: list[str]) -> Floats:
-        """Return the derivatives of mean heights, one column per named unknown."""
+        """Return the derivatives of mean heights, in columns ordered by the names."""
         width = {"pose": 6, "point": 3, "error": 1}
 
         def size(name: str) -> int:
@@ -630,7 +630,7 @@ def region_of(
 
 
 def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float, float]:
-    """Return the change summed over the area of points, and its uncertainty [m^3].
+    """Return volume change, its uncertainty, and the sum of errors by shape [m^3].
 
     The third value is the sum of the errors by shape, which the second has not.
     """

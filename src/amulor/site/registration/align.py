@@ -253,7 +253,7 @@ def _rough_poses(
 
 
 def _thinned(surface: ScanSurface) -> tuple[Floats, int]:
-    """Return usable points of a scan, thinned if many, and the step in pixels."""
+    """Return usable points of a scan, sampled if many, and the step in pixels."""
     step = int(np.ceil(np.sqrt(surface.usable.sum() / _MOST_ROUGH)))
     usable = surface.usable
     if step > 1:

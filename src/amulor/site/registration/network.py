@@ -204,7 +204,7 @@ def covariance(
     *,
     free: int = 0,
 ) -> tuple[Floats, Floats, Layout]:
-    r"""Return the covariance of all estimates, and the inverse of the normal matrix.
+    r"""Return the covariance of all estimates, the inverse normal matrix, the layout.
 
     The covariance is :math:`A^{-1} B A^{-T}`, with the derivative A of the gradient and
     its variance B. B contains the effect of each pixel's noise through every point,
@@ -408,7 +408,7 @@ def _noise_variance(
 def innovation(
     pair: Pair, state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Floats, Floats]:
-    """Return the pose change that one scan pair alone would cause, with covariance."""
+    """Return the pose change by one scan pair alone, and its covariance."""
     x, z = (rows[:, :6] @ pair.held for rows in (pair.by_target, pair.by_source))
     weighted = z * pair.weight[:, None]
     back = np.linalg.pinv(weighted.T @ x, rcond=1e-10)

@@ -146,7 +146,7 @@ def pattern_tests(
     *,
     free: int,
 ) -> tuple[tuple[PatternTest, ...], dict[str, Undetected], Floats]:
-    """Test each scan for each kind of systematic range error.
+    """Test each scan for systematic range errors; return also their possible effects.
 
     The second value is the largest change of each pose by an undetected error, the
     third is the covariance of all unknowns by suspected errors.
@@ -319,7 +319,7 @@ def _add_noise(
 def _tests_of(
     name: str, sums: _Sums, inverse: Floats
 ) -> tuple[list[PatternTest], list[Floats]]:
-    """Test one scan for all kinds of systematic range errors."""
+    """Test one scan for systematic range errors; return also undetected changes."""
     tests, changes = [], []
     bias = inverse @ sums.back
     for number, pattern in enumerate(PATTERNS):

@@ -72,7 +72,7 @@ _LEAST_HEIGHT = 0.02
 def surfaces_of(
     site: Site, *, images_of: Container[str] | None = None
 ) -> tuple[dict[str, ScanSurface], dict[str, xr.Dataset]]:
-    """Return the surfaces and the range images of all scans of a site.
+    """Return the surfaces of all scans of a site, and range images of selected scans.
 
     Scans of many pixels are averaged over blocks of pixels. `images_of` names the scans
     whose images are needed; by default all.

@@ -227,7 +227,7 @@ class ScanSurface:
         return np.asarray(start + self.distance.ravel()[pixel, None] * ahead)
 
     def steps(self, pixel: Numbers) -> Floats:
-        """Return differences of origin and direction by a row and by a column.
+        """Return changes of beam origin and direction per row, and per column.
 
         The shape is (2, 2, n, 3) [m, 1].
         """

@@ -251,7 +251,7 @@ def misfit_at(
 def descent(
     rate: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float]:
-    """Return minus half the slope of chi-square over the path, and the curvature.
+    """Return minus half the path slope of chi-square, and the Fisher information.
 
     Gauss and Newton's curvature, the Hessian without second derivatives of the model,
     of which the amplitudes above zero are eliminated (Schur complement). `rate` is

@@ -40,7 +40,7 @@ CANDIDATES = 6
 
 @inner()
 def _keep(path: float, level: float, candidates: Candidates) -> bool:
-    """Replace the highest candidate minimum by a new minimum that is lower."""
+    """Replace the highest candidate by a lower minimum; False if it is not lower."""
     worst = 0
     for k in range(CANDIDATES):
         if candidates.level[k] > candidates.level[worst]:
@@ -216,7 +216,7 @@ _DEPENDENT = 1e-12
 def two_amplitudes(
     signal: Array, weight: Array, echo: Array, water: Array
 ) -> tuple[float, float]:
-    """Fit target and water strength in one channel; return chi-square and strength.
+    """Fit target and water in one channel; return chi-square and water strength.
 
     Linear least squares on echo and water, neither below zero. Arrays are (2,
     frequency), the weight (3, frequency).
@@ -255,7 +255,7 @@ def starting_costs(
     best: Array,
     strength: Array,
 ) -> None:
-    """Compute each pixel's chi-square, with the water strength fitted pixel by pixel.
+    """Compute each pixel's least chi-square on the path grid, and water strengths.
 
     For every path on the grid the amplitudes A_c of the target and s_c of the water are
     fitted channel by channel; `strength` holds s_c at the best path. Compiled because
@@ -388,7 +388,7 @@ def profile(
     model: Model,
     work: Workspace,
 ) -> float:
-    """Return the one-sided path distance at which chi-square rises by 1.
+    """Return the offset from the best path, to one side, that raises chi-square by 1.
 
     The amplitudes are fitted anew at every path (profile likelihood). Compiled because
     each pixel takes some dozens of paths.
@@ -440,7 +440,7 @@ def _outputs(weight: Array) -> int:
 
 @inner()
 def _fill_nothing(n: int, solutions: Solutions) -> None:
-    """Set the results of a pixel whose path limits are empty."""
+    """Set the results of a pixel without a solution."""
     solutions.path[n], solutions.cost[n] = np.nan, np.inf
     solutions.information[n] = 0.0
     solutions.lower[n], solutions.upper[n] = np.nan, np.nan
@@ -461,7 +461,7 @@ def _fill_model(
     work: Workspace,
     solutions: Solutions,
 ) -> bool:
-    """Set information, amplitudes, influence and outlying sample of a pixel.
+    """Set the results of a pixel at its path; False if the path is undetermined.
 
     Return false, and fill in nothing, where the last step has led to a path at which no
     sample depends on the path any more.
