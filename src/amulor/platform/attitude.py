@@ -66,10 +66,16 @@ def turn_between(first: Rotation, second: Rotation) -> Floats:
 
 def cross_matrix(vectors: Floats) -> Floats:
     """Return the skew-symmetric cross-product matrices of vectors, (..., 3, 3)."""
-    matrix = np.zeros((*vectors.shape[:-1], 3, 3))
+    zero = np.zeros(vectors.shape[:-1])
     x, y, z = np.moveaxis(vectors, -1, 0)
-    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
-    return matrix - np.swapaxes(matrix, -1, -2)
+    return np.stack(
+        [
+            np.stack([zero, -z, y], -1),
+            np.stack([z, zero, -x], -1),
+            np.stack([-y, x, zero], -1),
+        ],
+        -2,
+    )
 
 
 def covariance_of(

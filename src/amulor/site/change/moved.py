@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from amulor.platform.attitude import cross_matrix
 from amulor.site.change.distances import Region
 from amulor.site.description import Site
 from amulor.site.registration.bodies import held_directions, mean_lever
 from amulor.site.registration.pair import Pair, compared, tree_of
-from amulor.site.registration.pose import ScanPose, cross_matrix
+from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface, corrected
 

@@ -13,10 +13,11 @@ from scipy.spatial import cKDTree
 
 from amulor._progress import tell
 from amulor.imaging import Frame, point_cloud
+from amulor.platform.attitude import cross_matrix
 from amulor.site.blocks import BRIGHTEST
 from amulor.site.description import Site
 from amulor.site.registration.pair import on_grid
-from amulor.site.registration.pose import ScanPose, cross_matrix
+from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface, corrected
 

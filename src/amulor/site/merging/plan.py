@@ -15,9 +15,9 @@ from amulor._progress import tell
 from amulor.cube import DOUBTFUL
 from amulor.errors import CubeError
 from amulor.imaging import Frame, products
+from amulor.platform.attitude import cross_matrix
 from amulor.site.description import Site, SiteScan
 from amulor.site.merging.cloud import by_unknowns, seen_by_others, unknowns_of
-from amulor.site.registration.pose import cross_matrix
 from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface, corrected
 

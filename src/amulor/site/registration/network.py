@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.platform.attitude import cross_matrix
 from amulor.site.registration.bodies import HELD
 from amulor.site.registration.pair import Pair
-from amulor.site.registration.pose import ScanPose, cross_matrix, departure
+from amulor.site.registration.pose import ScanPose, departure
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from amulor.platform.attitude import cross_matrix
 from amulor.site.registration.bodies import Points, counted, held_directions, mean_lever
-from amulor.site.registration.pose import ScanPose, cross_matrix
+from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]

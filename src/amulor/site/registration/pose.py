@@ -89,20 +89,6 @@ def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
     return ScanPose(rotation, other_middle - rotation @ middle)
 
 
-def cross_matrix(vectors: Floats) -> Floats:
-    """Return the skew-symmetric cross-product matrices of vectors."""
-    zero = np.zeros(vectors.shape[:-1])
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.stack(
-        [
-            np.stack([zero, -z, y], -1),
-            np.stack([z, zero, -x], -1),
-            np.stack([-y, x, zero], -1),
-        ],
-        -2,
-    )
-
-
 #: small_gicp stops when a step is smaller [m, rad]; its own default leaves millimeters.
 _STOP, _TURN = 1e-6, 1e-7
 #: Factors by which voxels are coarser, and fractions of the reach in which points are

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from amulor.cube import provenance
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output
+from amulor.platform.attitude import cross_matrix
 from amulor.site.registration.patterns import PATTERNS, PatternTest, Undetected
-from amulor.site.registration.pose import ScanPose, cross_matrix
+from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.reliability import Reliability, observation_groups
 
 Floats = NDArray[np.float64]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from amulor.site.registration.pose import cross_matrix
+from amulor.platform.attitude import cross_matrix
 from amulor.site.registration.result import Registration, relative_covariance
 from amulor.site.registration.surface import ScanSurface, corrected
 
