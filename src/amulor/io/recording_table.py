@@ -163,13 +163,7 @@ class RecordingMap(Description):
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a map of columns from a TOML file."""
-        return toml_file.described(
-            toml_file.text_of(path, error=FormatError),
-            cls,
-            name=str(Path(path)),
-            what="a column map",
-            error=FormatError,
-        )
+        return toml_file.read(path, cls, what="a column map", error=FormatError)
 
 
 class Table:

@@ -154,12 +154,8 @@ class TrajectoryMap(Description):
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a map of columns from a TOML file."""
-        return toml_file.described(
-            toml_file.text_of(path, error=FormatError),
-            cls,
-            name=str(Path(path)),
-            what="a column map of a trajectory",
-            error=FormatError,
+        return toml_file.read(
+            path, cls, what="a column map of a trajectory", error=FormatError
         )
 
 

@@ -91,11 +91,6 @@ def read_mounting(path: str | Path) -> Mounting:
     >>> read_mounting("rov.toml").lever_arm
     (0.0, 0.0, 1.0)
     """
-    text = toml_file.text_of(path, error=SurveyError)
-    return toml_file.described(
-        text,
-        _MountingFile,
-        name=str(path),
-        what="a file with a [mounting]",
-        error=SurveyError,
+    return toml_file.read(
+        path, _MountingFile, what="a file with a [mounting]", error=SurveyError
     ).mounting

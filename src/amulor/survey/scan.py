@@ -266,7 +266,6 @@ def read_pose(path: str | Path) -> Pose:
     >>> read_pose("pose.toml").position
     (10.0, 0.0, -8.0)
     """
-    text = toml_file.text_of(path, error=SurveyError)
-    return toml_file.described(
-        text, _PoseFile, name=str(path), what="a file with a [pose]", error=SurveyError
+    return toml_file.read(
+        path, _PoseFile, what="a file with a [pose]", error=SurveyError
     ).pose

@@ -247,6 +247,14 @@ def text_of(path: str | Path, *, error: type[AmulorError]) -> str:
         raise error(f"{path}: is no valid TOML: {problem}") from None
 
 
+def read(
+    path: str | Path, model: type[Model], *, what: str, error: type[AmulorError]
+) -> Model:
+    """Read a TOML file and validate it as a model."""
+    text = text_of(path, error=error)
+    return described(text, model, name=str(Path(path)), what=what, error=error)
+
+
 def described(
     text: str,
     model: type[Model],

@@ -467,13 +467,7 @@ class Settings(Description):
         InstrumentError
             If the file is invalid; the message has one line per error.
         """
-        return toml_file.described(
-            toml_file.text_of(path, error=InstrumentError),
-            cls,
-            name=str(Path(path)),
-            what="a devices file",
-            error=InstrumentError,
-        )
+        return toml_file.read(path, cls, what="a devices file", error=InstrumentError)
 
     def to_toml(self) -> str:
         """Write the settings as TOML, each quantity with its SI unit.

@@ -221,10 +221,7 @@ def read_title_fields(path: Path) -> dict[str, str]:
 
 
 def _described(path: Path) -> Project:
-    text = toml_file.text_of(path, error=SurveyError)
-    return toml_file.described(
-        text, Project, name=str(path), what="a project", error=SurveyError
-    )
+    return toml_file.read(path, Project, what="a project", error=SurveyError)
 
 
 def read_project(path: Path) -> Project:

@@ -423,13 +423,8 @@ def read_checks(path: str | Path) -> tuple[Check, ...]:
     >>> found.name
     'scale bar'
     """
-    text = toml_file.text_of(path, error=SurveyError)
-    return toml_file.described(
-        text,
-        _Checks,
-        name=str(path),
-        what="a file of check distances",
-        error=SurveyError,
+    return toml_file.read(
+        path, _Checks, what="a file of check distances", error=SurveyError
     ).checks
 
 
