@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from amulor.errors import FormatError, MissingExtraError
-from amulor.io.trajectories import in_enu, projected, quaternions_of
+from amulor.io.trajectories import FROM_NED, in_enu, projected, quaternions_of
 from amulor.platform import Trajectory, rotation_of
 from amulor.platform.attitude import covariance_of
 from amulor.platform.messages import Messages, trajectory_of
@@ -29,9 +29,6 @@ _POSES = (
     "geometry_msgs/msg/PoseStamped",
 )
 _DAY = 86400.0
-#: Rotation from (north, east, down) to (east, north, up).
-_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-_PURPOSE = {"pynmeagps": "a log of NMEA 0183", "mcap-ros2-support": "a bag of ROS 2"}
 
 
 def trajectory_from_nmea(
@@ -163,7 +160,7 @@ class _NmeaLog:
             from pynmeagps.exceptions import NMEAParseError
         except ImportError:
             raise MissingExtraError(
-                "pynmeagps", extra="platform", purpose=_PURPOSE["pynmeagps"]
+                "pynmeagps", extra="platform", purpose="a log of NMEA 0183"
             ) from None
         try:
             message: Any = NMEAReader.parse(text.encode() + b"\r\n")
@@ -341,7 +338,7 @@ def trajectory_from_bag(
         raise MissingExtraError(
             "mcap-ros2-support",
             extra="platform",
-            purpose=_PURPOSE["mcap-ros2-support"],
+            purpose="a bag of ROS 2",
         ) from None
     rows: dict[str, list[Any]] = {}
     try:
@@ -407,8 +404,8 @@ def _messages_of(poses: list[Any]) -> Messages:
     axes = "FLU in ENU"
     if is_ned == {True}:
         axes = "FRD in NED"
-        place = place @ _FROM_NED.T
-        both = np.kron(np.eye(2), _FROM_NED)
+        place = place @ FROM_NED.T
+        both = np.kron(np.eye(2), FROM_NED)
         covariance = both @ covariance @ both.T
     return Messages(
         time=np.array([stamp.sec + 1e-9 * stamp.nanosec for stamp in stamped]),

@@ -23,7 +23,8 @@ Texts = NDArray[np.str_]
 Floats = NDArray[np.float64]
 Line = tuple[int, str]
 Column = Annotated[str, Field(min_length=1, max_length=500)]
-_ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295}
+#: Radians per unit of an angle.
+ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295}
 
 
 class TableSettings(Description):
@@ -134,7 +135,7 @@ class ConstantSettings(Description):
 
     def radians(self, unit: str) -> float:
         """Factor that converts a unit of angle to radians [rad]."""
-        return _ANGLES[unit]
+        return ANGLES[unit]
 
 
 class RecordingMap(Description):

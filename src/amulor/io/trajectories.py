@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output
-from amulor.io.recording_table import Column, Table, TableSettings, read_table
+from amulor.io.recording_table import ANGLES, Column, Table, TableSettings, read_table
 from amulor.platform import Trajectory, rotation_of
 from amulor.platform.attitude import covariance_of
 from amulor.platform.messages import Messages, trajectory_of
@@ -29,8 +29,7 @@ _TO_FRD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 #: Rotation from (right, down, forward) to (forward, left, up) axes of a vehicle.
 _TO_FLU = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 #: Rotation from (north, east, down) to (east, north, up).
-_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-_FACTORS = {"rad": 1.0, "mrad": 1e-3, "deg": np.pi / 180}
+FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _HEADER = "amulor trajectory, version 1"
 _NAMES = ("time", "east", "north", "up", "qx", "qy", "qz", "qw")
 #: Elements of the covariance of a pose in a file, in the order of the columns.
@@ -233,7 +232,7 @@ def trajectory_from_table(
             convergence = _convergence(position[:, :2] + offset[:2], constants.crs)
     if constants.heading_from == "grid":
         convergence = np.zeros(count)
-    unit = _FACTORS[constants.angle_unit]
+    unit = ANGLES[constants.angle_unit]
     if columns.heading is not None:
         heading, pitch, roll = (
             unit * numbers(getattr(columns, name))
@@ -488,7 +487,7 @@ def in_enu(quaternions: Floats, axes: str) -> Floats:
     Products with fixed rotations keep the norm, so that a wrong one is noticed later.
     """
     if axes == "FRD in NED":
-        left, right = Rotation.from_matrix(_FROM_NED), Rotation.from_matrix(_TO_FRD)
+        left, right = Rotation.from_matrix(FROM_NED), Rotation.from_matrix(_TO_FRD)
     else:
         left, right = Rotation.identity(), Rotation.from_matrix(_TO_FLU)
     size = np.linalg.norm(quaternions, axis=1)

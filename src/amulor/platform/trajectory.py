@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, Self
 
@@ -198,10 +198,9 @@ class Trajectory:
         1.0
         """
         instants = np.asarray(time, dtype=float)
-        shape = instants.shape
-        angles = [np.broadcast_to(np.asarray(a, float), shape) for a in (
-            heading, pitch, roll)]  # fmt: skip
-        turns = rotation_of(*angles)
+        turns = np.broadcast_to(
+            rotation_of(heading, pitch, roll), (*instants.shape, 3, 3)
+        )
         return cls(
             time=instants,
             position=np.asarray(position, dtype=float),
@@ -222,10 +221,6 @@ class Trajectory:
         """Start and end of intervals that are not interpolated, shape (n, 2) [s]."""
         (where,) = np.nonzero(np.diff(self.time) > self.longest_gap)
         return np.stack([self.time[where], self.time[where + 1]], axis=1)
-
-    def shifted(self, delay: float) -> Self:
-        """Return the trajectory with a delay [s] added to all times."""
-        return replace(self, time=self.time + delay)
 
     def at(self, time: ArrayLike) -> Poses:
         """Interpolate poses at given times.
