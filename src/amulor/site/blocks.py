@@ -8,6 +8,8 @@ square root of their number, and their common errors.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -182,16 +184,21 @@ def _weights(on: Flags, size: int) -> tuple[Floats, Flags]:
     return np.where(good[:, None], weight, 0.0), good
 
 
+def block_side(attributes: Mapping[Any, object]) -> int:
+    """Return the side of the blocks of a scan in pixels; 1 if it is not averaged."""
+    return int(str(attributes.get(BLOCK, 1)))
+
+
 def block_of(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
     """Return row and column of the block that contains a pixel of the scan."""
-    size = int(image.attrs.get(BLOCK, 1))
+    size = block_side(image.attrs)
     rows, columns = image["slant_range"].shape
     return min(row // size, rows - 1), min(column // size, columns - 1)
 
 
 def pixels_of_scan(surface: ScanSurface, pixel: Numbers) -> Numbers:
     """Return the numbers of the scan's pixels at the centers of averaged blocks."""
-    size = int(str(surface.attributes.get(BLOCK, 1)))
+    size = block_side(surface.attributes)
     if size == 1:
         return pixel
     row, column = np.divmod(pixel, surface.distance.shape[1])

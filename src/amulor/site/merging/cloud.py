@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from amulor._progress import tell
-from amulor.imaging import Frame, point_cloud
+from amulor.imaging import point_cloud
 from amulor.platform.attitude import cross_matrix
 from amulor.site.blocks import BRIGHTEST
 from amulor.site.description import Site
@@ -273,17 +273,9 @@ def scan_cloud(
     cloud: Merged, number: int, registration: Registration, image: xr.Dataset
 ) -> xr.Dataset:
     """Return the point cloud of a scan, with its pose and uncertainties of points."""
-    frame = cloud.site.frame
     scan = cloud.site.scan[number]
-    pose = registration.poses[scan.name]
-    axes = Frame(
-        name="pose",
-        rotation=pose.rotation,
-        position=pose.position,
-        crs=frame.crs,
-        crs_offset=frame.crs_offset,
-    )
-    single = point_cloud(image, frame=axes)
+    frame = registration.poses[scan.name].frame(cloud.site.frame)
+    single = point_cloud(image, frame=frame)
     columns = int(single.attrs["scan_shape"][1])
     pixel = single["row"].values.astype(int) * columns + single["column"].values
     mine = np.flatnonzero(cloud.scan == number)

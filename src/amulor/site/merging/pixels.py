@@ -14,7 +14,7 @@ from scipy import ndimage
 from amulor._progress import tell
 from amulor.imaging.common import own_variance
 from amulor.imaging.observation import geometry_of
-from amulor.site.blocks import BLOCK
+from amulor.site.blocks import block_side
 from amulor.site.load import range_image_of
 from amulor.site.merging.cloud import (
     Merged,
@@ -41,15 +41,16 @@ def all_points(
     Scans that were averaged over blocks of pixels are read again. Shared errors,
     weights and moving objects of a pixel are those of its block.
     """
-    numbers = range(len(cloud.site.scan))
-    coarse = [number for number in numbers if block_side(surfaces, cloud, number) > 1]
+    scans = cloud.site.scan
+    coarse = {
+        scan.name for scan in scans if block_side(surfaces[scan.name].attributes) > 1
+    }
     if not coarse:
         yield cloud
         return
-    for number in numbers:
-        scan = cloud.site.scan[number]
-        tell(f"points of {scan.name}", number / len(numbers))
-        if number in coarse:
+    for number, scan in enumerate(scans):
+        tell(f"points of {scan.name}", number / len(scans))
+        if scan.name in coarse:
             image = range_image_of(scan)
             yield from _pieces(cloud, registration, surfaces, number, image)
         else:
@@ -65,7 +66,7 @@ def scan_clouds(
     """Yield the point cloud of each scan, with its pose, from all of its pixels."""
     for number, scan in enumerate(cloud.site.scan):
         points, image = cloud, images[scan.name]
-        if block_side(surfaces, cloud, number) > 1:
+        if block_side(surfaces[scan.name].attributes) > 1:
             image = range_image_of(scan)
             points = joined(list(_pieces(cloud, registration, surfaces, number, image)))
         yield scan_cloud(points, number, registration, image)
@@ -81,12 +82,6 @@ def joined(pieces: Sequence[Merged]) -> Merged:
     return replace(pieces[0], **arrays)
 
 
-def block_side(surfaces: Mapping[str, ScanSurface], cloud: Merged, number: int) -> int:
-    """Return the side of the blocks of a scan in pixels; 1 if it is not averaged."""
-    attributes = surfaces[cloud.site.scan[number].name].attributes
-    return int(str(attributes.get(BLOCK, 1)))
-
-
 def _pieces(
     cloud: Merged,
     registration: Registration,
@@ -97,7 +92,7 @@ def _pieces(
     """Yield the points of one scan, some rows of pixels at a time."""
     scan = cloud.site.scan[number]
     surface = surfaces[scan.name]
-    side = block_side(surfaces, cloud, number)
+    side = block_side(surface.attributes)
     shape = surface.distance.shape
     # Nearest block with a range, for pixels in blocks without one.
     rows, columns = ndimage.distance_transform_edt(

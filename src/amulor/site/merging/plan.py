@@ -14,7 +14,7 @@ from scipy import ndimage
 from amulor._progress import tell
 from amulor.cube import DOUBTFUL
 from amulor.errors import CubeError
-from amulor.imaging import Frame, products
+from amulor.imaging import products
 from amulor.platform.attitude import cross_matrix
 from amulor.site.description import Site, SiteScan
 from amulor.site.merging.cloud import by_unknowns, seen_by_others, unknowns_of
@@ -72,14 +72,7 @@ def _placed(
     scan: SiteScan,
 ) -> PlacedScan:
     pose, scanned = registration.poses[scan.name], surfaces[scan.name]
-    frame = Frame(
-        name="pose",
-        rotation=pose.rotation,
-        position=pose.position,
-        crs=site.frame.crs,
-        crs_offset=site.frame.crs_offset,
-    )
-    surface = products.surface(image, frame=frame)
+    surface = products.surface(image, frame=pose.frame(site.frame))
     pixel = surface.pixel
     local = corrected(scanned, registration.errors).reshape(-1, 3)[pixel]
     position = pose.place(local)

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from amulor.errors import MissingExtraError
-from amulor.imaging import frame_of
-from amulor.site.description import StartPose
+from amulor.imaging import Frame, frame_of
+from amulor.site.description import SiteFrame, StartPose
 
 Floats = NDArray[np.float64]
 
@@ -28,6 +28,16 @@ class ScanPose:
     def place(self, points: ArrayLike) -> Floats:
         """Transform points from instrument axes to the frame of the site [m]."""
         return np.asarray(points, dtype=float) @ self.rotation.T + self.position
+
+    def frame(self, site: SiteFrame) -> Frame:
+        """Return the frame for points of the scan in the frame of the site."""
+        return Frame(
+            name="pose",
+            rotation=self.rotation,
+            position=self.position,
+            crs=site.crs,
+            crs_offset=site.crs_offset,
+        )
 
     def back(self, points: ArrayLike) -> Floats:
         """Transform points from the frame of the site to instrument axes [m]."""
