@@ -99,7 +99,7 @@ def write_site_drawings(
     overview = fitting_scale(*np.ptp(corners, axis=0))
     spacing = max(scan.surface.spacing for scan in visit)
     coarse = max(max(east - west, north - south) / _OUTLINE, spacing)
-    key = plan.orthoplan(visit, cell=coarse).raster
+    key = plan.orthoplan(visit, cell=coarse)
     tiles = [
         window
         for window in _tiles(order.scale, overview, (west, east, south, north))
@@ -202,12 +202,10 @@ class _Drawer:
         cuts: Mapping[str, Floats],
     ) -> _Sheet:
         cell = max(scale * _CELL, self.spacing / _FINE)
-        raster = plan.orthoplan(self.visit, cell=cell, window=window).raster
+        raster = plan.orthoplan(self.visit, cell=cell, window=window)
         if self.raster is None:
             self.raster = raster
-        coarse = plan.orthoplan(
-            self.visit, cell=max(cell, self.spacing), window=window
-        ).raster
+        coarse = plan.orthoplan(self.visit, cell=max(cell, self.spacing), window=window)
         if self.interval is None:
             self.interval = contour_interval(coarse, levels=_LEVELS)
         try:

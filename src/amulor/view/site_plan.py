@@ -89,7 +89,7 @@ def plan_figure(
     visit = [scan for scan in scans if scan.epoch == site.epoch[-1].name]
     west, east, south, north = plan.bounds(visit)
     size = max(east - west, north - south)
-    raster = plan.orthoplan(visit, cell=size / _ACROSS).raster
+    raster = plan.orthoplan(visit, cell=size / _ACROSS)
     annotations = annotations_of(site, registration, scans, largest=_ELLIPSE * size)
     figure = new_figure(7.0, 6.4)
     axis = figure.add_subplot()

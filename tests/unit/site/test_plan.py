@@ -38,7 +38,7 @@ def scan_of(
 
 def test_heights_of_two_scans_are_weighted_by_their_errors() -> None:
     scans = [scan_of(0.5, sigma=1e-3), scan_of(0.503, sigma=2e-3, name="b")]
-    raster = plan.orthoplan(scans, cell=0.01).raster
+    raster = plan.orthoplan(scans, cell=0.01)
     middle = raster.height.shape[0] // 2, raster.height.shape[1] // 2
     # Weights of 4 and 1.
     assert raster.height[middle] == pytest.approx(0.5006, abs=1e-9)
@@ -49,7 +49,7 @@ def test_heights_of_two_scans_are_weighted_by_their_errors() -> None:
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_the_upper_of_two_surfaces_is_drawn(order) -> None:
     scans = [scan_of(0.5, sigma=1e-3), scan_of(0.8, sigma=3e-3, name="b")]
-    raster = plan.orthoplan([scans[n] for n in order], cell=0.01).raster
+    raster = plan.orthoplan([scans[n] for n in order], cell=0.01)
     middle = raster.height.shape[0] // 2, raster.height.shape[1] // 2
     assert raster.height[middle] == pytest.approx(0.8, abs=1e-9)
     assert raster.layers["scans"][middle] == 1
@@ -61,9 +61,9 @@ def test_tiles_are_parts_of_the_whole_plan() -> None:
         scan_of(0.502, sigma=1e-3, name="b", east=0.05),
     ]
     cell = 0.005
-    whole = plan.orthoplan(scans, cell=cell).raster
+    whole = plan.orthoplan(scans, cell=cell)
     left = 0.02
-    tile = plan.orthoplan(scans, cell=cell, window=(left, 0.07, -0.02, 0.02)).raster
+    tile = plan.orthoplan(scans, cell=cell, window=(left, 0.07, -0.02, 0.02))
     row = round((whole.top - tile.top) / cell)
     column = round((tile.left - whole.left) / cell)
     rows, columns = tile.height.shape

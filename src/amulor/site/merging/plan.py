@@ -128,16 +128,6 @@ def _relative_spread(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Orthoplan:
-    """Heights of several scans in one raster, seen from above."""
-
-    raster: products.Raster
-    """Heights, with the layers `doubtful` and `scans` (number of scans in a cell)."""
-    spacing: float
-    """Median pixel spacing of the coarsest scan [m]."""
-
-
 def bounds(scans: Sequence[PlacedScan]) -> tuple[float, float, float, float]:
     """Return west, east, south and north of all surfaces [m]."""
     used = [s.surface.position[np.unique(s.surface.triangles), :2] for s in scans]
@@ -151,7 +141,7 @@ def orthoplan(
     *,
     cell: float,
     window: tuple[float, float, float, float] | None = None,
-) -> Orthoplan:
+) -> products.Raster:
     r"""Combine scans in a raster of heights.
 
     Parameters
@@ -166,9 +156,10 @@ def orthoplan(
 
     Returns
     -------
-    Orthoplan
+    Raster
         Mean height of each cell, weighted by the inverse square of its uncertainty. Of
-        surfaces above each other, the upper one.
+        surfaces above each other, the upper one. The layers are `doubtful` and `scans`
+        (number of scans in a cell).
 
     Raises
     ------
@@ -224,18 +215,15 @@ def orthoplan(
         raise CubeError("no scan has a surface in this part of the site")
     with np.errstate(invalid="ignore", divide="ignore"):
         inverse = np.where(weight > 0, 1 / weight, np.nan)
-    return Orthoplan(
-        raster=replace(
-            part,
-            height=height * inverse,
-            own=np.sqrt(noise) * inverse,
-            uncertainty=sigma * inverse,
-            amplitude=light * inverse,
-            left=float(left * cell),
-            top=float(top * cell),
-            layers={"doubtful": doubtful, "scans": count},
-        ),
-        spacing=max(scan.surface.spacing for scan in scans),
+    return replace(
+        part,
+        height=height * inverse,
+        own=np.sqrt(noise) * inverse,
+        uncertainty=sigma * inverse,
+        amplitude=light * inverse,
+        left=float(left * cell),
+        top=float(top * cell),
+        layers={"doubtful": doubtful, "scans": count},
     )
 
 
