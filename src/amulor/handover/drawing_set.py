@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -67,34 +67,51 @@ def write_set(
         "elevation" if order.side == "front" else "plan": lambda chosen: _elevation(
             image, surface, plane, chosen, remarks
         ),
-        "section": lambda chosen: _lines_page(
+        "section": lambda chosen: lines_page(
             drawings.section(surface, plane, replace(chosen, line=line), remarks)
         ),
     }
     if body is not None:
-        makers["profile"] = lambda chosen: _lines_page(
+        makers["profile"] = lambda chosen: lines_page(
             drawings.profile(image, chosen, remarks, body=body)
         )
     if order.against is not None or body is not None:
         makers["deviation"] = lambda chosen: _deviation(
             image, surface, chosen, remarks, body
         )
-    files = [path.with_name(f"{path.stem}_{name}.svg") for name in makers]
-    for file in (path, *files, *(file.with_suffix(".dxf") for file in files)):
-        check_output(file, overwrite=overwrite)
-    pages = []
-    for number, make in enumerate(makers.values()):
+    check_files(path, makers, overwrite=overwrite)
+    pages = {}
+    for number, (name, make) in enumerate(makers.items()):
         tell("drawing", 0.2 + 0.6 * number / len(makers))
         numbered = {"sheet": f"{number + 1} of {len(makers)}"} | dict(order.fields)
-        pages.append(make(replace(order, fields=numbered)))
+        pages[name] = make(replace(order, fields=numbered))
+    sentences = [f"{len(pages)} sheets at 1:{order.scale:g}"]
+    sentences += write_pages(pages, path, remarks[0], overwrite=overwrite)
+    if body is None:
+        sentences.append(f"  no half-profile: {reason}")
+    return "\n".join(sentences)
+
+
+def check_files(path: Path, names: Iterable[str], *, overwrite: bool) -> None:
+    """Raise if a file of `write_pages` exists and may not be replaced."""
+    files = [_file_of(path, name) for name in names]
+    for file in (path, *files, *(file.with_suffix(".dxf") for file in files)):
+        check_output(file, overwrite=overwrite)
+
+
+def write_pages(
+    pages: Mapping[str, Page], path: Path, title: str, *, overwrite: bool
+) -> list[str]:
+    """Write pages to one PDF file, each to SVG, lines to DXF; describe each page."""
     drawings.save_pages(
-        [page.figure for page in pages],
+        [page.figure for page in pages.values()],
         path,
-        replace(pages[0].block, title=remarks[0]),
+        replace(next(iter(pages.values())).block, title=title),
         overwrite=overwrite,
     )
-    sentences = [f"{len(pages)} sheets at 1:{order.scale:g}"]
-    for page, file in zip(pages, files, strict=True):
+    sentences = []
+    for name, page in pages.items():
+        file = _file_of(path, name)
         drawings.save_sheet(page.figure, file, page.block, overwrite=overwrite)
         written = [file.name]
         if page.lines is not None:
@@ -102,9 +119,12 @@ def write_set(
             page.lines.write(drawing, overwrite=overwrite)
             written.append(drawing.name)
         sentences.append(f"  {', '.join(written)}: {page.summary}")
-    if body is None:
-        sentences.append(f"  no half-profile: {reason}")
-    return "\n".join(sentences)
+    return sentences
+
+
+def _file_of(path: Path, name: str) -> Path:
+    """Return the SVG file of a page beside the PDF file of the set."""
+    return path.with_name(f"{path.stem}_{name}.svg")
 
 
 def middle_line(
@@ -203,7 +223,8 @@ def contour_interval(raster: products.Raster, *, levels: int = _LEVELS) -> float
     return formats.rounded_up(max((high - low) / levels, least, 1e-4))
 
 
-def _lines_page(product: LineProduct) -> Page:
+def lines_page(product: LineProduct) -> Page:
+    """Return a line drawing as a page."""
     return Page(
         figure=product.figure(),
         block=product.drawing,

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from amulor._progress import tell
 from amulor.errors import CubeError
 from amulor.handover import drawings
-from amulor.handover.drawing_set import contour_interval
+from amulor.handover.drawing_set import (
+    Page,
+    check_files,
+    contour_interval,
+    lines_page,
+    write_pages,
+)
 from amulor.handover.drawings import LineProduct
 from amulor.handover.order import in_millimetres
 from amulor.imaging import products
@@ -50,7 +55,7 @@ class SiteOrder:
     scale: float | None = None
     """Scale denominator of the details; by default one sheet of A4 for all [1]."""
     contours: float | None = None
-    """Interval of contour lines; by default about eight levels [m]."""
+    """Interval of contour lines; by default about 16 levels [m]."""
     lines: tuple[tuple[float, float, float, float], ...] = ()
     """Section lines, east and north of both ends; by default two through the middle
     [m]."""
@@ -60,18 +65,6 @@ class SiteOrder:
     """Title; by default the name of the site."""
     fields: Mapping[str, str] = field(default_factory=dict)
     """Texts of the title block."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Sheet:
-    """Sheet of the set, with its lines for a CAD program."""
-
-    name: str
-    figure: Figure
-    block: formats.TitleBlock
-    summary: str
-    lines: formats.Drawing | None
-    scale: float
 
 
 def write_site_drawings(
@@ -107,53 +100,36 @@ def write_site_drawings(
     ]
     names = ["plan", *(f"section_{letter}" for letter in cuts)]
     names += [f"detail_{number + 1}" for number in range(len(tiles))]
-    files = {name: path.with_name(f"{path.stem}_{name}.svg") for name in names}
-    outputs = [path, *files.values(), *(f.with_suffix(".dxf") for f in files.values())]
-    outputs.append(path.with_name(f"{path.stem}_plan.tif"))
-    for output in outputs:
-        check_output(output, overwrite=overwrite)
+    check_files(path, names, overwrite=overwrite)
+    heights = path.with_name(f"{path.stem}_plan.tif")
+    check_output(heights, overwrite=overwrite)
     draw = _Drawer(
         site, registration, scans, visit, epoch, order, cuts, key, len(names)
     )
-    sheets = [draw.plan(overview if tiles else order.scale or overview)]
+    pages = {"plan": draw.plan(overview if tiles else order.scale or overview)}
     tell("drawing sections", 0.5)
-    sheets += [draw.section(letter) for letter in cuts]
+    pages |= {f"section_{letter}": draw.section(letter) for letter in cuts}
     for number, window in enumerate(tiles):
         tell("drawing details", 0.6 + 0.3 * number / len(tiles))
         assert order.scale is not None
-        sheets.append(draw.detail(number, order.scale, window))
-    return _written(sheets, path, draw, overwrite=overwrite)
-
-
-def _written(
-    sheets: Sequence[_Sheet], path: Path, draw: _Drawer, *, overwrite: bool
-) -> str:
-    drawings.save_pages(
-        [drawn.figure for drawn in sheets],
-        path,
-        replace(sheets[0].block, title=draw.title),
-        overwrite=overwrite,
-    )
+        name = f"detail_{number + 1}"
+        pages[name] = draw.detail(name, order.scale, window)
+    sentences = write_pages(pages, path, draw.title, overwrite=overwrite)
     assert draw.raster is not None
-    heights = path.with_name(f"{path.stem}_plan.tif")
     drawings.write_bands(
         draw.raster,
         drawings.bands_of(draw.raster, first="dem"),
         heights,
-        sheets[0].block.statements,
+        pages["plan"].block.statements,
         overwrite=overwrite,
     )
-    sentences = [f"{len(sheets)} sheets", f"  {heights.name}: heights as GeoTIFF"]
-    for drawn in sheets:
-        file = path.with_name(f"{path.stem}_{drawn.name}.svg")
-        drawings.save_sheet(drawn.figure, file, drawn.block, overwrite=overwrite)
-        written = [file.name]
-        if drawn.lines is not None:
-            dxf = file.with_suffix(".dxf")
-            formats.write_dxf(drawn.lines, dxf, scale=drawn.scale, overwrite=overwrite)
-            written.append(dxf.name)
-        sentences.append(f"  {', '.join(written)}: {drawn.summary}")
-    return "\n".join(sentences)
+    return "\n".join(
+        [
+            f"{len(pages)} sheets",
+            f"  {heights.name}: heights as GeoTIFF",
+            *sentences,
+        ]
+    )
 
 
 class _Drawer:
@@ -183,15 +159,15 @@ class _Drawer:
         self.raster: products.Raster | None = None
         self.interval = order.contours
 
-    def plan(self, scale: float) -> _Sheet:
+    def plan(self, scale: float) -> Page:
         """Draw the whole site from above."""
         return self._from_above("plan", scale, plan.bounds(self.visit), cuts=self.cuts)
 
     def detail(
-        self, number: int, scale: float, window: tuple[float, float, float, float]
-    ) -> _Sheet:
+        self, name: str, scale: float, window: tuple[float, float, float, float]
+    ) -> Page:
         """Draw a part of the site from above, at a larger scale."""
-        return self._from_above(f"detail_{number + 1}", scale, window, cuts={})
+        return self._from_above(name, scale, window, cuts={})
 
     def _from_above(
         self,
@@ -200,7 +176,7 @@ class _Drawer:
         window: tuple[float, float, float, float],
         *,
         cuts: Mapping[str, Floats],
-    ) -> _Sheet:
+    ) -> Page:
         cell = max(scale * _CELL, self.spacing / _FINE)
         raster = plan.orthoplan(self.visit, cell=cell, window=window)
         if self.raster is None:
@@ -237,17 +213,17 @@ class _Drawer:
         )
         wide, high = (count * cell for count in reversed(raster.height.shape))
         covered = np.isfinite(raster.height)
-        return _Sheet(
-            name=name,
+        summary = (
+            f"{wide:.3g} x {high:.3g} m at 1:{scale:g}, "
+            f"{covered.sum() * cell**2:.3g} m2 measured, contours every "
+            f"{self.interval * 1e3:g} mm"
+        )
+        drawing = self._plan_lines(contours, annotations, block, raster)
+        return Page(
             figure=figure,
             block=block,
-            summary=(
-                f"{wide:.3g} x {high:.3g} m at 1:{scale:g}, "
-                f"{covered.sum() * cell**2:.3g} m2 measured, contours every "
-                f"{self.interval * 1e3:g} mm"
-            ),
-            lines=self._plan_lines(contours, annotations, block, raster),
-            scale=scale,
+            summary=summary,
+            lines=LineProduct(drawing=drawing, table={}, summary=summary, scale=scale),
         )
 
     def _statements(
@@ -349,7 +325,7 @@ class _Drawer:
             axes=("east", "north"),
         )
 
-    def section(self, letter: str) -> _Sheet:
+    def section(self, letter: str) -> Page:
         """Draw a section across all scans of all visits."""
         ends = self.cuts[letter]
         length = float(np.linalg.norm(ends[1] - ends[0]))
@@ -417,14 +393,7 @@ class _Drawer:
             key=(self.key, ends),
             colours={name: self.colours[name] for name in drawing.layers},
         )
-        return _Sheet(
-            name=f"section_{letter}",
-            figure=product.figure(),
-            block=block,
-            summary=product.summary,
-            lines=drawing,
-            scale=scale,
-        )
+        return lines_page(product)
 
 
 def _middle_lines(
