@@ -183,3 +183,12 @@ def test_colours_keys_and_the_picture_as_a_file(
         assert download.value.suggested_filename == "steps-view.png"
         assert picture.read_bytes().startswith(b"\x89PNG")
         assert opened.errors == []
+
+
+def test_a_printed_page_shows_the_cloud(tab: Callable[..., Any], file: Path) -> None:
+    """Only scans have a sheet that is printed in place of the page."""
+    with page.background(space.opened(file)) as address:
+        shown = tab().open(address)
+        settled(shown)
+        shown.emulate_media(media="print")
+        assert shown.locator("#space").is_visible()
