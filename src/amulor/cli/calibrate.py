@@ -354,16 +354,17 @@ def _print_reference(calibration: Calibration) -> None:
 def _print_temperature(calibration: Calibration) -> None:
     if not calibration.temperature:
         return
-    rows = [
-        [
-            f"{entry.modulation_frequency / 1e6:g} MHz",
-            f"{1e3 * entry.phase_per_degree:+.3f}",
-            f"{1e3 * entry.uncertainty:.3f}",
-            f"{entry.phase_per_degree / entry.modulation_frequency / turn:+.2f}",
-        ]
-        for turn in [2e-12 * math.pi]
-        for entry in calibration.temperature
-    ]
+    rows = []
+    for entry in calibration.temperature:
+        delay = entry.phase_per_degree / (2 * math.pi * entry.modulation_frequency)
+        rows.append(
+            [
+                f"{entry.modulation_frequency / 1e6:g} MHz",
+                f"{1e3 * entry.phase_per_degree:+.3f}",
+                f"{1e3 * entry.uncertainty:.3f}",
+                f"{1e12 * delay:+.2f}",
+            ]
+        )
     header = ["", "phase", "u(phase)", "delay [ps]"]
     print_table("Change per degree [mrad]", header, rows)
     print(f"phases refer to {calibration.reference_temperature:.1f} degC")

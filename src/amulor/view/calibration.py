@@ -7,10 +7,13 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from amulor.acquisition import Calibration
 from amulor.io.files import atomic_output
 from amulor.view.style import new_figure, style
+
+Floats = NDArray[np.float64]
 
 
 def write_calibration(
@@ -69,15 +72,21 @@ def _reference(axis: Axes, calibration: Calibration) -> None:
         change, error = 1e3 * np.array(entry.changes), 1e3 * entry.uncertainty
         minutes = np.array(entry.times) / 60
         name = f"{entry.modulation_frequency / 1e6:g} MHz {entry.polarization}"
-        (line,) = axis.plot(minutes, change, label=name)
-        color = line.get_color()
-        axis.fill_between(
-            minutes, change - error, change + error, color=color, alpha=0.2
-        )
+        _draw_band(axis, minutes, change, error, label=name)
     axis.set_title("Drift of the standing reference")
     axis.set_xlabel("time [min]")
     axis.set_ylabel("phase minus middle [mrad]")
     axis.legend()
+
+
+def _draw_band(
+    axis: Axes, x: Floats, y: Floats, error: Floats | float, *, label: str
+) -> str:
+    """Draw a line within a band of its error; return their color."""
+    (line,) = axis.plot(x, y, label=label)
+    color = str(line.get_color())
+    axis.fill_between(x, y - error, y + error, color=color, alpha=0.2)
+    return color
 
 
 def _temperature(axis: Axes, calibration: Calibration) -> None:
@@ -89,9 +98,7 @@ def _temperature(axis: Axes, calibration: Calibration) -> None:
         line = 1e3 * entry.phase_per_degree * (ends - reference)
         error = 1e3 * entry.uncertainty * np.abs(ends - reference)
         name = f"{entry.modulation_frequency / 1e6:g} MHz"
-        (drawn,) = axis.plot(ends, line, label=name)
-        color = drawn.get_color()
-        axis.fill_between(ends, line - error, line + error, color=color, alpha=0.2)
+        color = _draw_band(axis, ends, line, error, label=name)
         axis.plot(warm, 1e3 * np.array(entry.phases), "o", color=color, markersize=3)
     axis.set_title("Phase against temperature")
     axis.set_xlabel("instrument temperature [degC]")
