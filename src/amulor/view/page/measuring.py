@@ -188,11 +188,7 @@ def _half_profile(picture: Picture, request: dict[str, Any]) -> dict[str, Any]:
         }
     )
     return {
-        "lines": [] if fit.doubt else lines,
-        "doubt": fit.doubt,
-        "residual": fit.residual,
-        "misfit": fit.misfit if math.isfinite(fit.misfit) else None,
-        "pixels": fit.pixels,
+        **_described(fit, lines),
         "left_out": turned.left_out,
         "axis": [(point + height * axis).tolist() for height in turned.height[[0, -1]]],
         "profile": {
@@ -288,6 +284,11 @@ def _fit(
                 "unit": "m",
             }
             lines.insert(0, double)
+    return _described(fit, lines)
+
+
+def _described(fit: measure.Fit, lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """Values of a fit for the page, without lines if the fit is doubtful."""
     return {
         "lines": [] if fit.doubt else lines,
         "doubt": fit.doubt,
