@@ -16,7 +16,7 @@ from amulor.studies.trust.case import Case, case_of
 from amulor.studies.trust.methods import Outcome, outcome
 from amulor.studies.trust.scenes.models import around
 from amulor.studies.trust.surveys import plate, stairs, survey
-from amulor.studies.trust.table import score
+from amulor.studies.trust.table import resumed, score
 
 #: Number of scans in the table.
 SCANS = 300
@@ -216,16 +216,8 @@ def run(
     done: Callable[[AlarmRow], None] | None = None,
 ) -> list[AlarmRow]:
     """Compute the rows missing in a file, and append each when finished."""
-    rows = list(written(path.read_text(encoding="utf-8"))) if path.exists() else []
-    path.write_text(text(rows), encoding="utf-8")
-    present = {row.scene.number for row in rows}
-    for number in numbers:
-        if number in present:
-            continue
-        row = measured(scene(number))
-        rows.append(row)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(line(row) + "\n")
-        if done is not None:
-            done(row)
-    return rows
+    return resumed(
+        path, numbers, lambda number: measured(scene(number)),
+        key_of=lambda row: row.scene.number,
+        written=written, text=text, line=line, done=done,
+    )  # fmt: skip

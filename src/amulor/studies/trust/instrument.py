@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from amulor.studies.trust.case import Case
 from amulor.studies.trust.methods import Outcome, outcome
 from amulor.studies.trust.scenes.instrument import KINDS, STATES, case
-from amulor.studies.trust.table import score
+from amulor.studies.trust.table import resumed, score
 
 #: Sizes of an error, as multiples of its typical size.
 SIZES = (1.0, 3.0, 10.0)
@@ -286,26 +287,14 @@ def run(
     *,
     done: Callable[[InstrumentRow], None] | None = None,
 ) -> list[InstrumentRow]:
-    """Compute the rows missing in a file, and append each when finished.
+    """Compute the rows missing in a file, and append each when finished."""
+    # Methods of the same scan follow each other.
+    scan = lru_cache(maxsize=1)(case)
 
-    A run that was interrupted goes on where it stopped.
-    """
-    rows = list(written(path.read_text(encoding="utf-8"))) if path.exists() else []
-    # Also removes the rest of an interrupted line.
-    path.write_text(text(rows), encoding="utf-8")
-    present = {row.key for row in rows}
-    last: tuple[object, ...] | None = None
-    for key in keys:
-        if key in present:
-            continue
-        scan = (key.kind, key.size, key.count, key.state, key.seed)
-        if scan != last:
-            test, last = case(*scan), scan
-        row = measured(key, test)
-        rows.append(row)
-        present.add(key)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(line(row) + "\n")
-        if done is not None:
-            done(row)
-    return rows
+    def compute(key: Key) -> InstrumentRow:
+        return measured(key, scan(key.kind, key.size, key.count, key.state, key.seed))
+
+    return resumed(
+        path, keys, compute, key_of=lambda row: row.key,
+        written=written, text=text, line=line, done=done,
+    )  # fmt: skip

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,8 @@ from amulor.studies.trust.case import Case
 from amulor.studies.trust.methods import Outcome
 
 Floats = NDArray[np.float64]
+Key = TypeVar("Key", bound=Hashable)
+AnyRow = TypeVar("AnyRow")
 
 #: Half widths of the intervals with 68 and 95 of 100 normal errors [1].
 ONE, TWO = 1.0, 1.96
@@ -284,3 +288,36 @@ def _percent(value: float) -> str:
 
 def _number(value: float, form: str) -> str:
     return "-" if math.isnan(value) else format(value, form)
+
+
+def resumed(
+    path: Path,
+    keys: Iterable[Key],
+    compute: Callable[[Key], AnyRow],
+    *,
+    key_of: Callable[[AnyRow], Key],
+    written: Callable[[str], Iterable[AnyRow]],
+    text: Callable[[Iterable[AnyRow]], str],
+    line: Callable[[AnyRow], str],
+    done: Callable[[AnyRow], None] | None = None,
+) -> list[AnyRow]:
+    """Compute the rows missing in a file, and append each when finished.
+
+    A run that was interrupted goes on where it stopped. `written`, `text` and `line`
+    parse a table, and format a table and a row.
+    """
+    rows = list(written(path.read_text(encoding="utf-8"))) if path.exists() else []
+    # Also removes the rest of an interrupted line.
+    path.write_text(text(rows), encoding="utf-8")
+    present = {key_of(row) for row in rows}
+    for key in keys:
+        if key in present:
+            continue
+        row = compute(key)
+        rows.append(row)
+        present.add(key)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(line(row) + "\n")
+        if done is not None:
+            done(row)
+    return rows
