@@ -86,7 +86,7 @@ class MeshTarget:
         return inside
 
     def reach_into(self, centre: Array, axis: Array, radius: float) -> float:
-        """Return how far a mesh reaches into a disc from its rim; 0 if outside [m].
+        """Depth of a mesh inside the rim of a disc; 0 for a mesh outside the disc [m].
 
         Parameters
         ----------
