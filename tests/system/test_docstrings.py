@@ -81,6 +81,17 @@ def test_every_public_object_has_an_example() -> None:
     assert without == set(WITHOUT_EXAMPLE)
 
 
+def test_first_lines_hold_no_substitution_of_docutils() -> None:
+    """The site reads bars, as of |s|, as a name that it shall replace."""
+    first = {
+        name: re.sub(
+            r"``?.*?``?|:math:", "", (inspect.getdoc(one) or "").partition("\n")[0]
+        )
+        for name, one in _objects().items()
+    }
+    assert not [name for name, line in first.items() if line.count("|") > 1]
+
+
 @pytest.mark.slow
 def test_numpydoc_finds_no_fault_in_public_docstrings() -> None:
     validate = pytest.importorskip("numpydoc.validate")

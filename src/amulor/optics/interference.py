@@ -182,7 +182,7 @@ def signal_to_optical_noise_ratio(
 
 
 def contrast(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the contrast (|s| - |w|) / (|s| + |w|) of signal s and water signal w.
+    r"""Return the contrast of a signal with that of the water, eq. (54) or (58).
 
     Parameters
     ----------
