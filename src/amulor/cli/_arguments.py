@@ -8,6 +8,7 @@ from pathlib import Path
 
 from cyclopts import validators
 
+from amulor._hdf5 import check_small
 from amulor.errors import AmulorError, FormatError
 
 #: Seeds that a generator takes and a file keeps.
@@ -135,7 +136,7 @@ def interval_of(
 
 
 def check_inputs(*paths: Path | None) -> None:
-    """Raise if an input file does not exist, before slow imports.
+    """Raise if an input does not exist, or declares too much, before slow imports.
 
     Parameters
     ----------
@@ -145,11 +146,13 @@ def check_inputs(*paths: Path | None) -> None:
     Raises
     ------
     FormatError
-        If an input does not exist.
+        If an input does not exist, or is a cube whose variables cannot be in it.
     """
-    for path in paths:
-        if path is not None and not path.exists():
+    for path in filter(None, paths):
+        if not path.exists():
             raise FormatError(f"{path} does not exist; check the name and the folder")
+        if path.suffix.lower() in CUBE_ENDINGS:
+            check_small(path)
 
 
 #: Endings of netCDF files, which cubes are written to.

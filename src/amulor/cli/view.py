@@ -70,9 +70,9 @@ def view(
 
     if save is None:  # a page saved as one file has no server
         _extras.require("view", purpose="the page")
-    if all(
-        option is None for option in (samples, nearest, farthest, against, unit, save)
-    ):
+    if save is not None:
+        check_ending("--save", save, (".html", ".htm"))
+    if all(option is None for option in (samples, nearest, farthest, against, unit)):
         check_inputs(path)
 
     from amulor import handover, io
@@ -94,7 +94,6 @@ def view(
     inputs = [option for option in (path, samples, against) if option is not None]
     check_inputs(against)
     if save is not None:
-        check_ending("--save", save, (".html", ".htm"))
         io.check_output(save, overwrite=overwrite, inputs=inputs)
     shown: Recording | Live | Space
     if in_space:

@@ -16,6 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor._hdf5 import SEAL_LENGTH, SEAL_START, SIGNATURE, check_size
 from amulor.cube import schema, tiles
 from amulor.errors import AmulorError, CubeError, FormatError
 from amulor.io.files import atomic_output, load_hdf5, read_bytes
@@ -31,18 +32,12 @@ __all__ = [
     "write_cube",
 ]
 
-_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _CLASSIC_SIGNATURE = b"CDF"
 # 128 KiB of float64: whole blocks of a file fit in any tile of rows, so that none is
 # compressed twice; larger ones are neither smaller in the file nor faster.
 CHUNK_VALUES = 2**14
 # Structures of HDF5 1.10, the first whose indices of chunks have checksums too.
 _LIBRARY_VERSION = ("v110", "v110")
-# Behind the end of the HDF5 file, where its readers do not look and where whoever
-# changes the file on purpose cuts it off: a digest of all that stands before. Damage is
-# then found before HDF5 sees it, which does not return from some damaged files.
-_SEAL_START = b"\namulor "
-_SEAL_LENGTH = 80
 _GROUP_TITLES = {
     "open_water": "shots into open water, without a target",
     "truth": "what the cube was simulated from; no processing step reads it",
@@ -95,7 +90,7 @@ def read_cube(path: str | os.PathLike[str]) -> xr.Dataset:
             f"{path} is a netCDF-3 file, needed is netCDF-4; convert it with "
             "nccopy -k netCDF-4"
         )
-    if not content.startswith(_HDF5_SIGNATURE):
+    if not content.startswith(SIGNATURE):
         raise FormatError(
             f"{path} is no netCDF-4 file, it starts with {content[:8]!r}; name a cube "
             "that amulor wrote"
@@ -276,11 +271,11 @@ def _encoded(parts: Mapping[str, xr.Dataset]) -> bytes:
 
 
 def _seal(content: bytes) -> bytes:
-    return _SEAL_START + cubes.digest(content).encode() + b"\n"
+    return SEAL_START + cubes.digest(content).encode() + b"\n"
 
 
 def _check_seal(content: bytes, path: Path) -> None:
-    start = content.rfind(_SEAL_START, -_SEAL_LENGTH)
+    start = content.rfind(SEAL_START, -SEAL_LENGTH)
     if start >= 0 and content[start:] != _seal(content[:start]):
         raise FormatError(
             f"{path} is damaged: its bytes are not the ones that amulor wrote; copy it "
@@ -397,7 +392,7 @@ def _decoded(content: bytes, path: Path) -> xr.Dataset:
                 f"{path} is no cube of amulor: it lacks the attribute "
                 "'amulor_schema_version'; name a file that amulor wrote"
             )
-        _check_size(storage, path)
+        check_size(storage, path)
         with h5netcdf.File(storage, "r", decode_vlen_strings=True) as file:
             cube = _opened(file, None)
             for group in schema.GROUPS:
@@ -425,24 +420,6 @@ def indexed_file(content: bytes) -> Any:
 
     objects: dict[str, Any] = {}
     return IndexedFile(io.BytesIO(content), "r")
-
-
-def _check_size(storage: Any, path: Path) -> None:
-    """Raise if the file stores too few bytes for the declared size of a variable."""
-    import h5py
-
-    def check(name: str, node: Any) -> None:
-        if not isinstance(node, h5py.Dataset) or node.nbytes <= _PLAIN_SIZE:
-            return
-        stored = node.id.get_storage_size()
-        if node.nbytes > _MOST_COMPRESSED * stored:
-            raise FormatError(
-                f"{path}: variable '{name}' has the shape {node.shape}, of which the "
-                f"file holds {stored} bytes; it is damaged or was not written to its "
-                "end: make it again"
-            )
-
-    storage.visititems(check)
 
 
 def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
@@ -509,10 +486,6 @@ def _reason(error: Exception) -> str:
     return "its parts do not fit together"
 
 
-#: Size up to which a variable may be declared and not stored [byte].
-_PLAIN_SIZE = 1 << 28
-#: Bytes that deflate makes of one, at most.
-_MOST_COMPRESSED = 1032
 #: Bytes of a file that are read at once for its digest.
 _PIECE = 2**24
 
@@ -623,7 +596,7 @@ def open_rows(
                     f"{path} is no cube of amulor: it lacks the attribute "
                     "'amulor_schema_version'; name a file that amulor wrote"
                 )
-            _check_size(storage, path)
+            check_size(storage, path)
             file = stack.enter_context(
                 h5netcdf.File(storage, "r", decode_vlen_strings=True)
             )
@@ -673,16 +646,16 @@ def _check_digest(path: Path) -> None:
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
-            start = file.read(len(_HDF5_SIGNATURE))
-            file.seek(max(size - _SEAL_LENGTH, 0))
+            start = file.read(len(SIGNATURE))
+            file.seek(max(size - SEAL_LENGTH, 0))
             end = file.read()
-            if start != _HDF5_SIGNATURE:
+            if start != SIGNATURE:
                 # `read_cube` reports the error.
                 read_cube(path)
-            at = end.rfind(_SEAL_START)
+            at = end.rfind(SEAL_START)
             if at < 0:
                 return
-            recorded = end[at + len(_SEAL_START) :].strip().decode("ascii", "replace")
+            recorded = end[at + len(SEAL_START) :].strip().decode("ascii", "replace")
             file.seek(0)
             computed = _digest(file, size - len(end) + at)
     except OSError as error:
@@ -807,7 +780,7 @@ def row_writer(
         with temporary.open("r+b") as file:
             digest = _digest(file, temporary.stat().st_size)
             file.seek(0, os.SEEK_END)
-            file.write(_SEAL_START + digest.encode() + b"\n")
+            file.write(SEAL_START + digest.encode() + b"\n")
 
 
 def tile_rows(source: tiles.Source) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, StringConstraints, model_validator
 
+from amulor._hdf5 import check_size
 from amulor.errors import FormatError
 from amulor.io.files import load_hdf5
 from amulor.survey import toml_file
@@ -399,6 +400,7 @@ def _hdf5(path: Path, names: list[str], count: int | None) -> Iterator[Table]:
     import h5py
 
     with h5py.File(path, "r") as file:
+        check_size(file, path)
         datasets: list[str] = []
 
         def note(name: str, node: object) -> None:

@@ -10,10 +10,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._hdf5 import SIGNATURE, check_size
 from amulor.errors import AmulorError, FormatError
 from amulor.io.files import atomic_output, load_hdf5, read_bytes
 from amulor.io.netcdf import (
-    _HDF5_SIGNATURE,
     _check_seal,
     _encoded,
     _opened,
@@ -177,7 +177,7 @@ def read_tally(path: str | os.PathLike[str]) -> Tally:
     """
     path = Path(path)
     content = read_bytes(path)
-    if not content.startswith(_HDF5_SIGNATURE):
+    if not content.startswith(SIGNATURE):
         raise FormatError(
             f"{path} is no netCDF-4 file, it starts with {content[:8]!r}; name a tally "
             "that amulor wrote"
@@ -206,6 +206,7 @@ def _loaded(content: bytes, path: Path) -> xr.Dataset:
                 f"{path} is no tally of amulor: it lacks the attribute "
                 "'amulor_tally_version'; name a file that write_tally wrote"
             )
+        check_size(storage, path)
         with h5netcdf.File(storage, "r", decode_vlen_strings=True) as file:
             dataset = _opened(file, None)
     if dataset.attrs["amulor_tally_version"] != _VERSION:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 
 import h5py
@@ -10,6 +12,7 @@ import pytest
 import xarray as xr
 
 from amulor import io
+from amulor._hdf5 import check_small
 from amulor.cube import tiles
 from amulor.errors import AmulorError, CubeError, FormatError
 from amulor.io import netcdf
@@ -175,19 +178,83 @@ def test_rows_of_another_program_are_decoded(samples, path, coding):
     assert np.isnan(found[0, 0, 1, 2])
 
 
-def test_a_small_file_that_declares_many_pixels_is_refused_at_once(path):
+def declared(path, count, *, width=100_000):
+    """Write a file with variables of many pixels, of which none is stored."""
     with h5py.File(path, "w") as file:
         file.attrs["amulor_schema_version"] = 2
-        file.create_dataset(
-            "in_phase", (100_000, 100_000), "f4", chunks=(512, 512), compression="gzip"
-        )
+        file.attrs["amulor_tally_version"] = 1
+        for number in range(count):
+            file.create_dataset(
+                f"in_phase{number}", (width, 100), "f8", chunks=(100, 100)
+            )
+
+
+@pytest.mark.parametrize("read", [io.read_cube, io.read_tally])
+def test_a_small_file_that_declares_many_pixels_is_refused_at_once(path, read):
+    declared(path, 1, width=100_000_000)
     assert path.stat().st_size < 80_000
     began = time.process_time()
-    with pytest.raises(FormatError, match=r"'in_phase' has the shape .* 0 bytes"):
-        io.read_cube(path)
+    with pytest.raises(FormatError, match=r"'in_phase0' has the shape .* 0 bytes"):
+        read(path)
     with (
-        pytest.raises(FormatError, match=r"'in_phase' has the shape .* 0 bytes"),
+        pytest.raises(FormatError, match=r"'in_phase0' has the shape .* 0 bytes"),
         netcdf.open_rows(path),
     ):
         pass
     assert time.process_time() - began < 1
+
+
+def test_many_variables_that_are_not_stored_are_refused_by_their_sum(path):
+    # 80 MB each; 26 are 2.1 GB, 27 are above 2^31 bytes.
+    declared(path, 26)
+    check_small(path)
+    declared(path, 27)
+    with pytest.raises(FormatError, match="in_phase9"):
+        check_small(path)
+
+
+def test_commands_refuse_such_a_file_before_slow_imports(path):
+    declared(path, 1, width=100_000_000)
+    lines = [
+        "reject cube.nc --method open-water -o target.nc", "image cube.nc -o image.nc",
+        "export cube.nc -o cloud.ply", "report cube.nc -o page.html",
+        "view cube.nc --save page.html", "info cube.nc",
+    ]  # fmt: skip
+    code = (
+        "import sys; from amulor.cli import main\n"
+        f"assert [main(line.split()) for line in {lines}] == [1] * {len(lines)}\n"
+        "assert 'xarray' not in sys.modules, 'xarray was imported'"
+    )
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=path.parent)
+    assert done.returncode == 0, done.stderr
+    refusals = done.stderr.splitlines()
+    assert len(refusals) == len(lines)
+    assert all("'in_phase0' has the shape" in line for line in refusals)
+
+
+def test_content_of_other_files_is_refused(path, tmp_path):
+    (tmp_path / "other").write_bytes(bytes(80))
+    with h5py.File(path, "w") as file:
+        file.attrs["amulor_schema_version"] = 2
+        file.create_dataset("in_phase", (10,), "f8", external=[("other", 0, 80)])
+    with pytest.raises(FormatError, match="'in_phase' refers to the content of other"):
+        io.read_cube(path)
+
+
+def test_content_that_another_file_lends_is_refused(path):
+    layout = h5py.VirtualLayout((10,), "f8")
+    layout[:] = h5py.VirtualSource("other.nc", "in_phase", (10,))
+    with h5py.File(path, "w") as file:
+        file.attrs["amulor_schema_version"] = 2
+        file.create_virtual_dataset("in_phase", layout)
+    with pytest.raises(FormatError, match="'in_phase' refers to the content of other"):
+        io.read_cube(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89HDF\r\n\x1a\n", b"no HDF5" * 30])
+def test_other_damage_is_left_to_the_reader(path, content):
+    path.write_bytes(content)
+    check_small(path)
+    with pytest.raises(FormatError):
+        io.read_cube(path)

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._hdf5 import SEAL_LENGTH
 from amulor.cube import error_unknown, without_unknown_errors
 from amulor.cube.schema import ALIKE_TERMS, WATER_TERMS
 from amulor.errors import CubeError, FormatError
@@ -236,15 +237,13 @@ _BAND = 256
 #: Number of rows and columns that represent the scan, in addition to measured pixels
 #: [1].
 _MESH = 128
-#: Length of the digest after the content of a file, see `amulor.io.netcdf` [byte].
-_SEAL_LENGTH = 80
 
 
 def large_picture(path: Path) -> LargePicture:
     """Open a range image of any size."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
-        file.seek(-_SEAL_LENGTH, 2)
+        file.seek(-SEAL_LENGTH, 2)
         remaining = file.tell()
         seal = file.read()
         file.seek(0)
