@@ -10,7 +10,13 @@ import numpy as np
 import xarray as xr
 
 from amulor.cube import accessor, schema
-from amulor.cube.values import check_limits, check_values, restore_dimensions
+from amulor.cube.values import (
+    check_errors,
+    check_limits,
+    check_pairs,
+    check_values,
+    restore_dimensions,
+)
 from amulor.errors import CubeError
 from amulor.optics.polarization import stokes
 
@@ -119,6 +125,8 @@ def check(
         if variable in expected.variables
     }
     check_values(variables, name=name)
+    if actual == "samples":
+        check_errors(variables, name=name)
     check_limits(cube, name=name)
     _check_open_water(cube, name=name)
 
@@ -251,6 +259,8 @@ def _check_open_water(cube: xr.Dataset, *, name: str) -> None:
             shots.data_vars, variable, spec, name=name, kind="open_water variable"
         )
     check_values(shots.data_vars, name=f"{name}, open_water")
+    check_pairs(shots.data_vars, name=f"{name}, open_water")
+    check_errors(shots.data_vars, name=f"{name}, open_water")
     for direction in ("azimuth", "elevation"):
         if direction in shots and not np.all(np.isfinite(shots[direction])):
             raise CubeError(

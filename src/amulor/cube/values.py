@@ -11,7 +11,7 @@ import xarray as xr
 from amulor.cube import schema
 from amulor.errors import CubeError
 
-__all__ = ["check_limits", "check_values"]
+__all__ = ["check_errors", "check_limits", "check_pairs", "check_values"]
 
 
 def restore_dimensions(cube: xr.Dataset) -> xr.Dataset:
@@ -97,7 +97,7 @@ _COMMON = (
 #: Lowest and highest possible value of variables, and these limits in words.
 _LIMITS = {
     "saturated": (0.0, 1.0, "0 or 1"),
-    "time": (0.0, np.inf, "seconds since the start of the scan, 0 or more"),
+    "time": (0.0, 1e11, "seconds since the start of the scan, from 0 to 1e11"),
 }
 
 
@@ -122,6 +122,58 @@ def check_values(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
             _check_uncertainty(values, variable, name=name)
         elif values.attrs.get("units") == "V":
             _check_signal(values, variable, name=name)
+    if set(_ERRORS) <= set(map(str, variables)):
+        _check_covariance(variables, name=name)
+
+
+#: Errors of a sample.
+_ERRORS = (
+    "in_phase_uncertainty",
+    "quadrature_uncertainty",
+    "in_phase_quadrature_covariance",
+)
+
+
+def check_pairs(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
+    """Raise if one component of a sample is missing and the other is not."""
+    first, second = variables["in_phase"], variables["quadrature"]
+    single = np.isnan(first.values) != np.isnan(second.values)
+    if single.any():
+        raise CubeError(
+            f"{name}: one of in_phase and quadrature is NaN "
+            f"{_place(first.copy(data=single), True)}; state both, or make both NaN if "
+            "the sample is missing"
+        )
+
+
+def check_errors(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
+    """Raise if a sample has no error, in a cube whose other samples have one."""
+    signal = variables["in_phase"].values + variables["quadrature"].values
+    for error in _ERRORS:
+        if error not in variables or variables[error].shape != signal.shape:
+            continue
+        missing = np.isnan(variables[error].values)
+        unknown = missing & ~np.isnan(signal)
+        if unknown.any() and not missing.all():
+            place = _place(variables[error].copy(data=unknown), True)
+            raise CubeError(
+                f"{name}: {error} is NaN {place}, where the sample is a number; state "
+                "its error, or make the sample NaN"
+            )
+
+
+def _check_covariance(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
+    """Raise if a covariance is larger than the errors of its components allow."""
+    first, second, covariance = (variables[part] for part in _ERRORS)
+    if not first.dims == second.dims == covariance.dims:
+        return
+    excess = np.abs(covariance.values) > first.values * second.values * (1 + 1e-6)
+    if excess.any():
+        raise CubeError(
+            f"{name}: {covariance.name} is above the product of the two uncertainties "
+            f"{_place(covariance.copy(data=excess), True)}; state the covariance of "
+            "the errors [V^2]"
+        )
 
 
 def check_limits(cube: xr.Dataset, *, name: str) -> None:

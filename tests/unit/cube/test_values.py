@@ -55,6 +55,12 @@ def test_a_missing_sample_is_no_wrong_number(samples: xr.Dataset) -> None:
         ("saturated", 127, (0, 1, 2, 3), "is 127 at .* column 3, but must be 0 or 1;"),
         ("saturated", -3, (0, 1, 2, 3), "is -3 at .* column 3, but must be 0 or 1;"),
         ("time", -1.0, (2, 3), "is -1 at row 2, column 3, but must be seconds since"),
+        (
+            "time",
+            np.inf,
+            (2, 3),
+            "is inf at row 2, column 3, but must be seconds since",
+        ),
     ],
 )
 def test_marks_and_times_outside_of_their_limits_are_found(
@@ -74,6 +80,60 @@ def test_shots_are_looked_at_too(samples: xr.Dataset) -> None:
         cubes.check(wrong)
     wrong = _with(samples, "open_water_azimuth", np.inf, (4,))
     with pytest.raises(CubeError, match="open_water azimuth holds values that are no"):
+        cubes.check(wrong)
+
+
+@pytest.mark.parametrize("component", ["in_phase", "quadrature"])
+def test_half_of_a_reference_is_refused(component: str, samples: xr.Dataset) -> None:
+    wrong = _with(samples, f"open_water_{component}", np.nan, (0, 1, 5))
+    with pytest.raises(
+        CubeError, match=r"open_water: one of .* polarization 1, shot 5"
+    ):
+        cubes.check(wrong)
+    whole = wrong
+    for part in ("in_phase", "quadrature"):
+        whole = _with(whole, f"open_water_{part}", np.nan, (0, 1, 5))
+    cubes.check(whole)
+
+
+@pytest.mark.parametrize(
+    ("prefix", "at"), [("", (0, 1, 2, 3)), ("open_water_", (0, 1, 5))]
+)
+@pytest.mark.parametrize(
+    "error",
+    [
+        "in_phase_uncertainty",
+        "quadrature_uncertainty",
+        "in_phase_quadrature_covariance",
+    ],
+)
+def test_a_sample_without_its_error_is_refused(
+    prefix: str, at: tuple[int, ...], error: str, samples: xr.Dataset
+) -> None:
+    wrong = _with(samples, prefix + error, np.nan, at)
+    with pytest.raises(CubeError, match=f"{error} is NaN at .* polarization 1"):
+        cubes.check(wrong)
+    # Without the sample, or without any errors, nothing is wrong.
+    for part in ("in_phase", "quadrature"):
+        wrong = _with(wrong, prefix + part, np.nan, at)
+    cubes.check(wrong)
+    unknown = samples.copy(deep=True)
+    unknown[prefix + error][:] = np.nan
+    cubes.check(unknown)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_covariance_is_at_most_the_product_of_the_errors(
+    sign: int, samples: xr.Dataset
+) -> None:
+    at = (0, 1, 2, 3)
+    first, second = (
+        samples[f"{part}_uncertainty"].values[at] for part in ("in_phase", "quadrature")
+    )
+    name = "in_phase_quadrature_covariance"
+    cubes.check(_with(samples, name, sign * first * second, at))
+    wrong = _with(samples, name, sign * first * second * 1.001, at)
+    with pytest.raises(CubeError, match=f"{name} is above the product .* column 3"):
         cubes.check(wrong)
 
 
