@@ -399,33 +399,36 @@ class _Pages:
 
 #: Largest message of a page on a websocket, which has one or two words [byte].
 _LARGEST_MESSAGE = 4096
-#: Longest time from a connection to the end of the headers of a request [s].
-_HEADER_TIME = 10.0
+#: Longest time from a connection to the end of the headers of a request, and from there
+#: to the end of its body [s].
+_HEADER_TIME, _BODY_TIME = 10.0, 30.0
 _EVERYWHERE = ("0.0.0.0", "::")
 
 
 class _Connection(H11Protocol):
-    """HTTP connection that is closed if the headers of a request take too long."""
+    """HTTP connection that is closed if a request takes too long."""
 
     _timer: asyncio.TimerHandle | None = None
+    _awaited: type[h11.Sentinel] | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self._limit_headers()
+        self._limit_time()
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
-        self._limit_headers()
+        self._limit_time()
 
-    def _limit_headers(self) -> None:
-        """Start the timer while a request is expected; stop it after its headers."""
-        if self.conn.their_state is h11.IDLE:
-            self._timer = self._timer or self.loop.call_later(
-                _HEADER_TIME, self.transport.close
-            )
-        elif self._timer is not None:
+    def _limit_time(self) -> None:
+        """Start the timer of the headers or the body that is awaited; else stop it."""
+        state = self.conn.their_state
+        if state is self._awaited:
+            return
+        self._awaited = state
+        if self._timer is not None:
             self._timer.cancel()
-            self._timer = None
+        limit = {h11.IDLE: _HEADER_TIME, h11.SEND_BODY: _BODY_TIME}.get(state)
+        self._timer = limit and self.loop.call_later(limit, self.transport.close)
 
 
 def serve(

@@ -192,6 +192,30 @@ def test_a_connection_whose_headers_never_end_is_closed(
                 assert closed_within(5, connection)
 
 
+@pytest.mark.parametrize(
+    "length", ["Content-Length: 9000", "Transfer-Encoding: chunked"]
+)
+@pytest.mark.parametrize("after", ["", "200", "404"])
+def test_a_body_that_does_not_end_closes_the_connection(
+    recording: page.Recording, monkeypatch: pytest.MonkeyPatch, length: str, after: str
+) -> None:
+    monkeypatch.setattr(server, "_BODY_TIME", 0.3)
+    with page.background(recording) as address:
+        url = httpx.URL(address)
+        with socket.create_connection((url.host, url.port), timeout=20) as connection:
+            if after:  # on a connection that had a response before
+                path = f"{url.path}scene" if after == "200" else "/scene"
+                head = f"GET {path} HTTP/1.1\r\nHost: {url.host}:{url.port}\r\n\r\n"
+                connection.sendall(head.encode())
+                assert after.encode() in connection.recv(65536)
+            head = (
+                f"POST {url.path}measure HTTP/1.1\r\nHost: {url.host}:{url.port}\r\n"
+                f"Origin: http://{url.host}:{url.port}\r\n{length}\r\n\r\n"
+            )
+            connection.sendall(head.encode())
+            assert closed_within(5, connection)
+
+
 def closed_within(limit: float, connection: socket.socket) -> bool:
     """Whether a server closes a connection that sends a byte of a header at a time."""
     begin = time.monotonic()
