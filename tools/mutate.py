@@ -1,39 +1,77 @@
 """Changes one thing in a module at a time, and looks whether its tests notice.
 
-Run from the root of the repository: `python tools/mutate.py --sample 60 --seed 1`, with
-names of rooms or files (`rejection`, `io/ply.py`) to stay within them. The sources are
-copied, the copy is changed; what is in the repository stays as it is. It prints the
-share that was caught, with its binomial interval of 95 %, and each change that no test
-noticed: close it by a test of behaviour, or see that it changes nothing that can be
+Run from the root of the repository: `python tools/mutate.py --sample 200 --seed 1`,
+with names of folders or files (`rejection`, `io/ply.py`) to stay within them. The
+sample is stratified: each folder gets its share of the changes, at least eight. Each
+worker changes a copy of the sources and forks a process per change from one that has
+imported all libraries. A change has a budget of processor time. The result of each
+change is a line of `tools/mutations.csv`; a second run continues from there. It prints
+the share that was caught with its interval of 95 %, by folder, and each change that no
+test noticed: close it by a test of behavior, or see that it changes nothing that can be
 observed and write it, with the reason, into `tools/equivalent_mutants.toml`. Changes
-that stand there are drawn and counted, but not tried. With `--contexts`, data of
-coverage.py with a context for each test, what the tests of its room let pass is shown
-to every other test that runs the changed line.
+listed there are drawn and counted, but not tried. With `--contexts`, data of
+coverage.py with a context for each test, the tests that run the changed line are run
+after the nearest ones.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
+import csv
+import importlib
+import io
+import json
+import math
+import multiprocessing
 import os
 import random
 import re
+import resource
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
 import time
 import tomllib
+import traceback
+from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
 from covering import Covering
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "amulor"
 EQUIVALENT = Path(__file__).with_name("equivalent_mutants.toml")
+RESULTS = Path(__file__).with_name("mutations.csv")
+#: Changes of a folder, at least.
+_LEAST = 8
+#: Libraries that a worker imports once; none of the package itself.
+_LIBRARIES = (
+    "numba",
+    "xarray",
+    "pandas",
+    "pydantic",
+    "h5netcdf",
+    "hypothesis",
+    "matplotlib.figure",
+    "scipy.optimize",
+    "scipy.special",
+    "scipy.interpolate",
+    "scipy.spatial",
+    "scipy.ndimage",
+    "scipy.stats",
+    "cyclopts",
+    "rich.console",
+    "_pytest.doctest",
+    "hypothesis.extra.numpy",
+)
 #: Rooms whose tests take minutes, or need devices; kernels are compiled each time.
 _LEFT_OUT = ("_kernels", "studies", "acquisition/drivers", "view/page/files")
 #: Tests of `make check` that are not of `make test`.
@@ -257,7 +295,7 @@ def _imported(text: str) -> set[str]:
 
 
 def summary(tried: int, noticed: int, equivalent: int) -> str:
-    """Return what a campaign found, in a line.
+    """Return the share of changes that were noticed, in a line.
 
     Parameters
     ----------
@@ -285,80 +323,256 @@ def summary(tried: int, noticed: int, equivalent: int) -> str:
     )
 
 
-def caught(
-    mutant: Mutant, copy: Path, *, longest: float, covering: Covering | None = None
-) -> bool:
-    """Return whether a test fails, or does not end, with a change.
+def folder_of(name: str) -> str:
+    """Return the folder of the package that a file is in; "." for its own files."""
+    return name.partition("/")[0] if "/" in name else "."
+
+
+def weighted(counts: dict[str, tuple[int, int]], sizes: dict[str, int]) -> str:
+    """Return the share of all changes that tests notice, from a stratified sample.
 
     Parameters
     ----------
-    mutant : Mutant
-        The change.
-    copy : pathlib.Path
-        A copy of the sources.
-    longest : float
-        Time after which the tests count as hanging [s].
-    covering : Covering, optional
-        Who runs which line. Its tests, and the longer ones of `make check`, do not
-        count as hanging if they take more time than that together.
+    counts : dict
+        Changes that were noticed, and all that were tried, by folder.
+    sizes : dict
+        Number of possible changes by folder, the weights.
 
     Returns
     -------
-    bool
-        False if all pass.
+    str
+        Weighted share with its interval of 95 %. Each folder's variance is that of
+        (k + 1) of (n + 2), which is not zero where all changes were noticed.
     """
-    place = copy / "amulor" / mutant.file.relative_to(PACKAGE)
-    kept = place.read_text("utf-8")
-    place.write_text(mutant.source, "utf-8")
-    try:
-        stages = tests_of(mutant.file)
-        if ">>>" in kept:
-            stages = [[str(place)], *stages]
-        if any(_fails(stage, copy, longest=longest) for stage in stages):
-            return True
-        near = [file for stage in stages for file in stage]
-        if _fails(near, copy, longest=longest, hangs=False, marks=_LONGER):
-            return True
-        running = covering.tests(mutant.file, mutant.line) if covering else []
-        far = [one for one in running if one.partition("::")[0] not in near]
-        return _fails(far, copy, longest=longest, hangs=False, marks="not study")
-    finally:
-        place.write_text(kept, "utf-8")
+    tried = {name: count for name, count in counts.items() if count[1]}
+    total = sum(sizes[name] for name in tried)
+    share = variance = 0.0
+    for name, (noticed, count) in tried.items():
+        weight = sizes[name] / total
+        near = (noticed + 1) / (count + 2)
+        share += weight * noticed / count
+        variance += weight**2 * near * (1 - near) / count
+    spread = 1.96 * math.sqrt(variance)
+    return (
+        f"weighted by the changes of each folder: {share:.1%}, 95 % within "
+        f"{share - spread:.1%} and {min(share + spread, 1):.1%}"
+    )
 
 
-def _fails(
-    tests: list[str],
-    copy: Path,
-    *,
-    longest: float,
-    hangs: bool = True,
-    marks: str | None = None,
-) -> bool:
-    if not tests:
-        # Told no test, pytest would run all of them.
-        return False
-    words = [
-        *(sys.executable, "-m", "pytest", "-c", str(ROOT / "pyproject.toml")),
-        *("-x", "-q", "-p", "no:cacheprovider"),
-        *(() if marks is None else ("-m", marks)),
-    ]
-    threads = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    environment = {**os.environ, **threads, "PYTHONPATH": str(copy)}
-    with tempfile.NamedTemporaryFile("w", suffix=".txt") as listed:
-        # More tests than a command line holds.
-        listed.write("\n".join(tests))
-        listed.flush()
+class _Watch:
+    """Plug-in of pytest: the first failure, and an end when the budget is used."""
+
+    def __init__(self, budget: float) -> None:
+        self._budget, self.failed, self.count, self.ended = budget, "", 0, False
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.count += report.when == "call"
+        if report.failed:
+            self.failed = self.failed or report.nodeid
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        if report.failed:
+            self.failed = self.failed or report.nodeid
+
+    def pytest_runtest_setup(self) -> None:
+        if _used() > self._budget:
+            self.ended = True
+            pytest.exit("the budget is used", returncode=5)
+
+
+def _used() -> float:
+    """Return the processor time of this process and its children [s]."""
+    parts = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    return sum(sum(resource.getrusage(part)[:2]) for part in parts)
+
+
+@dataclass
+class Outcome:
+    """How the tests of a change ended."""
+
+    failed: str = ""
+    """First test that failed, or "hang"."""
+    seconds: float = 0.0
+    """Processor time [s]."""
+    count: int = 0
+    """Number of tests that ran."""
+
+
+class Worker:
+    """Copy of the sources, and tests against it in forked processes."""
+
+    def __init__(self, folder: Path, *, budget: float, contexts: Path | None) -> None:
+        self._copy, self._budget = folder / "src", budget
+        shutil.copytree(ROOT / "src", self._copy)
+        self._covering = Covering(contexts, PACKAGE) if contexts else None
+        self._sound: set[str] = set()
+        self._broken: set[str] = set()
+        for name in _LIBRARIES:
+            with contextlib.suppress(ImportError):
+                importlib.import_module(name)
+
+    def outcome(self, mutant: Mutant) -> Outcome:
+        """Return how the tests of a change end."""
+        place = self._copy / "amulor" / mutant.file.relative_to(PACKAGE)
+        kept, times = place.read_bytes(), place.stat()
+        place.write_text(mutant.source, "utf-8")
         try:
-            done = subprocess.run(
-                [*words, f"@{listed.name}"], cwd=ROOT, env=environment,
-                timeout=longest, check=False,
-                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            return hangs
-    # 5: no test at all, which is no catch; 4: nor is a test that is gone, but a change
-    # with which the set-up of all tests fails is one.
-    return done.returncode not in ((0, 5) if hangs else (0, 4, 5))
+            while True:
+                outcome = self._tried(mutant, place)
+                if outcome.failed in ("", "hang") or outcome.failed in self._sound:
+                    return outcome
+                # A test that fails without the change, too, is left out.
+                place.write_bytes(kept)
+                os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns))
+                again = self._run([outcome.failed], self._budget, marks="not study")
+                (self._broken if again.failed else self._sound).add(outcome.failed)
+                if not again.failed:
+                    return outcome
+                place.write_text(mutant.source, "utf-8")
+        finally:
+            place.write_bytes(kept)
+            os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns))
+
+    def _tried(self, mutant: Mutant, place: Path) -> Outcome:
+        near = tests_of(mutant.file)
+        stem = mutant.file.stem.strip("_")
+        first = [file for file in near[0] if stem in Path(file).stem]
+        stages = [first, [file for file in near[0] if file not in first], *near[1:]]
+        if ">>>" in place.read_text("utf-8"):
+            stages[0] = [str(place), *stages[0]]
+        running = (
+            self._covering.tests(mutant.file, mutant.line) if self._covering else []
+        )
+        plan = [(stage, "not slow and not study") for stage in stages]
+        plan += [([file for stage in near for file in stage], _LONGER)]
+        plan.insert(1, (running, "not study"))
+        total = Outcome()
+        for tests, marks in plan:
+            left = self._budget - total.seconds
+            if tests and left > 0:
+                part = self._run(tests, left, marks=marks)
+                total.failed = part.failed
+                total.seconds += part.seconds
+                total.count += part.count
+            if total.failed:
+                break
+        return total
+
+    def _run(self, tests: list[str], budget: float, *, marks: str) -> Outcome:
+        """Run tests in a forked process, until one fails or the budget is used."""
+        with tempfile.NamedTemporaryFile("r", suffix=".json") as answer:
+            child = os.fork()
+            if child == 0:
+                try:
+                    self._test(tests, budget, marks, Path(answer.name))
+                except BaseException:
+                    Path(answer.name).write_text(traceback.format_exc())
+                    os._exit(1)
+                os._exit(0)
+            _, status, usage = _waited(child, 20 * budget + 60)
+            seconds = usage.ru_utime + usage.ru_stime
+            text = answer.read()
+        if not text:  # ended by a limit of time, or by a crash
+            return Outcome("" if status is None else "hang", seconds)
+        if status:
+            raise RuntimeError(text)
+        return Outcome(**{**json.loads(text), "seconds": seconds})
+
+    def _test(self, tests: list[str], budget: float, marks: str, answer: Path) -> None:
+        os.setpgid(0, 0)
+        null = os.open(os.devnull, os.O_RDWR)
+        for number in range(3):
+            os.dup2(null, number)
+        limit = math.ceil(2 * budget + 30)
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
+        os.chdir(ROOT)
+        sys.dont_write_bytecode = True
+        sys.path.insert(0, str(self._copy))
+        os.environ |= {"PYTHONPATH": str(self._copy), "PYTHONDONTWRITEBYTECODE": "1"}
+        watch = _Watch(budget)
+        options = ["-c", str(ROOT / "pyproject.toml"), "-x", "-q", "-m", marks]
+        options += [f"--deselect={test}" for test in self._broken]
+        options += ["-p", "no:cacheprovider", "--hypothesis-profile=quick"]
+        options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
+        with contextlib.redirect_stdout(io.StringIO()):
+            code = pytest.main([*options, *tests], plugins=[watch])
+        # 5: no test at all; 4: a test that is gone; others are catches.
+        failed = watch.failed or ("set-up" if code not in (0, 4, 5) else "")
+        answer.write_text(json.dumps({"failed": failed, "count": watch.count}))
+
+
+def _waited(
+    child: int, longest: float
+) -> tuple[int, int | None, resource.struct_rusage]:
+    """Wait for a process; end it, with all that it started, after a time [s]."""
+    deadline = time.monotonic() + longest
+    while True:
+        number, status, usage = os.wait4(child, os.WNOHANG)
+        if number:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(child, signal.SIGKILL)
+            return number, status, usage
+        if time.monotonic() > deadline:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child, signal.SIGKILL)
+            number, _, usage = os.wait4(child, 0)
+            return number, None, usage
+        time.sleep(0.05)
+
+
+def sampled(
+    by_folder: dict[str, list[Mutant]], count: int, rng: random.Random
+) -> list[Mutant]:
+    """Return a stratified sample, in an order in which each folder comes early.
+
+    Parameters
+    ----------
+    by_folder : dict
+        All changes of each folder.
+    count : int
+        Number of changes.
+    rng : random.Random
+        Source of the draws.
+
+    Returns
+    -------
+    list of Mutant
+        Of each folder a share in proportion to the root of its changes, at least 8.
+    """
+    roots = {name: len(found) ** 0.5 for name, found in by_folder.items()}
+    placed: list[tuple[float, Mutant]] = []
+    for name, found in by_folder.items():
+        share = max(round(count * roots[name] / sum(roots.values())), _LEAST)
+        drawn = rng.sample(found, min(share, len(found)))
+        placed += [
+            ((n + rng.random()) / len(drawn), one) for n, one in enumerate(drawn)
+        ]
+    placed.sort(key=lambda pair: pair[0])
+    return [mutant for _, mutant in placed]
+
+
+def results(path: Path) -> dict[tuple[str, str, str], dict[str, str]]:
+    """Return the lines of a campaign, by file, code and change.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Table of results; it may be missing.
+
+    Returns
+    -------
+    dict
+        Columns of each line.
+    """
+    if not path.exists():
+        return {}
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    return {(row["file"], row["code"], row["change"]): row for row in rows}
+
+
+#: Columns of the table of results.
+COLUMNS = ("file", "line", "code", "change", "result", "by", "seconds")
 
 
 def _chosen(names: list[str]) -> list[Path]:
@@ -375,56 +589,131 @@ def _chosen(names: list[str]) -> list[Path]:
     ]  # fmt: skip
 
 
+_worker: Worker
+
+
+def _begin(folder: str, budget: float, contexts: Path | None) -> None:
+    global _worker
+    place = tempfile.mkdtemp(dir=folder)
+    _worker = Worker(Path(place), budget=budget, contexts=contexts)
+
+
+def _try(mutant: Mutant) -> tuple[Mutant, Outcome]:
+    return mutant, _worker.outcome(mutant)
+
+
+def table(rows: list[dict[str, str]], sizes: dict[str, int]) -> str:
+    """Return the shares that were caught, by folder and weighted.
+
+    Parameters
+    ----------
+    rows : list of dict
+        Lines of the table of results.
+    sizes : dict
+        Number of possible changes by folder.
+
+    Returns
+    -------
+    str
+        Table in Markdown, and the weighted share.
+    """
+    lines = [
+        "| folder | caught | of | share | 95 % |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    counts: dict[str, tuple[int, int]] = {}
+    for name in sorted(sizes):
+        found = Counter(row["result"] for row in rows if folder_of(row["file"]) == name)
+        noticed, others = found["caught"], found["caught"] + found["survived"]
+        counts[name] = noticed, others
+        if others:
+            low, high = binomtest(noticed, others).proportion_ci(0.95, method="exact")
+            lines.append(
+                f"| {name} | {noticed} | {others} | {noticed / others:.0%} | "
+                f"{low:.0%} to {high:.0%} |"
+            )
+    return "\n".join([*lines, "", weighted(counts, sizes)])
+
+
 def main() -> int:
     """Try some changes and print what no test noticed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("places", nargs="*", help="rooms or files, all by default")
-    parser.add_argument("--sample", type=int, default=100, help="how many changes")
+    parser.add_argument("places", nargs="*", help="folders or files, all by default")
+    parser.add_argument("--sample", type=int, default=200, help="how many changes")
     parser.add_argument("--seed", type=int, default=1, help="which ones")
-    parser.add_argument("--longest", type=float, default=600.0, help="of a change [s]")
+    parser.add_argument("--budget", type=float, default=40.0, help="of a change [s]")
+    parser.add_argument("--minutes", type=float, default=25.0, help="of this run")
+    parser.add_argument("--jobs", type=int, default=2, help="changes at once")
     parser.add_argument("--least", type=float, default=0.0, help="share to be caught")
     parser.add_argument("--contexts", type=Path, help="data of coverage.py")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="table")
+    parser.add_argument("--again", action="store_true", help="survivors once more")
     words = parser.parse_args()
-    covering = Covering(words.contexts, PACKAGE) if words.contexts else None
-    rng = random.Random(words.seed)
-    # A file first, then a place in it: large files do not have all of the changes.
-    by_file = {file: mutants_of(file) for file in _chosen(words.places)}
-    by_file = {file: found for file, found in by_file.items() if found}
-    tried = []
-    while by_file and len(tried) < words.sample:
-        file = rng.choices(
-            list(by_file), [len(found) ** 0.5 for found in by_file.values()]
-        )[0]
-        one = by_file[file].pop(rng.randrange(len(by_file[file])))
-        if _parses(one.source):
-            tried.append(one)
-        if not by_file[file]:
-            del by_file[file]
-    known = equivalents()
-    survivors, equivalent = [], 0
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "src"
-        shutil.copytree(ROOT / "src", copy)
-        for number, mutant in enumerate(tried, start=1):
-            begun = time.monotonic()
-            where = f"{mutant.file.relative_to(ROOT)}:{mutant.line}: {mutant.said}"
-            if mutant.key in known:
-                equivalent += 1
-                print(f"{number}/{len(tried)} equivalent {where[:150]}", flush=True)
+    by_folder: dict[str, list[Mutant]] = {}
+    for file in _chosen(words.places):
+        name = folder_of(file.relative_to(PACKAGE).as_posix())
+        by_folder.setdefault(name, []).extend(mutants_of(file))
+    sizes = {name: len(found) for name, found in by_folder.items() if found}
+    by_folder = {name: by_folder[name] for name in sizes}
+    drawn = sampled(by_folder, words.sample, random.Random(words.seed))
+    drawn = [mutant for mutant in drawn if _parses(mutant.source)]
+    known, earlier = equivalents(), results(words.results)
+    if words.again:
+        earlier = {k: row for k, row in earlier.items() if row["result"] == "caught"}
+    for mutant in drawn:
+        if mutant.key in known:
+            earlier[mutant.key] = _row(mutant, "equivalent", Outcome())
+    waiting = [mutant for mutant in drawn if mutant.key not in earlier]
+    deadline = time.monotonic() + 60 * words.minutes
+    os.environ |= {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ProcessPoolExecutor(
+            words.jobs, multiprocessing.get_context("spawn"), _begin,
+            (folder, words.budget, words.contexts),
+        ) as pool,
+    ):  # fmt: skip
+        for done in as_completed([pool.submit(_try, mutant) for mutant in waiting]):
+            if done.cancelled():
                 continue
-            noticed = caught(mutant, copy, longest=words.longest, covering=covering)
-            print(
-                f"{number}/{len(tried)} {'caught' if noticed else 'NOT CAUGHT'} "
-                f"{time.monotonic() - begun:.0f} s {where[:150]}",
-                flush=True,
-            )
-            if not noticed:
-                survivors.append(where)
-    others = len(tried) - equivalent
-    noticed_all = others - len(survivors)
-    print(f"\n{summary(len(tried), noticed_all, equivalent)} (seed {words.seed})")
-    print("\n".join(f"  {where}" for where in survivors))
-    return int(noticed_all < words.least * others)
+            mutant, outcome = done.result()
+            result = "caught" if outcome.failed else "survived"
+            earlier[mutant.key] = _row(mutant, result, outcome)
+            _write(words.results, list(earlier.values()))
+            place = f"{mutant.key[0]}:{mutant.line}: {mutant.said}"
+            print(f"{result} {outcome.seconds:.0f} s {place[:150]}", flush=True)
+            if time.monotonic() > deadline:
+                pool.shutdown(wait=False, cancel_futures=True)
+    _write(words.results, list(earlier.values()))
+    rows = [earlier[mutant.key] for mutant in drawn if mutant.key in earlier]
+    found = Counter(row["result"] for row in rows)
+    print(f"\n{table(rows, sizes)}\n")
+    print(summary(len(rows), found["caught"], found["equivalent"]))
+    for row in rows:
+        if row["result"] == "survived":
+            print(f"  {row['file']}:{row['line']}: {row['change']}")
+    others = found["caught"] + found["survived"]
+    return int(found["caught"] < words.least * others)
+
+
+def _row(mutant: Mutant, result: str, outcome: Outcome) -> dict[str, str]:
+    file, code, change = mutant.key
+    values = (
+        file, str(mutant.line), code, change, result, outcome.failed,
+        f"{outcome.seconds:.0f}",
+    )  # fmt: skip
+    return dict(zip(COLUMNS, values, strict=True))
+
+
+def _write(path: Path, rows: list[dict[str, str]]) -> None:
+    """Write the table of results under another name, then rename it."""
+    with tempfile.NamedTemporaryFile(
+        "w", dir=path.parent, delete=False, newline="", encoding="utf-8"
+    ) as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(sorted(rows, key=lambda row: (row["file"], int(row["line"]))))
+    os.replace(file.name, path)
 
 
 if __name__ == "__main__":

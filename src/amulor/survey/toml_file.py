@@ -31,15 +31,22 @@ def lines(
         for problem in problems
         for end in range(len(problem["loc"]))
     }
-    result = [
-        _line(problem, content, model, name, what)
+    # A list whose items are all wrong counts as empty, which it is not.
+    shown = [
+        problem
         for problem in problems
-        # A list whose items are all wrong counts as empty, which it is not.
         if problem["type"] != "too_short" or problem["loc"] not in above
     ]
+    result = [
+        _line(problem, content, model, name, what) for problem in shown[:_MOST_LINES]
+    ]
+    if len(shown) > _MOST_LINES:
+        result.append(f"{name}: {len(shown) - _MOST_LINES} further errors are left out")
     return list(dict.fromkeys(result))
 
 
+#: Errors of a file that are printed.
+_MOST_LINES = 20
 #: Longest name of a field in a message.
 _LONGEST = 100
 

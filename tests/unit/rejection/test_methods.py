@@ -96,14 +96,16 @@ def test_open_water_needs_shots(samples: xr.Dataset) -> None:
     with pytest.raises(CubeError, match="2 open-water shots"):
         rejection.open_water(samples.isel(shot=slice(0, 2)))
     broken = samples.copy(deep=True)
-    broken["open_water_in_phase"][0, 1, 2:] = np.nan
+    for name in ("open_water_in_phase", "open_water_quadrature"):
+        broken[name][0, 1, 2:] = np.nan
     with pytest.raises(CubeError, match="39 MHz in channel VH"):
         rejection.open_water(broken)
 
 
 def test_lost_shots_are_left_out(samples: xr.Dataset) -> None:
     broken = samples.copy(deep=True)
-    broken["open_water_in_phase"][0, 0, ::10] = np.nan
+    for name in ("open_water_in_phase", "open_water_quadrature"):
+        broken[name][0, 0, ::10] = np.nan
     found = rejection.open_water(broken)
     assert np.isfinite(found["in_phase"].values).all()
 

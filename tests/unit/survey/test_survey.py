@@ -200,3 +200,18 @@ def test_long_lists_of_numbers_and_texts_with_dots_are_no_keys() -> None:
     numbers = ", ".join(f"{value / 100:.2f}" for value in range(300))
     with pytest.raises(SurveyError, match="a: is no field of a survey"):
         Survey.from_text(f"a = [{numbers}]\nb = [\n{numbers}\n]\nc = '{'.' * 300}'")
+
+
+@pytest.mark.parametrize(
+    ("count", "more"), [(19, None), (20, None), (21, 1), (900, 880)]
+)
+def test_twenty_errors_are_printed_and_the_others_counted(
+    plate_text: str, count: int, more: int | None
+) -> None:
+    text = plate_text + "".join(f"\n[unknown{n}]" for n in range(count))
+    with pytest.raises(SurveyError) as caught:
+        Survey.from_text(text)
+    lines = str(caught.value).splitlines()
+    assert sum("is no field of a survey" in line for line in lines) == min(count, 20)
+    further = [] if more is None else [f"survey: {more} further errors are left out"]
+    assert lines[20:] == further
