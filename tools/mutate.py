@@ -20,6 +20,7 @@ import argparse
 import ast
 import contextlib
 import csv
+import functools
 import importlib
 import io
 import json
@@ -267,10 +268,7 @@ def tests_of(file: Path) -> list[list[str]]:
     defined = re.compile(rf"\b({'|'.join(public)})\b") if public else None
     stem = inside.stem.strip("_")
     near, far = [], []
-    for path in sorted(tests.glob("**/test_*.py")):
-        if "browser" in path.parts or "soak" in path.parts:
-            continue
-        text = path.read_text("utf-8")
+    for path, text in _test_texts(tests):
         beside = inside.stem in text
         named = name in text or (beside and name in _imported(text))
         if path.is_relative_to(room):
@@ -283,6 +281,17 @@ def tests_of(file: Path) -> list[list[str]]:
     return [found for found in staged if found]
 
 
+@functools.cache
+def _test_texts(tests: Path) -> list[tuple[Path, str]]:
+    """Return the files of tests without a browser, and their texts."""
+    return [
+        (path, path.read_text("utf-8"))
+        for path in sorted(tests.glob("**/test_*.py"))
+        if not {"browser", "soak"} & set(path.parts)
+    ]
+
+
+@functools.cache
 def _imported(text: str) -> set[str]:
     """Return what a source imports by whole names, in whatever form it says so."""
     found = set()

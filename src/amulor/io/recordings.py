@@ -223,7 +223,7 @@ def cube_of(
 
 
 def marked(cube: xr.Dataset) -> dict[str, int]:
-    """Return the number of samples with each import flag, omitting unused flags."""
+    """Count the samples of each import flag, and references without a number."""
     flag = cube["user_sample_flag"]
     counted = {
         word.replace("_", " "): int((flag.values & mask != 0).sum())
@@ -231,6 +231,9 @@ def marked(cube: xr.Dataset) -> dict[str, int]:
             flag.attrs["flag_masks"], flag.attrs["flag_meanings"].split(), strict=True
         )
     }
+    if "open_water_in_phase" in cube:
+        lost = int(cube["open_water_in_phase"].isnull().sum())
+        counted["open-water references without a usable number"] = lost
     return {word: count for word, count in counted.items() if count}
 
 
@@ -273,6 +276,14 @@ def shots_of(
             "which there is no open-water shot; record shots in all channels, or "
             "take out constants.open_water of the map"
         )
+    usable = is_measured(samples.signal)
+    for f, p in sorted(set(zip(*channel, strict=True))):
+        if not usable[(channel[0] == f) & (channel[1] == p)].any():
+            raise FormatError(
+                f"{path}: no open-water shot at {names[0][f] / 1e6:g} MHz "
+                f"{names[1][p]} is a number; record shots in all channels, or take out "
+                "constants.open_water of the map"
+            )
     return _shots(samples, channel, survey, described)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor import _progress
+from amulor import cube as cubes
 from amulor._progress import tell
 from amulor.cube import tiles
 from amulor.io import recordings
@@ -107,7 +108,8 @@ def import_file(
                 recording, band, typical, mean=shared.mean, temperature=shared.warm
             )
             writer.put(tile, begin)
-            marked.update(recordings.marked(tile))
+            counted = tile if begin == 0 else cubes.without_groups(tile)
+            marked.update(recordings.marked(counted))
             sizes = sizes or {str(name): length for name, length in tile.sizes.items()}
     return RecordedSummary(
         sizes={**sizes, "row": survey.scan.rows}, marked=dict(marked)

@@ -388,6 +388,40 @@ def test_shots_of_a_channel_that_were_left_out_are_named(
         read_recordings(path, mapped(tmp_path, XY), survey)
 
 
+@pytest.mark.parametrize("cell", ["inf", "nan", "0", "1e308"])
+def test_a_channel_without_a_usable_shot_is_refused_without_warnings(
+    tmp_path, survey, cube, cell
+) -> None:
+    lines = written(cube)
+    for line in lines[1:]:
+        if line[4:] == ["41000000.0", "VH", "open_water"]:
+            line[:2] = [cell, cell]
+    path = saved(tmp_path / "scan.csv", lines)
+    with pytest.raises(
+        FormatError, match="no open-water shot at 41 MHz VH is a number"
+    ):
+        read_recordings(path, mapped(tmp_path, XY), survey)
+
+
+@pytest.mark.parametrize("rows", [None, 1])
+def test_the_command_counts_references_without_a_number(
+    tmp_path, survey, cube, capsys, rows
+) -> None:
+    lines = written(cube)
+    for line in lines[-3:]:
+        line[0] = "nan"
+    path = saved(tmp_path / "scan.csv", lines)
+    (tmp_path / "map.toml").write_text(XY)
+    (tmp_path / "survey.toml").write_text(survey.to_toml())
+    words = ["import", "recordings", str(path), "-o", str(tmp_path / "cube.nc")]
+    words += ["--survey", str(tmp_path / "survey.toml")]
+    words += ["--columns", str(tmp_path / "map.toml")]
+    words += [] if rows is None else ["--tile-rows", str(rows)]
+    assert main(words) == 0
+    text = "marked: 3 open-water references without a usable number"
+    assert text in capsys.readouterr().out
+
+
 def test_samples_beyond_the_scan_are_refused(tmp_path, survey, cube) -> None:
     path = saved(tmp_path / "scan.csv", written(cube, water=False))
     # Milliradians that were taken for degrees.
