@@ -109,8 +109,7 @@ linkcheck: .venv/installed-docs
 
 # Which test runs which line, then changes of lines: hours.
 mutate: .venv/installed-test
-	COVERAGE_FILE=.coverage-contexts $(PYTEST) $(TOGETHER) -m 'not study' --cov --cov-context=test --cov-report=
-	$(BIN)/python tools/mutate.py --sample 60 --seed 1 --contexts .coverage-contexts
+	$(BIN)/python tools/mutate.py --sample 200 --seed 45 --jobs $(JOBS)
 
 coverage: .venv/installed-test
 	$(PYTEST) $(TOGETHER) --cov --cov-report=term

@@ -478,7 +478,7 @@ class Worker:
                     Path(answer.name).write_text(traceback.format_exc())
                     os._exit(1)
                 os._exit(0)
-            _, status, usage = _waited(child, 20 * budget + 60)
+            _, status, usage = _waited(child, 40 * budget + 120)
             seconds = usage.ru_utime + usage.ru_stime
             text = answer.read()
         if not text:  # ended by a limit of time, or by a crash
@@ -492,7 +492,7 @@ class Worker:
         null = os.open(os.devnull, os.O_RDWR)
         for number in range(3):
             os.dup2(null, number)
-        limit = math.ceil(2 * budget + 30)
+        limit = math.ceil(2 * budget + 5)
         resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
         os.chdir(ROOT)
         sys.dont_write_bytecode = True
@@ -501,10 +501,15 @@ class Worker:
         watch = _Watch(budget)
         options = ["-c", str(ROOT / "pyproject.toml"), "-x", "-q", "-m", marks]
         options += [f"--deselect={test}" for test in self._broken]
-        options += ["-p", "no:cacheprovider", "--hypothesis-profile=quick"]
+        options += ["-p", "no:cacheprovider"]
         options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
-        with contextlib.redirect_stdout(io.StringIO()):
+        with (
+            contextlib.redirect_stdout(io.StringIO()) as output,
+            contextlib.redirect_stderr(output),
+        ):
             code = pytest.main([*options, *tests], plugins=[watch])
+        if code not in (0, 1, 4, 5) and not watch.failed:
+            raise RuntimeError(f"pytest ended with {code}: {output.getvalue()}")
         # 5: no test at all; 4: a test that is gone; others are catches.
         failed = watch.failed or ("set-up" if code not in (0, 4, 5) else "")
         answer.write_text(json.dumps({"failed": failed, "count": watch.count}))

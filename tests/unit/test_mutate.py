@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
+import random
+import shutil
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -67,14 +71,6 @@ def test_declarations_are_left_to_the_type_checker(
     }  # fmt: skip
 
 
-def test_where_there_is_no_test_not_all_of_them_are_run(
-    tool: ModuleType, tmp_path: Path
-) -> None:
-    # Any run of tests ends after this time, and would count as hanging.
-    assert not tool._fails([], tmp_path, longest=0.01)
-    assert tool._fails(["tests/unit/test_mutate.py"], tmp_path, longest=0.01)
-
-
 def test_each_equivalent_change_is_one_that_the_tool_makes(tool: ModuleType) -> None:
     for (name, code, change), reason in tool.equivalents().items():
         found = {one.key for one in tool.mutants_of(tool.PACKAGE / name)}
@@ -91,6 +87,106 @@ def test_the_share_is_of_the_changes_that_are_not_equivalent(tool: ModuleType) -
     # Tabulated: 9 of 10 lie between 0.5550 and 0.9975.
     assert "90.0%, 95 % within 55.5% and 99.7%" in tool.summary(10, 9, 0)
     assert tool.summary(3, 0, 3) == "all 3 changes are equivalent"
+
+
+def test_the_share_of_a_stratified_sample_is_weighted(tool: ModuleType) -> None:
+    # 0.9 of 300 changes and 0.5 of 100: 0.8. Variances with (k + 1) of (n + 2): 19 of
+    # 22 and 6 of 12, over 20 and 10; 1.96 standard deviations of the sum are 0.136.
+    said = tool.weighted({"io": (18, 20), "cube": (5, 10)}, {"io": 300, "cube": 100})
+    first, second = 19 / 22 * 3 / 22 / 20, 0.25 / 10
+    spread = 1.96 * (0.75**2 * first + 0.25**2 * second) ** 0.5
+    assert f"{0.8:.1%}, 95 % within {0.8 - spread:.1%} and {0.8 + spread:.1%}" in said
+    # A folder of which nothing was tried has no weight.
+    alone = tool.weighted({"io": (18, 20), "cube": (0, 0)}, {"io": 300, "cube": 100})
+    assert "90.0%" in alone
+
+
+def test_a_sample_has_each_folder_early_and_eight_changes_of_it(
+    tool: ModuleType,
+) -> None:
+    folders = {
+        "large": range(900),
+        "small": range(1000, 1100),
+        "tiny": range(2000, 2005),
+    }
+    drawn = tool.sampled(folders, 100, random.Random(1))
+    assert len(set(drawn)) == len(drawn)
+    counts = {name: len(set(drawn) & set(of)) for name, of in folders.items()}
+    # Roots 30, 10 and 2.2: 71, 24 and 5 of 100, of which the tiny folder has no 8.
+    assert counts == {"large": 71, "small": 24, "tiny": 5}
+    assert drawn == tool.sampled(folders, 100, random.Random(1))
+    assert {len(set(drawn[:30]) & set(of)) > 0 for of in folders.values()} == {True}
+
+
+def test_the_table_has_a_figure_for_each_folder(tool: ModuleType) -> None:
+    rows = [{"file": "io/ply.py", "result": "caught"}] * 9
+    rows += [{"file": "io/ply.py", "result": "survived"}]
+    rows += [{"file": "units.py", "result": "equivalent"}]
+    said = tool.table(rows, {"io": 100, ".": 10, "cube": 10})
+    # Tabulated: 9 of 10 lie between 0.5550 and 0.9975.
+    assert "| io | 9 | 10 | 90% | 55% to 100% |" in said
+    assert "| . |" not in said
+    assert "cube" not in said
+
+
+PART = '''"""Doubles numbers."""
+
+
+def doubled(x):
+    if x > 5:
+        raise ValueError("above 5")
+    return x * 2
+
+
+def tripled(x):
+    while x < 0:
+        x += 1
+    return x * 3
+'''
+TESTS = """from amulor.part import doubled, tripled
+
+
+def test_doubled():
+    assert doubled(3) == 6
+    assert tripled(-1) == 0
+    assert tripled(2) == 6
+
+
+def test_broken():
+    raise AssertionError
+"""
+
+
+@pytest.mark.slow
+def test_a_campaign_finds_what_tests_notice_and_continues(tmp_path: Path) -> None:
+    for folder in ("tools", "src/amulor", "tests/unit"):
+        (tmp_path / folder).mkdir(parents=True)
+    for name in ("mutate.py", "covering.py"):
+        shutil.copy(TOOL.with_name(name), tmp_path / "tools")
+    (tmp_path / "tools" / "equivalent_mutants.toml").write_text("mutant = []\n")
+    (tmp_path / "pyproject.toml").write_text(
+        "[tool.pytest.ini_options]\nmarkers = ['slow', 'study']\n"
+    )
+    (tmp_path / "src" / "amulor" / "__init__.py").touch()
+    (tmp_path / "src" / "amulor" / "part.py").write_text(PART)
+    (tmp_path / "tests" / "unit" / "test_part.py").write_text(TESTS)
+    words = [sys.executable, str(tmp_path / "tools" / "mutate.py"), "--jobs", "1"]
+    words += ["--budget", "2", "--sample", "30"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    lines = (tmp_path / "tools" / "mutations.csv").read_text().splitlines()
+    rows = list(csv.DictReader(lines))
+    found = {row["change"]: row["result"] for row in rows}
+    survived = {change for change, result in found.items() if result == "survived"}
+    # No test tries 5 and numbers above it.
+    assert survived == {
+        "without raise ValueError('above 5')", "5 -> 6", "x > 5 -> x >= 5"
+    }  # fmt: skip
+    by = {row["change"]: row["by"] for row in rows}
+    assert by["without x += 1"] == "hang"
+    assert by["x * 2 -> x / 2"] == "tests/unit/test_part.py::test_doubled"
+    assert (tmp_path / "src" / "amulor" / "part.py").read_text() == PART
+    again = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert again.stdout.splitlines()[1:] == done.stdout.splitlines()[len(rows) + 1 :]
 
 
 def test_the_nearest_tests_come_first_and_none_comes_twice(tool: ModuleType) -> None:
