@@ -22,7 +22,7 @@ _SMALL = 1 << 26
 
 
 def check_size(storage: Any, path: Path) -> None:
-    """Raise if the file stores too few bytes for its variables, or they are elsewhere."""
+    """Raise if the file stores too few bytes for its variables, or lacks them."""
     import h5py
 
     total = 0
