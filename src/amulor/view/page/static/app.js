@@ -9,7 +9,14 @@ import { Notes } from "./notes.js";
 import { Page } from "./page.js";
 import { failed, say, showLegend, showReadout, unsay } from "./panel.js";
 import { download } from "./picture.js";
-import { along, drawHistogram, drawProfile, drawSpectrum, profileOf } from "./plots.js";
+import {
+  along,
+  drawHistogram,
+  drawProfile,
+  drawSpectrum,
+  halfProfile,
+  profileOf,
+} from "./plots.js";
 import { Products } from "./products.js";
 import { Renderer } from "./renderer.js";
 import { ROUNDING, sampled, Scene } from "./scene.js";
@@ -558,7 +565,10 @@ function said({ kind, channel, found }) {
   const { main: parts, rests } = tools.worded(found);
   const name = page.tool(kind).name;
   const words = [name, state.scene.channels.length > 1 && channel, ...parts.slice(1), rests];
-  return { main: parts[0], doubt: found.doubt, words: words.filter(Boolean).join(" · ") };
+  const figure = found.profile && !found.doubt && halfProfile(found.profile, page.colours);
+  if (figure) figure.setAttribute("aria-label", `Half-profile: ${parts.join(", ")}`);
+  if (figure) figure.setAttribute("role", "img");
+  return { main: parts[0], doubt: found.doubt, words: words.filter(Boolean).join(" · "), figure };
 }
 
 /** Drags on the map other than panning: regions of fits and the line of a section. */

@@ -239,6 +239,8 @@ export class CloudView {
       const strong = kept === chosen || !kept.number;
       const spots = edgesOf(kept.region, scene.stride).map(place).filter(Boolean);
       halo(ctx, 1.5 * ratio, colours, () => polyline(ctx, spots), strong);
+      const axis = (kept.found?.axis ?? []).map((point) => this.#spot(point)).filter(Boolean);
+      if (axis.length === 2) halo(ctx, 1.5 * ratio, colours, () => polyline(ctx, axis), strong);
       if (!kept.number || !spots.length) continue;
       const text = state.texts?.(kept);
       chain(ctx, [], { ...kept, strong, text }, ratio, colours, spots[0]);

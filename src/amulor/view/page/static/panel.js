@@ -75,7 +75,7 @@ function renamed(state, kept, name) {
   state.record.change(state.measurements.map((one) => (one === kept ? named : one)));
 }
 
-/** List measurements; `said` returns value, text and doubt of one, `changed` redraws. */
+/** List measurements; `said` returns value, text, doubt and figure of one, `changed` redraws. */
 export function listMeasurements(state, said, changed) {
   const again = () => {
     listMeasurements(state, said, changed);
@@ -87,7 +87,7 @@ export function listMeasurements(state, said, changed) {
   $("undo").hidden = !state.record.undoable;
   $("measurements").replaceChildren(
     ...state.measurements.map((kept) => {
-      const { main, words, doubt } = said(kept);
+      const { main, words, doubt, figure } = said(kept);
       const remove = made("button", {
         type: "button",
         className: "remove",
@@ -120,6 +120,7 @@ export function listMeasurements(state, said, changed) {
         made("div", { className: doubt ? "value doubt" : "value" }, select, main),
         name,
         made("div", { className: "of", textContent: words }),
+        ...(figure ? [figure] : []),
         remove,
       );
       li.addEventListener("click", () => {

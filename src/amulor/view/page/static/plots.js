@@ -281,6 +281,72 @@ function legend(ctx, box, entries, colours) {
   }
 }
 
+/** Size of the drawing of a half-profile in the list of measurements [page pixel]. */
+const HALF = { width: 258, height: 190, left: 44, top: 10, bottom: 20 };
+
+/** Return a drawing of a half-profile with its mirror image, at one scale in both directions. */
+export function halfProfile({ height, radius, uncertainty }, colours) {
+  const ratio = Math.min(window.devicePixelRatio || 1, 2);
+  const canvas = document.createElement("canvas");
+  Object.assign(canvas, { width: HALF.width * ratio, height: HALF.height * ratio });
+  canvas.className = "half";
+  const ctx = inkOf(canvas);
+  ctx.scale(ratio, ratio);
+  const [tall, wide] = [Math.max(...height), Math.max(...radius)];
+  const low = HALF.height - HALF.bottom;
+  const room = HALF.width - HALF.left - 10;
+  const scale = Math.min((low - HALF.top) / tall, room / (2 * wide));
+  const middle = HALF.left + room / 2;
+  const spot = (side, k, more = 0) => [
+    middle + side * (radius[k] + more) * scale,
+    low - height[k] * scale,
+  ];
+  const all = height.map((_, k) => k);
+  const path = (spots) => spots.forEach(([x, y], k) => (k ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
+  ctx.fillStyle = colours.band;
+  ctx.beginPath();
+  path([
+    ...all.map((k) => spot(-1, k, uncertainty[k] ?? 0)),
+    ...[...all].reverse().map((k) => spot(-1, k, -(uncertainty[k] ?? 0))),
+  ]);
+  ctx.fill();
+  ctx.strokeStyle = colours.accent;
+  ctx.lineWidth = 1.6;
+  ctx.beginPath();
+  path(all.map((k) => spot(-1, k)));
+  path(all.map((k) => spot(1, k)));
+  ctx.stroke();
+  ctx.strokeStyle = ctx.fillStyle = colours.soft;
+  ctx.lineWidth = 1;
+  ctx.setLineDash([7, 3, 1.5, 3]);
+  ctx.beginPath();
+  path([
+    [middle, HALF.top - 4],
+    [middle, low + 4],
+  ]);
+  ctx.stroke();
+  ctx.setLineDash([]);
+  heights(ctx, tall, (value) => low - value * scale, colours);
+  return canvas;
+}
+
+/** Draw a scale of heights in millimeters. */
+function heights(ctx, tall, toY, colours) {
+  ctx.font = `12px ${colours.font}`;
+  ctx.textAlign = "right";
+  ctx.textBaseline = "middle";
+  ctx.beginPath();
+  for (const value of ticks(0, tall * 1e3, 4).values) {
+    const y = toY(value / 1e3);
+    ctx.moveTo(HALF.left - 4, y);
+    ctx.lineTo(HALF.left, y);
+    ctx.fillText(String(Math.round(value)), HALF.left - 6, y);
+  }
+  ctx.stroke();
+  ctx.textAlign = "left";
+  ctx.fillText("height [mm]", 2, HALF.height - 7);
+}
+
 /** Draw the histogram of the shown map, with bars in the colors of the map. */
 export function drawHistogram(canvas, state, colours) {
   const view = started(canvas);

@@ -73,6 +73,12 @@ export const TOOLS = [
     base: true,
     hint: "Fit a plane to the ground first, then drag a rectangle over the body and its edges.",
   },
+  {
+    kind: "profile",
+    name: "half-profile",
+    region: true,
+    hint: "Drag a rectangle over the whole round object, such as a pot.",
+  },
 ];
 
 export function toolOf(kind) {
@@ -136,6 +142,7 @@ export function worded(found) {
   const rests = [];
   if (found.random !== undefined)
     rests.push(`noise ${withUnit(found.random, found.lines[0].unit, 2)}`);
+  if (found.left_out) rests.push(`${found.left_out} pixels off it`);
   if (found.residual !== undefined) rests.push(`residual ${withUnit(found.residual, "m", 2)}`);
   if (found.misfit) rests.push(`χ²/ν ${found.misfit.toFixed(2)}`);
   if (found.error_unknown) rests.push(found.error_unknown);
