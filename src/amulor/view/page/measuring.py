@@ -181,7 +181,7 @@ def _half_profile(picture: Picture, request: dict[str, Any]) -> dict[str, Any]:
     slope = math.hypot(fit.uncertainties["axis_x"], fit.uncertainties["axis_z"])
     lines.append(
         {
-            "label": "axis tilt",
+            "label": "tilt of the axis",
             "value": math.acos(min(abs(float(axis[1])), 1.0)),
             "uncertainty": _or_none(slope),
             "unit": "rad",

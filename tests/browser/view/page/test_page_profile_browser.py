@@ -35,7 +35,7 @@ def test_the_amphora_has_the_diameter_of_its_model(tab: Callable[..., Any]) -> N
         assert lines["rim diameter"]["value"] < widest["value"]
         assert found["left_out"] > 10
         # The amphora stands upright.
-        assert lines["axis tilt"]["value"] < math.radians(5)
+        assert lines["tilt of the axis"]["value"] < math.radians(5)
         # The drawing is that of a profile with as many heights as radii.
         profile = found["profile"]
         assert np.all(np.diff(profile["height"]) > 0)

@@ -399,7 +399,7 @@ def test_a_half_profile_has_the_diameters_of_a_cone() -> None:
     assert diameters["base diameter"] == pytest.approx(2 * tangent * ends[0], abs=1e-6)
     assert diameters["rim diameter"] == pytest.approx(2 * tangent * ends[1], abs=1e-6)
     assert diameters["largest diameter"] == diameters["base diameter"]
-    assert diameters["axis tilt"] == pytest.approx(np.arccos(down[1]), abs=1e-6)
+    assert diameters["tilt of the axis"] == pytest.approx(np.arccos(down[1]), abs=1e-6)
     profile = found["profile"]
     assert profile["height"][-1] == pytest.approx(ends[0] - ends[1], abs=1e-6)
     assert len(profile["radius"]) == len(profile["uncertainty"])
