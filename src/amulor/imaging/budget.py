@@ -104,7 +104,7 @@ def completed(
 def _without_instrument(
     observation: Observation, ranges: Ranges
 ) -> tuple[Ranges, dict[str, Floats]]:
-    """Joint-estimation ranges without instrument errors, and the removed errors.
+    """Subtract instrument terms from joint-estimation errors; return ranges and terms.
 
     It counts delay, index and place of the receiver in the common error of its ranges.
     """
@@ -126,7 +126,7 @@ def _without_instrument(
 
 
 def _without_late_light(observation: Observation, ranges: Ranges) -> Ranges:
-    """Ranges of a joint estimation, with its late-light term removed.
+    """Subtract the late-light term from joint-estimation errors; return the ranges.
 
     It knows the light by its spread alone; the image knows the water, takes the delay
     off and states what is left. Few frequencies cannot show that the water has another
@@ -165,7 +165,7 @@ def _unknown_of_water(channel: xr.Dataset) -> list[str]:
 
 
 def uncertainties(ranges: Ranges) -> dict[str, Floats]:
-    """Uncertainty variables of a range image."""
+    """Uncertainty variables of a range image: total, common part and error terms."""
     variables = {"slant_range_uncertainty": ranges.total}
     if ranges.common is not None:
         variables["slant_range_common_uncertainty"] = ranges.common
@@ -305,7 +305,7 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
 
 
 def age_in_words(days: float) -> str:
-    """Text with the age of a calibration, for use after its date."""
+    """Age of a calibration in words, to follow its date; empty if unknown."""
     if math.isnan(days):
         return ""
     return f", {abs(days):.0f} days {'before' if days >= 0 else 'after'} the scan"
@@ -333,7 +333,7 @@ _COVERAGE = ("time_coverage_start", "time_coverage_end")
 def calibration_terms(
     observation: Observation, path: Floats, slope: Floats
 ) -> dict[str, Floats]:
-    """Range uncertainties from the instrument errors that the survey states.
+    """Range uncertainties due to group index, delay and geometry, where known.
 
     By central differences of the slant range of a fixed path: by the group index, by
     each coordinate of the receiver and by azimuth and elevation of the beams. The
@@ -369,7 +369,7 @@ def calibration_terms(
 def instrument_term(
     observation: Observation, weight: Floats, slope: Floats
 ) -> Floats | None:
-    """Return the range error from phase errors of the instrument; None if zero.
+    """Range error due to instrument phase and method disagreement; None if zero.
 
     Leakage, walk and harmonics turn each frequency by an angle of its own, of the
     stated or typical size, and by as much as channels or frequencies differ where
@@ -399,7 +399,7 @@ def instrument_term(
 
 
 def with_deviations(phases: Floats, deviations: Floats) -> Floats:
-    """Return phase uncertainties that include deviations from one distance [rad].
+    """Return phase uncertainties, enlarged to cover deviations from one distance [rad].
 
     The stated or typical uncertainty counts as one further deviation. The fitted
     distance removes one. An interval of 1.96 uncertainties contains 95 % of the errors,
@@ -440,7 +440,7 @@ def joint_instrument_terms(
 def calibration_age(
     attributes: Mapping[str, Any], calibration: Calibration | None
 ) -> float | None:
-    """Age of the delay calibration at the middle of a scan [days]."""
+    """Age of the delay calibration at the middle of a scan; None if unknown [days]."""
     start = attributes.get(_COVERAGE[0])
     if calibration is None or calibration.date is None or start is None:
         return None
@@ -461,7 +461,7 @@ def _moment(text: str) -> datetime.datetime:
 def _delay_uncertainty(
     attributes: Mapping[str, Any], calibration: Calibration
 ) -> float | None:
-    """Return the standard uncertainty of the delay during the scan, None if unknown."""
+    """Return the standard uncertainty of the delay during a scan; None if unknown."""
     if calibration.delay_uncertainty is None:
         return None
     changes = [calibration.delay_uncertainty]

@@ -51,14 +51,14 @@ class CalibrationLine:
 
     @property
     def gain(self) -> float:
-        """Decrease of the variance; infinite if the error is unknown now [m^2]."""
+        """Decrease of the variance; infinite if the present error is unknown [m^2]."""
         if self.now is None:
             return math.inf
         return self.now**2 - min(self.now, self.calibrated) ** 2
 
 
 def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationLine]:
-    """Return the range errors due to the instrument in the middle of a scan.
+    """Return instrument range errors at scan center, before and after each calibration.
 
     The frequencies are weighted by their squares, as those of equal phase noise. A
     calibration never makes a stated error larger. Without a standing reference, the
@@ -150,7 +150,7 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
 def _temperature_line(
     survey: Survey, by_delay: float
 ) -> list[tuple[str, float | None, float, str]]:
-    """Return the line of the temperature, if it is an error of its own.
+    """Return a list with the temperature line; empty if other lines cover its error.
 
     A standing reference shows the effect of the temperature. A delay uncertainty that
     applies to the time of the scan contains it.
@@ -175,7 +175,7 @@ def _temperature_line(
 
 
 def _reading_error(survey: Survey) -> float:
-    """Return the phase error of a reading of the standing reference [rad]."""
+    """Return the phase error of one reading of the standing reference [rad]."""
     reference = survey.scan.reference
     if reference is None:
         return _READING

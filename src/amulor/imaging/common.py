@@ -47,7 +47,7 @@ def with_flag(
 
 
 def phase_cosines(image: xr.Dataset, distance: Floats) -> Floats:
-    """Cosine of the phase difference between two distances, mean over frequencies."""
+    """Cosines of the phase differences of distance pairs, mean over frequencies."""
     group_index = float(image["geometry"].attrs["group_index"])
     frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
     turn = np.zeros((len(distance), len(distance)))

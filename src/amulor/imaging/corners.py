@@ -110,7 +110,7 @@ def corner_error(
     noise: Floats,
     fit: Patches | None = None,
 ) -> tuple[Floats | None, Patches | None]:
-    """Return the range error from doubly reflected light, and the patches of the scan.
+    """Range error from doubly reflected light (None if absent), and surface patches.
 
     None without a survey, and for simulated samples, which have no such light unless
     the attribute `corner_light` is "present". The reflectance of a patch comes from its
@@ -211,7 +211,7 @@ def _brightness(
 
 
 def _acceptance(survey: Survey) -> float:
-    """Field of view about the beam; infinite if the receiver does not scan along."""
+    """Field of view about the beam; infinite if the receiver does not scan [rad]."""
     if survey.scan.moves != "both":
         return math.inf
     return float(view(survey, np.zeros(1), np.zeros(1)).acceptance)
@@ -226,7 +226,7 @@ def _patches(
     receiver: Floats,
     brightness: Floats,
 ) -> Patches:
-    """Flat blocks of pixels, with fitted planes."""
+    """Divide a scan into blocks of pixels; return the flat ones as surface patches."""
     rows, columns = slant_range.shape
     side = max(_NARROWEST, math.ceil(math.sqrt(rows * columns / _PATCHES)))
     scale = _coverage(observation)

@@ -1,4 +1,4 @@
-"""Uncertainty of mean ranges and range differences of pixels with correlated errors."""
+"""Uncertainty of mean ranges and range differences, with correlated pixel errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOST_PIXELS = 4096
 
 @dataclass(frozen=True)
 class RangeFigure:
-    """Slant range, or difference of two, with its uncertainty.
+    """Mean slant range, or difference of two means, with its uncertainty.
 
     Examples
     --------

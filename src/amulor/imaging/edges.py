@@ -95,7 +95,7 @@ def mixed_pixels(
 
 
 def clear_of_both(image: xr.Dataset, *, reach: int = 2) -> Floats:
-    """Distance of pixels to the nearer of two adjacent surfaces, in standard errors.
+    """Distance to the nearer of two surfaces in standard errors; 0 if not between them.
 
     Zero where they lie between none.
     """
@@ -184,7 +184,7 @@ def _steps(distance: Floats, variance: Floats) -> NDArray[np.bool_]:
 
 
 def _step_scores(distance: Floats, variance: Floats, rows: int) -> Floats:
-    """Range steps to the next column in standard errors, 0 if unknown."""
+    """Size of range steps to the next column in standard errors, 0 if unknown."""
     valid = np.isfinite(distance) & np.isfinite(variance)
 
     def summed(values: Floats) -> Floats:
@@ -236,7 +236,7 @@ def reached(
     pixel: tuple[int, int],
     reach: int,
 ) -> NDArray[np.bool_]:
-    """Mask of pixels near a given pixel that are connected without a range step.
+    """Mask of pixels near a given pixel and connected to it without a range step.
 
     The way goes along the column, then along the row, as on the page.
     """
@@ -291,7 +291,7 @@ def _along_edge(
 
 
 def _between(distance: Floats, variance: Floats, axis: int, step: int) -> Floats:
-    """Distances of pixels from the surfaces on both sides.
+    """Distance to the nearer of the surfaces on both sides; 0 if not between them.
 
     In standard errors, 0 where they lie between none.
     """
@@ -320,7 +320,7 @@ def _between(distance: Floats, variance: Floats, axis: int, step: int) -> Floats
 def _off_lines(
     distance: Floats, variance: Floats, axis: int, first: int
 ) -> list[Floats]:
-    """Deviation of pixels from lines through the next two and four pixels on one side.
+    """Deviations in standard errors from lines through 2 and 4 pixels on one side.
 
     In standard errors; not a number where a pixel is missing, or four are not straight.
     """

@@ -32,7 +32,7 @@ _LIKE_DELAY = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class FrequencyPhase:
-    """Phase deviations of all frequencies from a common optical path, scan medians."""
+    """Median phase deviation of each frequency from a common path, with probability."""
 
     phase: Floats
     """Deviation of each frequency from the common path [rad]."""
@@ -56,7 +56,7 @@ class FrequencyPhase:
 def frequency_phase(
     observation: Observation, path: ambiguity.Path
 ) -> FrequencyPhase | None:
-    """Test whether a common path explains the phases; None with one frequency.
+    """Test whether one path explains the phases of all frequencies; None if untestable.
 
     The path of each pixel is free. Errors that pixels share and the water that is left
     count for each frequency on its own. The stated phase error of the instrument does
@@ -271,7 +271,7 @@ def _methods(cube: xr.Dataset) -> InstrumentTest | None:
 
 
 def _calibration(cube: xr.Dataset) -> InstrumentTest | None:
-    """Name samples beyond a calibration, or a measurement without any calibration."""
+    """Report samples outside calibrated amplitudes, or a missing phase calibration."""
     share = float(cube.attrs.get(UNCALIBRATED_SHARE, 0.0))
     survey = readable_survey(cube)
     if share > 0:

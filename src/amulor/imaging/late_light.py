@@ -113,7 +113,7 @@ def dispersion(
     weight: Floats,
     fit: LateFit | None = None,
 ) -> tuple[tuple[Floats, Floats] | None, LateFit]:
-    """Late-light phase of each frequency relative to the mean, and its uncertainty.
+    """Late-light phase deviations with errors, or None if unknown, and statistics used.
 
     The higher the frequency, the less light that took many ways counts: a delay that
     differs with the frequency, which is no other distance and no other interval.
@@ -160,7 +160,7 @@ def _delays(
     weight: Floats,
     fit: LateFit | None,
 ) -> tuple[tuple[Floats, Floats] | None, LateFit, str]:
-    """Least and largest delay per pixel, statistics used, and the reason if unknown."""
+    """Least and largest delay per pixel (None if unknown), statistics, and reason."""
     fit = _fit(observation, slant_range) if fit is None else fit
     try:
         water = water_properties(survey)
@@ -279,7 +279,7 @@ def _function(asymmetry: float) -> PhaseFunction:
 
 
 def _asymmetry(moment: float, split_angle: float) -> float | None:
-    """Asymmetry for a given second moment of forward scattering; None if impossible."""
+    """Asymmetry for a second moment of forward scattering; None if out of limits."""
     try:
         asymmetry = asymmetry_of(moment, split=split_angle)
     except SurveyError:

@@ -326,7 +326,7 @@ def contrast(image: xr.Dataset, target: ArrayLike, surround: ArrayLike) -> Contr
 def _regions(
     image: xr.Dataset, label: NDArray[np.intp], numbers: list[int]
 ) -> tuple[Floats, NDArray[np.intp], Floats, tuple[NDArray[np.intp], ...]]:
-    """Return positions, region, noise and pixel number of usable labeled pixels."""
+    """Return positions, region numbers, noise, and indices of usable labeled pixels."""
     if label.shape != image["quality_flag"].shape:
         raise CubeError(
             f"the regions have the shape {label.shape}, the image "

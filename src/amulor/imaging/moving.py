@@ -148,7 +148,7 @@ def moving_frame(
 
 
 def _duration(image: xr.Dataset, time: Floats) -> float:
-    """Measuring time of a pixel: as planned, but no longer than between pixels [s]."""
+    """Acquisition time of a pixel: planned time, at most that between pixels [s]."""
     steps = np.abs(np.diff(time, axis=1)).ravel()
     between = float(np.median(steps)) if steps.size else np.inf
     survey = readable_survey(image)

@@ -131,7 +131,7 @@ class Observation:
         return np.sqrt(np.maximum(self.sigma**2 - shared**2, 0.0))
 
     def shared_sigma(self, usable: NDArray[np.bool_]) -> Floats | None:
-        """Part of the phase uncertainties shared by pixels; None if unknown [rad]."""
+        """Phase uncertainties by errors common to all pixels; None if unknown [rad]."""
         if "common_covariance" not in self.channel:
             return None
         return self._sigma("common_", usable)
@@ -172,7 +172,7 @@ class Observation:
         return str(simulated) != "absent"
 
     def joint_values(self, *names: str) -> tuple[float, ...] | None:
-        """Attributes stored by a joint estimation; None if they are missing."""
+        """Named attributes of a joint estimation; None if any is missing."""
         attributes = self.channel.attrs
         if "joint_slant_range" not in self.channel:
             return None
@@ -181,7 +181,7 @@ class Observation:
         return tuple(float(attributes[f"joint_{name}"]) for name in names)
 
     def with_frequency_phase(self, phase: Floats) -> Observation:
-        """Observation with the deviations of frequencies that contradict each other."""
+        """Observation with the phase deviations of contradictory frequencies."""
         return replace(self, frequency_phase=phase)
 
     def with_noise(self, factor: float) -> Observation:
@@ -242,7 +242,7 @@ def noise_scale(
     path_per_phase: Floats,
     refit: Callable[[float], ambiguity.Path],
 ) -> float:
-    r"""Ratio of observed to stated phase noise.
+    r"""Ratio of observed to stated phase noise; 1 if not significantly above.
 
     Phases at n frequencies leave n - 1 residuals a pixel when the range is taken out.
     In the difference of two neighbors everything cancels that they share: water of

@@ -139,7 +139,7 @@ def _outlying(
 
 
 def stand_off(image: xr.Dataset) -> Floats:
-    """Deviation of pixels from their neighbors in standard errors."""
+    """Deviation from neighboring pixels in standard errors; 0 without a common sign."""
     distance, variance = image["slant_range"].values, own_variance(image)
     outlying = (image["quality_flag"].values & QualityFlag.OUTLIER) != 0
     score = np.zeros(distance.shape)
@@ -179,7 +179,7 @@ def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.
 def _more_than_chance(
     distance: Floats, variance: Floats, flagged: NDArray[np.bool_], limit: float | None
 ) -> tuple[NDArray[np.bool_], float]:
-    """Mask of outliers at a limited false-discovery rate, and the limit [1]."""
+    """Mask of outliers at a limited false-discovery rate, and the probability limit."""
     stand = _standing(distance, variance, np.where(flagged, np.nan, distance))
     with np.errstate(invalid="ignore", divide="ignore"):
         score = stand.middle / np.sqrt(variance + _OF_MEDIAN * stand.spread)
@@ -286,7 +286,7 @@ class _Standing:
 
 
 def _standing(distance: Floats, variance: Floats, neighbours: Floats) -> _Standing:
-    """Deviation of pixels from lines through their neighbors, in several directions."""
+    """Compare pixels with lines through their neighbors, in several directions."""
     padded = np.pad(neighbours, _REACH, constant_values=np.nan)
     errors = np.pad(variance, _REACH, constant_values=np.nan)
     rows, columns = distance.shape

@@ -117,6 +117,6 @@ def point_cloud(
 def _common(
     image: xr.Dataset, row: NDArray[np.intp], column: NDArray[np.intp]
 ) -> dict[str, NDArray[np.float64]]:
-    """Range uncertainty common to all points; None if not in the image."""
+    """Range uncertainty common to all points, by name; empty if the image has none."""
     name = "slant_range_common_uncertainty"
     return {name: image[name].values[row, column]} if name in image else {}

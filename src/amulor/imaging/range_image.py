@@ -141,7 +141,7 @@ def fitted_range_image(
     fit: RangeImageFit | None = None,
     span: Span | None = None,
 ) -> tuple[xr.Dataset, RangeImageFit]:
-    """Range image, and the scan-wide statistics behind it, from `fit` if given."""
+    """Range image, and its scan-wide statistics, taken from `fit` if given."""
     cube = cubes.checked(cube, "target_signal")
     joint = "joint_slant_range" in cube
     if joint and polarization is None:
@@ -345,7 +345,7 @@ def _tests_of(channel: xr.Dataset) -> dict[str, NDArray[Any]]:
 
 
 def _photon_limit(observation: Observation) -> Floats:
-    """Range uncertainty from photon noise of the target signal alone, eq. (2) [m]."""
+    """Range uncertainty from photon noise of the target signal alone [m]."""
     attributes = observation.channel.attrs
     depth = float(attributes["modulation_depth"])
     amplitude = np.abs(observation.signal)

@@ -1,4 +1,4 @@
-"""Slant ranges of one channel before corrections for delay, geometry, late light."""
+"""Slant ranges of one channel, before late-light correction and calibration errors."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def leave_out(
     largest_uncertainty: float | None = None,
     mixed: bool = False,
 ) -> xr.Dataset:
-    """Range image without doubtful, uncertain or mixed pixels.
+    """Range image without doubtful, uncertain or mixed pixels, as selected.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ def height(
     axis: ArrayLike = (0.0, -1.0, 0.0),
     reach: int = 0,
 ) -> Measurement:
-    """Height of one point above another along an axis.
+    """Height of the second of two points above the first, along an axis.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def area(image: xr.Dataset, corners: Sequence[Pixel], *, reach: int = 0) -> Meas
 def _picked(
     image: xr.Dataset, pixels: Sequence[Pixel], reach: int
 ) -> tuple[Points, Floats]:
-    """Pixels that a measurement uses, and their weights in each point."""
+    """Pixels used for the picked points, and the weight of each pixel in each point."""
     if reach < 0:
         raise ValueError(f"reach must be at least 0 pixels, got {reach}")
     usable = np.isfinite(image["slant_range"].values)
@@ -376,7 +376,7 @@ class _Checks(Description):
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """Reference length with its measured length."""
+    """Comparison of a reference length with the measured length."""
 
     check: Check
     """Reference length."""

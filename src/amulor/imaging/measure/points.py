@@ -119,7 +119,7 @@ def _only(image: xr.Dataset, row: Numbers, column: Numbers) -> xr.Dataset:
 
 
 def _reason(image: xr.Dataset, row: int, column: int) -> str:
-    """Text with the reason for a pixel without range."""
+    """Reason why a pixel has no range, from its quality flags."""
     flag = QualityFlag(int(image["quality_flag"].values[row, column]) & UNUSABLE)
     names = [str(bit.name).lower().replace("_", " ") for bit in flag]
     return ", ".join(names) or "not measured"

@@ -201,7 +201,7 @@ class _Turned:
     def _surface(
         self, values: Floats, position: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Radial distances from the surface, its slopes, and radial unit vectors."""
+        """Radial distances from the surface, profile slopes, radial unit vectors."""
         point, axis = self.placed(values)
         away = position - point
         height = away @ axis
@@ -212,7 +212,7 @@ class _Turned:
         return radius - profile(height), profile(height, 1), radial
 
     def profile(self, values: Floats) -> BSpline:
-        """Radius over the height along the axis."""
+        """Radius as a spline of the height along the axis."""
         return BSpline(self.basis.t, self.basis.c @ values[4:], self.basis.k)
 
     def apart(self, values: Floats, position: Floats) -> Floats:
@@ -250,7 +250,7 @@ class _Turned:
         return values, residual < _OTHER * spread
 
     def derived(self, values: Floats) -> dict[str, float]:
-        """Axis, its point, and the radius at each stated height."""
+        """Direction and a point of the axis, and the radius at each height, by name."""
         point, axis = self.placed(values)
         radii = self.profile(values)(self.heights)
         return {
@@ -283,7 +283,7 @@ def _unresolved(points: Points, fit: Fit, heights: Floats, radius: Floats) -> Fl
 
 
 def _axis_of(points: Points) -> Floats:
-    """Direction across the view whose circles of equal height fit the points best."""
+    """Axis direction, across the view, for which circles at each height fit best."""
     middle, back, across, _ = tangent_plane(points)
     away = points.position - middle
     turns = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
@@ -302,7 +302,7 @@ def _axis_of(points: Points) -> Floats:
 
 
 def _misfit(away: Floats, axis: Floats, back: Floats) -> float:
-    """Mean square radial distance of points from the circles at their heights [m^2]."""
+    """Trimmed mean square of radial distances from the circle at each height [m^2]."""
     side = np.cross(axis, back)
     height = away @ axis
     centre = _centre(away, side, back, height)
@@ -338,7 +338,7 @@ def _level_means(values: Floats, height: Floats) -> Floats:
 
 
 def _centre(away: Floats, side: Floats, back: Floats, height: Floats) -> Floats:
-    """Fit a common center to circles, one radius per height level."""
+    """Fit concentric circles, one per height level, and return their common center."""
     x, z = away @ side, away @ back
     level = _levels(height)
     columns = np.zeros((len(x), 2 + level.max() + 1))

@@ -183,7 +183,7 @@ class _Surface:
         return np.asarray(self.weights.T @ along).reshape(self.shape)
 
     def edge_variance(self, normal: Floats) -> float:
-        """Variance of the volume from edges that lie anywhere between two pixels."""
+        """Variance of the volume due to unknown edge positions between pixels [m^6]."""
         heights = (self.position @ normal).reshape(self.shape)
         points = self.position.reshape(*self.shape, 3)
         total = 0.0
@@ -274,7 +274,7 @@ def _sum(surface: _Surface, ground: _Ground) -> tuple[float, Floats, Floats]:
 
 
 def _variances(image: xr.Dataset, gradient: Floats) -> tuple[float, float]:
-    """Variances from noise of single pixels and from errors common to all pixels.
+    """Variances of the volume due to pixel noise, and due to correlated errors.
 
     Shared errors change slowly over the scan, so a pixel stands for its surroundings.
     """

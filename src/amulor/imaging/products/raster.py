@@ -273,7 +273,7 @@ class Contour:
 
 
 def contours(raster: Raster, *, interval: float) -> list[Contour]:
-    """Contour lines of a raster.
+    """Significant contour lines of a raster, at multiples of an interval.
 
     Parameters
     ----------

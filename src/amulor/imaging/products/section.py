@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """Section through a surface, in pieces of continuous line."""
+    """Section through a surface, as one or more continuous lines."""
 
     along: Floats
     """Distance from the start of the section line, shape (n,) [m]."""
@@ -133,7 +133,7 @@ def section(
 def _crossed(
     triangles: NDArray[np.intp], side: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Triangle edges crossed by the section, and pairs of edges in a triangle.
+    """Triangle edges that the section crosses, and their pairs within each triangle.
 
     A vertex on the cut counts as beyond it, so that every crossed triangle has two.
     """

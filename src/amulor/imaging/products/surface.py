@@ -24,7 +24,7 @@ Side = Literal["front", "top"]
 
 @dataclass(frozen=True, kw_only=True)
 class Plane:
-    """Axes of a drawing within a frame."""
+    """Drawing plane: its axes in a coordinate frame, and their names."""
 
     side: Side
     """Side from which the drawing is viewed."""
