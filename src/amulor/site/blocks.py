@@ -45,7 +45,7 @@ _TOTAL, _COMMON = "slant_range_uncertainty", "slant_range_common_uncertainty"
 
 
 def block_size(site: Site, name: str, image: xr.Dataset) -> int:
-    """Return the side of the blocks over which a scan is averaged, in pixels; 1: none.
+    """Return the side of the averaging blocks of a scan in pixels; 1 for no averaging.
 
     Blocks remain small compared with the targets in the scan. A scan with picked points
     is not averaged, because a block is not the picked pixel.
@@ -80,7 +80,7 @@ def block_size(site: Site, name: str, image: xr.Dataset) -> int:
 
 
 def _pitch(image: xr.Dataset) -> float:
-    """Return the larger angle between neighboring beams, of rows and columns [rad]."""
+    """Return the median angle between adjacent beams, the larger of both axes [rad]."""
     direction = geometry_of(image).beam.direction
     return max(
         float(np.median(np.linalg.norm(np.diff(direction, axis=axis), axis=-1)))
@@ -171,7 +171,7 @@ def averaged(image: xr.Dataset, size: int) -> xr.Dataset:
 
 
 def _weights(on: Flags, size: int) -> tuple[Floats, Flags]:
-    """Return the weights of a plane's value at the center, and the usable blocks."""
+    """Return pixel weights for a plane's value at block centers, and usable blocks."""
     place = np.arange(size) - (size - 1) / 2
     row, column = (part.ravel() for part in np.meshgrid(place, place, indexing="ij"))
     design = np.stack([np.ones(size**2), row, column], axis=1)
@@ -197,7 +197,7 @@ def block_of(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
 
 
 def pixels_of_scan(surface: ScanSurface, pixel: Numbers) -> Numbers:
-    """Return the numbers of the scan's pixels at the centers of averaged blocks."""
+    """Return the numbers of the scan's pixels at the centers of given blocks."""
     size = block_side(surface.attributes)
     if size == 1:
         return pixel

@@ -154,7 +154,7 @@ def _places_without_range(
 
 
 def _untied_scans(site: Site) -> Iterator[str]:
-    """Yield a message for each scan that shares too few targets with other scans."""
+    """Yield a message for each scan that neither a start pose nor targets can place."""
     placed = {scan.name for scan in site.scan if scan.start is not None}
     controlled = {scan.target for scan in site.control}
     if not placed and len(controlled) < _ENOUGH:
@@ -185,7 +185,7 @@ def _untied_scans(site: Site) -> Iterator[str]:
 
 
 def _targets_in(site: Site, scan: SiteScan) -> set[str]:
-    """Return the names of the targets that connect a scan with other scans."""
+    """Return the names of a scan's targets, those of moved targets with the visit."""
     names = set()
     for target in site.target:
         if isinstance(target, ScaleBar):

@@ -54,7 +54,7 @@ def options_of(processing: Processing | None) -> dict[str, Any]:
 def as_image(
     cube: xr.Dataset, *, processing: Processing | None, name: str
 ) -> xr.Dataset:
-    """Return a range image from any cube; raise if its range errors are unknown."""
+    """Process a scan's cube to a range image; raise if its range errors are unknown."""
     level = str(cube.attrs.get("level", ""))
     check_level(level, processed=processing is not None, name=name)
     try:

@@ -202,7 +202,7 @@ def _tested(change: Change) -> Change:
 
 
 def _unchanged(change: Change) -> Flags:
-    """Return the compared places that are far from all regions of change."""
+    """Return a mask of unchanged points that are far from regions of change."""
     unchanged = np.isfinite(change.value) & ~change.significant
     members = [group for group in _groups(change) if len(group) >= _FEWEST_POINTS]
     if members:
@@ -214,7 +214,7 @@ def _unchanged(change: Change) -> Flags:
 
 
 def _corrected(change: Change, unchanged: Flags) -> Change:
-    """Return a comparison without the shared error that unchanged places have.
+    """Correct a comparison for the shared errors estimated from unchanged points.
 
     The errors are estimated with a weak prior. Their covariance is that of this
     estimate, for shared errors as stated and noise that overlapping cylinders repeat.

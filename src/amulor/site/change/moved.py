@@ -123,7 +123,7 @@ def motion_of(
     centre: Floats,
     reach: float,
 ) -> Motion | None:
-    """Fit the rigid motion of an object between two visits.
+    """Fit the rigid motion of an object between two visits; None without enough points.
 
     The object is everything above the ground, a plane fitted to the surfaces between
     one and one and a half times `reach` from the center. Its points in the second epoch
@@ -193,7 +193,7 @@ def _object(
     centre: Floats,
     reach: float,
 ) -> Flags | None:
-    """Return the pixels of a scan near a point that lie above the ground."""
+    """Return a mask of pixels above the ground near a point; None without a ground."""
     place = registration.poses[name].place(corrected(surface, registration.errors))
     away = np.linalg.norm((place - centre)[..., :2], axis=-1)
     with np.errstate(invalid="ignore"):

@@ -163,7 +163,7 @@ def derivatives(
 def covariances(
     slope: Floats, covariance: Floats, sigma: Floats, beam: Floats
 ) -> Floats:
-    """Return covariances of points by pose, shared errors and noise, (n, 3, 3)."""
+    """Return covariances of points due to pose, shared errors and noise, (n, 3, 3)."""
     spread = np.einsum("nij,jk,nlk->nil", slope, covariance, slope, optimize=True)
     spread += (sigma**2)[:, None, None] * beam[:, :, None] * beam[:, None, :]
     return np.asarray(spread)

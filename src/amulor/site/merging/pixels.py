@@ -1,4 +1,4 @@
-"""Points of all pixels of a site, with scans that were averaged read in pieces."""
+"""Points of all pixels of a site; averaged scans are read again in pieces."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def scan_clouds(
 
 
 def joined(pieces: Sequence[Merged]) -> Merged:
-    """Return all points of several pieces."""
+    """Concatenate pieces of a merged point cloud."""
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(piece, name) for piece in pieces])
         for name, value in vars(pieces[0]).items()

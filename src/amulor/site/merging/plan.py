@@ -113,7 +113,7 @@ def _relative_spread(
     position: Floats,
     pixel: NDArray[np.intp],
 ) -> Floats:
-    """Covariance of points against the first scan by poses and shared errors [m^2]."""
+    """Covariance of points relative to the first scan, without noise [m^2]."""
     first = site.scan[0].name
     slope = by_unknowns(surface, registration.poses[name], position, pixel)
     arm = position - registration.poses[first].position
@@ -253,7 +253,7 @@ def _raster_in(
 def _overlap(
     part: products.Raster, shape: tuple[int, int], cell: float, left: float, top: float
 ) -> tuple[slice, slice, tuple[slice, slice]]:
-    """Rows and columns of a raster in a larger one, and the part of it inside."""
+    """Rows and columns of a large raster that a part covers, and slices of the part."""
     column = round(part.left / cell - left)
     row = round(top - part.top / cell)
     high, wide = part.height.shape

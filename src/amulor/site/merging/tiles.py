@@ -118,7 +118,7 @@ def _name(corner: tuple[int, int], epoch: str | None) -> str:
 
 
 def _check_reach(folder: Path, away: NDArray[np.float64]) -> None:
-    """Raise `FormatError` for points too far off the offset of the files."""
+    """Raise `FormatError` if a point is too far from the files' coordinate offset."""
     far = np.abs(away).max(initial=0.0)
     if far / SCALE > _LARGEST:
         raise FormatError(

@@ -343,7 +343,7 @@ def squared_pull(pose: ScanPose, start: KnownPose) -> float:
 def _best_started(
     ties: Ties, guess: Mapping[str, ScanPose], names: Sequence[str]
 ) -> str:
-    """Return the name of the scan whose start pose is most certain."""
+    """Return the scan with the most certain start pose, or else a guessed or first."""
     started = [name for name in names if name in ties.start]
     if not started:
         return next(iter(guess), names[0])
@@ -419,7 +419,7 @@ def _pairs(
     before: Sequence[Pair],
     most: int,
 ) -> list[Pair]:
-    """Compare overlapping scans; repeat earlier comparisons at the same points."""
+    """Compare overlapping scans, at the points of their earlier comparison if any."""
     among = {(p.source, p.target): p.source_pixel[p.weight > 0] for p in before}
     comparisons = (
         compared(

@@ -146,7 +146,7 @@ class System:
         self.scatter[np.ix_(at[free], at[free])] += matrix[np.ix_(free, free)]
 
     def project(self, projection: Floats) -> None:
-        """Remove directions that the observations leave undetermined."""
+        """Remove undetermined directions from the normal equations by a projection."""
         self.matrix = projection.T @ self.matrix @ projection
         self.gradient = projection.T @ self.gradient
 
@@ -269,7 +269,7 @@ def system_of(
 
 
 def pair_unknowns(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
-    """Return vector indices of a scan pair's unknowns, and the Jacobian matrix."""
+    """Return indices of a scan pair's unknowns, and Jacobian of the relative motion."""
     poses = [state.poses[name] for name in (pair.source, pair.target)]
     relative = np.zeros((6, 12))
     for number, (pose, sign) in enumerate(zip(poses, (1.0, -1.0), strict=True)):
@@ -409,7 +409,7 @@ def _noise_variance(
 def innovation(
     pair: Pair, state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Floats, Floats]:
-    """Return the pose change by one scan pair alone, and its covariance."""
+    """Return the pose change estimated from one scan pair alone, and its covariance."""
     x, z = (rows[:, :6] @ pair.held for rows in (pair.by_target, pair.by_source))
     weighted = z * pair.weight[:, None]
     back = np.linalg.pinv(weighted.T @ x, rcond=1e-10)

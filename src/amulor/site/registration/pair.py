@@ -88,7 +88,7 @@ class Pair:
 
     @property
     def window(self) -> sparse.csr_matrix:
-        """Negative derivatives of the distance by the ranges of the target's pixels.
+        """Negative derivatives of distances with respect to ranges of the target scan.
 
         The shape is (n, pixels). They need more memory than all other arrays.
         """
@@ -96,7 +96,7 @@ class Pair:
 
     @property
     def mean_square(self) -> Floats:
-        """Quadratic form from motion to mean square displacement of points, (6, 6)."""
+        """Matrix of the mean square displacement of points by a motion, (6, 6)."""
         lever = self.place - self.pivot
         rows = np.zeros((len(lever), 3, 6))
         rows[..., :3], rows[..., 3:] = np.eye(3), -cross_matrix(lever)
@@ -121,7 +121,7 @@ def compared(
     among: Numbers | None = None,
     most: int = MOST_POINTS,
 ) -> Pair | None:
-    r"""Compare the points of one scan with the surface patches of another.
+    r"""Compare points of one scan with surface patches of another; None if few meet.
 
     A point p of the source lies on a beam between pixels of the target. The patch has
     the range :math:`\hat\rho` there, and the distance is :math:`e = \rho_p - \hat\rho`,
@@ -318,7 +318,7 @@ def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
 
 
 def _pixels_off(away: Floats, ahead: Floats, slopes: Floats) -> Floats:
-    """Pixel offsets of the beams through points, given relative to the beam origin."""
+    """Offsets in rows and columns from given pixels to the beams through points."""
     reach = _dot(away, ahead)[:, None]
     miss = away - reach * ahead
     a, b = slopes[0] + reach * slopes[1]

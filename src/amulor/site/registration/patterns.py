@@ -357,7 +357,7 @@ def _derivatives(
 
 
 def contradicted(tests: Sequence[PatternTest]) -> PatternTest | None:
-    """Return the strongest range error of all tests, if it is significant.
+    """Return the test with the most significant range error; None if insignificant.
 
     Other significant errors are mostly its consequences, because the fit of the poses
     transfers it to the neighbors of a scan.
@@ -383,7 +383,7 @@ def patterns_alike(
 
 
 def unfit_scan(pairs: Sequence[Pair], scans: Sequence[str]) -> tuple[str, float] | None:
-    """Return the scan, if exactly one, that fits no other, with its misfit; else None.
+    """Return the worst scan that fits no other, and its misfit; None if there is none.
 
     A bent scan has a large misfit and excluded points in each of its pairs. A moved
     body leaves the misfit of all other points at 1, and an understated noise excludes

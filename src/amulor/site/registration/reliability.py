@@ -228,7 +228,7 @@ def _largest_shift(change: Floats, layout: Layout) -> tuple[str, float]:
 def _observations(
     state: State, layout: Layout, ties: Ties
 ) -> Iterator[tuple[str, tuple[str, ...], Floats, Floats, NDArray[np.intp], Floats]]:
-    """Yield name, components, residual, covariance, derivatives of each observation."""
+    """Yield name, parts, residual, covariance, indices, derivatives of observations."""
     for name, start in ties.start.items():
         residual = departure(state.poses[name], start.pose)
         columns = layout.columns("pose", [name], 6)

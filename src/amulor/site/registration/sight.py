@@ -63,11 +63,11 @@ class _Look:
 
     @property
     def share(self) -> float:
-        """Fraction of the compared points that lie in front of the surface [1]."""
+        """Fraction of the compared points in front of the surface; 0 if few [1]."""
         return self.share_of(self.front)
 
     def share_of(self, points: Flags) -> float:
-        """Fraction of the compared points that are some of those in front [1]."""
+        """Fraction of compared points that are selected and in front; 0 if few [1]."""
         count = int((self.front & points).sum())
         return count / max(int(self.compared.sum()), 1) if count >= _FEWEST else 0.0
 
@@ -174,7 +174,7 @@ def _looks(
     tree: cKDTree,
     depth: Floats,
 ) -> tuple[_Look, _Look]:
-    """Compare a scan's points with the smallest nearby ranges of another scan.
+    """Compare a scan with nearby ranges of another: by total error, and by noise alone.
 
     Points of the first result are in front beyond all errors, of the second beyond the
     noise.

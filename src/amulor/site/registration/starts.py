@@ -303,7 +303,7 @@ def _height_in_words(
 
 
 def height_above(points: Floats, others: Floats) -> tuple[float, int] | None:
-    """Return the height of points above other points [m], and the count of plan cells.
+    """Return height above other points [m] and number of plan cells; None if unclear.
 
     None if too few cells of the plan are common, or the height is not uniform.
     """
