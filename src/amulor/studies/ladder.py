@@ -85,7 +85,7 @@ class Case:
 
 
 def treads(survey: Survey) -> NDArray[np.intp]:
-    """Return each pixel's tread number, from 1 at the left; 0 near tread edges."""
+    """Return tread numbers of pixels, from 1 at the left; 0 near edges and outside."""
     stairs = survey.targets[0]
     assert isinstance(stairs, Staircase)
     scan = survey.scan

@@ -43,7 +43,7 @@ class Check:
     """Result as a number, in the unit of `found`."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for a paper statement without its place in the text."""
+        """Raise a ValueError unless paper statements, and only these, have a place."""
         if (self.role == "own") == bool(self.place):
             raise ValueError(
                 f"check {self.statement!r}: a statement of the paper says where it "
@@ -224,7 +224,7 @@ class Dependence:
 
     @property
     def strongest(self) -> Change | None:
-        """Change of an input number with the largest effect; None without numbers."""
+        """Change of an input number with the largest effect; None without values."""
         start = self.check.value
         moved = [c for c in self.changes if c.value is not None]
         if start is None or not moved:
@@ -336,7 +336,7 @@ def parameter_rows(parameters: Mapping[str, Parameter]) -> Rows:
 
 
 def tally(checks: Iterable[Check]) -> str:
-    """Summarize in a sentence how many statements are confirmed."""
+    """Summarize in words how many statements of the paper and of the study hold."""
     listed = list(checks)
 
     def count(role: Role) -> tuple[int, int]:

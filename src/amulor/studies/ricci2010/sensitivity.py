@@ -35,7 +35,7 @@ def sensitivity(
     folder: Path | None = None,
     progress: Callable[[str, float], None] = lambda step, done: None,
 ) -> tuple[Dependence, ...]:
-    """Repeat all checks with each assumed input at both ends of its range.
+    """Repeat all checks with each uncertain input number at both ends of its range.
 
     One number at a time; numbers that a figure does not read are left alone. The
     noise is the same in all, so that a flip is the number's doing.
@@ -107,7 +107,7 @@ _Outcome = tuple[float | None, str, bool]
 def _worked(
     study: Study, figures: Mapping[int, Checks], tasks: list[_Task], workers: int
 ) -> Iterator[tuple[_Task, list[_Outcome]]]:
-    """Yield tasks with their outcomes, computed on several processor cores."""
+    """Yield tasks with their outcomes, computed by a number of processes."""
     together = _by_end(tasks)
     if workers == 1:
         for group in together:
@@ -186,7 +186,7 @@ class _Ends:
     file: str = "end.json"
 
     def made_of(self, number: int) -> dict[str, Any]:
-        """Return all inputs that determine the outcomes at an end of range, as text."""
+        """Return all inputs that determine the outcomes at an end of range, by name."""
         return {
             "parameters": {entry.name: entry.value for entry in self.parameters},
             "quick": self.quick,

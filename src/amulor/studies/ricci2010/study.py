@@ -52,7 +52,7 @@ class Study:
         return np.random.default_rng([self.seed, zlib.crc32(label.encode())])
 
     def once(self, function: Callable[[Study], Result]) -> Result:
-        """Return the cached result of a function of the study."""
+        """Return the result of a function of the study, from the cache if present."""
         for numbers, result in self._known.setdefault(function, []):
             if all(self.parameters[n].value == v for n, v in numbers.items()):
                 for names in self._read:

@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _counted(table: str) -> str:
-    """Return the counts of a table of any kind."""
+    """Return the counts of a table of scenes, instrument errors or false alarms."""
     if instrument.HEADER in table:
         return instrument.counts(instrument.written(table))
     if false_alarms.HEADER in table:

@@ -63,7 +63,7 @@ class AlarmRow:
 
 
 def scene(number: int) -> Scene:
-    """Return the conditions of a scan; frequencies and methods take turns."""
+    """Return random conditions of a scan, with frequencies and methods in turn."""
     rng = np.random.default_rng([39, number])
     water = str(rng.choice(list(_DISTANCES)))
     return Scene(
@@ -205,7 +205,7 @@ def counts(rows: Iterable[AlarmRow]) -> str:
 
 
 def false_alarms(rows: Iterable[AlarmRow]) -> list[AlarmRow]:
-    """Return the rows with a failed test or a cause; a refusal is none."""
+    """Return the rows with a failed test or cause; a refusal alone does not count."""
     return [row for row in rows if set(row.alarms) - {"refused"}]
 
 

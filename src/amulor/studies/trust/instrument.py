@@ -194,7 +194,7 @@ _INSIDE, _FAR = 92.0, 0.3
 
 
 def counts(rows: Iterable[InstrumentRow], *, method: str = "open-water") -> str:
-    """Return a Markdown table with the cases that meet each requirement."""
+    """Return a Markdown table with the number of cases that meet each requirement."""
     errors = [
         row for row in rows if row.key.kind != "perfect" and row.key.method == method
     ]

@@ -227,7 +227,7 @@ def _white_in_milk(study: Study) -> list[Check]:
 
 
 def _backscatter_needed(study: Study) -> Check:
-    """Check that both models require the same phase function at 180 degrees."""
+    """Check that both models need equal phase functions at 180 degrees, within 25 %."""
     forms = [
         [sweep.needed_backscatter for sweep in study.once(sweeps)]
         for sweeps in (shared.sweeps, shared.small_angle_sweeps)

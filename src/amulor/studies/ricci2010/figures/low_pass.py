@@ -169,7 +169,7 @@ def _draw(data: Sweep) -> Figure:
 
 
 def _accordance(name: str, first: Curve, second: Curve) -> Check:
-    """Check that two half-power frequencies agree within their errors."""
+    """Check that two half-power frequencies agree within 15 %, and state the error."""
     ratio = first.cut_off / second.cut_off
     error = ratio * np.hypot(
         first.cut_off_error / first.cut_off, second.cut_off_error / second.cut_off

@@ -399,7 +399,7 @@ def disc_checks(study: Study) -> list[Check]:
 def _outline_checks(
     study: Study, scan: DiscScan, measured: Outlines, words: dict[str, str]
 ) -> list[Check]:
-    """Check the diameters of disc and holes within a pixel, and the number of holes."""
+    """Check diameters of disc and holes to within a pixel, and the number of holes."""
     rows = statements(15)
     small = measured.small_holes[:4]
     mean = None

@@ -176,7 +176,7 @@ def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
 
 
 def _circle(area: float, step: float) -> Outline:
-    """Return the circle with the area covered by a number of pixels."""
+    """Return the equivalent diameter of an area of pixels, with its uncertainty."""
     diameter = math.sqrt(4 * area / math.pi)
     count = math.sqrt(_SECTORS * _LATTICE * math.pi * diameter / step)
     return Outline(diameter, 2 * count * step**2 / (math.pi * diameter))

@@ -126,22 +126,22 @@ class Sweep:
 
     @property
     def ratio(self) -> Floats:
-        """Ratio of signal to water signal, eq. (54)."""
+        """Ratio of total signal to water signal, eq. (54)."""
         return interference.signal_to_optical_noise_ratio(self.signal, self.water)
 
     @property
     def corrected_ratio(self) -> Floats:
-        """Ratio of target signal after subtraction to water signal, eq. (58)."""
+        """Ratio of water-subtracted target signal to water signal, eq. (58)."""
         return interference.signal_to_optical_noise_ratio(self.subtracted, self.water)
 
     @property
     def contrast(self) -> Floats:
-        """Contrast between signal and water signal, eq. (54)."""
+        """Contrast between total signal and water signal, eq. (54)."""
         return interference.contrast(self.signal, self.water)
 
     @property
     def corrected_contrast(self) -> Floats:
-        """Contrast of water-subtracted target signal and water signal, eq. (58)."""
+        """Contrast between water-subtracted signal and water signal, eq. (58)."""
         return interference.contrast(self.subtracted, self.water)
 
 

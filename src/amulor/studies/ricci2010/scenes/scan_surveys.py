@@ -137,7 +137,7 @@ repeats = {round(study["open_water_repeats"])}
 
 
 def around(distance: float) -> tuple[float, float]:
-    """Return an operator's typical range limits for a target distance [m]."""
+    """Return range limits 1 m around a target distance, at least 0.2 m [m]."""
     return max(distance - 1.0, 0.2), distance + 1.0
 
 

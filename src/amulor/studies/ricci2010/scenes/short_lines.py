@@ -54,7 +54,7 @@ class Line:
 
 
 def _light_of(step: str) -> Callable[[Study], Lines]:
-    """Return a function for the light over the plate in a given water."""
+    """Return a function that computes the light over the plate in a given water."""
 
     def light(study: Study) -> Lines:
         return line_light(study, study[TURBIDITIES[step]])
@@ -63,7 +63,7 @@ def _light_of(step: str) -> Callable[[Study], Lines]:
 
 
 def _open_water_of(step: str) -> Callable[[Study], dict[str, Complex]]:
-    """Return a function for the light in a given water without the plate."""
+    """Return a function that computes the light in a given water without the plate."""
 
     def light(study: Study) -> dict[str, Complex]:
         return open_water(study, study[TURBIDITIES[step]])
@@ -108,7 +108,7 @@ def standard_error(batches: Array) -> float:
 
 
 def difference(study: Study, step: str, pairs: tuple[str, str]) -> tuple[float, float]:
-    """Return the drift difference between two polarizer pairs, with standard error."""
+    """Return the difference of two drift magnitudes, and its standard error [deg]."""
     first, second = (line(study, step, pair).drift for pair in pairs)
     light, dark = (study.once(LIGHT[step])[pair].phase_batches for pair in pairs)
     sign = np.sign(first * second)
@@ -125,7 +125,7 @@ def corrected(study: Study, step: str, pair: str) -> Array:
 
 
 def rejected_share(study: Study, step: str, pairs: tuple[str, str]) -> float:
-    """Return the fraction of the water's light that is cross-polarized [1]."""
+    """Return the share of the first of two polarizer pairs in the water's light [1]."""
     light = study.once(LIGHT[step])
     crossed, parallel = (np.abs(light[pair].water) for pair in pairs)
     return float(np.mean(crossed / (crossed + parallel)))
@@ -146,7 +146,7 @@ def advance_along(signal: Complex) -> Array:
 
 
 def rise_weight() -> Array:
-    """Return pixel weights for the phase drift of a linear fit."""
+    """Return pixel weights that give the phase drift of a linear fit."""
     pixel = np.arange(PIXELS) - 0.5 * (PIXELS - 1)
     weight: Array = pixel / (pixel @ pixel) * (PIXELS - 1)
     return weight

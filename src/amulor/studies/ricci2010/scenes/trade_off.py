@@ -84,7 +84,7 @@ SET_UPS = (
 
 
 def drifts(study: Study) -> tuple[Drifts, ...]:
-    """Return the phase drifts of all set-ups."""
+    """Return the phase drifts of all set-ups; in a quick study, of every third."""
     return tuple(
         drifts_of(study, set_up)
         for set_up in (SET_UPS[::3] if study.quick else SET_UPS)

@@ -279,7 +279,7 @@ def _sweep(study: Study, *, turbidity: Turbidity) -> Sweep:
 
 
 def _frequencies(study: Study) -> Floats:
-    """Return evenly spaced frequencies for the curves, as in the measurement [Hz]."""
+    """Return evenly spaced frequencies for the curves, over the measured band [Hz]."""
     return np.linspace(study["sweep_first"], study["sweep_last"], _POINTS[study.quick])
 
 

@@ -97,7 +97,7 @@ def _reflectance(study: Study, *, number: int) -> Reflectance:
 
 
 def _batches(tally: Tally, name: str) -> Complex:
-    """Return the light of all tally parts of a given name, (batches, frequencies)."""
+    """Return the light of tally parts selected by name, (batches, frequencies)."""
     chosen = [k for k, part in enumerate(tally.parts) if part.startswith(name)]
     light: Complex = tally.batches[:, chosen, 0].sum(axis=1)
     return light

@@ -73,7 +73,7 @@ def nothing(recorded: Recorded) -> tuple[Complex, Complex]:
 
 
 def leakage(size: float, *, delay: float | None = None) -> Effect:
-    """Return a function that adds electrical leakage, equal in both channels.
+    """Return a function that adds leakage to the scan; to references only with `delay`.
 
     Its size is a fraction of the median echo of the first channel.
     Without a delay it has one phase, 0.13 of a turn, and only the scan has it; with a
@@ -179,7 +179,7 @@ def scale_change(degrees: float) -> Effect:
 
 
 def window(size: float, *, delay: float = 0.5e-9) -> Effect:
-    """Return a function that adds light reflected at the window to one channel."""
+    """Return a function that adds reflected window light to the first channel."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         turns = recorded.frequency[:, None] * delay
@@ -488,7 +488,7 @@ def with_effect(
 
 
 def case(kind: str, size: float, count: int, state: str, seed: int) -> Case:
-    """Simulate an instrument error of given size, with a user's survey."""
+    """Simulate an instrument error, with a correct, a wrong or no calibration."""
     recorded, effect = Recorded(count, seed), KINDS[kind]
     if state == "uncalibrated":
         return _case(recorded, *effect.of_size(size)(recorded), False, None)

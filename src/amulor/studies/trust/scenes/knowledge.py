@@ -35,22 +35,22 @@ def _wrong(count: int, seed: int, **believed: Any) -> Case:
 
 
 def wrong_turbidity(count: int, seed: int, *, factor: float) -> Case:
-    """Simulate a plate whose survey states absorption and scattering times `factor`."""
+    """Simulate a plate scan with absorption and scattering misstated by `factor`."""
     return _wrong(count, seed, water=scaled("tank", factor))
 
 
 def wrong_baseline(count: int, seed: int, *, by: float = 0.5) -> Case:
-    """Simulate a plate whose survey states a baseline that is too long by `by` [cm]."""
+    """Simulate a plate scan with a baseline stated too long by `by` [cm]."""
     return _wrong(count, seed, baseline=20 + by)
 
 
 def wrong_axis(count: int, seed: int, *, by: float = 1.0) -> Case:
-    """Simulate a plate whose survey misstates the receiver azimuth by `by` degrees."""
+    """Simulate a plate scan with the receiver azimuth misstated by `by` degrees."""
     return _wrong(count, seed, azimuth=-4.0 + by)
 
 
 def wrong_index(count: int, seed: int, *, by: float = 0.002) -> Case:
-    """Simulate a plate whose survey overstates the group index of the water."""
+    """Simulate a plate scan with the group index of the water overstated."""
     return _wrong(count, seed, group_index=1.38 + by)
 
 

@@ -169,7 +169,7 @@ def _light(
     scatterer: object,
     shape: tuple[int, ...],
 ) -> Light:
-    """Return the light behind the analyzers, shape (frequencies, columns)."""
+    """Return light behind the analyzers, shape (frequency, channel, ..., column)."""
     passed = [
         float(mueller.detected_fraction(matrix(scatterer), pair=pair))
         for pair in planned.instrument.polarizations
@@ -186,7 +186,7 @@ def _light(
 def _with_samples(
     cube: xr.Dataset, prefix: str, samples: lock_in.Samples
 ) -> xr.Dataset:
-    """Return a cube with replaced lock-in outputs."""
+    """Return a cube with replaced lock-in outputs and stated errors."""
     values: dict[str, Floats] = {
         "in_phase": samples.signal.real,
         "quadrature": samples.signal.imag,
