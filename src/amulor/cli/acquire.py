@@ -224,8 +224,8 @@ def recover(
     print_next(f"amulor reject {path} --method auto -o target.nc")
     if damage:
         raise FormatError(
-            f"{folder}: the journal is damaged in {len(damage)} places, named above; "
-            f"the rest is in {path}"
+            f"{folder}: the journal is damaged at the places named above; the rest is "
+            f"in {path}"
         )
 
 

@@ -125,7 +125,7 @@ def test_recovering_a_damaged_journal_ends_with_1_and_the_rest(here, capsys) -> 
     told = capsys.readouterr()
     lines = told.err.splitlines()
     assert [line.split(": ")[2] for line in lines[:2]] == ["row 90", "row 92"]
-    assert "damaged in 2 places" in lines[2]
+    assert "damaged at the places named above" in lines[2]
     assert len(lines) == 3
     whole, rest = (io.read_cube(name) for name in ("scan/cube.nc", "rest.nc"))
     assert "2 samples missing" in told.out

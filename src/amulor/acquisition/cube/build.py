@@ -204,6 +204,13 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     scan = Samples(survey, survey.scan.rows, survey.scan.columns)
     scan.fill(journal, plan.SCAN)
     if not np.isfinite(scan["signal"]).any():
+        lines = journal.damage()
+        if lines:
+            raise CubeError(
+                f"{journal.folder} holds no undamaged sample of the scan; the first of "
+                f"{len(lines)} errors is: {lines[0]}; take a copy of the folder before "
+                "anything else"
+            )
         raise CubeError(
             f"{journal.folder} holds no sample of the scan yet; go on with it by "
             "amulor acquire --resume"

@@ -24,7 +24,7 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.rows import checksum
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings
-from amulor.errors import AmulorError, FormatError
+from amulor.errors import AmulorError, CubeError, FormatError
 from amulor.survey import Survey
 
 #: What a sample consists of in the cube, and what all of them make together.
@@ -307,6 +307,19 @@ def test_of_many_damaged_rows_some_are_named_and_all_are_counted(whole, folder) 
     assert len(lines) == 21
     assert lines[0].endswith("row 11: its checksum is that of other numbers")
     assert lines[-1] == f"{place}: and {count - 30} more rows like these"
+
+
+def test_a_journal_of_damaged_rows_only_is_not_called_empty(whole, folder) -> None:
+    place = copied(whole, folder / "scan")
+    connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
+    connection.execute("UPDATE samples SET quadrature = 1")
+    (count,) = connection.execute("SELECT COUNT(*) FROM samples").fetchone()
+    connection.close()
+    expected = f"the first of {count} errors is: row 1: its checksum"
+    with pytest.raises(CubeError, match=expected) as raised:
+        acquisition.recover(place)
+    assert "take a copy" in str(raised.value)
+    assert "--resume" not in str(raised.value)
 
 
 def test_a_locked_journal_names_the_program_and_not_the_disk(
