@@ -9,6 +9,7 @@ from pathlib import Path
 from cyclopts import validators
 
 from amulor._hdf5 import check_small
+from amulor._las import check_counts
 from amulor.errors import AmulorError, FormatError
 
 #: Seeds that a generator takes and a file keeps.
@@ -146,13 +147,15 @@ def check_inputs(*paths: Path | None) -> None:
     Raises
     ------
     FormatError
-        If an input does not exist, or is a cube whose variables cannot be in it.
+        If an input does not exist, or declares more than it can hold.
     """
     for path in filter(None, paths):
         if not path.exists():
             raise FormatError(f"{path} does not exist; check the name and the folder")
         if path.suffix.lower() in CUBE_ENDINGS:
             check_small(path)
+        elif path.suffix.lower() in (".las", ".laz"):
+            check_counts(path)
 
 
 #: Endings of netCDF files, which cubes are written to.

@@ -33,17 +33,20 @@ def check(
     """
     check_inputs(file)
 
+    from amulor.survey import Survey
+
+    survey = Survey.from_toml(file)
+
     from dataclasses import asdict
 
     from amulor.imaging.calibration_plan import calibration_plan, first_calibration
     from amulor.optics import ranging
     from amulor.rejection.channels import CROSS_POLARIZED
     from amulor.rejection.reference.grid import judge_plan
-    from amulor.survey import Survey, water_properties
+    from amulor.survey import water_properties
     from amulor.survey.properties import group_index_uncertainty
     from amulor.survey.reach import repetition, target_reach, unsettled_interval
 
-    survey = Survey.from_toml(file)
     _open_meshes(survey)
     water = water_properties(survey)
     frequencies = survey.instrument.modulation_frequencies

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._las import check_counts
 from amulor.cube import provenance
 from amulor.errors import CubeError, FormatError, MissingExtraError
 from amulor.io.files import atomic_output
@@ -62,10 +63,6 @@ _EXTRA = (
 
 #: Number of points read at once.
 _PART = 500_000
-#: Header of LAS 1.4, the longest header that is read here [byte].
-_HEADER = 255
-#: Header of a variable-length record, and of an extended one [byte].
-_VLR, _EVLR = 54, 60
 #: Dimensions of the format without meaning for such a scan.
 _DULL = {
     "X", "Y", "Z", "red", "green", "blue", "return_number", "number_of_returns",
@@ -278,7 +275,7 @@ def read_laz(path: Path, *, most: int) -> Shape:
     laspy = _laspy("reading")
     # The error describes the damage; its log would repeat it.
     logging.getLogger("laspy").addHandler(logging.NullHandler())
-    _check_counts(path)
+    check_counts(path)
     _check_chunks(path)
     try:
         with laspy.open(path) as file:
@@ -291,31 +288,6 @@ def read_laz(path: Path, *, most: int) -> Shape:
             f"{path.name} cannot be read as LAS or LAZ: {reason}; it is damaged or was "
             "not copied whole"
         ) from error
-
-
-def _check_counts(path: Path) -> None:
-    """Raise if a header declares more records than the file can hold."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(_HEADER).ljust(_HEADER, b"\0")
-    if not head.startswith(b"LASF"):
-        return
-    header, points, records, form, length, count = struct.unpack_from(
-        "<HIIBHI", head, 94
-    )
-    checks = [("records", records, min(points, size) - header, _VLR)]
-    if head[25] >= 4:  # minor version; 1.4 added extended records and 64-bit counts
-        start, extended, count = struct.unpack_from("<QIQ", head, 235)
-        checks.append(("extended records", extended, size - start, _EVLR))
-    if not form & 0x80:  # not compressed
-        checks.append(("points", count, size - points, length))
-    for name, declared, room, least in checks:
-        if declared * least > max(room, 0):
-            raise FormatError(
-                f"{path.name} declares {declared} {name} of at least {least} bytes "
-                f"each, but has {max(room, 0)} bytes for them; it is damaged or was "
-                "not copied whole"
-            )
 
 
 def _check_chunks(path: Path) -> None:

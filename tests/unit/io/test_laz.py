@@ -1,6 +1,7 @@
 """A LAS or LAZ file holds the cloud to a micrometre, as laspy reads it."""
 
 import struct
+import subprocess
 import sys
 import time
 
@@ -196,6 +197,21 @@ def test_a_header_that_declares_more_than_fits_is_refused_at_once(
     with pytest.raises(FormatError, match=rf"{path.name} declares {declared} .* bytes"):
         read_laz(path, most=10)
     assert time.monotonic() - begin < 1  # without the check: up to 25 s
+
+
+def test_the_page_refuses_such_a_file_before_slow_imports(tmp_path):
+    head = bytearray(300)
+    head[:4], head[94:104] = b"LASF", struct.pack("<HII", 227, 227, 2**31)
+    (tmp_path / "cloud.laz").write_bytes(head)
+    code = (
+        "import sys; from amulor.cli import main\n"
+        "assert main(['view', 'cloud.laz', '--save', 'page.html']) == 1\n"
+        "assert 'numpy' not in sys.modules, 'numpy was imported'"
+    )
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "cloud.laz declares 2147483648 records" in done.stderr
 
 
 def test_the_header_of_an_old_version_ends_before_the_extended_records(tmp_path):
