@@ -1,4 +1,4 @@
-"""Water signal of a survey over modulation frequency, by several forward models."""
+"""Open-water signal of a survey against modulation frequency, by three models."""
 
 from __future__ import annotations
 

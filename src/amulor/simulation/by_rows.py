@@ -32,7 +32,7 @@ _AT_ONCE = 2**20
 
 @dataclass(kw_only=True)
 class _Plane:
-    """Random generator for an array of (row, column), with the draw count."""
+    """Random generator of one (row, column) array: start, current state, draw count."""
 
     start: np.random.Generator
     now: np.random.Generator

@@ -93,7 +93,7 @@ class Geometry:
 def trace(
     setup: Setup, *, directions: tuple[Floats, Floats, Floats] | None = None
 ) -> Geometry:
-    """Trace every beam of a scan to its target.
+    """Trace every beam of a scan to the first target that it hits, if any.
 
     Another surface between the target and the receiver hides the echo in part: seven
     points stand for the receiver's aperture. With a window, that way is taken as
@@ -147,7 +147,7 @@ def trace(
 def _brightness(
     survey: Survey, scene: Scene, hits: Hits, beam: rays.Beam, receiver: Floats
 ) -> Floats:
-    """Return the radiance towards the receiver relative to a Lambertian surface [1]."""
+    """Return the radiance to the receiver over that of a Lambertian target [1]."""
     bright = scene.texture(hits)
     ray = -beam.direction.reshape(-1, 3)
     for number, target in enumerate(survey.targets):

@@ -50,7 +50,7 @@ class Chain:
 
     @classmethod
     def of(cls, setup: Setup, rng: np.random.Generator | int) -> Chain | None:
-        """Return a setup's signal chain, None without errors; `rng` stays unchanged."""
+        """Return the signal chain of a setup; None for a survey without errors."""
         errors = setup.survey.instrument.errors
         if errors is None:
             return None
@@ -114,7 +114,7 @@ class Chain:
         return azimuth + noise[0] + lag, elevation + noise[1], time
 
     def shots(self, azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats]:
-        """Return the directions of the open-water references in the order of recording.
+        """Return the directions of open-water references, in rounds if errors drift.
 
         With drift, the shots run in rounds over all directions: half of the rounds
         before the scan, half after it.
@@ -164,7 +164,7 @@ class Chain:
         )
 
     def reference_samples(self, signal: Complex, time: Floats) -> Complex:
-        """Return outputs for the signal of a standing reference at given times."""
+        """Return lock-in outputs at given times for a standing-reference signal."""
         drift, course = self.errors.drift, self._course(time)
         if drift is not None:
             power = (1 + drift.power * course) * (1 + drift.modulation_depth * course)

@@ -182,7 +182,7 @@ class Noise(Protocol):
 
 
 def draws(survey: Survey) -> list[tuple[str, int]]:
-    """Return the distributions drawn by `sample`, with numbers of pixel arrays."""
+    """Return each random draw of `sample`: distribution, and number of pixel arrays."""
     analysers = len(survey.instrument.polarizations)
     planes = len(survey.instrument.modulation_frequencies) * analysers
     speckled = survey.instrument.receiver.speckle_cells is not None
@@ -249,7 +249,7 @@ def sample(
 
 
 def _speckled(survey: Survey, target: Light, *, rng: Noise) -> Light:
-    """Return the target's light with speckle, drawn for each pixel and analyzer.
+    """Return the target light with speckle drawn per pixel and analyzer, if configured.
 
     A still scene has one pattern for all modulation frequencies.
     """

@@ -284,7 +284,7 @@ class SmallAngleModel:
         end: Any,
         farthest: float,
     ) -> SmallAngleModel:
-        """Return the model with a table of scattered light; see `FittedModel`."""
+        """Return the model with a table of scattered light, for Gaussian receivers."""
         if has_sharp_receiver(survey):
             return self
         shared_light = gaussian_receiver.fit(

@@ -260,7 +260,7 @@ def run(
 
 
 def ends(place: Place) -> tuple[Floats, Floats, Floats]:
-    """Return start, direction and end of a beam in the water."""
+    """Return start, direction and end of a beam in water (the start in open water)."""
     across = np.array([place.tilt, place.cross_tilt])
     direction = np.append(across, np.sqrt(1.0 - across @ across))
     start = place.standoff * np.append(across, 1.0)
@@ -269,7 +269,7 @@ def ends(place: Place) -> tuple[Floats, Floats, Floats]:
 
 
 def way(place: Place) -> float:
-    """Return the path length to the surface and back to the aperture center [m]."""
+    """Return the path length in water, to the surface and back to the receiver [m]."""
     _, _, point = ends(place)
     return_length = np.linalg.norm(point - np.array([place.baseline, 0.0, 0.0]))
     return place.depth + float(return_length) - place.standoff
@@ -290,7 +290,7 @@ _CHECKS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Factor:
-    """Ratio of photon transport to the small-angle model, interpolated over beams."""
+    """Ratio of photon-transport light to small-angle light, interpolated over beams."""
 
     grid: Grid
     """Beams of photon transport: baseline, tilt, squared cross tilt, depth."""
@@ -346,7 +346,7 @@ class PhotonModel:
     )
 
     def __post_init__(self) -> None:
-        """Validate the fields of the model."""
+        """Raise a ValueError unless the relative error is between 0 and 1."""
         if not 0 < self.relative_error < 1:
             raise ValueError(
                 f"relative_error must be above 0 and below 1, got {self.relative_error}"
@@ -456,7 +456,7 @@ class PhotonModel:
         reflectance: float,
         light: str,
     ) -> Factor:
-        """Return the ratio of photon transport to the small-angle model."""
+        """Return the interpolated ratio of photon-transport to small-angle light."""
         setting = _setting(survey, water, view)
         standoff = float(view.standoff.flat[0])
         bounded = bool(np.isfinite(points[:, 3]).all())
@@ -512,7 +512,7 @@ class PhotonModel:
         frequency: Floats,
         count: tuple[int, int],
     ) -> Light:
-        """Return the light of one beam from a cached simulation."""
+        """Return the light of one beam, simulated at the first call and cached."""
         key = (setting, place, tuple(frequency))
         if key not in self._known:
             self._known[key] = follow(
@@ -591,7 +591,7 @@ def _small_angle(
     frequency: Floats,
     light: str,
 ) -> Complex:
-    """Return the light of a beam by the small-angle model."""
+    """Return target or water light of one beam by the small-angle model."""
     beam_view = View(
         baseline=np.array([place.baseline]),
         transmission=np.ones(1),

@@ -197,7 +197,7 @@ class Scene:
         )
 
     def texture(self, hits: Hits) -> NDArray[np.float64]:
-        """Return the brightness of the texture at each hit [1]."""
+        """Return the texture's brightness at each hit; 1 without a texture [1]."""
         bright = np.ones(len(hits.target))
         for number, target in enumerate(self._targets):
             indices = np.flatnonzero(hits.target == number)
@@ -218,7 +218,7 @@ class Scene:
     def visible_fraction(
         self, hits: Hits, aperture: NDArray[Any], weight: NDArray[Any]
     ) -> NDArray[np.float64]:
-        """Return the fraction of the aperture that is visible from each hit [1]."""
+        """Return the visible fraction of the aperture from each hit; 0 for a miss."""
         fraction = np.zeros(len(hits.target))
         met = np.flatnonzero(hits.target >= 0)
         start, triangle = hits.point[met], hits.triangle[met]

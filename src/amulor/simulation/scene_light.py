@@ -1,4 +1,4 @@
-"""Expected light of a survey: for simulated devices, and statistics of a scan."""
+"""Noiseless light of a survey for simulated devices; expected statistics of a scan."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ _BEAMS = 25
 
 @dataclass(frozen=True, kw_only=True)
 class Expectation:
-    """Expected statistics of a scan's samples; NaN if no beam hits a target.
+    """Expected statistics of a scan's samples; medians are NaN without any target hit.
 
     Examples
     --------
@@ -173,7 +173,7 @@ class Expectation:
 
 
 def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expectation:
-    """Estimate statistics of a scan's samples from selected beams.
+    """Estimate statistics of a scan's samples from at most 25 x 25 of its beams.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
 
 
 def _median(values: Floats, met: NDArray[np.bool_]) -> Floats:
-    """Return the median over the beams that hit a target."""
+    """Return the median over the beams that hit a target; NaN if none does."""
     if not met.any():
         return np.full(values.shape[:2], np.nan)
     return np.asarray(np.median(values[:, :, met], axis=-1))

@@ -1,4 +1,4 @@
-"""Simulated readings of a standing reference, and the phase drift that they show."""
+"""Simulated readings of a standing reference, and correction of the phase drift."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from amulor.survey.counting import reference_variance
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceReadings:
-    """Phase drift by a standing reference, with the times of scan and shots."""
+    """Phase drift measured at a standing reference, for the correction of samples."""
 
     drift: PhaseDrift
     """Phase drift of the instrument."""
@@ -28,7 +28,7 @@ class ReferenceReadings:
     def of(
         cls, survey: Survey, chain: Chain | None, rng: np.random.Generator | int
     ) -> ReferenceReadings | None:
-        """Draw the readings of a survey; None without a standing reference.
+        """Simulate readings of the standing reference; None if the survey has none.
 
         Readings are before each row, and before each round of open-water references.
         The noise is that of photon counting. `rng` stays unchanged.
@@ -58,12 +58,12 @@ class ReferenceReadings:
         return cls(drift=drift, chain=chain, attributes=drift.attributes(frequency))
 
     def scan(self, signal: Complex, time: Floats) -> Complex:
-        """Return scan samples without the drift, for start times of the pixels [V]."""
+        """Return scan samples corrected for phase drift, by pixel start time [V]."""
         start = 0.0 if self.chain is None else self.chain.scan_start
         return self.drift.corrected(signal, start + time)
 
     def shots(self, signal: Complex) -> Complex:
-        """Return open-water references without the drift [V]."""
+        """Return open-water references corrected for the phase drift [V]."""
         if self.chain is None:
             return signal
         return self.drift.corrected(signal, self.chain.shot_times)

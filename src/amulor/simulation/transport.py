@@ -148,7 +148,7 @@ def _layers(water: WaterProperties) -> tuple[Layer, ...]:
 
 
 def half_power(tally: Tally) -> tuple[float, float]:
-    r"""Return the half-power frequency of the amplitude, and its standard error."""
+    r"""Return half-power frequency and its standard error; NaN if not reached [Hz]."""
     frequency = tally.modulation_frequency
     if frequency[0] != 0 or not np.all(np.diff(frequency) > 0):
         raise ValueError("the frequencies must rise from 0 Hz")

@@ -19,12 +19,12 @@ class NamesFile(Protocol):
     """Interface of survey sections that name a file."""
 
     def settled(self, folder: Path, *, where: str) -> Any:
-        """Return a copy with full file paths, or with the contents of the files."""
+        """Return a copy with the full path of the file, or with its content."""
         ...
 
 
 def settled(description: _Described, folder: Path, *, where: str) -> _Described:
-    """Return a survey section with full file paths, or the contents of its files."""
+    """Return a survey section with full paths of meshes and contents of table files."""
     copy = _settled(description, folder, where=f"{where}: ", path="")
     return copy  # type: ignore[no-any-return]
 
@@ -99,7 +99,7 @@ def columns(path: Path, *, count: int, where: str) -> list[list[float]]:
 
 
 def validated(model: type[_Model], content: Any, *, where: str) -> _Model:
-    """Validate a table as a survey section; raise with one line per error."""
+    """Validate a table as a survey section; SurveyError with the first problem."""
     try:
         return model.model_validate(content)
     except ValidationError as error:

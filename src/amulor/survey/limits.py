@@ -17,7 +17,7 @@ __all__ = ["LIMITS", "Limit", "beyond"]
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """Smallest and largest value of a number in a survey file."""
+    """Largest and, if any, smallest magnitude of a number in a survey file."""
 
     quantity: str
     """Physical quantity, a key of `amulor.units.SI_UNITS`."""

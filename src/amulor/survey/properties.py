@@ -145,7 +145,7 @@ _POLARIZATION_KEPT = (1.0, -1.0, -1.0)
 
 
 def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
-    """Return a survey with its water described by coefficients and moments."""
+    """Return a survey with explicit water coefficients, a and b times `factor`."""
     water = survey.water
     if isinstance(water, Water):
         changed = water.model_copy(
@@ -200,7 +200,7 @@ def _tabulated(function: PhaseFunction) -> Tabulated:
 
 
 def indices(survey: Survey) -> tuple[float, float]:
-    """Return phase index and group index of the water, as stated or from its state."""
+    """Return phase and group index of the water; computed if the survey has none."""
     water, wavelength = survey.water, survey.instrument.wavelength
     state = state_of(water)
     phase_index, group_index = water.refractive_index, water.group_index

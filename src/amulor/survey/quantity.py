@@ -167,7 +167,7 @@ Fraction = Annotated[float, _read("fraction"), _finite]
 
 
 def _whole_number(value: Any) -> Any:
-    """Return an integer; ValueError for true, false and numbers that are too large."""
+    """Return a value; ValueError for true, false and integers that are too large."""
     if isinstance(value, bool):
         raise ValueError(f"found {str(value).lower()}; needed is a whole number")
     if isinstance(value, int) and abs(value) > _LARGEST_COUNT:

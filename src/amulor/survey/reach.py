@@ -22,7 +22,7 @@ _BEAMS = 65
 
 
 def target_reach(survey: Survey) -> tuple[float, float] | None:
-    """Return smallest and largest slant range of the targets within the beams [m].
+    """Return the smallest and largest slant range of targets that the beams meet [m].
 
     Boxes enclose every target: a flat box for a plate, one box for each tread of a
     staircase, a box as deep as the curvature of a disc, a bounding box for a mesh. The
@@ -50,7 +50,7 @@ def target_reach(survey: Survey) -> tuple[float, float] | None:
 def unsettled_interval(
     survey: Survey | None, *, modulation_frequency: ArrayLike
 ) -> str:
-    """Return the reason for ambiguous ranges of the targets; empty if unambiguous.
+    """Return the reason why ranges of targets may be ambiguous; empty if they are not.
 
     Phases repeat with the ambiguity interval of the smallest frequency, or of the
     smallest difference between two. The right repetition must be known, either from
@@ -133,7 +133,7 @@ def _rotation(angles: tuple[float, float, float]) -> Floats:
 def _boxes(
     target: Plate | Staircase | Disc | Mesh,
 ) -> list[tuple[Floats, Floats]] | None:
-    """Return the corners of boxes that enclose a target, in the target's axes [m]."""
+    """Return the corners of boxes around a target, in its axes [m]; None if unknown."""
     if isinstance(target, Plate):
         half = np.array([target.width / 2, target.height / 2, 0.0])
         return [(-half, half)]

@@ -40,7 +40,7 @@ def epsg_code(text: str) -> int | None:
 
 
 def projected_code(text: str) -> int | None:
-    """Return the EPSG code of a projected system in meters; None for other names."""
+    """Return the EPSG code of a projected system in meters; None for plain names."""
     code = epsg_code(text)
     if code is None:
         return None
@@ -70,7 +70,7 @@ def projected_code(text: str) -> int | None:
 
 
 def _checked(text: str) -> str:
-    """Return the name of a reference system; raise if pyproj does not know it."""
+    """Return a reference-system name; ValueError if its EPSG code is not projected."""
     # Only writers of coordinates in the reference system require pyproj.
     with contextlib.suppress(MissingExtraError):
         projected_code(text)

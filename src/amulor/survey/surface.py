@@ -178,7 +178,7 @@ def brightness(
     leaving: Floats,
     azimuth: Floats,
 ) -> Floats:
-    """Return the BRDF of a surface, relative to a Lambertian surface [1]."""
+    """Return the BRDF of a surface over that of a Lambertian surface [1]."""
     if isinstance(surface, OrenNayar):
         ratio = reflection.oren_nayar(
             incidence=incidence,

@@ -213,7 +213,7 @@ class Survey(Description):
         return files.settled(survey, Path(), where="survey")
 
     def to_toml(self) -> str:
-        """Write the survey as TOML, each quantity with its SI unit.
+        """Return the survey as TOML text, each quantity with its SI unit.
 
         Returns
         -------

@@ -42,7 +42,7 @@ class _Target(Description):
 
 
 class Plate(_Target):
-    """Flat rectangle that faces the instrument.
+    """Flat rectangle; without rotation, it faces the instrument.
 
     Examples
     --------

@@ -118,7 +118,7 @@ _NEEDED = {
 
 
 def _location(loc: tuple[Any, ...], content: Any) -> list[Any]:
-    """Return the path of an error in a file, without the names of alternatives."""
+    """Return the path of an error in a file, without pydantic's type labels."""
     location: list[Any] = []
     value = content
     for position, part in enumerate(loc):

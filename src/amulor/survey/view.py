@@ -58,7 +58,7 @@ def medium_of(survey: Survey) -> rays.Medium:
 
 
 def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
-    """Return the receiver's standoff as depth of water [m], and acceptance [rad]."""
+    """Return the receiver's standoff as water depth [m], acceptance in water [rad]."""
     receiver = survey.instrument.receiver
     if medium.window_distance is None:
         return 0.0, receiver.acceptance
@@ -137,7 +137,7 @@ def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
 def _transmission(
     survey: Survey, medium: rays.Medium, launched: Floats, axis: Floats
 ) -> Floats:
-    """Return the transmission of the window for launched and received light [1].
+    """Return the window's two-way transmission, for launched and received light [1].
 
     Light reflected twice within the pane, less than a thousandth, is neglected.
     """

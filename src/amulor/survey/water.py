@@ -65,7 +65,7 @@ SALINITIES, TEMPERATURES = (0.0, 40.0), (0.0, 30.0)
 
 
 def state_of(water: WaterState) -> dict[str, float]:
-    """Return temperature and salinity of the water, with defaults if not stated."""
+    """Return temperature and salinity of the water; mid-range values if not stated."""
     stated = {"temperature": water.temperature, "salinity": water.salinity}
     spans = {"temperature": TEMPERATURES, "salinity": SALINITIES}
     return {

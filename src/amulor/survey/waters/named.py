@@ -278,7 +278,7 @@ class LayeredWater(WaterState):
 
 
 def _kind(description: Any) -> Any:
-    """Return the kind of a water; without one it is described by coefficients."""
+    """Return the `kind` of a water; "coefficients" if it states none."""
     if isinstance(description, dict):
         return description.get("kind") or "coefficients"
     return getattr(description, "kind", None) or "coefficients"
