@@ -190,7 +190,7 @@ def profile(
 
 
 def axis_of(turned: measure.Revolution) -> tuple[Floats, Floats]:
-    """Return the axis of a body: its unit vector, and a point on it [m]."""
+    """Return the axis of a surface of revolution: unit vector and a point on it [m]."""
     axis, point = (
         np.array([turned.fit.values[f"{name}_{at}"] for at in "xyz"])
         for name in ("axis", "point")

@@ -110,7 +110,7 @@ def product_of(
 
 
 def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
-    """Return sentences on axes, uncertainty and origin for a product's file."""
+    """Return sentences on axes, uncertainty and processing for a product's file."""
     budget = error_budget(image)
     statements = [f"Axes: {frame.axes}"]
     if frame.name == "pose":

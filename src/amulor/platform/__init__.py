@@ -17,5 +17,5 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """List the public names without the modules that define them."""
+    """Return the public names of the package only."""
     return sorted(__all__)

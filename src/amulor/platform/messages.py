@@ -64,7 +64,7 @@ def trajectory_of(
     place: Callable[[int], str],
     longest_gap: float | None = None,
 ) -> Trajectory:
-    """Return the trajectory of pose messages; raise if no order of them is certain.
+    """Return the trajectory of pose messages; FormatError if they are inconsistent.
 
     `place` names the location of a message in its file. Late messages are sorted,
     repeated ones are dropped, and both are counted in the remarks.
@@ -143,7 +143,7 @@ def _refuse_steps_back(
     used: NDArray[np.intp],
     place: Callable[[int], str],
 ) -> None:
-    """Raise where a clock steps back: late messages in a row, at times of others.
+    """Raise if the clock steps back: late messages in long runs or at times of others.
 
     Messages that were only delayed fall into the gap that they left.
     """
@@ -186,7 +186,7 @@ def _without_repeats(
 def _refuse_jumps(
     track: Trajectory, order: NDArray[np.intp], place: Callable[[int], str]
 ) -> None:
-    """Raise if the attitude jumps, as it does after a wrong change of its axes."""
+    """Raise if the attitude jumps between poses, as with wrongly converted axes."""
     turns = Rotation.from_quat(track.attitude)
     angle = np.linalg.norm(turn_between(turns[:-1], turns[1:]), axis=1)
     near = np.diff(track.time) <= track.longest_gap
@@ -203,7 +203,7 @@ def _refuse_jumps(
 def _remarks_on_gaps(
     track: Trajectory, order: NDArray[np.intp], place: Callable[[int], str]
 ) -> list[str]:
-    """Describe the gaps."""
+    """Describe the number of gaps without poses, and the longest gap."""
     steps = np.diff(track.time)
     (gaps,) = np.nonzero(steps > track.longest_gap)
     if not gaps.size:
@@ -219,7 +219,7 @@ def _remarks_on_gaps(
 def _remarks_on_speed(
     track: Trajectory, order: NDArray[np.intp], place: Callable[[int], str]
 ) -> list[str]:
-    """Describe long intervals in which the speed is not that of their neighbors."""
+    """Describe long intervals in which the speed differs from neighboring intervals."""
     steps = np.diff(track.time)
     moved = np.linalg.norm(np.diff(track.position, axis=0), axis=1)
     beside = steps * median_filter(moved / steps, _NEAR, mode="nearest")

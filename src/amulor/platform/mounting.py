@@ -14,7 +14,7 @@ from amulor.survey.quantity import Angle, Description, Length, Position, Time
 
 
 class Mounting(Description):
-    """Place and attitude of the instrument on its vehicle, and its clock.
+    """Position, attitude and clock offset of the instrument relative to its vehicle.
 
     Examples
     --------

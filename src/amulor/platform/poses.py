@@ -1,4 +1,4 @@
-"""Poses of the instrument on a moving vehicle, and the errors of points they place."""
+"""Poses of the instrument on a moving vehicle, and resulting errors of points."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ class InstrumentPoses:
         return np.asarray(jacobian @ stated @ np.swapaxes(jacobian, 1, 2))
 
     def variance(self, points: ArrayLike, along: ArrayLike) -> Floats:
-        r"""Return the variance of coordinates due to pose, mounting and motion.
+        r"""Return coordinate variances by trajectory, mounting, clock and motion.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class InstrumentPoses:
         return np.asarray(own + shared + smear**2)
 
     def shared_errors(self, points: ArrayLike) -> Floats:
-        """Return the shift of points by each error that all readings have in common.
+        """Return the shift of points by one sigma of each error common to all readings.
 
         Parameters
         ----------

@@ -123,7 +123,7 @@ class Trajectory:
     """Irregularities of the source, one sentence each."""
 
     def __post_init__(self) -> None:
-        """Validate shapes, order and finiteness."""
+        """Raise a ValueError for wrong shapes, unsorted times or infinite values."""
         count = self.time.size
         shapes = {"position": (3,), "attitude": (4,), "covariance": (6, 6)}
         for name, shape in shapes.items():
@@ -223,7 +223,7 @@ class Trajectory:
         return np.stack([self.time[where], self.time[where + 1]], axis=1)
 
     def at(self, time: ArrayLike) -> Poses:
-        """Interpolate poses at given times.
+        """Interpolate poses at given times; NaN in gaps and outside the trajectory.
 
         Parameters
         ----------

@@ -43,7 +43,7 @@ def instrument_and_water(images: Mapping[str, xr.Dataset]) -> list[Part]:
 
 
 def registration(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Table of instrument poses, as stated in the surveys of range images."""
+    """Table of instrument poses from the surveys of range images."""
     rows = []
     for name, image in images.items():
         survey = readable_survey(image)

@@ -1,4 +1,4 @@
-"""Figure of a calibration: leakage, drift, temperature, frequency, amplitude."""
+"""Figure of a calibration: leakage, and phase by time, temperature and frequency."""
 
 from __future__ import annotations
 

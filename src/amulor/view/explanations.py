@@ -81,7 +81,7 @@ def explanations() -> dict[str, Explanation]:
 
 
 def find(words: str) -> list[Explanation]:
-    """Explanations for a name or a message, best match first."""
+    """Explanations for a name or a message; those of a similar name if none matches."""
     by_name = explanations()
     plain = re.sub(r"[^a-z]+", "_", words.lower()).strip("_")
     if plain.upper() in by_name:
@@ -229,7 +229,7 @@ _NO_FLAGS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Reason:
-    """Flag of a pixel, with the measured value and the limit that it exceeded."""
+    """Flag of a pixel, with the measured value and the condition that sets the flag."""
 
     flag: str
     """Name of the flag."""
@@ -314,7 +314,7 @@ def _numbers_of(part: xr.Dataset) -> dict[str, float]:
 
 
 def _phases(sample: xr.Dataset) -> dict[str, float]:
-    """Phase uncertainty of a sample, and phase error by residual water [rad]."""
+    """Phase errors of a sample by noise, by residual water, and by both [rad]."""
     observation = Observation(cube=sample)
     signal, errors = observation.signal, observation.covariance
     measured = np.isfinite(signal)
@@ -350,7 +350,7 @@ class _Test:
         return self.flag == flag
 
     def given_by(self, value: float) -> bool:
-        """Whether a value sets the flag; for a stored cause, always."""
+        """Whether a value sets the flag; for causes and without a limit, any does."""
         if not self.relation or isinstance(self.flag, WaterResidualCause):
             return not math.isnan(value)
         return value < self.limit if self.relation == "<" else value >= self.limit
@@ -421,7 +421,7 @@ def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[
 def _reasons(
     numbers: dict[str, float], attributes: Mapping[Any, Any]
 ) -> Iterator[Reason]:
-    """Yield the measured values beyond their limits, at least one for each flag."""
+    """Yield reasons of each flag: values beyond limits, or a text if there are none."""
     flags = QualityFlag(int(numbers["quality_flag"]))
     causes = WaterResidualCause(int(numbers.get("water_residual_cause", 0)))
     if "residual_phase" in numbers:  # the angle is clearer than its ratio

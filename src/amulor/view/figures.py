@@ -82,7 +82,7 @@ def signal_images(cube: xr.Dataset, *, frequency: int = 0) -> Figure:
 
 
 def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
-    """Draw slant range before and after rejection, and uncertainty and flags.
+    """Draw slant range before and after rejection, its change, and its uncertainty.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
 
 
 def surfaces(images: Mapping[str, xr.Dataset]) -> Figure:
-    """Draw range images as shaded surfaces in space.
+    """Draw range images as shaded surfaces in three dimensions.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def _even(values: Floats) -> tuple[float, float]:
 
 
 def _grid(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:
-    """Coordinates x, y and height above the farthest point, for each pixel [mm]."""
+    """Coordinates x, y and height above the far side (98 % quantile of z) [mm]."""
     cloud = point_cloud(image)
     shape = image["quality_flag"].shape
     place = (cloud["row"].values, cloud["column"].values)

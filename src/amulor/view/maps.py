@@ -50,7 +50,7 @@ class Map:
 
 
 def draw_maps(maps: Sequence[tuple[xr.Dataset, Map]]) -> Figure:
-    """Draw maps of equal shape, as large as one page allows."""
+    """Draw maps of scans side by side, as large as one page allows."""
     ratio = max(_ratio(cube) for cube, _ in maps)
     rows, columns, width, height = _layout(len(maps), ratio)
     total = rows * (height + _ABOVE + _BELOW) + 0.04

@@ -134,7 +134,7 @@ def _archival(content: bytes, about: dict[str, str]) -> bytes:
 
 
 def _stream(keys: bytes, content: bytes) -> bytes:
-    """Object of a stream with its dictionary."""
+    """PDF stream object with its dictionary."""
     return b"<<%s /Length %d>>\nstream\n%s\nendstream" % (keys, len(content), content)
 
 

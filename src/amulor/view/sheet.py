@@ -151,7 +151,7 @@ def fitting_scale(wide: float, high: float) -> float:
 
 
 def largest_on_a3() -> tuple[float, float]:
-    """Width and height that a raster may have on a lying sheet of A3 [m]."""
+    """Largest width and height of a raster as printed on landscape A3 [m]."""
     high, wide = _SHEETS["A3"]
     # A title block of fifteen lines.
     below = _block_height(15, _BARS) + 2 * _BORDER + _TICKS
@@ -220,7 +220,7 @@ def sheet(
     annotations: Annotations | None = None,
     legend: Sequence[tuple[str, str, str]] = (),
 ) -> Figure:
-    """Draw a raster on the smallest ISO sheet that fits it at its scale."""
+    """Draw a raster to scale, on the smallest ISO sheet that fits it."""
     pixels, limits, unit = colours_of(raster, show, values=values)
     extent = extent_of(raster)
     room = _ROOM * scale
@@ -286,7 +286,7 @@ def line_sheet(
     picture: Raster | None = None,
     colours: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Draw polylines on the smallest ISO sheet that fits them at their scale.
+    """Draw polylines to scale, on the smallest ISO sheet that fits them.
 
     Parameters
     ----------
@@ -557,7 +557,7 @@ def _paper(
 
 
 def _wrapped(statements: Sequence[str], width: float) -> list[str]:
-    """Statements in lines that fit the title block of a sheet of a width [mm]."""
+    """Statements wrapped into lines that fit a title block of the given width [mm]."""
     letters = int((width - 2 * _BORDER - 6) / _LETTER)
     return [
         line

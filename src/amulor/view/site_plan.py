@@ -82,7 +82,7 @@ def annotations_of(
 def plan_figure(
     site: Site, registration: Registration, scans: Sequence[PlacedScan]
 ) -> tuple[Figure, float]:
-    """Draw the last visit shaded from above, and the stations of all visits.
+    """Return a shaded plan of the last visit with all stations, and the ellipse factor.
 
     Returns the figure, and the factor by which the error ellipses are enlarged.
     """

@@ -72,7 +72,7 @@ def limits(values: Floats) -> tuple[float, float]:
 
 
 def picture(values: Floats, *, colours: str, plain: bool = False) -> Text:
-    """Map as lines of half-block characters, two rows of pixels per line."""
+    """Map as colored half-blocks, two pixel rows a line, or plain shade characters."""
     from rich.text import Text
 
     low, high = limits(values)
@@ -108,7 +108,7 @@ def picture(values: Floats, *, colours: str, plain: bool = False) -> Text:
 def _colour(
     shades: NDArray[np.int_], valid: NDArray[np.bool_], row: int, column: int
 ) -> str | None:
-    """Color of a character cell in rich's notation; None without a value."""
+    """Color of a pixel in rich's notation; None without a value."""
     if row >= len(valid) or not valid[row, column]:
         return None
     red, green, blue = shades[row, column]

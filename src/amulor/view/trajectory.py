@@ -68,7 +68,7 @@ def draw(track: Trajectory) -> Figure:
 
 
 def _draw_plan(axis: Axes, poses: Poses) -> None:
-    """Draw the track from above, with the heading and three standard uncertainties."""
+    """Draw the track from above, with headings and the largest standard uncertainty."""
     east, north = poses.position[:, 0], poses.position[:, 1]
     axis.plot(east, north, color=COLOURS[0])
     (known,) = np.nonzero(poses.known)

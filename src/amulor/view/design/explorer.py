@@ -222,7 +222,7 @@ class Explorer:
     def _asked_of(
         self, settings: Mapping[str, Any], water: str
     ) -> tuple[Survey, dict[str, Any]]:
-        """Survey with the named water, and arguments of `evaluate` except distances."""
+        """Survey with the named water; arguments of `evaluate` common to all points."""
         survey, axes = self._instrument(settings, water)
         return survey, {"method": self.method, "interval": self._interval, **axes}
 
@@ -270,7 +270,7 @@ class Explorer:
 def _around(
     values: Sequence[float], usual: tuple[float, float], factor: float
 ) -> tuple[float, float]:
-    """Return the limits of a map axis, wide enough for all required distances."""
+    """Limits of a map axis around required values; the usual limits without any."""
     if not values:
         return usual
     return min(values) / factor, max(values) * factor

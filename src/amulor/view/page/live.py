@@ -175,7 +175,7 @@ class Live:
         self._maybe_all()
 
     def _patched(self) -> list[Rows]:
-        """Newly completed rows, corrected for the last estimate of the water signal."""
+        """Newly completed rows, raw and corrected with the last water estimate."""
         rows = []
         for channel, row in sorted(self._changed):
             if not self._progress.is_complete(channel, row):
@@ -188,7 +188,7 @@ class Live:
         return rows
 
     def _quick(self, channel: str, row: int) -> dict[str, Floats]:
-        """Range and amplitude of a row, corrected for the latest water estimate."""
+        """Range and amplitude of a row: raw, and corrected with the water estimate."""
         row_cube = self.recording.one_row(channel, row)
         if row_cube is None:
             return {}

@@ -126,7 +126,7 @@ def _figure(
 
 
 def _volume(picture: Picture, request: dict[str, Any]) -> dict[str, Any]:
-    """Volume between a rectangle of the surface and the plane of another one."""
+    """Volume between the surface in a rectangle and the plane fitted in another."""
     parts = [
         _region(picture, request.get("region"), most=_MOST_OF_VOLUME),
         _region(picture, request.get("base")),
@@ -202,7 +202,7 @@ def _half_profile(picture: Picture, request: dict[str, Any]) -> dict[str, Any]:
 def _surface_in(
     picture: Picture, pixels: list[tuple[int, int]], clip: Any
 ) -> tuple[xr.Dataset, np.ndarray]:
-    """Part of an image around pixels, and which of them are on a surface in the box."""
+    """Image around pixels, and mask of those on a surface within the clip box."""
     image = picture.around(
         sorted({row for row, _ in pixels}), sorted({column for _, column in pixels})
     )

@@ -240,7 +240,7 @@ _MESH = 128
 
 
 def large_picture(path: Path) -> LargePicture:
-    """Open a range image of any size."""
+    """Open a range image of any size; FormatError if its file is damaged."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
         file.seek(-SEAL_LENGTH, 2)
@@ -281,7 +281,7 @@ class LargePicture:
         return variable in self._file
 
     def values(self, variable: str, stride: int) -> NDArray[Any]:
-        """Values of a variable at every `stride`-th row and column, as float32."""
+        """Values at every `stride`-th row and column; float32, integers as uint16."""
         rows, columns = (-(-size // stride) for size in self.shape)
         kind = self._read(variable, slice(0, 1), slice(0, 1)).dtype.kind
         out = np.empty((rows, columns), np.uint16 if kind in "iu" else np.float32)

@@ -138,7 +138,7 @@ _SHORTEST = 15.0
 
 @dataclass(frozen=True, kw_only=True)
 class Going:
-    """State of a scan: samples, sampling rate, drift, and reason for its end."""
+    """State of a scan: samples, sampling rate, drift, and reason of the last stop."""
 
     running: bool
     """Whether a part of the scan is running."""

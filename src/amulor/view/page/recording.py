@@ -40,7 +40,7 @@ Cubes = Mapping[str, xr.Dataset | None]
 def spectrum(
     cubes: Cubes, channel: str, row: int, column: int
 ) -> dict[str, Any] | None:
-    """Amplitude and phase of a pixel over the modulation frequency."""
+    """Amplitude and phase of a pixel over frequency; None without the channel."""
     parts: dict[str, Any] = {}
     frequency: NDArray[np.float64] | None = None
     for name, cube in cubes.items():
@@ -65,7 +65,7 @@ def spectrum(
 
 
 def spectra(cubes: Cubes, channel: str, *, most: int) -> dict[str, NDArray[np.float32]]:
-    """Amplitude and phase of all pixels of a channel, for a page without a server."""
+    """Signals and uncertainties of a channel for a saved page; empty if too large."""
     encoded = {}
     for name, cube in cubes.items():
         if cube is None or channel not in cube.amulor.polarizations:
@@ -197,7 +197,7 @@ class Recording:
         return MemoryPicture(image)
 
     def one_row(self, channel: str, row: int) -> xr.Dataset | None:
-        """Water signal and beams of one row; None if not available."""
+        """Beams of one row, with its water signal if known; None without samples."""
         if self._samples is None or channel not in self._samples.amulor.polarizations:
             return None
         cube = self._samples

@@ -115,7 +115,7 @@ class Guard:
 
 
 def _limited(receive: Receive) -> Receive:
-    """Receiver that limits the size of a request's body, whatever the header states."""
+    """ASGI receive function that disconnects if the body of a request is too large."""
     remaining = LARGEST_BODY
 
     async def limited() -> Message:
