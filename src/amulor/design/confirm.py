@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Photons:
-    """Signals of the middle beam by photon transport, relative to small-angle model."""
+    """Middle-beam signals by photon transport, relative to the small-angle model."""
 
     histories: int
     """Number of photon histories [1]."""

@@ -158,7 +158,7 @@ def _row(name: str, value: float, limit: float, unit: str, binding: str) -> Requ
 
 
 def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, ...]:
-    """Return requirements that each suffice if relaxed, else all missed ones."""
+    """Return each requirement whose relaxation alone suffices, else all missed ones."""
     ratios = _ratios(goal, scores)
     names = list(ratios)
     all_ratios = np.stack([ratios[name] for name in names])

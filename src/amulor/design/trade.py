@@ -161,7 +161,7 @@ class Turn:
 def what_if(
     goal: Goal, best: Parameters, other: Parameters, *, draws: int = 16
 ) -> tuple[Turn, ...]:
-    """Return for each assumption the value at which the other instrument is better.
+    """Return each assumption with its value at which the other instrument is better.
 
     Both instruments are ranked as in the search: first those that meet all
     requirements, then by cost if the goal states prices, then by error. One assumption

@@ -263,7 +263,7 @@ class _NmeaLog:
 
 
 def _increasing(times: Floats, *values: Floats) -> tuple[Floats, ...]:
-    """Return values at increasing times, the first one of equal times."""
+    """Return values in order of time; of equal times, only the first."""
     unique, first = np.unique(times, return_index=True)
     return unique, *(value[first] for value in values)
 
@@ -271,7 +271,7 @@ def _increasing(times: Floats, *values: Floats) -> tuple[Floats, ...]:
 def _resampled(
     times: Floats, places: Floats, sigma: Floats, *, at: Floats
 ) -> tuple[Floats, Floats]:
-    """Return positions and uncertainties at other times; NaN far from any position."""
+    """Return positions, NaN in gaps, and their uncertainties at other times."""
     times, places, sigma = _increasing(times, places, sigma)
     position = CubicSpline(times, places)(at)
     after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)

@@ -290,7 +290,7 @@ def median_of(nearest: Floats) -> float:
 
 
 def off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
-    """Signal distance from mixtures of two neighbors, and between those neighbors [V].
+    """Least signal distance from mixtures of neighbors; largest between neighbors [V].
 
     A beam on an edge measures a mixture of both sides. The first axis of `beside` has
     the neighbors of each sample, NaN where there are none.

@@ -168,7 +168,7 @@ def _refuse_steps_back(
 def _without_repeats(
     messages: Messages, order: NDArray[np.intp], place: Callable[[int], str]
 ) -> tuple[NDArray[np.intp], int]:
-    """Drop messages that repeat another; raise if they differ at one time stamp."""
+    """Return the order without repeated messages, and the number of repeats."""
     again = np.flatnonzero(np.diff(messages.time[order]) == 0) + 1
     for number in again:
         one, other = order[number - 1], order[number]
