@@ -20,8 +20,14 @@ from amulor.studies.trust.table import resumed, score
 
 #: Number of scans in the table.
 SCANS = 300
-COUNTS = (1, 2, 4)
 METHODS = ("open-water", "combined", "polarization", "joint")
+#: Methods and numbers of frequencies, in turn; joint estimation needs two.
+TURNS = [
+    (method, count)
+    for method in METHODS
+    for count in (1, 2, 4)
+    if (method, count) != ("joint", 1)
+]
 #: Nearest and farthest targets in each water [m].
 _DISTANCES = {"tank": (1.5, 3.2), "coastal": (1.5, 4.0), "harbour": (0.8, 1.5)}
 _COLUMNS, _ROWS = 12, 8
@@ -66,13 +72,14 @@ def scene(number: int) -> Scene:
     """Return random conditions of a scan, with frequencies and methods in turn."""
     rng = np.random.default_rng([39, number])
     water = str(rng.choice(list(_DISTANCES)))
+    method, count = TURNS[number % len(TURNS)]
     return Scene(
         number=number,
         water=water,
         target=str(rng.choice(["plate", "stairs"])),
         distance=round(float(rng.uniform(*_DISTANCES[water])), 2),
-        count=COUNTS[number % len(COUNTS)],
-        method=METHODS[number // len(COUNTS) % len(METHODS)],
+        count=count,
+        method=method,
     )
 
 
