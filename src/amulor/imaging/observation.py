@@ -131,7 +131,7 @@ class Observation:
         return np.sqrt(np.maximum(self.sigma**2 - shared**2, 0.0))
 
     def shared_sigma(self, usable: NDArray[np.bool_]) -> Floats | None:
-        """Phase uncertainties by errors common to all pixels; None if unknown [rad]."""
+        """Phase uncertainties from errors that pixels share; None if unknown [rad]."""
         if "common_covariance" not in self.channel:
             return None
         return self._sigma("common_", usable)

@@ -1,1 +1,1 @@
-"""Published experiments, repeated with amulor's public functions."""
+"""Studies: published experiments repeated, and tests of the rejection methods."""

@@ -109,7 +109,7 @@ def align(
     guess: Mapping[str, ScanPose] | None = None,
     visits: Mapping[str, str] | None = None,
 ) -> Alignment:
-    """Align all scans of a site, and test each visit for systematic errors."""
+    """Align all scans of a site, and test them for systematic range errors."""
     poses = _rough_poses(surfaces, ties, voxel=voxel, guess=guess or {})
     names = list(surfaces)
     start = dict(ties.start)
@@ -204,7 +204,7 @@ def _rough_poses(
     voxel: float | None,
     guess: Mapping[str, ScanPose],
 ) -> dict[str, ScanPose]:
-    """Return rough poses of all scans, accurate to a fraction of the point spacing."""
+    """Align all scans one by one, and return their rough poses."""
     starts = {name: start.pose for name, start in ties.start.items()} | dict(guess)
     if ties.fixed is not None:
         starts.setdefault(ties.fixed, ScanPose(np.eye(3), np.zeros(3)))
@@ -343,7 +343,7 @@ def squared_pull(pose: ScanPose, start: KnownPose) -> float:
 def _best_started(
     ties: Ties, guess: Mapping[str, ScanPose], names: Sequence[str]
 ) -> str:
-    """Return the scan with the most certain start pose, or else a guessed or first."""
+    """Return the scan to place first: surest start pose, else guessed, else first."""
     started = [name for name in names if name in ties.start]
     if not started:
         return next(iter(guess), names[0])

@@ -355,7 +355,7 @@ def _contradictions(
     ties: Ties,
     reliability: tuple[Reliability, ...],
 ) -> tuple[Contradiction, ...]:
-    """Return all contradictions between observations, worst first."""
+    """Return the contradictions of all kinds except lines of sight and datums."""
     contradicting = []
     for name, start in ties.start.items():
         pose = alignment.state.poses.get(name)

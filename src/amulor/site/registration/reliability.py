@@ -1,4 +1,4 @@
-r"""Reliability of start poses, targets, control points and scale bars (W. Baarda).
+r"""Reliability of all observations except surfaces, after W. Baarda.
 
 With the residual v of an observation, its covariance K, :math:`P = K^{-1}`, the inverse
 normal matrix N and the covariance C of the unknowns, the residuals have the covariance
@@ -169,7 +169,7 @@ def reliabilities(
     *,
     inverse: Floats | None = None,
 ) -> tuple[Reliability, ...]:
-    """Return the reliability of start poses, targets, control points and scale bars.
+    """Return the reliability of all observations except surfaces.
 
     `inverse` is that of the normal matrix. It differs from the covariance if surfaces
     contribute; without surfaces it is the covariance.

@@ -39,7 +39,7 @@ class Weakness:
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """Value in the site file that the scans contradict, and its discrepancy."""
+    """Pose, error or surface that the observations contradict, and its discrepancy."""
 
     scan: str
     """Name of the scan; empty for an error that several share."""
@@ -73,7 +73,7 @@ class Contradiction:
 
     @property
     def sentence(self) -> str:
-        """Message that names the scan, the size of the contradiction, and a remedy."""
+        """Message with scan or error, size of the contradiction, and a remedy."""
         if self.error == "surface":
             return (
                 f"scan {self.scan!r}: its surface fits none of its neighbors; in each "

@@ -25,7 +25,7 @@ Role = Literal["test", "set", "own"]
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Statement of the paper, with the result and outcome of its check."""
+    """Statement of the paper or the study, with the result and outcome of its check."""
 
     statement: str
     """Statement, as a sentence."""
@@ -43,7 +43,7 @@ class Check:
     """Result as a number, in the unit of `found`."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError unless paper statements, and only these, have a place."""
+        """Raise a ValueError if a paper statement has no place, or another one has."""
         if (self.role == "own") == bool(self.place):
             raise ValueError(
                 f"check {self.statement!r}: a statement of the paper says where it "

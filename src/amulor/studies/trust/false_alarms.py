@@ -69,7 +69,7 @@ class AlarmRow:
 
 
 def scene(number: int) -> Scene:
-    """Return random conditions of a scan, with frequencies and methods in turn."""
+    """Draw the conditions of a scan; frequencies and methods alternate by number."""
     rng = np.random.default_rng([39, number])
     water = str(rng.choice(list(_DISTANCES)))
     method, count = TURNS[number % len(TURNS)]

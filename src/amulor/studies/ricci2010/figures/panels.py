@@ -1,4 +1,4 @@
-"""Shared drawing functions: lettered panels, lines, ratios and range surfaces."""
+"""Shared drawing functions: figure style, lettered panels, range surfaces."""
 
 from __future__ import annotations
 

@@ -171,7 +171,7 @@ def medium(study: Study, attenuation: float) -> Medium:
 
 
 def water_matrix(angle: ArrayLike) -> Array:
-    """Return the reduced Mueller matrix of pure water, shape of `angle` and (4, 4)."""
+    """Return the reduced Mueller matrix of pure water, shape (..., 4, 4)."""
     cosine = np.cos(np.asarray(angle, dtype=np.float64))
     delta = DEPOLARIZATION_RATIO
     ordered = (1 - delta) / (1 + delta / 2)

@@ -108,7 +108,7 @@ def standard_error(batches: Array) -> float:
 
 
 def difference(study: Study, step: str, pairs: tuple[str, str]) -> tuple[float, float]:
-    """Return the difference of two drift magnitudes, and its standard error [deg]."""
+    """Return the difference of drift sizes of two polarizer pairs, with error [deg]."""
     first, second = (line(study, step, pair).drift for pair in pairs)
     light, dark = (study.once(LIGHT[step])[pair].phase_batches for pair in pairs)
     sign = np.sign(first * second)

@@ -179,7 +179,7 @@ def scale_change(degrees: float) -> Effect:
 
 
 def window(size: float, *, delay: float = 0.5e-9) -> Effect:
-    """Return a function that adds reflected window light to the first channel."""
+    """Return a function that adds the window's reflection to the first channel."""
 
     def effect(recorded: Recorded) -> tuple[Complex, Complex]:
         turns = recorded.frequency[:, None] * delay
