@@ -181,7 +181,7 @@ class Frame:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Quantities of the pose without a stated uncertainty, by name."""
+        """Names of the pose quantities without a stated uncertainty."""
         if self.pose is None:
             return ()
         uncertainties = {

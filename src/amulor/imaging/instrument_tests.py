@@ -46,7 +46,7 @@ class FrequencyPhase:
 
     @property
     def attributes(self) -> dict[str, float | Floats]:
-        """Attributes of a range image; the phases only where they are significant."""
+        """Attributes of a range image; with the phases if these are significant."""
         values: dict[str, float | Floats] = {FREQUENCY_PROBABILITY: self.probability}
         if self.is_real:
             values[FREQUENCY_PHASES] = self.phase

@@ -62,7 +62,7 @@ class MovingFrame:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Quantities without a stated uncertainty, by name."""
+        """Names of the quantities without a stated uncertainty."""
         return self.poses.unknown
 
     def at(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> InstrumentPoses:

@@ -400,7 +400,7 @@ def points_in(
     shape: str,
     most: int = MOST_PIXELS,
 ) -> Points:
-    """Usable pixels of a region, thinned evenly if too many."""
+    """Usable pixels of a region as points, thinned evenly if more than `most`."""
     mask = np.asarray(region, dtype=bool)
     if mask.shape != image["slant_range"].shape:
         raise CubeError(

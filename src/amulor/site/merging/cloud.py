@@ -272,7 +272,7 @@ def _shares(
 def scan_cloud(
     cloud: Merged, number: int, registration: Registration, image: xr.Dataset
 ) -> xr.Dataset:
-    """Return the point cloud of a scan, with its pose and uncertainties of points."""
+    """Return the point cloud of one scan, with its pose and point uncertainties."""
     scan = cloud.site.scan[number]
     frame = registration.poses[scan.name].frame(cloud.site.frame)
     single = point_cloud(image, frame=frame)

@@ -36,7 +36,7 @@ _AT_ONCE = 100_000
 def all_points(
     cloud: Merged, registration: Registration, surfaces: Mapping[str, ScanSurface]
 ) -> Iterator[Merged]:
-    """Yield the points of all pixels of a site, in pieces that fit in the memory.
+    """Yield the points of all pixels of a site, in pieces that fit in memory.
 
     Scans that were averaged over blocks of pixels are read again. Shared errors,
     weights and moving objects of a pixel are those of its block.

@@ -146,7 +146,7 @@ def pattern_tests(
     *,
     free: int,
 ) -> tuple[tuple[PatternTest, ...], dict[str, Undetected], Floats]:
-    """Test each scan for systematic range errors; return also their possible effects.
+    """Return range-error tests, undetected pose changes, and suspected covariance.
 
     The second value is the largest change of each pose by an undetected error, the
     third is the covariance of all unknowns by suspected errors.

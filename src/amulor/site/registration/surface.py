@@ -222,7 +222,7 @@ class ScanSurface:
         return float(np.median(lengths)) if lengths.size else float("nan")
 
     def points(self, pixel: Numbers) -> Floats:
-        """Return points at numbers of pixels, in instrument axes, shape (n, 3) [m]."""
+        """Return the points of given pixel numbers, in instrument axes, (n, 3) [m]."""
         start, ahead = (v.reshape(-1, 3)[pixel] for v in (self.origin, self.direction))
         return np.asarray(start + self.distance.ravel()[pixel, None] * ahead)
 

@@ -362,7 +362,7 @@ def grows(sweep: Sweep, value: Floats, name: str) -> Check:
 
 
 def draw_ratio(study: Study) -> Figure:
-    """Draw the ratio of signal to water signal."""
+    """Draw the ratio of signal to water signal over frequency."""
     return _draw_both(
         study,
         lambda sweep: sweep.ratio,
@@ -375,7 +375,7 @@ def draw_ratio(study: Study) -> Figure:
 
 
 def draw_contrast(study: Study) -> Figure:
-    """Draw the contrast between signal and water signal."""
+    """Draw the contrast between signal and water signal over frequency."""
     return _draw_both(
         study,
         lambda sweep: sweep.contrast,
