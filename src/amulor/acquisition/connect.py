@@ -334,7 +334,7 @@ def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
 
 
 def _addresses(settings: Settings) -> list[str]:
-    """Return the distinct addresses of all devices, or class and arguments."""
+    """Return distinct device addresses, or class and arguments for ophyd-async."""
     parts = (
         settings.lock_in,
         settings.scanner,

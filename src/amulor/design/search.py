@@ -143,7 +143,7 @@ def _dwells(
 
 
 def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Exchange components for cheaper ones while the goal is met; count the trials."""
+    """Exchange parts for cheaper ones while the goal is met; return best and trials."""
     best, tried = start, 0
     for _ in range(_EXCHANGES):
         candidates: list[Candidate] = []

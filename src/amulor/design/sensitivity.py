@@ -168,7 +168,7 @@ def sensitivity(
     spreads = spreads_of(goal)
 
     def errors(shares: Floats) -> Floats:
-        """Logarithm of the largest error, from shares of shape (input, sample)."""
+        """Logarithm of the largest error at input quantiles, shape (input, sample)."""
         axes: dict[str, Any] = {}
         for variable, share in zip(numbers, shares, strict=True):
             if variable.stated:

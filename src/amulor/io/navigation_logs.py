@@ -136,7 +136,7 @@ class _NmeaLog:
     errors: dict[float, list[float]] = field(default_factory=dict)
 
     def take(self, number: int, line: bytes) -> None:
-        """Take one line of the log."""
+        """Read position, attitude or date from a log line; count broken lines."""
         text = line.decode("ascii", errors="replace").strip()
         if not text.startswith("$"):
             self.broken["line without a sentence"] += bool(text)

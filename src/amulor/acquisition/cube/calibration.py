@@ -252,7 +252,7 @@ class Calibration(Description):
         )
 
     def to_toml(self) -> str:
-        """Write the calibration as TOML, each quantity with its SI unit.
+        """Return the calibration as TOML text, each quantity with its SI unit.
 
         Returns
         -------
@@ -298,7 +298,7 @@ def phase_correction(
     *,
     modulation_frequency: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the phase correction of samples [rad], and whether the table has them."""
+    """Return phase corrections [rad], and whether the table covers the amplitudes."""
     nearest = _entry(calibration, modulation_frequency)
     at = np.asarray(nearest.amplitudes)
     with np.errstate(divide="ignore", invalid="ignore"):

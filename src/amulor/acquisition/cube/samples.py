@@ -164,7 +164,7 @@ def dark_output(
 def phase_drift(
     survey: Survey, journal: Journal, dark: tuple[NDArray[np.complex128], Floats]
 ) -> PhaseDrift | None:
-    """Return the phase drift from readings of the standing reference; None without."""
+    """Return the phase drift by standing-reference readings; None if there are none."""
     reference = survey.scan.reference
     recorded = [*journal.samples(plan.REFERENCE)]
     if reference is None or not recorded:

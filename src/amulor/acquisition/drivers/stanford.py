@@ -270,7 +270,7 @@ class Sr844(Stanford):
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next smaller full scale if the amplitude [V] allows it."""
+        """Select the next finer scale if the amplitude [V] allows it; else False."""
         if self._sensitivity == 0 or amplitude > _FINER_BELOW * self.full_scale():
             return False
         self._sensitivity -= 1

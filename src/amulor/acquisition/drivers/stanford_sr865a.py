@@ -354,7 +354,7 @@ class Sr865a(Stanford):
         return self._rate
 
     def relieve(self, overload: Overload) -> bool:
-        """Increase the input range (IRNG) or the output scale (SCAL) by one step."""
+        """Increase input range or output scale by one step; False if not possible."""
         if overload & Overload.INPUT and self._range > 0:
             self._range -= 1
             self._link.send(f"IRNG {self._range}")
@@ -366,7 +366,7 @@ class Sr865a(Stanford):
         return True
 
     def sharpen(self, amplitude: float) -> bool:
-        """Select the next finer output scale if the amplitude [V] allows it.
+        """Select the next finer scale if the amplitude [V] allows it; else False.
 
         The input range stays as the devices file or an overload has set it, since
         signals beside the modulation need it.

@@ -37,7 +37,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 def _pattern(
     names: tuple[str, ...], kinds: tuple[type, ...]
 ) -> tuple[int, struct.Struct, list[int], list[int]]:
-    """Return a row's layout: CRC of names, number format, indices of numbers, texts."""
+    """Return a row's layout: CRC of names, format, indices of numbers and of texts."""
     texts = [place for place, kind in enumerate(kinds) if kind is str]
     numbers = [
         place for place, kind in enumerate(kinds) if kind not in (str, type(None))

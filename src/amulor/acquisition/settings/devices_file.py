@@ -470,7 +470,7 @@ class Settings(Description):
         return toml_file.read(path, cls, what="a devices file", error=InstrumentError)
 
     def to_toml(self) -> str:
-        """Write the settings as TOML, each quantity with its SI unit.
+        """Return the settings as TOML text, each quantity with its SI unit.
 
         Returns
         -------

@@ -328,7 +328,7 @@ class ScpiLockInSettings(Description):
 
 
 class LockInSettings(Linked):
-    """The lock-in amplifier."""
+    """Settings of the lock-in amplifier: driver, address and ranges."""
 
     driver: LockInDriver = "simulated"
     """Driver: simulated, sr844, sr865a, zurich, digitiser (see the part `digitiser`),

@@ -477,7 +477,7 @@ class Bench:
         return Tone(frequency, *self._light_at(frequency), 0)
 
     def _light_at(self, frequency: float) -> tuple[Places, Places]:
-        """Return target and water signals at a frequency [Hz] not in the survey."""
+        """Return target and open-water signals at a frequency not in the survey."""
         if frequency not in self._others:
             path = "instrument.modulation_frequencies"
             light = self._scene(self.survey.with_({path: [frequency]}))
@@ -536,7 +536,7 @@ class Bench:
 
     @property
     def _reference(self) -> float | None:
-        """Amplitude of the standing reference if the beam rests on it [V]."""
+        """Amplitude of the standing reference [V]; None if the beam is elsewhere."""
         reference = self.survey.scan.reference
         if reference is None or self._beam_place is not None or self._ahead:
             return None

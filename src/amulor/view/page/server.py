@@ -120,7 +120,7 @@ async def explained(answer: Awaitable[Response]) -> Response:
 
 
 async def follow(live: Live, socket: WebSocket) -> None:
-    """Send new rows of a scan to a page until the page is closed."""
+    """Send status and new rows of a scan to a page until the page is closed."""
     live.start()
     gone = asyncio.create_task(_until_gone(socket))
     sent_picture, sent_version = live.pictures, 0
