@@ -212,7 +212,7 @@ def _write_map(
 def deviation_sheet(
     deviation: products.Deviation, order: Order, statements: Said
 ) -> tuple[Figure, formats.TitleBlock]:
-    """Draw deviations on a sheet, in color where they are significant."""
+    """Draw deviations, colored where significant; return sheet and title block."""
     raster, scale = _raster(deviation, order, fine=True)
     value, sure = raster.layers["value"], raster.layers["sure"]
     shown = np.where(sure >= 0.5, value, np.nan)

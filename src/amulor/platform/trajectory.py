@@ -358,7 +358,7 @@ def _continuous(quaternions: Floats) -> Floats:
 
 
 def _turned(quaternion: Floats, rate: Floats) -> tuple[Floats, Floats]:
-    """Rotation matrices, and angular velocities in site axes, of quaternions."""
+    """Rotation matrices of quaternions, and angular velocities in site axes."""
     size = np.linalg.norm(quaternion, axis=1, keepdims=True)
     unit = quaternion / size
     slope = rate / size

@@ -29,7 +29,7 @@ class Limit:
     """Reason of the limits."""
 
     def broken(self, value: float) -> str:
-        """Return the error message if a value exceeds the limits, else empty text."""
+        """Return the error message for a value outside the limits, else empty text."""
         if abs(value) > self.most:
             word, end = "at most", self.most
         elif self.least is not None and abs(value) < self.least:

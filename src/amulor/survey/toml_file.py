@@ -287,7 +287,7 @@ def described(
 def _content(
     text: str, *, name: str, what: str, error: type[AmulorError]
 ) -> dict[str, Any]:
-    """Parse a TOML text; raise an error if it is nested too deeply."""
+    """Parse a TOML text; raise an error if it is invalid or nested too deeply."""
     deep = f"{name}: is nested deeper than {_DEEPEST} levels, and no part of {what} is"
     for line in text.splitlines():
         # Thousands of dotted keys would take the parser minutes.

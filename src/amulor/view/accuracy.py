@@ -141,7 +141,7 @@ def accuracy_statement(
 def _statement(
     name: str, image: xr.Dataset, budget: ErrorBudget, checks: Sequence[Checked]
 ) -> Table:
-    """Statement of accuracy as inspectors write it, one line for each item."""
+    """Statement of accuracy in the form of an inspection report, as a table."""
     slant_range = image["slant_range"].values
     usable = slant_range[np.isfinite(slant_range)]
     near, far = np.percentile(usable, [5, 95])

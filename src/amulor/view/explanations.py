@@ -183,7 +183,7 @@ def _terms() -> list[Explanation]:
 
 
 def lines_of(explanation: Explanation) -> list[str]:
-    """Lines of text of an explanation."""
+    """Explanation as lines of text, each with a label."""
     parts: Iterable[tuple[str, str]] = (
         ("means", explanation.meaning),
         ("test", explanation.compared),
@@ -195,7 +195,7 @@ def lines_of(explanation: Explanation) -> list[str]:
 
 
 def hint(names: Iterable[str]) -> str:
-    """Command that explains the given flags, for use in a message."""
+    """Command that explains the first of the given flags, for use in a message."""
     first = next(iter(names), "")
     name = first.upper().replace(" ", "_")
     return f"amulor explain {name}" if name else ""
@@ -248,7 +248,7 @@ class Reason:
 
 
 def reasons(path: Path, row: int, column: int) -> dict[str, list[Reason]]:
-    """Return the flags of a pixel with values and limits, by polarization channel."""
+    """Return the reasons for the flags of a pixel, by polarization channel."""
     if path.suffix.lower() not in (".nc", ".nc4"):
         raise FormatError(f"{path} has {_NO_FLAGS}")
     with open_rows(path, check_digest=False) as rows:
@@ -279,7 +279,7 @@ def reasons(path: Path, row: int, column: int) -> dict[str, list[Reason]]:
 
 
 def _of_samples(tile: xr.Dataset, channel: int) -> Iterator[Reason]:
-    """Yield the flags of a channel's samples, each flag once for all frequencies."""
+    """Yield the reasons for the flags of a channel, each once with its frequencies."""
     cube = tile.isel(polarization=[channel])
     frequencies = cube["modulation_frequency"].values
     at: dict[Reason, tuple[float, ...]] = {}
@@ -293,7 +293,7 @@ def _of_samples(tile: xr.Dataset, channel: int) -> Iterator[Reason]:
 
 
 def _of_image(tile: xr.Dataset, row: int, column: int) -> Iterator[Reason]:
-    """Yield the flags of one pixel of a range image."""
+    """Yield the reasons for the flags of one pixel of a range image."""
     numbers = _numbers_of(tile.isel(row=[row], column=[column]))
     numbers["clear_of_both"] = float(edges.clear_of_both(tile)[row, column])
     numbers["stand_off"] = float(outliers.stand_off(tile)[row, column])

@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 
 
 def signal_images(cube: xr.Dataset, *, frequency: int = 0) -> Figure:
-    """Draw amplitude and phase of every channel of a cube.
+    """Draw amplitude and phase of every channel at one modulation frequency.
 
     Parameters
     ----------

@@ -297,7 +297,7 @@ def _in_pure_water(
     source: str,
     whole_absorption: float | None = None,
 ) -> WaterOptics:
-    """Return the optical properties of particles in pure water."""
+    """Return the optical properties of pure water with particles."""
     molecules = _molecules(water, wavelength)
     if whole_absorption is None:
         whole_absorption = _absorption(water, wavelength) + absorption

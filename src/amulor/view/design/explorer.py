@@ -184,7 +184,7 @@ class Explorer:
         }
 
     def _survey_value(self, name: str) -> float:
-        """Value that the survey has for the parameter of a slider."""
+        """Value in the survey of the parameter that a slider adjusts."""
         instrument = self.survey.instrument
         receiver = instrument.receiver
         apart = np.subtract(receiver.position, instrument.emitter.position)[:2]

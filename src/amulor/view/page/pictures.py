@@ -97,7 +97,7 @@ def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
 
 
 def _between(nodes: Numbers, at: Numbers) -> tuple[Numbers, Numbers, Floats]:
-    """Indices of the nodes around each row or column, and interpolation weights."""
+    """Node indices around each row or column, and interpolation weights."""
     before = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 1)
     after = np.minimum(before + 1, len(nodes) - 1)
     width = np.maximum(nodes[after] - nodes[before], 1)

@@ -115,7 +115,7 @@ def drift_of(
 
 
 def _two_sided(value: float, error: float, freedom: float) -> float:
-    """Probability of at least so large a deviation by chance, two-sided [1]."""
+    """Two-sided probability of a deviation at least this large by chance [1]."""
     from scipy.special import stdtr
 
     if value == 0:
