@@ -54,6 +54,29 @@ def distance_to_bed(start: np.ndarray, direction: np.ndarray) -> float:
     return (low + high) / 2
 
 
+def reading_of(
+    time: float,
+    beam: np.ndarray,
+    *,
+    start: np.ndarray,
+    speed: np.ndarray,
+    angles: tuple[float, float, float],
+    mounting: dict[str, tuple[float, float, float]],
+    emitter: np.ndarray,
+) -> tuple[float, np.ndarray]:
+    """Range [m] and point of a reading at a time, along a beam of the instrument.
+
+    The vehicle moves at a constant velocity and attitude. `mounting` has the lever arm
+    (right, down, forward) and the angles of the instrument on the vehicle.
+    """
+    vehicle = attitude(*angles)
+    turn = vehicle @ LEVEL.T @ attitude(*mounting["angles"])
+    place = start + time * speed + vehicle @ np.array(mounting["lever_arm"])
+    origin, direction = place + turn @ emitter, turn @ beam
+    distance = distance_to_bed(origin, direction)
+    return distance, origin + distance * direction
+
+
 def beam_of(azimuth: float, elevation: float) -> np.ndarray:
     """Unit vector of a beam: right, down, forward."""
     return np.array(

@@ -203,6 +203,10 @@ class Dwell:
     """Overloads during the dwell."""
     unlocked: bool
     """Whether the reference was lost."""
+    begin: float
+    """Start of the integration window by the clock of the scan [s]."""
+    duration: float
+    """Length of the integration window [s]."""
     settled: bool = True
     """Whether the readings agreed within the longest wait."""
     edges: list[float] | None = None
@@ -297,7 +301,10 @@ class DwellReader:
                 self._judge.learn(
                     column, sum(means) / len(means) if means else math.nan
                 )
+        begin, duration = self._window(moments[skipped], moments[-1] - moments[skipped])
         return Dwell(
+            begin=begin,
+            duration=duration,
             signals=signals,
             settled=settled,
             modulation_frequencies=[
@@ -316,6 +323,7 @@ class DwellReader:
         duration = self._dwell
         if not (self._filter_is_known or self._records):
             duration = (self._number - 1) * self._constant
+        start = self._clock.now()
         recorded = lock_in.record(duration)
         means = [] if math.isnan(recorded.mean) else [recorded.mean]
         signals, skipped, settled = self._signals(
@@ -324,7 +332,11 @@ class DwellReader:
         count = len(recorded.times) - self._filter_is_known - skipped
         length = float(recorded.times[-1] - recorded.times[0])
         steps = len(recorded.times) - 1
+        late = float(recorded.times[skipped] - recorded.times[0])
+        begin, window = self._window(start + late, length - late)
         return Dwell(
+            begin=begin,
+            duration=window,
             signals=signals,
             settled=settled,
             modulation_frequencies=[*recorded.modulation_frequencies],
@@ -335,6 +347,15 @@ class DwellReader:
             overload=recorded.overload,
             unlocked=recorded.unlocked,
         )
+
+    def _window(self, begin: float, duration: float) -> tuple[float, float]:
+        """Return begin and length of the integration window of readings [s]."""
+        if self._records:
+            return begin, self._dwell
+        if self._filter_is_known:
+            return begin, duration
+        # A reading is a mean over about one time constant before it.
+        return begin - self._constant, duration + self._constant
 
     def _signals(
         self,

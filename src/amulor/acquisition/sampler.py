@@ -155,6 +155,7 @@ class Sampler:
 
     def take(self, step: Step, *, elapsed: float, segment: int) -> list[Record]:
         """Acquire one dwell: configure, settle, read, auto-range, flag problems."""
+        start = self._devices.clock.now()
         self._arrange(step)
         azimuth, elevation = self._devices.scanner.move(
             step.azimuth, step.elevation, timeout=self._settings.scanner.move_timeout
@@ -165,8 +166,9 @@ class Sampler:
         flags |= self._misplaced(step, azimuth, elevation)
         if not dwell.settled:
             flags |= SampleFlag.UNSETTLED
+        begin = elapsed + dwell.begin - start
         records = self._records(
-            step, dwell, flags, (azimuth, elevation), elapsed, segment
+            step, dwell, flags, (azimuth, elevation), (elapsed, begin), segment
         )
         if step.key.kind != DARK and not records[0].flags & SampleFlag.NO_LIGHT:
             # All frequencies share the input.
@@ -188,10 +190,11 @@ class Sampler:
                 pixel_flags |= SampleFlag.OVERLOAD
             if pixel.off > self._procedure.position_tolerance:
                 pixel_flags |= SampleFlag.OFF_POSITION
-            where, late = (pixel.azimuth, pixel.elevation), pixel.begin - start
+            where = (pixel.azimuth, pixel.elevation)
+            begin = elapsed + pixel.begin - start
             records.append(
                 self._records(
-                    step, pixel.dwell, pixel_flags, where, elapsed + late, segment
+                    step, pixel.dwell, pixel_flags, where, (begin, begin), segment
                 )
             )
             brightest = max(brightest, sum(map(abs, pixel.dwell.signals)))
@@ -235,11 +238,15 @@ class Sampler:
         dwell: Dwell,
         flags: SampleFlag,
         where: tuple[float, float],
-        elapsed: float,
+        times: tuple[float, float],
         segment: int,
     ) -> list[Record]:
-        """Return the records of one dwell, one for each key of its step."""
+        """Return the records of one dwell, one for each key of its step.
+
+        `times` are those of the start of the dwell and of its integration window.
+        """
         azimuth, elevation = where
+        elapsed, begin = times
         means = dwell.means
         mean = statistics.fmean(means) if means else None
         if mean is not None and mean > self._saturation:
@@ -276,6 +283,8 @@ class Sampler:
                 elevation=elevation,
                 modulation_frequency=used,
                 elapsed=elapsed,
+                begin=max(begin, 0.0),
+                duration=dwell.duration,
                 segment=segment,
                 **self._positions,
                 **laser_readings,

@@ -306,6 +306,8 @@ class SweepReader:
             spreads=[None] * count,
             overload=overload,
             unlocked=unlocked,
+            begin=float(begin),
+            duration=float(end - begin),
             edges=[
                 edge_error(column, times, time_constant=self._constant)
                 for column in signals.T

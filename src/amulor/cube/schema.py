@@ -300,6 +300,21 @@ _SAMPLE_COORDINATES = {
         ("polarization",), "1", "launched and analyzed state of polarization"
     ),
     **_PIXEL_COORDINATES,
+    "reading_time": _optional(
+        _SAMPLE, "s", "middle of the integration window since the start of the scan"
+    ),
+    "reading_duration": _optional(_SAMPLE, "s", "length of the integration window"),
+}
+_READING = ("reading", "row", "column")
+#: Times of the readings of a range, which may have several frequencies and channels.
+_READING_COORDINATES = {
+    "reading_time": _optional(
+        _READING, "s", "middle of the integration window since the start of the scan"
+    ),
+    "reading_duration": _optional(_READING, "s", "length of the integration window"),
+    "reading_weight": _optional(
+        ("reading",), "1", "weight of the reading in the range, sum 1"
+    ),
 }
 _MEASURED = {
     "in_phase": _needed(_SAMPLE, "V", "lock-in output in phase with the reference"),
@@ -500,7 +515,7 @@ LEVELS = {
                     for name, spec in SAMPLE_TESTS.items()
                 },
             },
-            _PIXEL_COORDINATES,
+            {**_PIXEL_COORDINATES, **_READING_COORDINATES},
         ),
         Level(
             "point_cloud",

@@ -98,6 +98,8 @@ _COMMON = (
 _LIMITS = {
     "saturated": (0.0, 1.0, "0 or 1"),
     "time": (0.0, 1e11, "seconds since the start of the scan, from 0 to 1e11"),
+    "reading_time": (0.0, 1e11, "seconds since the start of the scan, from 0 to 1e11"),
+    "reading_duration": (0.0, 1e6, "seconds, from 0 to 1e6"),
 }
 
 

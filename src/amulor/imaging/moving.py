@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from amulor.errors import CubeError
 from amulor.imaging.observation import readable_survey
-from amulor.platform import InstrumentPoses, Mounting, Trajectory, instrument_poses
+from amulor.platform import (
+    InstrumentPoses,
+    Mounting,
+    Trajectory,
+    mean_instrument_poses,
+)
 
 Floats = NDArray[np.float64]
 
@@ -43,6 +48,9 @@ class MovingFrame:
     """Poses of the instrument, one per pixel, row by row."""
     shape: tuple[int, int]
     """Rows and columns of the scan."""
+    window: Floats
+    """Time from the first to the last instant of the readings of each pixel, shape
+    (row, column) [s]."""
     crs: str
     """Coordinate reference system; none if empty."""
     crs_offset: tuple[float, float, float]
@@ -59,6 +67,12 @@ class MovingFrame:
     def known(self) -> NDArray[np.bool_]:
         """Mask of the pixels at which the trajectory has a pose, (row, column)."""
         return self.poses.known.reshape(self.shape)
+
+    @property
+    def spread(self) -> Floats:
+        """Distance moved during the readings of each pixel, (row, column) [m]."""
+        speed = np.linalg.norm(self.poses.velocity, axis=-1)
+        return np.asarray(speed.reshape(self.shape) * self.window)
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -89,7 +103,7 @@ def moving_frame(
     Parameters
     ----------
     image : xarray.Dataset
-        Range image with the time of each pixel.
+        Range image with the time of each pixel, or of each reading.
     trajectory : Trajectory
         Trajectory of the vehicle. Times since 1970 (clock "unix") are compared with the
         start of the scan, others with the time since this start.
@@ -99,8 +113,9 @@ def moving_frame(
     Returns
     -------
     MovingFrame
-        The pose at each pixel. A pixel has the pose in the middle of its measuring
-        time, in which all frequencies and channels were measured.
+        The pose at each pixel: the mean over the readings of its range, with their
+        weights. Without times of the readings, it is the pose in the middle of the
+        pixel's measuring time.
 
     Raises
     ------
@@ -120,20 +135,22 @@ def moving_frame(
     >>> bool(frame.known.any()), frame.unknown
     (True, ('trajectory', 'lever arm', 'boresight', 'clock offset'))
     """
-    if "time" not in image.coords:
-        raise CubeError(
-            "the range image has no time of each pixel; a scan from a vehicle needs "
-            "them: acquire it with amulor, or import them with the recording"
-        )
-    time = np.asarray(image["time"].values, dtype=float)
-    duration = _duration(image, time)
-    instants = time.ravel() + duration / 2
+    times, duration, weight = _readings(image)
     if trajectory.clock == "unix":
-        instants = instants + _start_of(image)
-    poses = instrument_poses(trajectory, mounting, instants, duration=duration)
+        times = times + _start_of(image)
+    shape = times.shape[1:]
+    window = float(np.nanmedian(duration)) if np.isfinite(duration).any() else 0.0
+    poses = mean_instrument_poses(
+        trajectory,
+        mounting,
+        times.reshape(len(times), -1),
+        weight=weight,
+        duration=window,
+    )
     if not poses.known.any():
         begin, end = trajectory.time[[0, -1]]
-        first, last = poses.vehicle.time.min(), poses.vehicle.time.max()
+        instants = times[np.isfinite(times)] + mounting.clock_offset
+        first, last = instants.min(initial=np.inf), instants.max(initial=-np.inf)
         raise CubeError(
             f"no pixel was measured during the trajectory: it lasts from {begin:.3f} "
             f"to {end:.3f} s, the scan from {first:.3f} to {last:.3f} s on its clock; "
@@ -141,10 +158,35 @@ def moving_frame(
         )
     return MovingFrame(
         poses=poses,
-        shape=(time.shape[0], time.shape[1]),
+        shape=(shape[0], shape[1]),
+        window=_window(times, duration),
         crs=trajectory.crs,
         crs_offset=trajectory.crs_offset,
     )
+
+
+def _readings(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:
+    """Middle and length of the windows of the readings [s], and their weights [1]."""
+    if "reading_time" in image.coords:
+        return (
+            np.asarray(image["reading_time"].values, dtype=float),
+            np.asarray(image["reading_duration"].values, dtype=float),
+            np.asarray(image["reading_weight"].values, dtype=float),
+        )
+    if "time" not in image.coords:
+        raise CubeError(
+            "the range image has no time of each pixel; a scan from a vehicle needs "
+            "them: acquire it with amulor, or import them with the recording"
+        )
+    time = np.asarray(image["time"].values, dtype=float)
+    duration = np.full((1, *time.shape), _duration(image, time))
+    return time + duration / 2, duration, np.ones(1)
+
+
+def _window(times: Floats, duration: Floats) -> Floats:
+    """Time from the first to the last instant of each pixel's readings [s]."""
+    begin = np.fmin.reduce(times - duration / 2, axis=0)
+    return np.asarray(np.fmax.reduce(times + duration / 2, axis=0) - begin)
 
 
 def _duration(image: xr.Dataset, time: Floats) -> float:

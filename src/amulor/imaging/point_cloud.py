@@ -33,8 +33,9 @@ def point_cloud(
         Level `point_cloud`. `row` and `column` are the pixel of each point. The
         attribute `scan_shape` is the number of rows and columns of the scan. The
         attribute `frame_matrix` (16 numbers, row by row) transforms from the
-        instrument's axes to those of the points; a moving instrument has none. Points
-        lie on the beam as refracted by the window.
+        instrument's axes to those of the points; a moving instrument has none. It has
+        `reading_spread` instead, the largest distance that it moves during the readings
+        of a point [m]. Points lie on the beam as refracted by the window.
 
     Notes
     -----
@@ -102,7 +103,7 @@ def point_cloud(
             **(
                 {"frame_matrix": frame.matrix.ravel()}
                 if isinstance(frame, Frame)
-                else {}
+                else {"reading_spread": _spread(frame, row, column)}
             ),
             "crs": frame.crs,
             "crs_offset": np.array(frame.crs_offset),
@@ -112,6 +113,13 @@ def point_cloud(
     for axis, meaning in zip("xyz", frame.meanings, strict=True):
         cloud[axis].attrs["long_name"] = meaning
     return cubes.note(cloud, "point cloud")
+
+
+def _spread(
+    frame: MovingFrame, row: NDArray[np.intp], column: NDArray[np.intp]
+) -> float:
+    """Return the largest distance moved during the readings of a point [m]."""
+    return float(np.max(frame.spread[row, column], initial=0.0))
 
 
 def _common(

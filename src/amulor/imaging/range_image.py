@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor._progress import tell
-from amulor.cube import QualityFlag
+from amulor.cube import LEVELS, QualityFlag
 from amulor.cube.error import JOINT_OUTLIERS, instrument_phase
 from amulor.cube.schema import PIXEL_TESTS
 from amulor.cube.tiles import Span
@@ -176,6 +176,7 @@ def fitted_range_image(
         ranges, of_ranges = ranges_of_path(observation, path, fit=of_ranges)
         if fit is None:
             phases = frequency_phase(observation, path)
+    readings = _readings(cube if joint else observation.channel, of_ranges.weight)
     if phases is not None and phases.is_real:
         observation = observation.with_frequency_phase(phases.phase)
     tell("error budget", 0.6)
@@ -184,6 +185,7 @@ def fitted_range_image(
     image, late, patches = _image(
         observation, ranges, interval=interval, fit=late, patches=patches
     )
+    image = image.assign_coords(readings)
     if phases is not None:
         image = image.assign_attrs(phases.attributes)
     reason = ""
@@ -305,7 +307,8 @@ def _image(
         {
             str(name): channel[name].values
             for name in channel.coords
-            if name not in ("geometry", "modulation_frequency", "polarization")
+            if name in LEVELS["range_image"].coordinates
+            and name not in ("geometry", *_WINDOWS)
         },
         geometry=channel.amulor.geometry,
         attributes={
@@ -322,6 +325,41 @@ def _image(
         pixel_truth = truth[[n for n in truth if truth[n].dims == ("row", "column")]]
         image = cubes.attach(image, pixel_truth, "truth")
     return cubes.without_unknown_errors(image), fit, patches
+
+
+#: Times of readings, which an image has for all readings of its ranges.
+_WINDOWS = ("reading_time", "reading_duration")
+
+
+def _readings(samples: xr.Dataset, weight: Floats) -> dict[str, xr.Variable]:
+    """Return times and weights of the readings of the ranges.
+
+    `samples` has all frequencies of a channel, or of all channels of a joint
+    estimation. Readings at the same time count once.
+    """
+    if not all(name in samples.coords for name in _WINDOWS):
+        return {}
+    dimensions = samples["reading_time"].dims
+    order = [d for d in ("polarization", "modulation_frequency") if d in dimensions]
+    time, duration = (
+        values.reshape(-1, *values.shape[-2:])
+        for values in (
+            samples[name].transpose(*order, "row", "column").values for name in _WINDOWS
+        )
+    )
+    shares = np.tile(weight, len(time) // weight.size)
+    if (time == time[:1]).all():
+        time, duration, shares = time[:1], duration[:1], np.ones(1)
+    values = time, duration, shares / shares.sum()
+    specs = LEVELS["range_image"].coordinates
+    return {
+        name: xr.Variable(
+            specs[name].dimensions,
+            array,
+            {"units": specs[name].units, "long_name": specs[name].long_name},
+        )
+        for name, array in zip((*_WINDOWS, "reading_weight"), values, strict=True)
+    }
 
 
 #: Statistic of a pixel from those of its frequencies: the one nearest to a flag.

@@ -289,6 +289,11 @@ def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
     if attributes.get("crs"):
         offset = ", ".join(f"{v:.12g}" for v in attributes["crs_offset"])
         lines.append(f"reference system: {attributes['crs']}; add ({offset}) m")
+    if attributes.get("reading_spread"):
+        spread = float(attributes["reading_spread"])
+        lines.append(
+            f"readings of a point: taken along {spread * 1e3:.3g} mm of the track"
+        )
     if attributes.get("pose_unknown"):
         lines.append(f"uncertainty of the pose not known: {attributes['pose_unknown']}")
     return lines

@@ -2,7 +2,11 @@
 
 from amulor.platform.attitude import rotation_of
 from amulor.platform.mounting import Mounting, read_mounting
-from amulor.platform.poses import InstrumentPoses, instrument_poses
+from amulor.platform.poses import (
+    InstrumentPoses,
+    instrument_poses,
+    mean_instrument_poses,
+)
 from amulor.platform.trajectory import Poses, Trajectory
 
 __all__ = [
@@ -11,6 +15,7 @@ __all__ = [
     "Poses",
     "Trajectory",
     "instrument_poses",
+    "mean_instrument_poses",
     "read_mounting",
     "rotation_of",
 ]

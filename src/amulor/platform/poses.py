@@ -67,7 +67,7 @@ class InstrumentPoses:
     clock_uncertainty: float | None
     """Standard uncertainty of the clock offset; None if unknown [s]."""
     duration: float = 0.0
-    """Measuring time of each reading; its time is the middle [s]."""
+    """Integration window of each reading; its time is the middle [s]."""
 
     def part(self, index: NDArray[np.intp]) -> InstrumentPoses:
         """Return the poses of selected readings."""
@@ -221,6 +221,78 @@ class InstrumentPoses:
         if not np.isfinite(covariance).all():
             missing.insert(0, "trajectory")
         return tuple(missing)
+
+
+def mean_instrument_poses(
+    trajectory: Trajectory,
+    mounting: Mounting,
+    times: ArrayLike,
+    *,
+    weight: ArrayLike,
+    duration: float = 0.0,
+) -> InstrumentPoses:
+    r"""Return the mean poses of an instrument over several readings per point.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Poses of the vehicle.
+    mounting : Mounting
+        Place and attitude of the instrument on the vehicle, and its clock.
+    times : array_like, shape (readings, n)
+        Times of the middle of the readings on the instrument's clock; NaN for missing
+        readings [s].
+    weight : array_like, shape (readings,)
+        Weights of the readings in the result that is placed [1].
+    duration : float
+        Integration window of each reading [s].
+
+    Returns
+    -------
+    InstrumentPoses
+        One pose per point. It is NaN where the trajectory lacks a pose for any reading.
+
+    Notes
+    -----
+    Rotation matrices are averaged and projected to the nearest rotation. If the range
+    is the mean over its readings with the same weights, a change of range at a constant
+    rate causes no error of the point. The covariance is the mean, as errors of adjacent
+    poses are nearly equal.
+
+    Examples
+    --------
+    >>> from amulor.platform import Mounting, Trajectory, mean_instrument_poses
+    >>> track = Trajectory.of_angles(
+    ...     time=[0.0, 1.0], position=[[0, 0, 0], [0.3, 0, 0]], heading=0.0
+    ... )
+    >>> poses = mean_instrument_poses(
+    ...     track, Mounting(), [[0.2], [0.6]], weight=[0.25, 0.75]
+    ... )
+    >>> poses.position.round(6).tolist()
+    [[0.15, 0.0, 0.0]]
+    """
+    instants = np.asarray(times, dtype=float)
+    weights = np.asarray(weight, dtype=float)[:, None] * np.isfinite(instants)
+    with np.errstate(invalid="ignore"):
+        weights = weights / weights.sum(axis=0)
+    total: InstrumentPoses | None = None
+    sums: dict[str, Floats] = {}
+    for moment, share in zip(instants, weights, strict=True):
+        used = np.isfinite(moment)
+        # Without a reading, any time of the trajectory has weight zero.
+        at = np.where(used, moment, trajectory.time[0] - mounting.clock_offset)
+        poses = instrument_poses(trajectory, mounting, at, duration=duration)
+        for entry in fields(Poses):
+            values = getattr(poses.vehicle, entry.name)
+            part = share.reshape(-1, *[1] * (values.ndim - 1)) * values
+            sums[entry.name] = part + sums.get(entry.name, 0.0)
+        total = total or poses
+    assert total is not None
+    left, _, right = np.linalg.svd(np.nan_to_num(sums["rotation"]))
+    missing = ~np.isfinite(sums["rotation"]).all(axis=(1, 2), keepdims=True)
+    # Means of adjacent rotations have a positive determinant.
+    sums["rotation"] = np.where(missing, np.nan, left @ right)
+    return replace(total, vehicle=Poses(**sums))
 
 
 def instrument_poses(

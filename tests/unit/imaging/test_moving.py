@@ -7,7 +7,12 @@ import pytest
 from amulor import imaging, rejection, samples
 from amulor.errors import CubeError
 from amulor.optics import rays
-from amulor.platform import Mounting, Trajectory, instrument_poses
+from amulor.platform import (
+    Mounting,
+    Trajectory,
+    instrument_poses,
+    mean_instrument_poses,
+)
 
 SPEED = np.array([0.15, 0.1, 0.02])
 START = np.array([2.0, -1.0, -8.0])
@@ -84,6 +89,75 @@ def test_points_of_a_straight_pass_are_those_of_an_independent_renderer(passed):
     np.testing.assert_allclose(found, expected, atol=1e-9)
     on_bed = [moving_pass.sea_bed(x, y) for x, y in found[:, :2]]
     np.testing.assert_allclose(found[:, 2], on_bed, atol=1e-9)
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_points_of_readings_in_turn_are_means_of_those_rendered_one_by_one(
+    ladder, missing
+):
+    """Three readings in turn, each rendered from where the instrument was then."""
+    weight = np.array([0.2, 0.3, 0.5])
+    offsets = np.array([0.05, 0.25, 0.6])
+    pixels = [(0, 0), (0, 7), (20, 3), (36, 11)]
+    emitter = np.asarray(ladder["geometry"].attrs["emitter_position"])
+    image = ladder.copy(deep=True)
+    time = image["time"].values
+    times = time + offsets[:, None, None]
+    image["quality_flag"].values[:] = 1
+    expected = []
+    for place in pixels:
+        beam = moving_pass.beam_of(
+            float(image["azimuth"].values[place]),
+            float(image["elevation"].values[place]),
+        )
+        rendered = [
+            moving_pass.reading_of(
+                time[place] + offset, beam, start=START, speed=SPEED, angles=ANGLES,
+                mounting={"lever_arm": (0.2, 0.35, 1.1), "angles": (0.03, -1.5, 0.02)},
+                emitter=emitter,
+            )
+            for offset in offsets
+        ]  # fmt: skip
+        share = weight * [not missing, True, True]
+        share = share / share.sum()
+        ranges = np.array([distance for distance, _ in rendered])
+        image["slant_range"].values[place] = share @ ranges
+        image["quality_flag"].values[place] = 0
+        expected.append(share @ np.array([point for _, point in rendered]))
+    if missing:
+        times[0] = np.nan
+    image = image.assign_coords(
+        reading_time=(("reading", "row", "column"), times, {"units": "s"}),
+        reading_duration=(
+            ("reading", "row", "column"), np.full(times.shape, 0.1), {"units": "s"},
+        ),
+        reading_weight=("reading", weight, {"units": "1"}),
+    )  # fmt: skip
+    for name in ("reading_time", "reading_duration", "reading_weight"):
+        image[name].attrs["long_name"] = "window"
+    frame = imaging.moving_frame(
+        image, trajectory=_track(float(time.max())), mounting=Mounting(**MOUNTING)
+    )
+    cloud = imaging.point_cloud(image, frame=frame)
+    found = np.stack([cloud[axis].values for axis in "xyz"], axis=-1)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    # From the begin of the first window to the end of the last, at the speed.
+    length = 0.45 if missing else 0.65
+    spread = np.linalg.norm(SPEED) * length
+    np.testing.assert_allclose(frame.spread[0, 0], spread, rtol=1e-9)
+
+
+def test_the_mean_pose_of_a_turn_is_its_middle():
+    """A vehicle that turns by 30 degrees at a constant rate, read at both ends."""
+    time = np.linspace(0.0, 1.0, 101)
+    track = Trajectory.of_angles(
+        time=time, position=np.zeros((101, 3)), heading=np.radians(30) * time
+    )
+    poses = mean_instrument_poses(
+        track, Mounting(), [[0.1, 0.2], [0.9, 0.6]], weight=[1, 1]
+    )
+    expected = [moving_pass.attitude(np.radians(angle), 0, 0) for angle in (15, 12)]
+    np.testing.assert_allclose(poses.rotation, expected, atol=1e-9)
 
 
 def test_the_sample_has_no_window(ladder):

@@ -237,6 +237,7 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
             "polarization": list(survey.instrument.polarizations),
             **_directions(scan, survey),
             "time": _first(scan["elapsed"]),
+            **_windows(scan),
         },
         geometry=geometry_attributes(survey),
         attributes=_attributes(journal, meta, survey, dark),
@@ -311,6 +312,17 @@ def _directions(samples: Samples, survey: Survey) -> dict[str, Floats]:
     return {
         "azimuth": _mean(samples["azimuth"], otherwise=azimuth),
         "elevation": _mean(samples["elevation"], otherwise=elevation),
+    }
+
+
+def _windows(samples: Samples) -> dict[str, Floats]:
+    """Return middle and length of the integration windows [s], if recorded."""
+    duration = samples["duration"]
+    if not np.isfinite(duration).any():
+        return {}
+    return {
+        "reading_time": samples["begin"] + duration / 2,
+        "reading_duration": duration,
     }
 
 

@@ -120,6 +120,17 @@ class Record:
             cube="target_position",
         ),
     ] = None  # fmt: skip
+    begin: Annotated[
+        float | None,
+        Quantity(
+            text="start of the integration window, by the clock of the scan",
+            unit="s", within=(0, 1e10),
+        ),
+    ] = None  # fmt: skip
+    duration: Annotated[
+        float | None,
+        Quantity(text="length of the integration window", unit="s", within=(0, 1e6)),
+    ] = None
     interval: Annotated[
         float | None,
         Quantity(
