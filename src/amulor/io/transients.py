@@ -120,7 +120,7 @@ def read_transients(
     group_index: float = 1.0,
     refractive_index: float = 1.0,
 ) -> xr.Dataset:
-    r"""Read photon histograms as a cube at any modulation frequencies.
+    r"""Read photon histograms of one scene as a cube at given modulation frequencies.
 
     Parameters
     ----------

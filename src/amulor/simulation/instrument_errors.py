@@ -344,7 +344,7 @@ class Chain:
         return signal
 
     def _demodulated(self, signal: Complex, time: Floats, white: _Draw) -> Complex:
-        """Return the demodulator's complex output for its input signal."""
+        """Return the demodulator's outputs with their errors and noise, complex [V]."""
         scale, outputs = self.errors.scale_change, self.errors.demodulator
         noise = self.errors.noise
         if scale is not None:

@@ -173,7 +173,7 @@ class Expectation:
 
 
 def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expectation:
-    """Estimate statistics of a scan's samples from at most 25 x 25 of its beams.
+    """Estimate statistics of a scan's samples from a grid of at most 25 x 25 beams.
 
     Parameters
     ----------

@@ -421,7 +421,7 @@ def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[
 def _reasons(
     numbers: dict[str, float], attributes: Mapping[Any, Any]
 ) -> Iterator[Reason]:
-    """Yield reasons of each flag: values beyond limits, or a text if there are none."""
+    """Yield reasons for each flag: values beyond limits, or a text if there is none."""
     flags = QualityFlag(int(numbers["quality_flag"]))
     causes = WaterResidualCause(int(numbers.get("water_residual_cause", 0)))
     if "residual_phase" in numbers:  # the angle is clearer than its ratio

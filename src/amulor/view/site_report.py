@@ -162,7 +162,7 @@ def errors(cloud: Merged) -> Figure:
 
 
 def change_map(change: Change, places: Sequence[Region]) -> Figure:
-    """Draw the change between visits in plan, with significance, and its histogram."""
+    """Draw the change between visits in plan, and a histogram of its significance."""
     figure = new_figure(7.0, 3.6)
     axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
     both = np.isfinite(change.value)

@@ -37,7 +37,7 @@ _PHASE_ERROR = 0.02
 def quick_layers(
     row: xr.Dataset, signal: NDArray[np.complex128], ending: str
 ) -> dict[str, NDArray[np.float64]]:
-    """Range map and amplitude map of a newly measured row.
+    """Range, and amplitude at the first frequency, of a newly measured row.
 
     Slant ranges are computed as by `amulor.imaging.range_image`, but with equal phase
     errors at all frequencies, and without the late-light correction.
