@@ -449,3 +449,16 @@ def test_a_channel_without_dark_readings_is_left_as_it_is(small, folder) -> None
     np.testing.assert_array_equal(
         np.ravel(less.attrs["dark_in_phase"])[gone], 0.0
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["survey.toml", "devices.toml"])
+def test_nothing_is_written_through_a_link_to_nowhere(
+    small, settings, folder, name
+) -> None:
+    outside = folder / "outside.toml"
+    scan = folder / "scan"
+    scan.mkdir()
+    (scan / name).symlink_to(outside)
+    with pytest.raises(FormatError, match=f"{name} is a link to .*outside.toml, which"):
+        acquisition.acquire(small, scan, settings=settings, scene=scene_light)
+    assert not outside.exists()

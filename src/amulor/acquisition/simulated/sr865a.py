@@ -15,6 +15,7 @@ from amulor.acquisition.simulated.stanford import (
     Setting,
     SimulatedStanford,
     index_of,
+    whole,
 )
 
 #: Fastest rate of any time constant (page 134) [1/s].
@@ -74,7 +75,7 @@ class Capture:
         }
 
     def _set_length(self, argument: str) -> Answer:
-        size = int(argument) * 1024
+        size = whole(argument) * 1024
         if not 0 < size <= _MOST:
             raise ValueError(argument)
         self._length = -(-size // _BLOCK) * _BLOCK
@@ -106,7 +107,7 @@ class Capture:
     def _start(self, argument: str) -> Answer:
         words = {"ONE": "0", "IMM": "0", "CONT": "1", "TRIG": "1", "SAMP": "2"}
         mode, trigger = (
-            int(words.get(part.strip(), part)) for part in argument.split(",")
+            whole(words.get(part.strip(), part)) for part in argument.split(",")
         )
         if mode != 0 or trigger != 0:  # the bench has no trigger and no wrapping buffer
             raise ValueError(argument)
@@ -146,7 +147,7 @@ class Capture:
         ]
 
     def _value(self, argument: str) -> Answer:
-        number = int(argument)
+        number = whole(argument)
         rows = self._seen if 0 <= number < len(self._seen) else self._rows()
         if number < 0 or number * self._width() >= self._length:
             raise ValueError(argument)
@@ -157,8 +158,8 @@ class Capture:
     def _block(self, argument: str) -> Answer:
         if self._status() & _RECORDING:
             raise ValueError("capture must be stopped")
-        first, length = (int(part) * 1024 for part in argument.split(","))
-        if not 0 < length <= 64 * 1024:
+        first, length = (whole(part) * 1024 for part in argument.split(","))
+        if first < 0 or not 0 < length <= 64 * 1024:
             raise ValueError(argument)
         numbers = [value for row in self._stopped for value in self._numbers(row)]
         content = struct.pack(f"<{len(numbers)}f", *numbers).ljust(self._length, b"\0")
@@ -206,6 +207,12 @@ class SimulatedSr865a(SimulatedStanford):
     #: A space before the parameter, and none before the question mark (page 103).
     command = re.compile(r"(?P<word>[*A-Z]+)(?P<query>\?)?(\s+(?P<rest>.*))?")
     joins_answers = True
+    bare = (
+        *SimulatedStanford.bare, "FREQINT?", "FREQDET?", "FREQEXT?", "SNAPD?", "ILVL?",
+        "ENBW?", "CUROVLDSTAT?", "APHS", "CAPTURELEN?", "CAPTURECFG?", "CAPTURERATE?",
+        "CAPTURERATEMAX?", "CAPTURESTOP", "CAPTURESTAT?", "CAPTUREBYTES?",
+        "CAPTUREPROG?",
+    )  # fmt: skip
     outputs = (0, 1, 2, 3)
     snapped = (2, 3)
     settings = {  # noqa: RUF012
@@ -304,7 +311,7 @@ class SimulatedSr865a(SimulatedStanford):
             needed = "".join(letter for letter in word if not letter.islower())
             if text.startswith(needed) and word.upper().startswith(text):
                 return code
-        return int(text)
+        return whole(text)
 
     def _values(self) -> dict[int, float]:
         x, y, mean = self._measured()

@@ -29,8 +29,6 @@ _MOST_LINES = 1000
 _COMMAND = re.compile(r"(?P<word>[*A-Z]+)\s*(?P<query>\?)?\s*(?P<rest>.*)")
 #: Bit of *STB? that requests service, and bits of status registers.
 _SERVICE, _BITS = 64, {"LIAS": 16, "LIAE": 16}
-#: Commands without a parameter.
-_BARE = ("*IDN?", "*RST", "*CLS", "*OPC?", "*TST?", "FREQ?")
 
 
 class Setting(NamedTuple):
@@ -63,6 +61,8 @@ class SimulatedStanford:
     frequencies = (0.0, math.inf)
     #: Form of a command.
     command = _COMMAND
+    #: Commands without a parameter.
+    bare: tuple[str, ...] = ("*IDN?", "*RST", "*CLS", "*OPC?", "*TST?", "FREQ?")
     #: Whether the answers to one line are sent as one line, with semicolons.
     joins_answers = False
     #: Bits of *STB? without any event.
@@ -133,7 +133,7 @@ class SimulatedStanford:
         if word == "SNAP?" and self.bench.faults.active("timeout", number):
             self.bench.readings += 1
             return None
-        if argument and word in _BARE:
+        if argument and word in self.bare:
             self._bits["*ESR"] |= _COMMAND_ERROR
             return []
         try:
@@ -162,7 +162,7 @@ class SimulatedStanford:
             needed = "".join(letter for letter in word if not letter.islower())
             if argument.startswith(needed) and word.upper().startswith(argument):
                 argument = str(code)
-        code = _whole(argument)
+        code = whole(argument)
         if not setting.first <= code <= setting.last:
             raise ValueError(argument)
         self._set[name] = code
@@ -186,14 +186,14 @@ class SimulatedStanford:
         """Set a status-enable register or one bit of it."""
         place, _, value = argument.partition(",")
         count = _BITS.get(word, 8)
-        if not 0 <= _whole(place) < (count if value else 1 << count):
+        if not 0 <= whole(place) < (count if value else 1 << count):
             raise ValueError(argument)
         if value:
-            bit = 1 << _whole(place)
+            bit = 1 << whole(place)
             others = self._enabled[word] & ~bit
-            self._enabled[word] = others | bit * bool(int(value))
+            self._enabled[word] = others | bit * index_of(value, 2)
         else:
-            self._enabled[word] = _whole(place)
+            self._enabled[word] = whole(place)
         return []
 
     def _is_enabled(self, word: str, bit: str) -> list[str]:
@@ -212,7 +212,7 @@ class SimulatedStanford:
     def _pop(self, word: str, bit: str) -> list[str]:
         """Return and clear a status register, or one bit of it."""
         result = _register_text(self._bits[word], bit, count=_BITS.get(word, 8))
-        self._bits[word] &= ~(1 << _whole(bit)) if bit else 0
+        self._bits[word] &= ~(1 << whole(bit)) if bit else 0
         return [result]
 
     def _lock_in_status(self, bit: str) -> list[str]:
@@ -241,16 +241,16 @@ class SimulatedStanford:
 
     def _set_output(self, argument: str) -> list[str]:
         number, voltage = argument.split(",")
-        code = self.outputs.index(int(number))
+        code = self.outputs.index(whole(number))
         if not abs(float(voltage)) <= self.largest_output:
             raise ValueError(voltage)
-        self._outputs[int(number)] = float(voltage)
+        self._outputs[whole(number)] = float(voltage)
         if code == 0:  # the laser is wired to the first one
             self.bench.set_laser(float(voltage) > _GATE)
         return []
 
     def _output(self, argument: str) -> list[str]:
-        return [f"{self._outputs[int(argument)]:.3f}"]
+        return [f"{self._outputs[whole(argument)]:.3f}"]
 
     def _monitor(self) -> float:
         """Return the simulated voltage of the interlock monitor [V]."""
@@ -277,7 +277,7 @@ class SimulatedStanford:
     snapped = (2, 6)
 
     def _parameter(self, text: str) -> int:
-        return _whole(text)
+        return whole(text)
 
     def _values(self) -> dict[int, float]:
         """Return the present values by their codes in the command SNAP?."""
@@ -300,20 +300,20 @@ def _register_text(register: int, bit: str, *, count: int = 8) -> str:
     """Return the value of a register, or of one of its bits, as text."""
     if not bit:
         return str(register)
-    if not 0 <= _whole(bit) < count:
+    if not 0 <= whole(bit) < count:
         raise ValueError(bit)
-    return str(register >> _whole(bit) & 1)
+    return str(register >> whole(bit) & 1)
 
 
 def index_of(text: str, count: int, *, first: int = 0) -> int:
     """Return the index that a code states as text; raise if beyond `count`."""
-    place = _whole(text) - first
+    place = whole(text) - first
     if not 0 <= place < count:
         raise ValueError(text)
     return place
 
 
-def _whole(text: str) -> int:
+def whole(text: str) -> int:
     """Parse a whole number, which may be written as 5, 5.0 or 0.5E1."""
     number = float(text)
     if not number.is_integer():
@@ -348,6 +348,7 @@ class SimulatedSr844(SimulatedStanford):
     frequencies = (25e3, 200e6)
     #: No scan and no command in progress (manual, page 4-31).
     idle_status = 0b11
+    bare = (*SimulatedStanford.bare, "PHAS?")
     outputs = (1, 2)
     #: Codes of the settings (manual, chapter 4).
     settings = {  # noqa: RUF012

@@ -77,15 +77,24 @@ def test_a_frequency_beyond_the_manual_is_an_error(
                 ("FREQ? 7", "32"), ("*IDN? 5", "32"), ("*CLS 5", "32"),
                 ("OFLT? 99", "16"), ("OFLT 1_0", "16"), ("OFLT 5.5", "16"),
                 ("LIAS? 99", "16"), ("*SRE -1", "16"), ("*ESE 256", "16"),
-                ("*ESE 8,1", "16"), ("\u00e9", "32"),
+                ("*ESE 8,1", "16"), ("*ESE 3,7", "16"), ("\u00e9", "32"),
             ]
+        ],
+        (SimulatedSr844, "PHAS? 5", "32"),
+        *[
+            (SimulatedSr865a, f"{word} 5", "32")
+            for word in (
+                "FREQINT?", "FREQDET?", "FREQEXT?", "SNAPD?", "ILVL?", "ENBW?", "APHS",
+                "CUROVLDSTAT?", "CAPTURELEN?", "CAPTURERATE?", "CAPTURESTOP",
+            )
         ],
         *[(SimulatedSr844, f"OUTP? {code}", "16") for code in (0, 6, 10, -1)],
         *[
             (SimulatedSr865a, line, "16")
             for line in (
                 "CAPTURESTART CONT,IMM", "OUTR? -1", "OAUX? -1", "CAPTURERATE -1",
-                "CAPTURECFG -1", "PSTF? -1", "CDSP -1,0", "CDSP? 4",
+                "CAPTURECFG -1", "CAPTUREGET? -1,1", "PSTF? -1",
+                "CDSP -1,0", "CDSP? 4",
             )
         ],
     ],
