@@ -66,7 +66,7 @@ class Shares:
 
 
 def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
-    """Return the best division of dwell time for 2 or 3 frequencies, else None.
+    """Return the best division of dwell time over 2 or 3 frequencies; None otherwise.
 
     Every division into twentieths is evaluated by its error at the worst distance, at
     the required quantile of 16 random waters. Divisions in which a wrong interval is

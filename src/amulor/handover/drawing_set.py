@@ -205,7 +205,7 @@ def _elevation(
 def _contours(
     raster: products.Raster, interval: float, order: Order, remarks: Said
 ) -> tuple[list[products.Contour], LineProduct | None]:
-    """Return contour lines and their drawing; an empty list and None without any."""
+    """Return contour lines and their drawing; an empty list and None if none exist."""
     try:
         contours = products.contours(raster, interval=interval)
         product = drawings.contour_product(raster, contours, interval, order, remarks)

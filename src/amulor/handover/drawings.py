@@ -79,7 +79,7 @@ class LineProduct:
 def section(
     surface: products.Surface, plane: products.Plane, order: Order, remarks: Said
 ) -> LineProduct:
-    """Draw the section of a surface along a line."""
+    """Draw the section of a surface along the line in the order."""
     assert order.line is not None
     cut = products.section(surface, plane, start=order.line[:2], end=order.line[2:])
     pieces = int(cut.piece.max()) + 1
@@ -328,7 +328,7 @@ def scale_of(order: Order, surface: products.Surface, plane: products.Plane) -> 
 
 
 def cell_of(order: Order, surface: products.Surface, scale: float) -> float:
-    """Return the cell size: as ordered, else printed dot or rounded pixel size [m]."""
+    """Return the ordered cell size, else that of a printed dot or rounded pixel [m]."""
     if order.cell is not None:
         return order.cell
     if order.product == "orthoimage":

@@ -141,7 +141,7 @@ _BEAMS = 25
 
 @dataclass(frozen=True, kw_only=True)
 class Expectation:
-    """Expected statistics of a scan's samples; medians are NaN without any target hit.
+    """Expected statistics of a scan's samples; medians are NaN if no target is hit.
 
     Examples
     --------

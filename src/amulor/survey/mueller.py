@@ -51,7 +51,7 @@ def matrix(description: Any) -> NDArray[np.float64]:
 
 
 def _named(description: Any) -> Any:
-    """Return a Mueller matrix as described; ValueError for an unknown surface name."""
+    """Return the description of a Mueller matrix; ValueError for an unknown name."""
     if isinstance(description, str) and description not in SURFACES:
         raise ValueError(
             f"found {description!r}, for which no published Mueller matrix is known "

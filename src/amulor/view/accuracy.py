@@ -406,7 +406,7 @@ def _table(name: str, budget: ErrorBudget) -> Table:
 
 
 def _limits(budget: ErrorBudget) -> str:
-    """Sentences on shared errors, late light, calibration and unknown errors."""
+    """Sentences on shared errors, late light, calibration, tests and unknown errors."""
     sentences = []
     if math.isfinite(budget.common):
         sentences.append(

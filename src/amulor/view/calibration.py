@@ -82,7 +82,7 @@ def _reference(axis: Axes, calibration: Calibration) -> None:
 def _draw_band(
     axis: Axes, x: Floats, y: Floats, error: Floats | float, *, label: str
 ) -> str:
-    """Draw a line within a band of its error; return their color."""
+    """Draw a line within a band of its error; return the line's color."""
     (line,) = axis.plot(x, y, label=label)
     color = str(line.get_color())
     axis.fill_between(x, y - error, y + error, color=color, alpha=0.2)

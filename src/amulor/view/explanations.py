@@ -350,7 +350,7 @@ class _Test:
         return self.flag == flag
 
     def given_by(self, value: float) -> bool:
-        """Whether a value sets the flag; for causes and without a limit, any does."""
+        """Whether a value sets the flag; for a cause or no limit, any number does."""
         if not self.relation or isinstance(self.flag, WaterResidualCause):
             return not math.isnan(value)
         return value < self.limit if self.relation == "<" else value >= self.limit

@@ -174,7 +174,7 @@ def shutter_leakage(
     dark: tuple[Complex, Floats],
     frequency: Floats,
 ) -> tuple[Leakage, ...]:
-    """Return the leakage from closed-shutter readings of a scan; empty without any.
+    """Return the leakage by closed-shutter readings of a scan; empty if there are none.
 
     The readings before, during and after the scan are averaged.
     """

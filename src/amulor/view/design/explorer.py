@@ -270,7 +270,7 @@ class Explorer:
 def _around(
     values: Sequence[float], usual: tuple[float, float], factor: float
 ) -> tuple[float, float]:
-    """Limits of a map axis around required values; the usual limits without any."""
+    """Limits of a map axis around required values; without these, the usual limits."""
     if not values:
         return usual
     return min(values) / factor, max(values) * factor

@@ -394,7 +394,7 @@ def _plain(attributes: Any) -> dict[str, Any]:
 
 
 def sharing_of(picture: Picture) -> dict[str, Any] | None:
-    """Parameters of the error correlation between two pixels, for the page."""
+    """Parameters of the error correlation of two pixels; None if errors are unknown."""
     if not picture.has("slant_range_common_uncertainty") or picture.error_unknown:
         return None
     names = {

@@ -403,7 +403,7 @@ class Progress:
         }
 
     def _rate(self, now: float) -> float:
-        """Return the sampling rate during the last minute [1/s]."""
+        """Return the sampling rate during the last minute; NaN at the start [1/s]."""
         recent = [(at, count) for at, count in self._recent if now - at < 60]
         if len(recent) < 2:
             return float("nan")
