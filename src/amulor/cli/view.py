@@ -42,8 +42,9 @@ def view(
         Unit of the coordinates of a mesh, which most formats do not state, or of a
         cloud that is not in meters.
     against
-        Reference for deviations: a mesh (.ply, .stl, .obj, .off, .glb) in the axes of
-        the instrument, or the range image (.nc) of an earlier scan; with --unit.
+        Reference of which the page shows deviations: a mesh (.ply, .stl, .obj, .off,
+        .glb; state --unit) in the axes of the instrument, or the range image (.nc) of
+        another scan, placed by the poses of both surveys.
     save
         Save the page as one file (HTML), which opens without this program, and exit.
     nearest
@@ -89,8 +90,6 @@ def view(
         )
     if unit is not None and not in_space and against is None:
         raise UsageError("--unit goes with a mesh or a cloud; scans are in meters")
-    if against is not None and save is not None:
-        raise UsageError("--against goes with a page that is served, not with --save")
     inputs = [option for option in (path, samples, against) if option is not None]
     check_inputs(against)
     if save is not None:
@@ -100,6 +99,10 @@ def view(
         shown = space.opened(path, unit=None if unit is None else METRES[unit])
     else:
         shown = _shown(path, samples, interval)
+        if against is not None:
+            shown.against = handover.comparison(against, unit=unit or "m")
+        if isinstance(shown, page.Live):
+            shown.look()
     if save is not None:
         recording = shown.recording if isinstance(shown, page.Live) else shown
         page.save_page(recording, save, overwrite=overwrite)
@@ -123,6 +126,4 @@ def _shown(
 
     if not path.is_dir():
         return page.opened(path, samples=samples, interval=interval)
-    scan = page.Live(path)
-    scan.look()
-    return scan
+    return page.Live(path)

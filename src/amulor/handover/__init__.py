@@ -3,8 +3,16 @@
 from amulor.handover.order import ENDINGS, Order, product_of
 from amulor.handover.page import PageProducts
 from amulor.handover.products import hand_over
+from amulor.handover.references import comparison
 
-__all__ = ["ENDINGS", "Order", "PageProducts", "hand_over", "product_of"]
+__all__ = [
+    "ENDINGS",
+    "Order",
+    "PageProducts",
+    "comparison",
+    "hand_over",
+    "product_of",
+]
 
 
 def __dir__() -> list[str]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,7 @@ from numpy.typing import NDArray
 from amulor import imaging, io
 from amulor.errors import CubeError, FormatError, MissingExtraError
 from amulor.handover import drawings
-from amulor.handover.order import Order, write_mesh
+from amulor.handover.order import Order, Unit, write_mesh
 from amulor.imaging import products
 from amulor.imaging.frame import Frame
 from amulor.io import drawings as formats
@@ -91,8 +94,42 @@ def described(
 def compare(surface: products.Surface, order: Order) -> products.Deviation:
     """Compute the deviations of a scan from the reference that an order names."""
     assert order.against is not None
-    if order.against.suffix.lower() == ".nc":
-        earlier = io.read_cube(order.against)
+    against = _reference(order.against, order.unit)
+    return against(surface, farthest=order.farthest)
+
+
+def comparison(
+    path: Path, *, unit: Unit
+) -> Callable[[xr.Dataset], tuple[products.Deviation, str]]:
+    """Read a reference once, and return the function that compares images with it."""
+    against = _reference(path, unit)
+
+    def compared(image: xr.Dataset) -> tuple[products.Deviation, str]:
+        deviation = against(products.surface(image, frame=_posed(image, path)))
+        _, statements = described(deviation, ("", []), path.name, PLACE_KNOWN)
+        return deviation, ". ".join(statements[:2])
+
+    return compared
+
+
+def _posed(image: xr.Dataset, path: Path) -> Frame:
+    """Frame of a comparison: by pose with another scan, of the instrument otherwise."""
+    if path.suffix.lower() == ".nc":
+        with contextlib.suppress(CubeError):
+            return imaging.frame_of(image, axes="pose")
+    return imaging.frame_of(image)
+
+
+def _reference(path: Path, unit: Unit) -> Callable[..., products.Deviation]:
+    """Read a mesh or an earlier scan; return its comparison with a surface."""
+    if path.suffix.lower() != ".nc":
+        vertices, faces = read_mesh(path, unit=METRES[unit])
+        return partial(products.deviation, vertices=vertices, faces=faces)
+    earlier = io.read_cube(path)
+
+    def compared(
+        surface: products.Surface, *, farthest: float | None = None
+    ) -> products.Deviation:
         frame = _frame_of(earlier, surface.frame)
         reference = products.surface(earlier, frame=frame)
         return products.deviation(
@@ -102,10 +139,10 @@ def compare(surface: products.Surface, order: Order) -> products.Deviation:
             own=reference.own,
             shared=reference.shared,
             reference=frame,
-            farthest=order.farthest,
+            farthest=farthest,
         )
-    vertices, faces = read_mesh(order.against, unit=METRES[order.unit])
-    return products.deviation(surface, vertices, faces, farthest=order.farthest)
+
+    return compared
 
 
 def _frame_of(earlier: xr.Dataset, frame: Frame) -> Frame:

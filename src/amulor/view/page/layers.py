@@ -46,6 +46,13 @@ MAPS = {
     "slant_range_wrong_interval": Layer(
         name="wrong", label="Wrong interval", unit="1", kind="chance"
     ),
+    "deviation": Layer(name="deviation", label="Deviation", unit="m", kind="signed"),
+    "deviation_significant": Layer(
+        name="significant", label="Significant", unit="m", kind="signed"
+    ),
+    "deviation_uncertainty": Layer(
+        name="deviation_uncertainty", label="Deviation ±", unit="m", kind="error"
+    ),
     "time": Layer(name="time", label="Time", unit="s", kind="hidden"),
     "slant_range_common_uncertainty": Layer(
         name="common", label="Shared uncertainty", unit="m", kind="hidden"

@@ -28,7 +28,7 @@ from amulor.survey import Survey
 from amulor.survey.directions import scan_directions
 from amulor.survey.view import geometry_attributes
 from amulor.view.page.progress import Progress
-from amulor.view.page.recording import Recording, recording_of
+from amulor.view.page.recording import Comparison, Recording, recording_of
 
 #: Equal for all frequencies, so that the highest frequency has the most weight [rad].
 _PHASE_ERROR = 0.02
@@ -108,6 +108,8 @@ class Live:
         self._journal: Journal | None = None
         self.recording: Recording = blank(self._survey, self.name)
         self.status: dict[str, Any] = {}
+        #: Comparison with a reference, of which the page shows the deviations.
+        self.against: Comparison | None = None
         self.row_time = 0.0
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -219,6 +221,7 @@ class Live:
             warnings.simplefilter("ignore", RuntimeWarning)
             cube = acquisition.build(self._journal)
             picture = recording_of(cube, name=self.name)
+            picture.against = self.against
             for channel in picture.channels:
                 picture.channel(channel)
             with self._lock:

@@ -224,6 +224,8 @@ class Channel:
     """Range image after water rejection, if there is one."""
     before: Picture | None
     """Range image before water rejection, if it is available."""
+    compared: str = ""
+    """Result of the comparison with a reference, or reason for its failure."""
 
     @property
     def shown(self) -> Picture:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from amulor.cube.schema import RANGE_PREFIX, TERMS
 from amulor.errors import AmulorError, CubeError
 from amulor.imaging.common import own_variance
 from amulor.imaging.edges import STEP_MARGIN, steps
+from amulor.imaging.products import Deviation
 from amulor.io import read_cube
 from amulor.io.netcdf import is_large
 from amulor.view.page.layers import BEFORE, MAPS, STEPS, Layer, described, flag_words
@@ -98,6 +99,8 @@ def _listed(values: NDArray[np.float64]) -> list[float | None]:
 
 
 Interval = tuple[float, float] | None
+#: Comparison of a range image with a reference: deviations, and result in words.
+Comparison = Callable[[xr.Dataset], tuple[Deviation, str]]
 
 #: More pixels than these are drawn by strides [1].
 MOST_PIXELS = 10_000_000
@@ -123,6 +126,8 @@ class Recording:
         self.name = name
         #: Data file; None for data in memory.
         self.path: Path | None = None
+        #: Comparison with a reference, of which the page shows the deviations.
+        self.against: Comparison | None = None
         self.notes = [] if notes is None else notes
         self._given: Picture | None = (
             MemoryPicture(image) if isinstance(image, xr.Dataset) else image
@@ -184,7 +189,16 @@ class Recording:
             raise CubeError(f"{self.name} holds nothing that can be shown as a picture")
         if after is not None and _water_in(after):
             before = None  # one picture for both
-        return Channel(after=after, before=before)
+        if self.against is None or after is None:
+            return Channel(after=after, before=before)
+        try:
+            image = after.whole()
+            deviation, result = self.against(image)
+        except CubeError as error:
+            failure = f"Deviations cannot be shown: {error}"
+            return Channel(after=after, before=before, compared=failure)
+        after = MemoryPicture(_with_deviation(image, deviation))
+        return Channel(after=after, before=before, compared=result)
 
     def _raw(self) -> xr.Dataset:
         if self._kept is None:
@@ -316,6 +330,24 @@ class Recording:
         }
 
 
+def _with_deviation(image: xr.Dataset, deviation: Deviation) -> xr.Dataset:
+    """Range image with the deviations of its pixels and their uncertainties [m]."""
+    values = {
+        "deviation": deviation.value,
+        "deviation_significant": np.where(
+            deviation.significant, deviation.value, np.nan
+        ),
+        "deviation_uncertainty": deviation.uncertainty,
+    }
+    maps = {}
+    for name, of_vertices in values.items():
+        pixels = np.full(image["slant_range"].size, np.nan)
+        pixels[deviation.surface.pixel] = of_vertices
+        shape = image["slant_range"].shape
+        maps[name] = (image["slant_range"].dims, pixels.reshape(shape))
+    return image.assign(maps)
+
+
 def _water_in(picture: Picture) -> bool:
     """Whether the ranges of an image still contain the water signal."""
     return WATER_NOT_REMOVED in picture.error_unknown
@@ -342,7 +374,7 @@ def _steps(picture: Picture, stride: int) -> NDArray[Any]:
 
 
 def _notes(pictures: Channel) -> list[str]:
-    notes = []
+    notes = [f"{pictures.compared}."] if pictures.compared else []
     if pictures.before is None and not _water_in(pictures.shown):
         notes.append(
             "A range image alone does not hold the picture before rejection; name the "

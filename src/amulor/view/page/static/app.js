@@ -3,6 +3,7 @@
 import { boxContent, boxFrom, boxText, ClipBox, inside } from "./clip.js";
 import { CloudView } from "./cloud.js";
 import { $, inkOf, made } from "./dom.js";
+import { limitsKey } from "./limits.js";
 import { Live } from "./live.js";
 import { fitted, MapView } from "./map.js";
 import { Notes } from "./notes.js";
@@ -90,7 +91,7 @@ function presentView() {
   return {
     channel: state.scene.channel,
     layer: state.layerName,
-    limits: state.ownLimits.get(state.layerName.replace("_before", "")) ?? null,
+    limits: state.ownLimits.get(limitsKey(state.layerName)) ?? null,
     camera: { turn, rise, distance, target: [...target], orthographic },
     clip: boxContent(clip.box),
   };
@@ -319,7 +320,10 @@ function contours() {
   );
 }
 
-const MAIN = ["range", "amplitude", "uncertainty", "bias", "shift", "wrong", "flags"];
+const MAIN = [
+  ...["range", "amplitude", "uncertainty", "bias", "shift", "wrong", "flags"],
+  ...["deviation", "significant", "deviation_uncertainty"],
+];
 
 function tabs() {
   const { scene } = state;
@@ -375,7 +379,7 @@ function actual(name) {
 }
 
 function limitsOf(name) {
-  const key = name.replace("_before", "");
+  const key = limitsKey(name);
   if (state.ownLimits.has(key)) return state.ownLimits.get(key);
   const { scene } = state;
   const own = scene.limits(name);
@@ -399,6 +403,7 @@ async function show(name) {
   await scene.load(wanted);
   if (wanted.endsWith("_before") && scene.byName.has("range_before"))
     await scene.load("range_before");
+  if (wanted === "significant") await scene.load("deviation");
   state.layerName = wanted;
   const layer = scene.byName.get(wanted);
   if (layer.kind !== "flags") state.profileLayer = wanted;
@@ -480,6 +485,12 @@ function readout() {
         Math.abs(get("bias")) < ROUNDING ? "0 within rounding" : withUnit(get("bias"), "m", 2),
       );
     if (Number.isFinite(raw) && scene.main === "range") add("water in", moved());
+    const sure = Number.isFinite(get("significant")) ? "significant" : "not significant";
+    if (Number.isFinite(get("deviation")))
+      add(
+        "deviation",
+        `${withError(get("deviation"), get("deviation_uncertainty"), "m")}, ${sure}`,
+      );
   } else add("range", "none", "big");
   const amplitude = get(
     waterIn && scene.byName.has("amplitude_before") ? "amplitude_before" : "amplitude",

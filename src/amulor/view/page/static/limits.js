@@ -59,6 +59,14 @@ export function limitsFrom(text) {
   return own;
 }
 
+/** Return the name under which maps keep their limits. Maps with and without the water signal
+share them, as do all deviations and significant ones.
+ * @param {string} name
+ */
+export function limitsKey(name) {
+  return name === "significant" ? "deviation" : name.replace("_before", "");
+}
+
 /** Return the limits in the address of the page; null if there are none. */
 export function limitsOfAddress() {
   return new URLSearchParams(location.hash.slice(1)).get("limits");

@@ -2,7 +2,14 @@
 
 import { flagColour, MAP_OF, table } from "./colour.js";
 import { $, made } from "./dom.js";
-import { addressLimits, LimitFields, limitsFrom, limitsOfAddress, limitsText } from "./limits.js";
+import {
+  addressLimits,
+  LimitFields,
+  limitsFrom,
+  limitsKey,
+  limitsOfAddress,
+  limitsText,
+} from "./limits.js";
 import { colourBar } from "./map.js";
 import { failed, listMeasurements } from "./panel.js";
 import { download, pictureOf, png } from "./picture.js";
@@ -139,14 +146,13 @@ export class Page {
     this.#limits.show(layer, this.state.limits, unit);
   }
 
-  /** Set the color limits of a map; without limits, they follow from the data. The maps with
-  and without the water signal share their limits.
+  /** Set the color limits of a map; without limits, they follow from the data.
    * @param {string} name
    * @param {number[] | null} limits
    */
   limit(name, limits = null) {
     const { ownLimits } = this.state;
-    const key = name.replace("_before", "");
+    const key = limitsKey(name);
     if (limits) ownLimits.set(key, limits);
     else ownLimits.delete(key);
     addressLimits(ownLimits);

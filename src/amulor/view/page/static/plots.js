@@ -2,6 +2,7 @@
 
 import { INK } from "./colour.js";
 import { inkOf, ratioOf } from "./dom.js";
+import { limitsKey } from "./limits.js";
 import { fitted } from "./map.js";
 import { sampled } from "./scene.js";
 import { scaled, ticks } from "./text.js";
@@ -114,6 +115,7 @@ export function along(scene, { kind, cursor, section }) {
 /** Return a profile: distance along it [m], and values of a map with uncertainties. */
 export function profileOf(scene, pixels, name) {
   const places = pixels.map(([row, column]) => scene.beams.point(row, column, scene.typical));
+  const errors = limitsKey(name) === "deviation" ? "deviation_uncertainty" : "uncertainty";
   let run = 0;
   return pixels.map((pixel, k) => {
     if (k) run += Math.hypot(...[0, 1, 2].map((axis) => places[k][axis] - places[k - 1][axis]));
@@ -121,7 +123,7 @@ export function profileOf(scene, pixels, name) {
       pixel,
       x: run,
       value: scene.value(name, ...pixel),
-      error: name.endsWith("_before") ? NaN : scene.value("uncertainty", ...pixel),
+      error: name.endsWith("_before") ? NaN : scene.value(errors, ...pixel),
     };
   });
 }
@@ -141,7 +143,7 @@ export function drawProfile(canvas, state, colours) {
     scene.maps.has(twin) && layer.kind !== "flags" ? profileOf(scene, pixels, twin) : null;
   const known = line.filter((one) => Number.isFinite(one.value));
   if (!known.length) return empty(view, "No pixel of this line holds a number.", colours);
-  const uncertain = layer.kind === "range" && !layer.before;
+  const uncertain = (layer.kind === "range" && !layer.before) || limitsKey(name) === "deviation";
   const [low, high] = profileLimits(line, other, uncertain, scene.least(name));
   const room = (high - low) * 0.08;
   const unit = profileUnit(layer, low, high);
@@ -171,7 +173,7 @@ export function drawProfile(canvas, state, colours) {
   const names = layer.before ? ["water in", "water removed"] : ["water removed", "water in"];
   const entries = [[other || layer.before ? names[0] : layer.label, colours.accent, []]];
   if (other) entries.push([names[1], INK.vermilion, [4, 3]]);
-  if (layer.kind === "range" && known.some((one) => Number.isFinite(one.error))) {
+  if (uncertain && known.some((one) => Number.isFinite(one.error))) {
     entries.push(["± standard uncertainty", colours.band, null]);
   }
   return legend(ctx, frame.box, entries, colours);

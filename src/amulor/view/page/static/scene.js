@@ -240,7 +240,8 @@ export class Scene {
   /** Return whether all of a map is 0 within rounding. */
   nothing(name) {
     const { values, layer } = this.maps.get(name);
-    return layer.kind === "signed" && values.every((value) => !(Math.abs(value) >= ROUNDING));
+    const small = (value) => !(Math.abs(value) >= ROUNDING);
+    return layer.kind === "signed" && values.some(Number.isFinite) && values.every(small);
   }
 
   /** Return the color limits of a map without its extremes; symmetric for signed maps. */
