@@ -65,7 +65,7 @@ def recover(
     told: Callable[[str], None] = lambda line: None,
     damaged: Callable[[str], None] | None = None,
 ) -> Path:
-    """Build the cube of a scan, finished or not, from its journal.
+    """Build the cube of a scan, finished or not, from its journal, and write it.
 
     Parameters
     ----------
