@@ -160,7 +160,7 @@ def _overlap(z: float, water: Water, table: Array) -> float:
 def departures(
     look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill `out` with overlap by eq. (29) minus the closure's, absolute and relative.
+    """Fill `out` with absolute and relative difference of eq. (29) from the closure.
 
     By Gauss-Laguerre nodes: rule has nodes and weights, a row of look is as in
     `collected`. Compiled, as S(z) is found step by step.

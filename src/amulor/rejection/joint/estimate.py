@@ -1,4 +1,4 @@
-"""Joint estimation of a scan: shared parameters from sampled pixels, then rows."""
+"""Joint estimation: shared parameters from sampled pixels, then all pixels by rows."""
 
 from __future__ import annotations
 

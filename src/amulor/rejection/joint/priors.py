@@ -403,7 +403,7 @@ class Layout:
 
     @property
     def doubt(self) -> slice:
-        """Positions of the parameters for references that differ from the scan."""
+        """Positions of the differences in water between open-water shots and scan."""
         begin = self.blocks[2].stop
         count = 2 * self.channels * self.frequencies + 1 if self.doubts else 0
         return slice(begin, begin + count)

@@ -262,7 +262,7 @@ def hidden_error(
     *,
     misfit: float,
 ) -> Covariance:
-    """Return the covariance of the water column that is added again behind targets.
+    """Return the covariance of the water signal from behind targets, added back.
 
     The turbidity moves the column along a known direction. A model that is off by so
     much of the whole column is off by as much of a part of it, at most by all of that
