@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from amulor import acquisition
 from amulor import cube as cubes
+from amulor.acquisition.cube.samples import procedure_of
 from amulor.acquisition.journal.file import in_use
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.run import resume_command
@@ -29,6 +30,7 @@ from amulor.survey.directions import scan_directions
 from amulor.survey.view import geometry_attributes
 from amulor.view.page.progress import Progress
 from amulor.view.page.recording import Comparison, Recording, recording_of
+from amulor.view.page.traces import Traces
 
 #: Equal for all frequencies, so that the highest frequency has the most weight [rad].
 _PHASE_ERROR = 0.02
@@ -93,8 +95,10 @@ class Live:
         self.name = folder.resolve().name
         with Journal.read(folder) as journal:
             meta = journal.meta()
+            procedure = procedure_of(journal)
         self._survey = Survey.from_text(meta["survey"], name="the survey of the scan")
         self._progress = Progress(self._survey, meta, clock=clock)
+        self.traces = Traces(self._survey, procedure)
         self._clock = clock
         self._lock = threading.Lock()
         #: The journal is read by one thread at a time.
@@ -160,6 +164,7 @@ class Live:
         fresh = self._journal.newer(self._last)
         for number, key, record in fresh:
             self._last = number
+            self.traces.take(key, record)
             place = self._progress.take(key, record)
             if place is not None:
                 self._changed.add(place)

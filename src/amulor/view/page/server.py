@@ -270,6 +270,7 @@ def _routes(content: Recording | Live, products: Products | None) -> list[Any]:
         Route("/scene", pages.scene),
         Route("/layer/{channel}/{name}", pages.layer),
         Route("/spectrum/{channel}/{row:int}/{column:int}", pages.spectrum),
+        Route("/traces/{channel}/{frequency:int}", pages.traces),
         Route("/measure", pages.measure, methods=["POST"]),
         Route("/save", pages.save, methods=["POST"]),
         Route("/notes", pages.notes),
@@ -331,6 +332,16 @@ class _Pages:
             at = (place["row"], place["column"])
             values = spectrum(recording.cubes, place["channel"], *at)
             return JSONResponse(values)
+
+        return await answered(answer)
+
+    async def traces(self, request: Request) -> Response:
+        channel, frequency = (request.path_params[k] for k in ("channel", "frequency"))
+
+        def answer() -> Response:
+            if not isinstance(self._shown, Live):
+                raise CubeError("signals over time are those of a running scan")
+            return JSONResponse(self._shown.traces.over_time(channel, frequency))
 
         return await answered(answer)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pages import until
+from pages import drawn, until
 
 from amulor import acquisition, simulation
 from amulor.acquisition.journal.file import FILE_NAME
@@ -117,6 +117,13 @@ def test_a_scan_grows_while_the_page_is_open(
             share = shown.evaluate("document.querySelector('#band progress').value")
             assert 0 < share < 1
             assert re.fullmatch(rf"\d+ % · {survey.name} · amulor", shown.title())
+            # Signals over time: all kinds of samples, with the newest value.
+            until(shown, "document.documentElement.dataset.traced > 90")
+            assert "open water" in shown.inner_text("#traces-note")
+            label = shown.get_attribute("#strips canvas", "aria-label")
+            assert re.search(r"amplitude [\d.]+ ± [\d.]+ [mµ]V$", label), label
+            picture = drawn(shown, "strips-amplitude")
+            assert (picture[..., 3] > 0).mean() > 0.01
             # The pointer is in the newest row, until it is moved.
             until(shown, "amulor.cursor[0] === amulor.live.status.row")
             assert "none" not in shown.inner_text("#readout")

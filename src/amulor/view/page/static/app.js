@@ -146,6 +146,7 @@ function draw() {
     drawProfile($("profile"), state, colours);
     drawHistogram($("histogram"), state, colours);
     drawSpectrum($("spectrum"), state, colours);
+    state.live?.traces.draw();
   }
   document.documentElement.dataset.ready = "yes";
 }
@@ -408,11 +409,13 @@ async function show(name) {
   const layer = scene.byName.get(wanted);
   if (layer.kind !== "flags") state.profileLayer = wanted;
   state.limits = limitsOf(wanted);
-  for (const button of $("tabs").children)
-    button.setAttribute(
-      "aria-selected",
-      String(button.dataset.layer === name.replace("_before", "")),
-    );
+  for (const button of $("tabs").children) {
+    const selected = button.dataset.layer === name.replace("_before", "");
+    button.setAttribute("aria-selected", String(selected));
+    // Without a scroll of the page, which the user may be reading elsewhere.
+    const { parentElement: list, offsetLeft: left, offsetWidth: wide } = button;
+    if (selected) list.scrollLeft = left - list.offsetLeft - (list.clientWidth - wide) / 2;
+  }
   const flags = layer.kind === "flags";
   for (const id of ["light", "light-turn", "light-rise"]) $(id).disabled = layer.kind !== "range";
   for (const hidden of [$("bar").parentElement, $("auto"), $("narrow")]) hidden.hidden = flags;
@@ -906,6 +909,7 @@ let reloading = Promise.resolve();
 /** Functions of the page that the live view calls. */
 const forLive = {
   state,
+  plots: () => stage.shows("plots"),
   say,
   unsay,
   colours: () => page.colours,

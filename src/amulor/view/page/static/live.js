@@ -2,6 +2,7 @@
 
 import { $, inkOf } from "./dom.js";
 import { fitted } from "./map.js";
+import { Traces } from "./traces.js";
 import { clockIn, duration, short, ticks } from "./text.js";
 
 /** Delay before another attempt to reach a lost server [ms]. */
@@ -39,6 +40,7 @@ export class Live {
     this.replay = made("div", "replay");
     this.replay.hidden = true;
     card.append(head, progress, this.list, this.drift, this.replay, this.advice);
+    this.traces = new Traces(page);
     this.#replaying();
     this.#connect();
   }
@@ -150,6 +152,7 @@ export class Live {
     this.#advise(status);
     this.#band(status, share);
     this.#drift(status.drift, colours);
+    this.traces.update(status.done);
     this.replay.hidden = status.state !== "finished";
     document.documentElement.dataset.done = String(status.done);
     document.documentElement.dataset.state = status.state;
@@ -281,6 +284,7 @@ export class Live {
     const first = known.reduce((a, b) => Math.min(a, b), Infinity);
     const last = known.reduce((a, b) => Math.max(a, b), -Infinity);
     const limit = first + share * (last - first);
+    this.traces.until = share >= 1 ? null : limit;
     for (const [name, map] of scene.maps) {
       if (name === "time" || map.layer.kind === "hidden") continue;
       map.all ??= map.values.slice();

@@ -7,7 +7,8 @@ import { fitted } from "./map.js";
 import { sampled } from "./scene.js";
 import { scaled, ticks } from "./text.js";
 
-function started(canvas) {
+/** Return the drawing context and the size of a canvas, cleared. */
+export function started(canvas) {
   fitted(canvas);
   const ctx = inkOf(canvas);
   const ratio = ratioOf(canvas);
@@ -16,7 +17,8 @@ function started(canvas) {
   return { ctx, width: canvas.width / ratio, height: canvas.height / ratio };
 }
 
-function framed({ ctx, width, height }, x, y, colours, top = 10) {
+/** Draw axes; return the frame, and functions from numbers to places in it. */
+export function framed({ ctx, width, height }, x, y, colours, top = 10) {
   const box = { left: 54, top, right: width - 12, bottom: height - 32 };
   const toX = (value) =>
     box.left + ((value - x.low) / (x.high - x.low || 1)) * (box.right - box.left);
@@ -78,7 +80,8 @@ function power(value) {
   return `10${value < 0 ? "⁻" : ""}${text}`;
 }
 
-function empty(view, text, colours) {
+/** Draw a text instead of a plot. */
+export function empty(view, text, colours) {
   view.ctx.fillStyle = colours.soft;
   view.ctx.font = `13px ${colours.font}`;
   view.ctx.textAlign = "center";

@@ -39,6 +39,11 @@ class Served {
     return (await this.#answer(`spectrum/${encodeURIComponent(channel)}/${row}/${column}`)).json();
   }
 
+  /** Return the signals of a running scan over time. */
+  async traces(channel, frequency) {
+    return (await this.#answer(`traces/${encodeURIComponent(channel)}/${frequency}`)).json();
+  }
+
   async measure(request) {
     return (await this.#post("measure", request)).json();
   }
