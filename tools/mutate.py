@@ -469,6 +469,10 @@ class Worker:
 
     def _run(self, tests: list[str], budget: float, *, marks: str) -> Outcome:
         """Run tests in a forked process, until one fails or the budget is used."""
+        # A file that cannot be imported is broken as a whole.
+        tests = [test for test in tests if test not in self._broken]
+        if not tests:
+            return Outcome()
         with tempfile.NamedTemporaryFile("r", suffix=".json") as answer:
             child = os.fork()
             if child == 0:

@@ -170,6 +170,8 @@ def test_a_campaign_finds_what_tests_notice_and_continues(tmp_path: Path) -> Non
     (tmp_path / "src" / "amulor" / "__init__.py").touch()
     (tmp_path / "src" / "amulor" / "part.py").write_text(PART)
     (tmp_path / "tests" / "unit" / "test_part.py").write_text(TESTS)
+    broken = tmp_path / "tests" / "unit" / "test_broken.py"
+    broken.write_text("import part_of_nothing\nfrom amulor import part\n")
     words = [sys.executable, str(tmp_path / "tools" / "mutate.py"), "--jobs", "1"]
     words += ["--budget", "2", "--sample", "30"]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
