@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import exact_scenes as scenes
+import ezdxf
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -233,6 +234,15 @@ def test_a_half_profile_has_the_diameters_of_a_cone(tmp_path) -> None:
     texts = {t.text for t in texts_of(tmp_path / "p.svg") if t.text}
     assert any(t.startswith(f"Ø {stated[1]}") for t in texts)
     assert "half-profile and elevation" in texts
+    hand_over(image, tmp_path / "p.dxf", order)
+    space = ezdxf.readfile(tmp_path / "p.dxf").modelspace()
+    lines = space.query('LWPOLYLINE[layer=="diameters"]')
+    ends = [[float(place[0]) for place in line.get_points()] for line in lines]
+    # Diameters stand on the side of the profile, from the surface to the axis.
+    assert sorted(ends) == [
+        pytest.approx([-value, 0.0], rel=1e-4, abs=1e-9)
+        for value in sorted({radius[0], radius[-1], radius.max()}, reverse=True)
+    ]
 
 
 def test_heights_of_steep_contours_do_not_cover_each_other(tmp_path) -> None:

@@ -80,6 +80,24 @@ def test_straight_back_it_falls_off_less_than_lambert_and_by_the_published_form(
     assert np.pi * found / 1e-6 == pytest.approx(0.7731 + 0.3388 * 1.5, abs=2e-4)
 
 
+@pytest.mark.parametrize(
+    ("azimuth", "expected"),
+    # The same form at 60 and 30 degrees. Forwards, the groove is sin 60 - (30 / 90)^3
+    # = 0.8290, and 0.7731 - 0.3388 * 0.8290 * tan 30; sideways, C3 = 0.125 s / (s +
+    # 0.09) (4 * 60 * 30 / 180^2)^2 = 0.00465 comes in, times tan 45.
+    [(np.pi, 0.6110), (np.pi / 2, 0.7777)],
+)
+def test_forwards_and_sideways_it_has_the_published_form(azimuth, expected):
+    found = oren_nayar(
+        incidence=np.pi / 3,
+        reflection=np.pi / 6,
+        azimuth=azimuth,
+        roughness=np.pi / 6,
+        reflectance=1e-6,
+    )
+    assert np.pi * found / 1e-6 == pytest.approx(expected, abs=2e-4)
+
+
 @given(index=st.floats(1.0, 2.5))
 def test_at_right_angles_an_interface_passes_the_well_known_share(index):
     found = fresnel_transmission(

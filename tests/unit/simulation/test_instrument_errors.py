@@ -39,6 +39,8 @@ ALL: dict[str, Any] = {
     "noise": {"white": "3 uV", "pink": "2 uV"},
 }  # fmt: skip
 
+AXES = ("azimuth", "elevation")
+
 
 @pytest.fixture(scope="module")
 def survey(plate: Survey) -> Survey:
@@ -190,9 +192,11 @@ def test_drift_grows_evenly_from_the_first_shot_to_the_last(
     place = np.concatenate([np.arange(12), np.arange(36, 48)])
     late = np.angle(outputs(cube, SHOTS) / outputs(still, SHOTS))[:, 1]
     assert_allclose(late, whole[:, None] * place / 47, rtol=1e-9, atol=1e-15)
-    # Each direction has as many shots before the scan as after it.
-    azimuth = cube[f"{SHOTS}azimuth"].values
-    assert_array_equal(np.sort(azimuth[:12]), np.sort(azimuth[12:]))
+    # Four rounds over six directions, two of them before the scan.
+    angles = np.stack([cube[f"{SHOTS}{name}"].values for name in AXES], axis=-1)
+    rounds = angles.reshape(4, 6, 2)
+    assert_array_equal(rounds, np.broadcast_to(rounds[0], rounds.shape))
+    assert len(np.unique(rounds[0], axis=0)) == 6
     assert_array_equal(outputs(still), outputs(perfect))
 
 

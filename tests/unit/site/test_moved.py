@@ -71,6 +71,20 @@ def test_what_single_pairs_do_not_hold_is_no_matter_where_others_do() -> None:
         np.testing.assert_array_equal(whole, one)
 
 
+def test_errors_of_pairs_that_hold_a_motion_add_in_squares(monkeypatch) -> None:
+    stated: list[float] = []
+    held_directions = moved.held_directions
+
+    def noted(matrix: Any, *, unsure: float, length: float) -> Any:
+        stated.append(unsure)
+        return held_directions(matrix, unsure=unsure, length=length)
+
+    monkeypatch.setattr(moved, "held_directions", noted)
+    pairs = [pair_of(0.2, 1.0, unsure=3e-3), pair_of(1.4, 2.4, unsure=4e-3)]
+    moved._held(pairs, MIDDLE)
+    assert stated == [pytest.approx(5e-3, rel=1e-12)]
+
+
 @pytest.mark.slow
 def test_shift_and_turn_of_an_amphora_hold_at_the_point_that_is_named() -> None:
     rng = np.random.default_rng(3)

@@ -290,6 +290,16 @@ def test_a_face_that_a_triangle_cuts_is_refused_by_how_much():
         run(MeshTarget(vertices=[[-1, -1, 0], [-1, 1, 0], [0.1, 0, 0]], **plate))
 
 
+@pytest.mark.parametrize("turn", range(3))
+def test_a_leaning_triangle_reaches_into_a_disc_where_it_meets_its_plane(turn):
+    # Two thirds down from 0.5 m at the height 2 m to 0.2 m at -1 m: at 0.3 m.
+    corners = np.roll([[0.5, 0, 2.0], [0.2, -1, -1], [0.2, 1, -1]], turn, axis=0)
+    plate = MeshTarget(vertices=corners, faces=[[0, 1, 2]], reflectance=0.5)
+    for radius, expected in ((0.4, 0.1), (0.301, 0.001), (0.299, 0.0)):
+        found = plate.reach_into(np.zeros(3), np.array([0.0, 0, 1]), radius)
+        assert found == pytest.approx(expected, abs=1e-12)
+
+
 def test_runs_of_different_meshes_are_told_apart():
     digests = {
         run(target).problem
