@@ -8,6 +8,7 @@ from amulor.acquisition.cube.calibrate import (
     from_temperatures,
 )
 from amulor.acquisition.cube.calibration import Calibration, calibrated
+from amulor.acquisition.cube.demodulator import from_terminated
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.run import Control, Outcome, Progress, acquire
 from amulor.acquisition.settings import Settings
@@ -26,5 +27,6 @@ __all__ = [
     "from_reference",
     "from_shutter",
     "from_temperatures",
+    "from_terminated",
     "recover",
 ]

@@ -67,6 +67,10 @@ COMMANDS = {
         "calibrate:leakage",
         "Measure leakage with a closed shutter; without cubes, print the steps.",
     ),
+    "calibrate demodulator": (
+        "calibrate:demodulator",
+        "Measure errors of the demodulator outputs; without cubes, print the steps.",
+    ),
     "calibrate reference": (
         "calibrate:reference",
         "Record the phase of a standing reference; without a cube, print the steps.",
@@ -149,8 +153,8 @@ COMMANDS = {
 #: Commands by the task of the user, in the order of `amulor --help`.
 TOPICS = {
     "measure": (
-        "calibrate leakage", "calibrate reference", "calibrate temperature",
-        "calibrate plate",
+        "calibrate demodulator", "calibrate leakage", "calibrate reference",
+        "calibrate temperature", "calibrate plate",
         "acquire", "watch", "recover", "devices simulate",
         "import transients", "import recordings",
         "import trajectory",
@@ -174,6 +178,11 @@ EXAMPLES = {
     "calibrate leakage": (
         "amulor calibrate leakage closed/cube.nc -o leakage.toml",
         "amulor recover",
+    ),
+    "calibrate demodulator": (
+        "amulor calibrate demodulator silent.nc turn-1.nc turn-2.nc turn-3.nc "
+        "turn-4.nc turn-5.nc -o demodulator.toml",
+        "amulor calibrate leakage",
     ),
     "calibrate reference": (
         "amulor calibrate reference plate-1/cube.nc -o reference.toml",

@@ -1,4 +1,4 @@
-"""`amulor calibrate`: leakage and phases of an instrument, measured at a bench."""
+"""`amulor calibrate`: errors of an instrument, measured at a bench."""
 
 from __future__ import annotations
 
@@ -43,6 +43,27 @@ A plate at known distances shows the phase zero at each modulation frequency.
          --distance-uncertainty "1 mm" -o calibration.toml
      With filters, add the optical density of each cube: --densities 0,0.5,1,1.5
   8. amulor recover scan --calibration calibration.toml --overwrite"""
+
+_DEMODULATOR_STEPS = """\
+The outputs of the demodulator have an offset, unequal gains, and an angle that is not
+exactly 90 degrees.
+  1. Switch the demodulator on, and wait until it is as warm as in a scan.
+  2. Disconnect the detector. Connect 50 ohm to the input of the demodulator.
+  3. amulor acquire tank.toml --devices devices.toml -o silent --shutter-closed
+  4. Connect the modulation signal of the laser to the input, through an attenuator.
+     The outputs are about as large as those of the echo, and their amplitude does not
+     change in the further steps.
+  5. amulor acquire tank.toml --devices devices.toml -o turn-1 --shutter-closed
+  6. Turn the phase of the reference signal, or change the cable, and repeat step 5. At
+     least five recordings cover a whole turn at each frequency, such as every 45
+     degrees. The phases need not be known.
+  7. amulor calibrate demodulator silent/cube.nc turn-1/cube.nc turn-2/cube.nc ... \\
+         -o demodulator.toml
+     With silent/cube.nc alone, only the offset is measured.
+  8. amulor calibrate leakage closed/cube.nc --calibration demodulator.toml \\
+         -o leakage.toml
+Apply the file to all plates and scans. Dark readings contain the offset already; it is
+subtracted only from scans without dark readings and leakage."""
 
 _REFERENCE_STEPS = """\
 The phase of a standing reference shows the drift of the instrument before each row.
@@ -109,6 +130,40 @@ def leakage(
     _measure(
         cubes, output, acquisition.from_shutter, replaced="leakage",
         calibration=calibration, overwrite=overwrite, json=json,
+    )  # fmt: skip
+
+
+def demodulator(
+    *cubes: Path,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    calibration: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Measure errors of the demodulator outputs; without cubes, print the steps.
+
+    Parameters
+    ----------
+    cubes
+        Cube (netCDF) with 50 ohm at the input. Then, cubes of a signal of constant
+        amplitude at five or more phases, all of "amulor acquire --shutter-closed".
+    output
+        Calibration file to write (TOML). Its plot is written beside it (PNG).
+    calibration
+        Calibration file whose other parts are copied to the output (TOML).
+    overwrite
+        Replace existing files.
+    json
+        Print the result as JSON.
+    """
+    if not cubes:
+        print(_DEMODULATOR_STEPS)
+        return
+    from amulor import acquisition
+
+    _measure(
+        cubes, output, lambda scans: acquisition.from_terminated(scans[0], scans[1:]),
+        replaced="demodulator", calibration=calibration, overwrite=overwrite, json=json,
     )  # fmt: skip
 
 
@@ -311,6 +366,7 @@ def _measure(
     print(f"{output}: {day}{package.digest(output)}")
     print(f"{picture}: plot")
     _print_leakage(result)
+    _print_demodulator(result)
     _print_reference(result)
     _print_temperature(result)
     _print_phases(result)
@@ -333,6 +389,29 @@ def _print_leakage(calibration: Calibration) -> None:
     ]
     header = ["", "scan", "u(scan)", "references", "u(references)", "change"]
     print_table("Leakage [uV]", header, rows)
+
+
+def _print_demodulator(calibration: Calibration) -> None:
+    if not calibration.demodulator:
+        return
+    rows = []
+    for entry in calibration.demodulator:
+        of_gain = entry.quadrature_gain_uncertainty
+        of_phase = entry.quadrature_phase_uncertainty
+        unknown = of_gain is None or of_phase is None
+        rows.append(
+            [
+                f"{entry.modulation_frequency / 1e6:g} MHz",
+                f"{1e6 * entry.offset[0]:+.3g} {1e6 * entry.offset[1]:+.3g}",
+                f"{1e6 * entry.offset_uncertainty:.2g}",
+                "unknown" if unknown else f"{100 * entry.quadrature_gain:+.3f}",
+                "" if of_gain is None else f"{100 * of_gain:.3f}",
+                "" if unknown else f"{math.degrees(entry.quadrature_phase):+.3f}",
+                "" if of_phase is None else f"{math.degrees(of_phase):.3f}",
+            ]
+        )
+    header = ["", "offset [uV]", "u", "gain [%]", "u", "angle [deg]", "u"]
+    print_table("Demodulator outputs", header, rows)
 
 
 def _print_reference(calibration: Calibration) -> None:

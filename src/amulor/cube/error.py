@@ -62,7 +62,11 @@ def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.f
     measured = "leakage_uncertainty_volt" in channel.attrs
     stated = 0.0
     if survey is not None:
-        stated = phase_uncertainty(survey, leakage_measured=measured)
+        stated = phase_uncertainty(
+            survey,
+            leakage_measured=measured,
+            demodulator_measured="demodulator_calibrated" in channel.attrs,
+        )
     table = by_frequency(channel, "calibration_phase_uncertainty_rad", 0.0)
     gain = by_frequency(channel, f"phase_error_gain_{_name(channel)}", 1.0)
     drift = by_frequency(channel, "reference_phase_uncertainty_rad", 0.0)
@@ -74,7 +78,7 @@ def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.f
 
 
 def leakage_volt(channel: xr.Dataset) -> NDArray[np.float64]:
-    """Return the target-signal error [V] due to measured leakage, by frequency.
+    """Return the target-signal error [V] by measured leakage and offset, by frequency.
 
     The combination of channels multiplies it, by the smallest factor on phases: that of
     the strongest channel of the result.
@@ -85,7 +89,9 @@ def leakage_volt(channel: xr.Dataset) -> NDArray[np.float64]:
         if str(name).startswith("phase_error_gain_")
     ]
     gain = np.min(gains, axis=0) if gains else 1.0
-    return np.asarray(by_frequency(channel, "leakage_uncertainty_volt", 0.0) * gain)
+    leakage = by_frequency(channel, "leakage_uncertainty_volt", 0.0)
+    offset = by_frequency(channel, "offset_uncertainty_volt", 0.0)
+    return np.asarray(np.hypot(leakage, offset) * gain)
 
 
 def by_frequency(channel: xr.Dataset, name: str, default: float) -> NDArray[np.float64]:

@@ -631,6 +631,10 @@ INSTRUMENT_ATTRIBUTES = {
     "reference_time_s": "times of reference_drift_rad [s]",
     "leakage_uncertainty_volt": "standard uncertainty of the subtracted leakage, for "
     "each frequency [V]",
+    "offset_uncertainty_volt": "standard uncertainty of the subtracted offset of the "
+    "demodulator outputs, for each frequency [V]",
+    "demodulator_calibrated": "1 if gain and angle of the demodulator outputs were "
+    "corrected",
     "temperature_delay_uncertainty_s": "standard uncertainty of the delay by the "
     "instrument temperature, for each frequency [s]",
     "temperature_recorded": "1 if the phases are corrected for the instrument "

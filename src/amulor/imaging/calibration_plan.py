@@ -14,9 +14,11 @@ from amulor.survey import Survey
 from amulor.survey.calibration import Calibration
 from amulor.survey.counting import reference_variance
 from amulor.survey.properties import (
+    MIXER,
     TEMPERATURE_UNCERTAINTY,
     group_index_uncertainty,
     phase_uncertainty,
+    quadrature_phase_error,
 )
 from amulor.survey.view import medium_of
 
@@ -28,6 +30,8 @@ _ALIGNED = math.radians(0.05)
 _DRIFT = 30e-12
 #: Change of the delay per degree: 10 m of coaxial cable at 100 ppm [s].
 _PER_DEGREE = 5e-12
+#: Gain [1] and angle [rad] errors of the outputs after their calibration.
+_OUTPUTS = 1e-3, math.radians(0.1)
 #: Phase error of a standing reference that the survey does not describe [rad].
 _READING = 1e-3
 #: Uncertainties of temperature [degC] and practical salinity [1] by common probes.
@@ -117,10 +121,14 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
         *_temperature_line(survey, by_delay),
         (
             "leakage, walk, harmonics",
-            by_phase * phase_uncertainty(survey),
-            by_phase * phase_uncertainty(survey, leakage_measured=True),
+            by_phase * phase_uncertainty(survey, demodulator_measured=True),
+            by_phase
+            * phase_uncertainty(
+                survey, leakage_measured=True, demodulator_measured=True
+            ),
             "amulor calibrate leakage",
         ),
+        *_demodulator_line(survey, by_phase),
         (
             "group index",
             None if index is None else float(geometry.error_by_index(path, index)),
@@ -172,6 +180,27 @@ def _temperature_line(
             f"amulor calibrate temperature, temperature to {error:g} degC",
         )
     ]
+
+
+def _demodulator_line(
+    survey: Survey, by_phase: float
+) -> list[tuple[str, float | None, float, str]]:
+    """Return a list with the line of an analog demodulator; empty without one.
+
+    A stated phase uncertainty contains the errors of the demodulator.
+    """
+    instrument = survey.instrument
+    if (
+        instrument.lock_in.demodulator != "analog"
+        or instrument.phase_uncertainty is not None
+    ):
+        return []
+    now, calibrated = (
+        by_phase * float(quadrature_phase_error(*errors))
+        for errors in (MIXER, _OUTPUTS)
+    )
+    how = "amulor calibrate demodulator, to 0.1 % and 0.1 degrees"
+    return [("demodulator", now, calibrated, how)]
 
 
 def _reading_error(survey: Survey) -> float:

@@ -158,6 +158,11 @@ class LockIn(Description):
     """Time constant of the one-pole output filter [s]."""
     phase_floor: Annotated[Angle, Field(ge=0, le=1)] = 0.0
     """Random phase error of one sample, independent of the amount of light [rad]."""
+    demodulator: Literal["digital", "analog"] | None = None
+    """Kind of demodulator; digital by default. The outputs of analog mixers typically
+    differ by 1 % in gain and by 1 degree from a right angle. The range error contains
+    this, unless phase_uncertainty is stated or "amulor calibrate demodulator" has
+    measured it."""
 
 
 class Window(Description):

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import SurveyError
 from amulor.optics import phase_functions
@@ -229,14 +230,35 @@ PHASE_UNCERTAINTY_WITHOUT_LEAKAGE = math.radians(0.4)
 TEMPERATURE_UNCERTAINTY = 0.5
 
 
-def phase_uncertainty(survey: Survey, *, leakage_measured: bool = False) -> float:
+#: Typical errors of analog mixers: gain [1], and angle between the outputs [rad].
+MIXER = 0.01, math.radians(1.0)
+
+
+def phase_uncertainty(
+    survey: Survey,
+    *,
+    leakage_measured: bool = False,
+    demodulator_measured: bool = False,
+) -> float:
     """Return the phase uncertainty of the instrument, stated or typical [rad]."""
     stated = survey.instrument.phase_uncertainty
     if stated is not None:
         return stated
+    typical = TYPICAL_PHASE_UNCERTAINTY
     if leakage_measured:
-        return PHASE_UNCERTAINTY_WITHOUT_LEAKAGE
-    return TYPICAL_PHASE_UNCERTAINTY
+        typical = PHASE_UNCERTAINTY_WITHOUT_LEAKAGE
+    if survey.instrument.lock_in.demodulator == "analog" and not demodulator_measured:
+        typical = math.hypot(typical, float(quadrature_phase_error(*MIXER)))
+    return typical
+
+
+def quadrature_phase_error(gain: ArrayLike, angle: ArrayLike) -> NDArray[np.float64]:
+    """Return the rms phase error by gain [1] and angle [rad] of the quadrature output.
+
+    A phasor of the phase p turns by gain sin(p) cos(p) + angle cos(p)^2, to first
+    order. All phases from 0 to 2 pi are equally likely.
+    """
+    return np.sqrt(np.square(gain) / 8 + 3 * np.square(angle) / 8)
 
 
 def group_index_uncertainty(survey: Survey) -> float | None:

@@ -1,4 +1,4 @@
-"""Figure of a calibration: leakage, and phase by time, temperature and frequency."""
+"""Figure of a calibration, with a panel for each part that was measured."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ def write_calibration(
 def draw(calibration: Calibration) -> Figure:
     """Draw leakage and phases with their standard uncertainties."""
     panels = []
+    if any(entry.outputs for entry in calibration.demodulator):
+        panels.append(_demodulator)
     if calibration.leakage:
         panels.append(_leakage)
     if calibration.reference:
@@ -44,6 +46,29 @@ def draw(calibration: Calibration) -> Figure:
             panel(axis, calibration)
             axis.grid(True)
     return figure
+
+
+def _demodulator(axis: Axes, calibration: Calibration) -> None:
+    for entry in calibration.demodulator:
+        if not entry.outputs:
+            continue
+        x, y = np.transpose(entry.outputs)
+        angle, gain = entry.quadrature_phase, 1 + entry.quadrature_gain
+        straight = (y / gain - x * np.sin(angle)) / np.cos(angle)
+        size = np.hypot(x, straight)
+        # Relative to the mean amplitude, so that deviations of 1 % are visible.
+        phase = np.degrees(np.arctan2(straight, x)) % 360
+        off = 100 * (np.hypot(x, y) / size.mean() - 1)
+        name = f"{entry.modulation_frequency / 1e6:g} MHz"
+        turn = np.radians(np.arange(361))
+        fit = np.hypot(np.cos(turn), gain * np.sin(turn + angle))
+        (line,) = axis.plot(np.degrees(turn), 100 * (fit - 1), label=name)
+        axis.plot(phase, off, "o", color=line.get_color(), markersize=3)
+    axis.set_title("Errors of the demodulator")
+    axis.set_xlabel("phase [degrees]")
+    axis.set_ylabel("excess of the amplitude [%]")
+    axis.set_xticks([0, 90, 180, 270, 360])
+    axis.legend()
 
 
 def _leakage(axis: Axes, calibration: Calibration) -> None:

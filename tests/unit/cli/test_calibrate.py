@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shlex
 from pathlib import Path
@@ -50,7 +51,9 @@ def run(words: str) -> None:
     assert main(shlex.split(words)) == 0, words
 
 
-@pytest.mark.parametrize("name", ["leakage", "reference", "temperature", "plate"])
+@pytest.mark.parametrize(
+    "name", ["demodulator", "leakage", "reference", "temperature", "plate"]
+)
 def test_without_files_the_steps_are_printed(name: str, capsys) -> None:
     run(f"calibrate {name}")
     printed = capsys.readouterr().out
@@ -113,6 +116,31 @@ def test_new_leakage_keeps_the_phases_of_a_file(here) -> None:
     assert len(both.leakage) == 4
     digests = [cubes.digest(Path(name)) for name in ("closed.nc", "phases.toml")]
     assert [*both.inputs] == digests
+
+
+def test_the_demodulator_has_a_file_and_leakage_keeps_it(here, capsys) -> None:
+    silent = io.read_cube("closed.nc")
+    names = []
+    for turn in range(6):
+        # A signal of 1 V whose quadrature output is 2 % too large.
+        phase = math.radians(60 * turn)
+        zero = 0 * silent["in_phase"]
+        cube = silent.assign(
+            in_phase=zero + math.cos(phase),
+            quadrature=(zero + 1.02 * math.sin(phase)).assign_attrs(zero.attrs),
+        )
+        names.append(f"turn-{turn}.nc")
+        io.write_cube(cube, Path(names[-1]))
+    zero = silent.assign(in_phase=zero, quadrature=zero)
+    io.write_cube(zero, Path("silent.nc"))
+    run(f"calibrate demodulator silent.nc {' '.join(names)} -o mixer.toml")
+    printed = capsys.readouterr().out
+    assert re.search(r"50 MHz .*\+2\.000", printed)
+    assert Path("mixer.png").read_bytes().startswith(b"\x89PNG")
+    run("calibrate leakage closed.nc --calibration mixer.toml -o both.toml")
+    both, mixer = (Calibration.from_toml(name) for name in ("both.toml", "mixer.toml"))
+    assert both.demodulator == mixer.demodulator
+    assert len(both.leakage) == 4
 
 
 def test_cubes_with_light_are_refused_in_one_line(here, capsys) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
@@ -112,6 +113,21 @@ def test_a_standing_reference_has_the_error_of_its_counts(survey: Survey) -> Non
     more = {**quiet, "scan.reference": {**reference, "readings": 4}}
     four = by_name(survey.with_(more))["drift"]
     assert_allclose(four.now, line.now / 2, rtol=1e-6)
+
+
+def test_a_stated_phase_error_contains_that_of_the_demodulator(survey: Survey) -> None:
+    analog = survey.with_({"instrument.lock_in.demodulator": "analog"})
+    line = by_name(analog)["demodulator"]
+    # 1 % and 1 degree over a whole turn of the phase, by 360 of them.
+    phase, angle = np.radians(np.arange(360)), math.radians(1)
+    turn = 0.01 * np.sin(phase) * np.cos(phase)
+    rms = math.sqrt(np.mean(turn**2) + np.mean((angle * np.cos(phase) ** 2) ** 2))
+    per_radian = speed_of_light / (4 * math.pi * 39e6 * 1.38)
+    assert_allclose(line.now, rms * per_radian, rtol=1e-3)
+    assert_allclose(line.calibrated, line.now / 10, rtol=1e-2)
+    stated = analog.with_({"instrument.phase_uncertainty": "0.2 deg"})
+    for other in (survey, stated):
+        assert "demodulator" not in by_name(other)
 
 
 def test_frequencies_average_their_phase_errors(survey: Survey) -> None:

@@ -86,16 +86,16 @@ def from_shutter(recordings: Sequence[xr.Dataset]) -> Calibration:
     first = recordings[0]
     parts: dict[str, list[tuple[Complex, Floats]]] = {"scan": [], "open_water": []}
     for cube in recordings:
-        _refuse_open_shutter(cube, first)
+        refuse_open_shutter(cube, first)
         dark = np.reshape(cube.attrs.get("dark_uncertainty", 0.0), (-1, 1))
         shots = cube.amulor.open_water
         for part, samples in (("scan", cube), ("open_water", shots)):
-            mean, error = _mean_output(cube if samples is None else samples)
+            mean, error = mean_output(cube if samples is None else samples)
             # All samples share the error of the subtracted dark output.
             shared = np.broadcast_to(dark, (error.size, 1)).reshape(error.shape)
             parts[part].append((mean, np.hypot(error, shared)))
     return Calibration(
-        date=_date(first),
+        date=measured_on(first),
         leakage=mean_leakage(
             parts,
             frequencies=first["modulation_frequency"].values,
@@ -141,7 +141,8 @@ def _outputs(value: complex) -> tuple[float, float]:
     return float(value.real), float(value.imag)
 
 
-def _refuse_open_shutter(cube: xr.Dataset, first: xr.Dataset) -> None:
+def refuse_open_shutter(cube: xr.Dataset, first: xr.Dataset) -> None:
+    """Raise unless a cube was recorded behind the shutter, as the first one."""
     cubes.check(cube, "samples", name="the cube with the shutter closed")
     if cube.attrs.get("shutter") != "closed":
         raise CubeError(
@@ -162,7 +163,7 @@ def _refuse_open_shutter(cube: xr.Dataset, first: xr.Dataset) -> None:
         )
 
 
-def _date(cube: xr.Dataset) -> datetime.date | None:
+def measured_on(cube: xr.Dataset) -> datetime.date | None:
     """Return the day on which a cube was measured; None if it has no time."""
     start = cube.attrs.get("time_coverage_start")
     return None if start is None else datetime.datetime.fromisoformat(start).date()
@@ -209,7 +210,7 @@ def shutter_leakage(
     )
 
 
-def _mean_output(samples: xr.Dataset) -> tuple[Complex, Floats]:
+def mean_output(samples: xr.Dataset) -> tuple[Complex, Floats]:
     """Return the mean output of each channel and its standard error [V]."""
     signal = samples.amulor.signal.values
     errors = Observation(cube=samples).covariance
@@ -289,7 +290,7 @@ def from_reference(cube: xr.Dataset) -> Calibration:
     )
     error = np.atleast_1d(cube.attrs["reference_phase_uncertainty_rad"])
     return Calibration(
-        date=_date(cube),
+        date=measured_on(cube),
         reference=tuple(
             ReferencePhase(
                 modulation_frequency=float(frequency),
@@ -409,7 +410,7 @@ def from_temperatures(plates: Sequence[xr.Dataset]) -> Calibration:
         )
     before = _applied(plates)
     return Calibration(
-        date=_date(plates[0]),
+        date=measured_on(plates[0]),
         leakage=before.get("leakage", ()),
         temperature=tuple(entries),
         reference_temperature=reference,
@@ -552,7 +553,7 @@ def from_plates(
         entries.append(entry)
         rest.append(_rest(entry, signal[~first_distance]))
     table = Calibration(
-        date=_date(first),
+        date=measured_on(first),
         frequencies=tuple(entries),
         leakage=tuple(leakage),
         reference=before.get("reference", ()),

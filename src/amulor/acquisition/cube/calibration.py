@@ -1,4 +1,4 @@
-"""Calibration of an instrument: phase delays and leakage, and their correction."""
+"""Calibration of an instrument: its measured errors, and their correction."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from amulor.optics import detection
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.observation import Observation
 from amulor.survey import toml_file
-from amulor.survey.properties import TEMPERATURE_UNCERTAINTY
+from amulor.survey.properties import TEMPERATURE_UNCERTAINTY, quadrature_phase_error
 from amulor.survey.quantity import (
     Angle,
     Description,
@@ -142,6 +142,31 @@ class TemperatureCoefficient(Description):
         return self
 
 
+class DemodulatorOutputs(Description):
+    """Errors of the two demodulator outputs at one modulation frequency.
+
+    The quadrature output is (1 + g) (Q cos e + I sin e) + offset, in place of Q.
+    """
+
+    modulation_frequency: Annotated[Frequency, Field(gt=0)]
+    """Modulation frequency [Hz]."""
+    offset: tuple[_Output, _Output]
+    """In-phase and quadrature output without an input signal [V]."""
+    offset_uncertainty: Annotated[Voltage, Field(ge=0)]
+    """Standard uncertainty of each of the two [V]."""
+    quadrature_gain: Annotated[float, Field(gt=-1, le=10)] = 0.0
+    """Gain error g: gain of the quadrature output over that of the in-phase output,
+    minus 1 [1]."""
+    quadrature_gain_uncertainty: Annotated[float, Field(ge=0)] | None = None
+    """Standard uncertainty of g; unknown if only the offset was measured [1]."""
+    quadrature_phase: Annotated[Angle, Field(ge=-1.5, le=1.5)] = 0.0
+    """Angle error e: angle between the two reference waves, minus 90 degrees [rad]."""
+    quadrature_phase_uncertainty: Annotated[Angle, Field(ge=0)] | None = None
+    """Standard uncertainty of e; unknown if only the offset was measured [rad]."""
+    outputs: tuple[tuple[_Output, _Output], ...] = ()
+    """Outputs for a signal of constant amplitude at several phases [V]."""
+
+
 _Entry = TypeVar("_Entry", Leakage, ReferencePhase)
 
 
@@ -175,6 +200,8 @@ class Calibration(Description):
     reference: tuple[ReferencePhase, ...] = ()
     """Phase of the standing reference during the calibration. Samples of later scans
     are corrected to it."""
+    demodulator: tuple[DemodulatorOutputs, ...] = ()
+    """Offset, gain and angle of the demodulator outputs at each frequency."""
     temperature: tuple[TemperatureCoefficient, ...] = ()
     """Dependence of the phase on the instrument temperature, at each frequency."""
     reference_temperature: Annotated[Temperature, Field(ge=-60, le=100)] | None = None
@@ -190,11 +217,18 @@ class Calibration(Description):
 
     @model_validator(mode="after")
     def _has_a_measurement(self) -> Self:
-        if not (self.frequencies or self.leakage or self.reference or self.temperature):
+        if not (
+            self.frequencies
+            or self.leakage
+            or self.demodulator
+            or self.reference
+            or self.temperature
+        ):
             raise ValueError(
                 "at least one is needed of frequencies (amulor calibrate plate), "
-                "leakage (amulor calibrate leakage), reference (amulor calibrate "
-                "reference) and temperature (amulor calibrate temperature)"
+                "leakage (amulor calibrate leakage), demodulator (amulor calibrate "
+                "demodulator), reference (amulor calibrate reference) and temperature "
+                "(amulor calibrate temperature)"
             )
         if self.temperature and self.reference_temperature is None:
             raise ValueError(
@@ -271,7 +305,9 @@ def _entry(
     return _nearest(calibration.frequencies, modulation_frequency)
 
 
-_ByFrequency = TypeVar("_ByFrequency", FrequencyCalibration, TemperatureCoefficient)
+_ByFrequency = TypeVar(
+    "_ByFrequency", FrequencyCalibration, TemperatureCoefficient, DemodulatorOutputs
+)
 
 
 def _nearest(
@@ -354,6 +390,57 @@ def leakage_of(
         [getattr(entry, f"{part}_uncertainty") for entry in row] for row in entries
     ]
     return np.array(leak), np.array(uncertainty)
+
+
+def _has_offset(calibration: Calibration, cube: xr.Dataset) -> bool:
+    """Return whether the offset is in the samples after subtraction of leakage."""
+    dark = [cube.attrs.get(f"dark_{name}", 0.0) for name in ("in_phase", "quadrature")]
+    return not (calibration.leakage or np.any(dark))
+
+
+def demodulated(
+    calibration: Calibration, cube: xr.Dataset, signal: Complex, errors: Covariance
+) -> tuple[Complex, Covariance]:
+    """Correct offset, gain and angle of the outputs; return signal and covariance.
+
+    Dark readings and leakage contain the offset already.
+    """
+    if not calibration.demodulator:
+        return signal, errors
+    entries = [
+        _nearest(calibration.demodulator, value)
+        for value in cube["modulation_frequency"].values
+    ]
+    shape = (len(entries), *[1] * (signal.ndim - 1))
+    if _has_offset(calibration, cube):
+        offset = [complex(*entry.offset) for entry in entries]
+        signal = signal - np.reshape(offset, shape)
+    angle = np.reshape([entry.quadrature_phase for entry in entries], shape)
+    gain = np.reshape([1 + entry.quadrature_gain for entry in entries], shape)
+    slope, scale = np.tan(angle), 1 / (gain * np.cos(angle))
+    quadrature = scale * signal.imag - slope * signal.real
+    return signal.real + 1j * quadrature, Covariance(
+        errors.in_phase,
+        scale**2 * errors.quadrature
+        + slope**2 * errors.in_phase
+        - 2 * scale * slope * errors.cross,
+        scale * errors.cross - slope * errors.in_phase,
+    )
+
+
+def demodulator_uncertainty(
+    calibration: Calibration, cube: xr.Dataset
+) -> tuple[Floats, Floats]:
+    """Return phase [rad] and offset [V] uncertainties of the outputs, by frequency."""
+    frequency = cube["modulation_frequency"].values
+    if not calibration.demodulator:
+        return np.zeros(frequency.size), np.zeros(frequency.size)
+    entries = [_nearest(calibration.demodulator, value) for value in frequency]
+    gain = np.array([entry.quadrature_gain_uncertainty or 0.0 for entry in entries])
+    angle = np.array([entry.quadrature_phase_uncertainty or 0.0 for entry in entries])
+    offset = np.array([entry.offset_uncertainty for entry in entries])
+    offset = offset * _has_offset(calibration, cube)
+    return quadrature_phase_error(gain, angle), offset
 
 
 def _by_channel(
@@ -511,7 +598,11 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
         shift, attributes = shift + warmer, attributes | of_temperature
     attributes["calibration"] = calibration.to_toml()
     changed: dict[str, xr.DataArray] = {}
+    of_phase, of_offset = demodulator_uncertainty(calibration, cube)
     squares = np.zeros(frequency.size)
+    table_known = bool(calibration.frequencies) and all(
+        entry.phase_uncertainties for entry in calibration.frequencies
+    )
     for prefix, part in (("", "scan"), ("open_water_", "open_water")):
         if f"{prefix}in_phase" not in cube:
             continue
@@ -524,7 +615,12 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
         }
         signal = outputs["in_phase"].values + 1j * outputs["quadrature"].values
         axes = (slice(None), slice(None), *[None] * (signal.ndim - 2))
-        signal = signal - leak[axes]
+        signal, errors = demodulated(
+            calibration,
+            cube,
+            signal - leak[axes],
+            Observation(cube=xr.Dataset(outputs)).covariance,
+        )
         amplitude = np.abs(signal)
         delay, table, beyond = (np.zeros(signal.shape) for _ in range(3))
         outside = np.zeros(signal.shape, dtype=bool)
@@ -540,9 +636,7 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
                 )
         turn = np.exp(-1j * (np.nan_to_num(delay) + shift[axes]))
         signal = signal * turn
-        errors = Observation(cube=xr.Dataset(outputs)).covariance.turned(
-            turn
-        ) + Covariance(
+        errors = errors.turned(turn) + Covariance(
             *detection.phase_floor_covariance(np.nan_to_num(signal), phase_floor=beyond)
         )
         values = {
@@ -569,13 +663,19 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
                 middle = np.nanmedian(
                     np.where(np.isfinite(amplitude), table, np.nan), axis=(1, 2, 3)
                 )
-            if all(entry.phase_uncertainties for entry in calibration.frequencies):
-                attributes["calibration_phase_uncertainty_rad"] = np.nan_to_num(middle)
+            if table_known:
+                of_phase = np.hypot(of_phase, np.nan_to_num(middle))
             if "user_sample_flag" in cube:
                 flag = cube["user_sample_flag"]
                 changed["user_sample_flag"] = flag.copy(
                     data=(flag.values | UNCALIBRATED * outside).astype(flag.dtype)
                 )
+    if calibration.demodulator:
+        attributes["offset_uncertainty_volt"] = of_offset
+        if all(e.quadrature_gain_uncertainty for e in calibration.demodulator):
+            attributes["demodulator_calibrated"] = np.int32(1)
+    if calibration.demodulator or table_known:
+        attributes["calibration_phase_uncertainty_rad"] = of_phase
     if calibration.leakage:
         attributes["leakage_uncertainty_volt"] = np.sqrt(squares)
     if calibration.frequencies and calibration.delay_uncertainty is not None:
