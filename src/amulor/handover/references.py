@@ -21,6 +21,7 @@ from amulor.handover.order import Order, Unit, write_mesh
 from amulor.imaging import products
 from amulor.imaging.frame import Frame
 from amulor.io import drawings as formats
+from amulor.io.shapes import vertices_of
 from amulor.survey.target import METRES
 from amulor.view.sheet import sheet
 
@@ -170,7 +171,7 @@ def read_mesh(path: Path, *, unit: float) -> tuple[Floats, NDArray[np.intp]]:
         raise FormatError(f"{path} does not exist; check the name and the folder")
     try:
         mesh: Any = trimesh.load(path, force="mesh", process=False)
-        vertices = np.asarray(mesh.vertices, dtype=float) * unit
+        vertices = vertices_of(mesh) * unit
         faces = np.asarray(mesh.faces, dtype=np.intp).reshape(-1, 3)
         corner = vertices[faces]
     except Exception as error:  # trimesh's readers raise many kinds

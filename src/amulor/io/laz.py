@@ -63,6 +63,9 @@ _EXTRA = (
 
 #: Number of points read at once.
 _PART = 500_000
+#: Number of the record that describes compression; layers of a compressed item by its
+#: kind, and the kind of extra bytes, each of which is a layer.
+_LASZIP, _LAYERS, _BYTES = 22204, {10: 9, 11: 1, 12: 2, 13: 1}, 14
 #: Dimensions of the format without meaning for such a scan.
 _DULL = {
     "X", "Y", "Z", "red", "green", "blue", "return_number", "number_of_returns",
@@ -279,6 +282,7 @@ def read_laz(path: Path, *, most: int) -> Shape:
     _check_chunks(path)
     try:
         with laspy.open(path) as file:
+            _check_layers(path, file.header)
             return _points_of(file, most, path.name)
     except FormatError:
         raise
@@ -312,6 +316,40 @@ def _check_chunks(path: Path) -> None:
             f"{path.name} says that it has {chunks} parts, more than bytes; it is "
             "damaged or was not copied whole"
         )
+
+
+def _check_layers(path: Path, header: Any) -> None:
+    """Raise if layers are longer than their chunk: lazrs would allocate their size."""
+    import lazrs
+
+    records = [part for part in header.vlrs if part.record_id == _LASZIP]
+    if not records:
+        return
+    content = records[0].record_data
+    (count,) = struct.unpack_from("<H", content, 32)
+    items = [struct.unpack_from("<HH", content, 34 + 6 * n) for n in range(count)]
+    layers = sum(
+        size if kind == _BYTES else _LAYERS.get(kind, 0) for kind, size in items
+    )
+    if not layers:
+        return
+    described = lazrs.LazVlr(content)
+    place = header.offset_to_point_data
+    with path.open("rb") as file:
+        file.seek(place)
+        chunks = lazrs.read_chunk_table(file, described) or []
+        place += 8
+        for _, size in chunks:
+            # The first point and the number of points come before the layers.
+            begin = described.item_size() + 4
+            file.seek(place + begin)
+            sizes = struct.unpack(f"<{layers}I", file.read(4 * layers))
+            if sum(sizes) > size - begin - 4 * layers:
+                raise FormatError(
+                    f"{path.name} declares {sum(sizes)} bytes of layers in a chunk of "
+                    f"{size} bytes; it is damaged or was not copied whole"
+                )
+            place += size
 
 
 def _points_of(file: Any, most: int, name: str) -> Shape:

@@ -173,7 +173,7 @@ def read_mesh(path: Path, *, unit: float) -> Shape:
                 process=False,
                 skip_materials=True,
             )
-        vertices = np.array(mesh.vertices, dtype=float).reshape(-1, 3) * unit
+        vertices = vertices_of(mesh) * unit
         faces = np.array(mesh.faces, dtype=np.intp).reshape(-1, 3)
     except Exception as error:  # trimesh's readers raise many kinds
         reason = " ".join(str(error).split())[:200] or type(error).__name__
@@ -183,6 +183,14 @@ def read_mesh(path: Path, *, unit: float) -> Shape:
     # The format of glTF says that y is up; others say nothing.
     up: Up = "y" if ending == "glb" else "z"
     return Shape(position=vertices, faces=faces, up=up, total=len(vertices))
+
+
+def vertices_of(mesh: Any) -> NDArray[np.float64]:
+    """Vertices of a mesh, shape (n, 3); raise if they have other coordinates."""
+    vertices = np.array(mesh.vertices, dtype=float)
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise ValueError("its vertices do not have three coordinates each")
+    return vertices
 
 
 # What the axes mean, for the header of a file that has no place for it.

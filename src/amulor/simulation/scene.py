@@ -42,7 +42,7 @@ def load(target: Mesh) -> Any:
             f"{target.file}: cannot be read as a mesh; it is damaged, or no STL, PLY, "
             "OBJ or GLB file"
         ) from None
-    if len(corners) == 0 or not np.all(np.isfinite(corners)):
+    if corners.shape[1:] != (3, 3) or not (len(corners) and np.isfinite(corners).all()):
         raise SurveyError(
             f"{target.file}: holds no triangles with finite corners; export the "
             "surface as a triangle mesh"

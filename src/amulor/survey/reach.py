@@ -170,7 +170,7 @@ def _mesh(target: Mesh) -> list[tuple[Floats, Floats]] | None:
     # of four formats raise many kinds of errors.
     except Exception:
         return None
-    if corners.size == 0 or not np.all(np.isfinite(corners)):
+    if corners.shape[1:] != (3,) or not (len(corners) and np.isfinite(corners).all()):
         return None
     metres = METRES[target.unit]
     return [(corners.min(axis=0) * metres, corners.max(axis=0) * metres)]

@@ -199,6 +199,28 @@ def test_a_header_that_declares_more_than_fits_is_refused_at_once(
     assert time.monotonic() - begin < 1  # without the check: up to 25 s
 
 
+@pytest.mark.parametrize("excess", [0, 1, 2**32 - 2000])
+def test_layers_longer_than_their_chunk_take_no_memory(point_cloud, path, excess):
+    write_laz(point_cloud, path)
+    content = bytearray(path.read_bytes())
+    (points,) = struct.unpack_from("<I", content, 96)
+    (length,) = struct.unpack_from("<H", content, 105)
+    # Start of the table, first point, number of points; then a size for each layer.
+    place = points + 8 + length + 4
+    (size,) = struct.unpack_from("<I", content, place)
+    struct.pack_into("<I", content, place, size + excess)
+    path.write_bytes(content)
+    if not excess:
+        assert read_laz(path, most=10).total == point_cloud.sizes["point"]
+        return
+    resource = pytest.importorskip("resource")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(FormatError, match=rf"{path.name} declares \d+ bytes of layers"):
+        read_laz(path, most=10)
+    # Linux counts kilobytes; without the check it is 4 GB.
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000
+
+
 def test_the_page_refuses_such_a_file_before_slow_imports(tmp_path):
     head = bytearray(300)
     head[:4], head[94:104] = b"LASF", struct.pack("<HII", 227, 227, 2**31)

@@ -260,13 +260,8 @@ def test_damage_is_named_or_refused_in_one_line(whole, folder) -> None:
 
 
 @pytest.mark.study
-def test_four_hundred_damaged_journals_change_no_number(whole, folder) -> None:
-    print(campaign(whole, folder, range(1000, 1400)))
-
-
-@pytest.mark.study
 def test_many_damaged_journals_change_no_number(whole, folder) -> None:
-    many = int(os.environ.get("AMULOR_FUZZ", "100000"))
+    many = int(os.environ.get("AMULOR_FUZZ", "10000"))
     print(campaign(whole, folder, range(10_000, 10_000 + many)))
 
 
