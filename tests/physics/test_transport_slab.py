@@ -197,3 +197,82 @@ def test_two_halves_are_one_slab():
         a, covariance_a = one.part(name)
         b, covariance_b = three.part(name)
         assert_within(a[0], covariance_a[0] + covariance_b[0], b[0])
+
+
+def reflectance_of_a_face(outside, index):
+    """Fresnel reflectance of unpolarized light, in sines and tangents of the angles."""
+    inside = np.arcsin(np.sin(outside) / index)
+    less, more = outside - inside, outside + inside
+    across = np.sin(less) / np.sin(more)
+    along = np.tan(less) / np.tan(more)
+    return (across**2 + along**2) / 2
+
+
+def test_half_space_that_reflects_inside_has_the_published_albedo():
+    # Giovanelli 1955: 0.2600 with the specular light; another code gives 0.25994.
+    tally = reflection_and_transmission(
+        slab(0.9, np.inf, isotropic()), [0.0], histories=600_000, seed=19,
+        index_ratio=1.5,
+    )  # fmt: skip
+    found, covariance = tally.part("reflected")
+    error = np.sqrt(covariance[0, 0, 0, 0])
+    assert error < 8e-4
+    assert abs(found[0, 0].real - 0.25994) < SIGMAS * error + 4e-4
+
+
+@pytest.mark.parametrize("incidence", [0.3, 1.2])
+def test_a_clear_slab_has_the_sum_of_all_reflections_between_its_faces(incidence):
+    # Each crossing multiplies by t, and each later echo by r^2 t^2.
+    index, modulation = 1.4, 0.7
+    tally = reflection_and_transmission(
+        slab(0.0, 1.0, isotropic()), frequency([0.0, modulation]),
+        histories=200_000, seed=20, incidence=incidence, index_ratio=index,
+    )  # fmt: skip
+    face = reflectance_of_a_face(incidence, index)
+    way = 1 / np.sqrt(1 - (np.sin(incidence) / index) ** 2)
+    passed = np.exp((1j * np.array([0.0, modulation]) - 1) * way)
+    echoes = 1 / (1 - (face * passed) ** 2)
+    found, covariance = tally.part("transmitted")
+    assert_within(found[0], covariance[0], (1 - face) ** 2 * passed * echoes)
+    found, covariance = tally.part("reflected")
+    back = face + (1 - face) ** 2 * face * passed**2 * echoes
+    assert_within(found[0], covariance[0], back)
+
+
+def test_no_light_is_lost_between_reflecting_faces():
+    tally = reflection_and_transmission(
+        slab(1.0, 3.0, henyey_greenstein_function(asymmetry=0.6)), [0.0],
+        histories=20_000, seed=21, index_ratio=1.33, discs=[1.0, 2.0, 1e6],
+    )  # fmt: skip
+    reflected, transmitted, *discs = (
+        tally.part(name)[0][0, 0].real for name in tally.parts
+    )
+    assert reflected + transmitted == pytest.approx(1, abs=1e-12)
+    assert 0 < discs[0] < discs[1] < discs[2]
+    assert discs[2] == pytest.approx(transmitted, abs=1e-12)
+
+
+@pytest.mark.parametrize("radius", [1.5, 6.0])
+def test_discs_hold_the_light_that_diffusion_brings_there(radius):
+    # Twelve mean free paths thick and without absorption: the images of a source in
+    # the depth of one path, mirrored at planes where the diffuse light would vanish.
+    depth, beyond = 12.0, 0.7104
+    tally = reflection_and_transmission(
+        slab(1.0, depth, isotropic()), [0.0], histories=100_000, seed=22,
+        discs=[radius],
+    )  # fmt: skip
+    order = np.arange(-60, 61)
+    period = 2 * (depth + 2 * beyond)
+
+    def inside(height):
+        return 1 - 1 / np.sqrt(1 + (radius / height) ** 2)
+
+    source = depth - (order * period + 1)
+    image = depth - (order * period - 2 * beyond - 1)
+    # A source of one photon sends the share of a half-sphere through the disc.
+    share = (np.sign(source) * inside(source) - np.sign(image) * inside(image)).sum()
+    found, covariance = tally.part("disc 1")
+    error = np.sqrt(covariance[0, 0, 0, 0])
+    # Diffusion itself is good to a few percent at this thickness.
+    assert abs(found[0, 0].real - share / 2) < SIGMAS * error + 0.03 * share / 2
+    assert error < 0.05 * share

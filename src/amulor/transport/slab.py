@@ -42,6 +42,8 @@ def reflection_and_transmission(
     incidence: float = 0.0,
     polarization: str | ArrayLike = "none",
     outward: ArrayLike | None = None,
+    index_ratio: float = 1.0,
+    discs: ArrayLike = (),
     threads: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Tally:
@@ -65,6 +67,12 @@ def reflection_and_transmission(
     outward : array_like, optional
         Directions of the radiant intensities to compute, as pairs of polar angle to the
         forward axis, not pi / 2, and azimuth from the right, shape (m, 2) [rad].
+    index_ratio : float
+        Refractive index of the layers divided by that outside [1]. Both faces reflect
+        by Fresnel's formulas.
+    discs : array_like
+        Radii of discs on the far face, centered where the incident beam enters, shape
+        (d,) [m].
     threads : int, optional
         Number of batches computed at the same time.
     progress : callable, optional
@@ -75,13 +83,15 @@ def reflection_and_transmission(
     Tally
         Parts "reflected" and "transmitted" (with unscattered light), relative to the
         incident light [1]. Parts "direction 1" to "direction m" are the radiant
-        intensity of scattered light, relative to the incident light [1/sr]. Stokes
+        intensity of scattered light, relative to the incident light [1/sr]. Parts
+        "disc 1" to "disc d" are the transmitted light within each disc [1]. Stokes
         vectors refer to the plane of the direction and the forward axis.
 
     Raises
     ------
     ValueError
-        If an argument is out of its range.
+        If an argument is out of its range, or if reflecting faces are combined with
+        polarized light or radiant intensities.
 
     Notes
     -----
@@ -125,6 +135,16 @@ def reflection_and_transmission(
     polar = angles[:, 0]
     if not np.all((polar >= 0) & (polar <= np.pi) & (np.abs(np.cos(polar)) > 1e-6)):
         raise ValueError("polar angles must be from 0 to pi rad, pi / 2 left out")
+    radius = np.array(discs, dtype=np.float64)
+    if radius.ndim != 1 or not np.all((radius > 0) & np.isfinite(radius)):
+        raise ValueError(f"discs must be a list of radii above 0 m, got {discs!r}")
+    if not (math.isfinite(index_ratio) and index_ratio >= 1):
+        raise ValueError(f"index_ratio must be at least 1, got {index_ratio!r}")
+    if index_ratio != 1 and (medium.polarized or angles.size):
+        raise ValueError(
+            "faces that reflect need a medium with a phase function and no outward "
+            f"directions; set index_ratio to 1, got {index_ratio!r}"
+        )
     limits = Limits(histories=histories, threads=threads, progress=progress)
     direction = np.array([math.sin(incidence), 0.0, math.cos(incidence)])
     run = _Run(
@@ -136,6 +156,8 @@ def reflection_and_transmission(
         incidence=direction,
         stokes=stokes,
         outward=_axes(angles),
+        index_ratio=float(index_ratio),
+        radius=radius,
     )
     return conduct(run, run.frame(), limits)
 
@@ -152,11 +174,14 @@ class _Run:
     incidence: Array
     stokes: Array
     outward: Array
+    index_ratio: float
+    radius: Array
 
     def frame(self) -> Tally:
         """Return a tally of the run without batches."""
         directions = [f"direction {k + 1}" for k in range(len(self.outward))]
-        parts = ("reflected", "transmitted", *directions)
+        discs = [f"disc {k + 1}" for k in range(self.radius.size)]
+        parts = ("reflected", "transmitted", *directions, *discs)
         components = 4 if self.medium.polarized else 1
         return Tally(
             modulation_frequency=self.frequency,
@@ -175,6 +200,8 @@ class _Run:
                 self.incidence,
                 self.stokes,
                 self.outward,
+                self.index_ratio,
+                self.radius,
             ),
             seconds=0.0,
             phase_function_integral=integrals_of(self.medium.layers),
@@ -194,6 +221,8 @@ class _Run:
                 stokes=self.stokes,
                 polarized=frame.polarized,
                 outward=self.outward,
+                index_ratio=self.index_ratio,
+                radius=self.radius,
             ),
             self.water,
             record.arrays(0),

@@ -336,6 +336,25 @@ REFUSED = {
         ),
         r"shape \(m, 2\), got the shape \(2,\)",
     ),
+    "a slab thinner than its surroundings": (
+        lambda: reflection_and_transmission(
+            layered(layer()), [0.0], histories=10, seed=1, index_ratio=0.9
+        ),
+        "index_ratio must be at least 1, got 0.9",
+    ),
+    "radiant intensity behind a face that refracts": (
+        lambda: reflection_and_transmission(
+            layered(layer()), [0.0], histories=10, seed=1, index_ratio=1.3,
+            outward=[(0.2, 0)],
+        ),
+        "faces that reflect need .* set index_ratio to 1, got 1.3",
+    ),
+    "a disc without a size": (
+        lambda: reflection_and_transmission(
+            layered(layer()), [0.0], histories=10, seed=1, discs=[0.1, 0.0]
+        ),
+        r"discs must be a list of radii above 0 m, got \[0.1, 0.0\]",
+    ),
 }  # fmt: skip
 
 

@@ -518,13 +518,15 @@ def test_the_uncompiled_slab_gives_the_same_record(monkeypatch):
         stokes=np.array([1.0, 0.3, -0.4, 0.5]),
         polarized=True,
         outward=np.array([[0.0, 0.6, -0.8, 0.0, -0.8, -0.6]]),
+        index_ratio=1.0,
+        radius=np.array([0.7]),
     )
 
     def record_of():
         record = Deposits(
-            mass=np.zeros((3, 4, 128)),
-            edge=np.zeros((3, 4, 128)),
-            beyond=np.zeros((3, 4, 1), dtype=complex),
+            mass=np.zeros((4, 4, 128)),
+            edge=np.zeros((4, 4, 128)),
+            beyond=np.zeros((4, 4, 1), dtype=complex),
             wavenumber=np.array([0.5j]),
             spacing=0.05,
             orders=0,

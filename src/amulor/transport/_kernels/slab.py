@@ -57,6 +57,10 @@ class Light(NamedTuple):
     """Whether Stokes vectors are computed."""
     outward: Array
     """Fixed exit directions and their polarization axes, shape (m, 6)."""
+    index_ratio: float
+    """Refractive index of the layers, relative to the index outside [1]."""
+    radius: Array
+    """Radii of discs on the far face around the incident beam [m]."""
 
 
 @kernel
@@ -75,6 +79,21 @@ def way_out(
             depth += attenuation[k] * (high - low) / abs(mz)
             length += (high - low) / abs(mz)
     return depth, length
+
+
+@kernel
+def inner_reflectance(cosine: float, index: float) -> float:
+    """Fresnel reflectance of unpolarized light that meets a face from inside.
+
+    The cosine is that to the normal of the face, the index is relative to the outside.
+    """
+    sine_outside = (1.0 - cosine * cosine) * index * index
+    if sine_outside >= 1.0:
+        return 1.0
+    outside = math.sqrt(1.0 - sine_outside)
+    across = (index * cosine - outside) / (index * cosine + outside)
+    along = (cosine - index * outside) / (cosine + index * outside)
+    return 0.5 * (across * across + along * along)
 
 
 @kernel
@@ -136,6 +155,24 @@ def add_exit(
 
 
 @step
+def add_discs(
+    n: Vector,
+    offset: tuple[float, float],
+    length: float,
+    light: Light,
+    now: Array,
+    record: Record,
+    arrival: Arrival,
+) -> None:
+    """Record a photon that leaves the far face in each disc that contains its exit."""
+    first = FIRST_DIRECTION + light.outward.shape[0]
+    distance = math.hypot(offset[0], offset[1])
+    for k in range(light.radius.size):
+        if distance < light.radius[k]:
+            add_exit(n, now, first + k, length, record, arrival.light)
+
+
+@step
 def add_directions(
     collision: tuple[float, int, float],
     n: Vector,
@@ -185,14 +222,27 @@ def follow_photon(
     """
     albedo, table, layers = water.albedo, water.table, water.attenuation.size
     polarized, directions = light.polarized, light.outward.shape[0]
-    # Without Stokes vectors and fixed directions only the cosine to z counts.
-    depth_only = not polarized and directions == 0
-    z, length, layer = water.edge[0], 0.0, 0
+    discs = light.radius.size
+    # Without Stokes vectors, fixed directions and discs only the cosine to z counts.
+    depth_only = not polarized and directions == 0 and discs == 0
+    z, length, layer, x, y = water.edge[0], 0.0, 0, 0.0, 0.0
     while True:
+        before = length
         z, layer, length = cross_layers(state, z, n[2], layer, length, water)
+        if discs > 0:
+            x += n[0] * (length - before)
+            y += n[1] * (length - before)
         if layer < 0 or layer >= layers:
+            if light.index_ratio != 1.0 and uniform(state) < inner_reflectance(
+                abs(n[2]), light.index_ratio
+            ):
+                n = (n[0], n[1], -n[2])
+                layer = 0 if layer < 0 else layers - 1
+                continue
             part = REFLECTED if layer < 0 else TRANSMITTED
             add_exit(n, now, part, length, record, arrival.light)
+            if part == TRANSMITTED:
+                add_discs(n, (x, y), length, light, now, record, arrival)
             return
         if uniform(state) >= albedo[layer]:
             return
@@ -235,10 +285,19 @@ def follow_photons(
     """Trace incident photons through a slab, one by one, and record them."""
     n = (light.incidence[0], light.incidence[1], light.incidence[2])
     axis = projected_frame(n, (1.0, 0.0, 0.0))
+    mirrored = 0.0
+    if light.index_ratio != 1.0:
+        # Snell's law; a face reflects alike from both sides.
+        x, y = n[0] / light.index_ratio, n[1] / light.index_ratio
+        n = (x, y, math.sqrt(1.0 - x * x - y * y))
+        mirrored = inner_reflectance(n[2], light.index_ratio)
     for _ in range(histories):
         now[0], now[1], now[2] = axis
         for k in range(4):
             now[3 + k] = light.stokes[k]
+        if mirrored > 0.0 and uniform(state) < mirrored:
+            add_exit(n, now, REFLECTED, 0.0, record, arrival.light)
+            continue
         follow_photon(state, n, now, light, water, record, arrival)
 
 
