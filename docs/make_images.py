@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import amulor
+from amulor import Survey, imaging, rejection, simulation
 from amulor.io.trajectories import TrajectoryMap, trajectory_from_table
 from amulor.studies import ladder
 from amulor.studies.ladder import Case
@@ -101,6 +102,35 @@ def _across(
     return place.values, distance.values
 
 
+def vehicle_pass(survey: Survey) -> Figure:
+    """Draw points of a simulated scan from a vehicle, and errors of their height."""
+    cube = amulor.simulate(survey, rng=1)
+    image = imaging.range_image(rejection.open_water(cube))
+    track = simulation.measured_trajectory(survey, rng=1)
+    frame = imaging.moving_frame(image, trajectory=track)
+    cloud = imaging.point_cloud(image, frame=frame)
+    place = cloud["row"].values, cloud["column"].values
+    error = cloud["z"].values - image["truth_up"].values[place]
+    with style():
+        drawn = new_figure(7.2, 3.4)
+        panels = drawn.subplots(1, 2, sharex=True, sharey=True)
+        for panel, values, label, options in zip(
+            panels,
+            (cloud["z"].values, 1e3 * (error - np.nanmedian(error))),
+            ("height [m]", "error of the height [mm]"),
+            ({}, {"cmap": "RdBu", "vmin": -2, "vmax": 2}),
+            strict=True,
+        ):
+            points = panel.scatter(
+                cloud["x"] - 431, cloud["y"] - 88, c=values, s=0.8, **options
+            )
+            drawn.colorbar(points, ax=panel, label=label)
+            panel.set_aspect("equal")
+            panel.set_xlabel("east - 431 m [m]")
+        panels[0].set_ylabel("north - 88 m [m]")
+    return drawn
+
+
 def main() -> None:
     """Run the demo with its own seed and draw its figures."""
     FOLDER.mkdir(exist_ok=True)
@@ -121,6 +151,8 @@ def main() -> None:
     described = TrajectoryMap.from_toml(example / "columns.toml")
     track = trajectory_from_table(example / "rov.csv", described)
     write_figure(FOLDER / "vehicle" / "track.png", track, overwrite=True)
+    figure = vehicle_pass(Survey.from_toml(example / "amphora.toml"))
+    (FOLDER / "vehicle" / "amphora.png").write_bytes(png(figure, dots_per_inch=130))
 
 
 if __name__ == "__main__":

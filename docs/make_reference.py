@@ -87,6 +87,14 @@ TABLES: list[tuple[str, type[BaseModel], str | None]] = [
     ("[scan.reference]", survey.StandingReference, None),
     ("[calibration]", survey.Calibration, None),
     ("[pose]", survey.Pose, "pose"),
+    ("[platform]", survey.Platform, "platform"),
+    ('[platform.course], kind = "line"', survey.LineCourse, None),
+    ('[platform.course], kind = "lawn-mower"', survey.LawnMowerCourse, None),
+    ('[platform.course], kind = "orbit"', survey.OrbitCourse, None),
+    ('[platform.course], kind = "hover"', survey.HoverCourse, None),
+    ("[platform.disturbance]", survey.Disturbance, None),
+    ("[platform.navigation]", survey.Navigation, None),
+    ("[platform.mounting]", survey.Mounting, None),
 ]
 
 

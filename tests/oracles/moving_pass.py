@@ -86,3 +86,61 @@ def beam_of(azimuth: float, elevation: float) -> np.ndarray:
             np.cos(elevation) * np.cos(azimuth),
         ]
     )
+
+
+def course_at(course: dict, time: float) -> tuple[np.ndarray, float]:
+    """Place and heading of a vehicle on a course, followed piece by piece.
+
+    Lines and half circles of a lawn mower are subtracted one after another; a circle is
+    the center plus a radius that an elementary rotation about up has turned.
+    """
+    start = np.array(course["start"])
+    kind = course["kind"]
+    if kind == "hover":
+        return start, course["heading"]
+    if kind == "orbit":
+        bearing = course["bearing"] + course["speed"] * time / course["radius"]
+        arm = elementary(2, -bearing) @ np.array([0.0, course["radius"], 0.0])
+        return start + arm, bearing + np.pi
+    way, place, forth = course["speed"] * time, np.zeros(2), 1.0
+    if kind == "line":
+        place[1] = way
+    else:
+        while True:
+            step = min(way, course["line_length"])
+            place[1] += forth * step
+            way -= step
+            if way <= 0:
+                break
+            radius = course["line_spacing"] / 2
+            angle = min(way / radius, np.pi)
+            place += radius * np.array([1 - np.cos(angle), forth * np.sin(angle)])
+            way -= angle * radius
+            if way <= 0:
+                break
+            forth = -forth
+    turn = elementary(2, -course["heading"])
+    return start + turn @ np.array([*place, 0.0]), course["heading"]
+
+
+def instrument_at(
+    course: dict, mounting: dict, current: np.ndarray, time: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Origin and rotation of the instrument in the site at a time."""
+    place, heading = course_at(course, time)
+    vehicle = attitude(heading, 0.0, 0.0)
+    turn = vehicle @ LEVEL.T @ attitude(*mounting["angles"])
+    return place + current * time + vehicle @ np.array(mounting["lever_arm"]), turn
+
+
+def plane_of(position: np.ndarray, angles: tuple[float, float, float]) -> np.ndarray:
+    """Rotation of a plate about right, then down, then forward; its normal is last."""
+    first, second, third = (elementary(axis, angles[axis]) for axis in range(3))
+    return third @ second @ first
+
+
+def distance_to_plane(
+    origin: np.ndarray, direction: np.ndarray, point: np.ndarray, normal: np.ndarray
+) -> float:
+    """Distance along a ray to a plane [m]."""
+    return float(normal @ (point - origin) / (normal @ direction))

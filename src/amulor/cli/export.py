@@ -105,7 +105,7 @@ def export(
         trajectory`, for a cloud in axes east, north, up.
     mounting
         TOML file with a section [mounting]: lever arm, boresight and clock offset of
-        the instrument on the vehicle.
+        the instrument on the vehicle. By default the mounting of the survey.
     seen_from
         View of a drawing: from the front (elevation), or from the top (plan).
     scale
@@ -151,7 +151,10 @@ def export(
     if output.suffix.lower() in _CLOUDS and not any(options):
         check_inputs(image, pose, trajectory, mounting)
 
+    import numpy as np
+
     from amulor import handover, io
+    from amulor.imaging import MovingFrame
     from amulor.io.netcdf import is_large
 
     check_ending("--output", output, _endings(product))
@@ -190,8 +193,8 @@ def export(
             f"--tile-rows {tile_rows}: state 1 row or more, and a cloud: other "
             "products need the whole image"
         )
-    if (trajectory is None) != (mounting is None):
-        raise UsageError("--trajectory and --mounting must be given together")
+    if mounting is not None and trajectory is None:
+        raise UsageError("--mounting needs --trajectory, the poses of the vehicle")
     if trajectory is not None and (pose is not None or tile_rows is not None):
         raise UsageError(
             "--trajectory excludes --pose and --tile-rows: every pixel has a pose of "
@@ -208,14 +211,16 @@ def export(
         cube = io.read_cube(image)
         frame, cube = _chosen(
             cube, axes, pose, largest, good_only, without_mixed,
-            moved=None if trajectory is None or mounting is None
-            else (trajectory, mounting),
+            moved=None if trajectory is None else (trajectory, mounting),
         )  # fmt: skip
         progress(f"making the {product}", 0.2)
         statements = handover.hand_over(
             cube, output, order, frame=frame, overwrite=overwrite
         )
     print(f"{output}: {statements}")
+    if isinstance(frame, MovingFrame):
+        spread = float(np.nanmax(frame.spread))
+        print(f"readings of a point: taken along up to {1e3 * spread:.3g} mm of track")
     if product == "cloud":
         print_next(f"amulor view {output}")
 
@@ -351,7 +356,7 @@ def _chosen(
     good_only: bool,
     without_mixed: bool,
     *,
-    moved: tuple[Path, Path] | None = None,
+    moved: tuple[Path, Path | None] | None = None,
 ) -> tuple[Frame | MovingFrame, xr.Dataset]:
     """Return the frame for the points, and the image without excluded pixels."""
     from amulor import cube as cubes
@@ -370,7 +375,7 @@ def _chosen(
         frame = imaging.moving_frame(
             cube,
             trajectory=read_trajectory(moved[0]),
-            mounting=read_mounting(moved[1]),
+            mounting=None if moved[1] is None else read_mounting(moved[1]),
         )
     with refusing("--largest-uncertainty"):
         cube = imaging.leave_out(

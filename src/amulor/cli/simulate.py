@@ -30,6 +30,9 @@ def simulate(
 ) -> None:
     """Simulate a survey; write its measurement cube.
 
+    If the survey has a section [platform], the trajectory that the vehicle measures is
+    written beside it: samples.nc and samples.trajectory.csv.
+
     Parameters
     ----------
     survey
@@ -59,15 +62,18 @@ def simulate(
         )
     check_tile_rows(tile_rows)
     check_cube_output(output, overwrite=overwrite, inputs=[survey])
+    track = output.with_suffix(".trajectory.csv")
 
     from amulor import _progress, io
     from amulor.cube.tiles import is_large
     from amulor.errors import SurveyError
+    from amulor.io.trajectories import write_trajectory
     from amulor.simulation import (
         ClosureModel,
         DiffusionModel,
         SignalModel,
         SmallAngleModel,
+        measured_trajectory,
     )
     from amulor.simulation import simulate as simulate_survey
     from amulor.survey import Survey
@@ -75,6 +81,8 @@ def simulate(
     from amulor.survey.reach import unsettled_interval
 
     described = Survey.from_toml(survey)
+    if described.platform is not None:
+        io.check_output(track, overwrite=overwrite, inputs=[survey])
     samples = samples_of(described)
     large = samples > MOST_SAMPLES if model == "photons" else is_large(8 * samples)
     by_rows = tile_rows is not None or large
@@ -109,9 +117,15 @@ def simulate(
                 sizes = {str(name): size for name, size in cube.sizes.items()}
                 hit = float((cube.amulor.truth["target"] >= 0).mean())
                 overload = float((cube["saturated"] != 0).mean())
+            if described.platform is not None:
+                write_trajectory(
+                    measured_trajectory(described, rng=seed), track, overwrite=overwrite
+                )
     except SurveyError as problem:
         raise SurveyError(f"{survey}: {problem}") from None
     print(f"{output}: {', '.join(f'{name} {count}' for name, count in sizes.items())}")
+    if described.platform is not None:
+        print(f"{track}: trajectory, for amulor export --trajectory")
     if described.targets:
         print(
             f"{hit:.1%} of the beams meet a target, {overload:.1%} of the samples "

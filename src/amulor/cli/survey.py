@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -44,6 +45,7 @@ def check(
     from amulor.rejection.channels import CROSS_POLARIZED
     from amulor.rejection.reference.grid import judge_plan
     from amulor.survey import water_properties
+    from amulor.survey.directions import readings_in_turn
     from amulor.survey.properties import group_index_uncertainty
     from amulor.survey.reach import repetition, target_reach, unsettled_interval
 
@@ -65,7 +67,8 @@ def check(
     first = first_calibration(errors) if errors else None
     scan = survey.scan
     samples = len(frequencies) * len(survey.instrument.polarizations)
-    seconds = scan.rows * scan.columns * samples * scan.dwell
+    seconds = scan.rows * scan.columns * scan.dwell * readings_in_turn(survey)
+    platform = None if survey.platform is None else _footprint(survey, reach)
     if json:
         print_json(
             {
@@ -80,6 +83,7 @@ def check(
                 "interval_unsettled": reason,
                 "open_water_plan": None if plan is None else asdict(plan),
                 "scan_time_s": seconds,
+                "platform": platform,
                 "expected": None if expected is None else asdict(expected),
                 "instrument_errors": [asdict(line) for line in errors],
                 "calibrate_first": None if first is None else first.how,
@@ -91,6 +95,8 @@ def check(
         f"  {scan.columns} x {scan.rows} pixels, {samples} samples each, "
         f"{seconds:.0f} s; {len(survey.targets)} targets"
     )
+    if platform is not None:
+        _print_platform(platform)
     _print_water(water)
     _warn_of_state(survey, water, reach)
     for value, interval in zip(frequencies, intervals, strict=True):
@@ -118,6 +124,53 @@ def check(
             "in amulor image"
         )
     print_next(f"amulor simulate {file} -o samples.nc")
+
+
+def _footprint(
+    survey: Survey, reach: tuple[float, float] | None
+) -> dict[str, float | str | None]:
+    """Return distances of a scan from a vehicle: track, rows, readings, columns."""
+    import numpy as np
+
+    from amulor.survey.course import planned
+    from amulor.survey.directions import reading_windows, readings_in_turn
+
+    platform, scan = survey.platform, survey.scan
+    assert platform is not None
+    row = scan.columns * scan.dwell * readings_in_turn(survey)
+    time = np.linspace(0.0, scan.rows * row, 2000)
+    position, _ = planned(platform.course, time)
+    position = position + time[:, None] * np.array(platform.disturbance.current)
+    track = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
+    speed = track / float(time[-1])
+    middle, length = reading_windows(survey)
+    pitch = scan.azimuth_span / max(scan.columns - 1, 1)
+    return {
+        "course": platform.course.kind,
+        "speed_m_per_s": speed,
+        "track_m": track,
+        "between_rows_m": speed * row,
+        "along_readings_m": speed * float(np.ptp(middle) + length),
+        "between_columns_m": None if reach is None else pitch * sum(reach) / 2,
+    }
+
+
+def _print_platform(platform: Mapping[str, Any]) -> None:
+    """Print the distances of a scan from a vehicle."""
+    print(
+        f"  vehicle: {platform['course']}, {platform['speed_m_per_s']:.3g} m/s, track "
+        f"of {platform['track_m']:.3g} m"
+    )
+    beside = platform["between_columns_m"]
+    text = "" if beside is None else f", {1e3 * beside:.3g} mm between columns"
+    print(f"    {1e3 * platform['between_rows_m']:.3g} mm between rows{text}")
+    along = platform["along_readings_m"]
+    print(f"    readings of a pixel along {1e3 * along:.3g} mm of the track")
+    if along > platform["between_rows_m"] or along > (beside or math.inf):
+        print(
+            "    warning: the readings of a pixel are farther apart than neighboring "
+            'pixels; shorten the dwell, or read at once (platform.readings = "at-once")'
+        )
 
 
 def _open_meshes(survey: Survey) -> None:

@@ -96,7 +96,7 @@ class MovingFrame:
 
 
 def moving_frame(
-    image: xr.Dataset, *, trajectory: Trajectory, mounting: Mounting
+    image: xr.Dataset, *, trajectory: Trajectory, mounting: Mounting | None = None
 ) -> MovingFrame:
     """Return the frame of a scan that was measured from a moving vehicle.
 
@@ -107,8 +107,9 @@ def moving_frame(
     trajectory : Trajectory
         Trajectory of the vehicle. Times since 1970 (clock "unix") are compared with the
         start of the scan, others with the time since this start.
-    mounting : Mounting
-        Place and attitude of the instrument on the vehicle, and its clock.
+    mounting : Mounting, optional
+        Place and attitude of the instrument on the vehicle, and its clock; by default
+        from the image's survey.
 
     Returns
     -------
@@ -120,7 +121,8 @@ def moving_frame(
     Raises
     ------
     CubeError
-        If the image has no times, or no pixel was measured during the trajectory.
+        If the image has no times, no pixel was measured during the trajectory, or
+        neither argument nor survey states the mounting.
 
     Examples
     --------
@@ -135,6 +137,7 @@ def moving_frame(
     >>> bool(frame.known.any()), frame.unknown
     (True, ('trajectory', 'lever arm', 'boresight', 'clock offset'))
     """
+    mounting = mounting or _surveyed_mounting(image)
     times, duration, weight = _readings(image)
     if trajectory.clock == "unix":
         times = times + _start_of(image)
@@ -163,6 +166,18 @@ def moving_frame(
         crs=trajectory.crs,
         crs_offset=trajectory.crs_offset,
     )
+
+
+def _surveyed_mounting(image: xr.Dataset) -> Mounting:
+    """Return the mounting from the survey in an image."""
+    survey = readable_survey(image)
+    if survey is None or survey.platform is None:
+        raise CubeError(
+            "the survey of the image states no mounting; write a section [mounting] "
+            "into a TOML file (lever_arm, heading, pitch, roll, clock_offset) and give "
+            "it with --mounting"
+        )
+    return survey.platform.mounting
 
 
 def _readings(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:

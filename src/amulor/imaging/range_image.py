@@ -176,7 +176,8 @@ def fitted_range_image(
         ranges, of_ranges = ranges_of_path(observation, path, fit=of_ranges)
         if fit is None:
             phases = frequency_phase(observation, path)
-    readings = _readings(cube if joint else observation.channel, of_ranges.weight)
+    samples = cube if joint else observation.channel
+    readings = _readings(samples, of_ranges.weight)
     if phases is not None and phases.is_real:
         observation = observation.with_frequency_phase(phases.phase)
     tell("error budget", 0.6)
@@ -186,6 +187,10 @@ def fitted_range_image(
         observation, ranges, interval=interval, fit=late, patches=patches
     )
     image = image.assign_coords(readings)
+    if "truth_reading_slant_range" in samples:
+        true = _in_order(samples, "truth_reading_slant_range")
+        shares = np.tile(of_ranges.weight, len(true) // of_ranges.weight.size)
+        image["truth_slant_range"].values = np.tensordot(shares / shares.sum(), true, 1)
     if phases is not None:
         image = image.assign_attrs(phases.attributes)
     reason = ""
@@ -339,14 +344,7 @@ def _readings(samples: xr.Dataset, weight: Floats) -> dict[str, xr.Variable]:
     """
     if not all(name in samples.coords for name in _WINDOWS):
         return {}
-    dimensions = samples["reading_time"].dims
-    order = [d for d in ("polarization", "modulation_frequency") if d in dimensions]
-    time, duration = (
-        values.reshape(-1, *values.shape[-2:])
-        for values in (
-            samples[name].transpose(*order, "row", "column").values for name in _WINDOWS
-        )
-    )
+    time, duration = (_in_order(samples, name) for name in _WINDOWS)
     shares = np.tile(weight, len(time) // weight.size)
     if (time == time[:1]).all():
         time, duration, shares = time[:1], duration[:1], np.ones(1)
@@ -360,6 +358,18 @@ def _readings(samples: xr.Dataset, weight: Floats) -> dict[str, xr.Variable]:
         )
         for name, array in zip((*_WINDOWS, "reading_weight"), values, strict=True)
     }
+
+
+def _in_order(samples: xr.Dataset, name: str) -> Floats:
+    """Return a quantity of all readings, shape (reading, row, column)."""
+    values = samples[name]
+    order = [
+        dimension
+        for dimension in ("polarization", "modulation_frequency")
+        if dimension in values.dims
+    ]
+    ordered = values.transpose(*order, "row", "column").values
+    return np.asarray(ordered.reshape(-1, *ordered.shape[-2:]), dtype=float)
 
 
 #: Statistic of a pixel from those of its frequencies: the one nearest to a flag.

@@ -1,13 +1,14 @@
 """Platform of the instrument: its trajectory, and the pose of every reading."""
 
-from amulor.platform.attitude import rotation_of
-from amulor.platform.mounting import Mounting, read_mounting
+from amulor.optics.attitude import rotation_of
+from amulor.platform.mounting import read_mounting
 from amulor.platform.poses import (
     InstrumentPoses,
     instrument_poses,
     mean_instrument_poses,
 )
 from amulor.platform.trajectory import Poses, Trajectory
+from amulor.survey.platform import Mounting
 
 __all__ = [
     "InstrumentPoses",

@@ -7,15 +7,12 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.platform.attitude import cross_matrix, rotation_of
-from amulor.platform.mounting import Mounting
+from amulor.platform.attitude import cross_matrix
 from amulor.platform.trajectory import Poses, Trajectory
+from amulor.survey.course import boresight_of
+from amulor.survey.platform import Mounting
 
 Floats = NDArray[np.float64]
-
-#: Rotation from (right, down, forward) axes of a level vehicle with heading north to
-#: (east, north, up).
-_LEVEL = rotation_of(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -331,11 +328,10 @@ def instrument_poses(
     [[0.15, 0.0, 0.0]]
     """
     instants = np.atleast_1d(np.asarray(time, dtype=float)) + mounting.clock_offset
-    turn = rotation_of(mounting.heading, mounting.pitch, mounting.roll)
     return InstrumentPoses(
         vehicle=trajectory.at(instants),
         lever_arm=np.array(mounting.lever_arm),
-        boresight=_LEVEL.T @ turn,
+        boresight=boresight_of(mounting),
         lever_arm_uncertainty=mounting.lever_arm_uncertainty,
         boresight_uncertainty=mounting.boresight_uncertainty,
         clock_uncertainty=mounting.clock_uncertainty,

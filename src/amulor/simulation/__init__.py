@@ -16,6 +16,7 @@ from amulor.simulation.scene_light import (
     expectation,
     scene_light,
 )
+from amulor.simulation.vehicle import measured_trajectory
 
 if TYPE_CHECKING:
     from amulor.simulation.photons import PhotonModel
@@ -29,6 +30,7 @@ __all__ = [
     "SignalModel",
     "SmallAngleModel",
     "expectation",
+    "measured_trajectory",
     "scene_light",
     "simulate",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.simulation.scene import Hits, Scene, aperture_points
+from amulor.simulation.vehicle import VehicleMotion
 from amulor.survey import Survey, WaterProperties, counting, surface, water_properties
 from amulor.survey.directions import Floats, scan_directions
 from amulor.survey.view import View, medium_of, view
@@ -22,6 +23,8 @@ class Setup:
 
     survey: Survey
     """Simulated survey."""
+    motion: VehicleMotion | None = None
+    """Motion of the vehicle that carries the instrument; None if it stands still."""
 
     @cached_property
     def water(self) -> WaterProperties:
@@ -71,6 +74,9 @@ class Geometry:
     """Time from the start of the scan to the start of a pixel [s]."""
     view: View
     """View of the receiver for each beam."""
+    point: Floats
+    """Point on the target in the targets' axes, NaN without a target, last axis (3,)
+    [m]."""
     target: NDArray[np.intp]
     """Number of the target that the beam hits, -1 for none."""
     slant_range: Floats
@@ -91,10 +97,14 @@ class Geometry:
 
 
 def trace(
-    setup: Setup, *, directions: tuple[Floats, Floats, Floats] | None = None
+    setup: Setup,
+    *,
+    directions: tuple[Floats, Floats, Floats] | None = None,
+    lag: float = 0.0,
 ) -> Geometry:
     """Trace every beam of a scan to the first target that it hits, if any.
 
+    A moving instrument is where it was a time `lag` after the start of the pixel [s].
     Another surface between the target and the receiver hides the echo in part: seven
     points stand for the receiver's aperture. With a window, that way is taken as
     straight, which is wrong by less than a pixel where the way back is steep.
@@ -107,11 +117,19 @@ def trace(
         rays.direction(azimuth, elevation),
         medium=medium,
     )
-    hits = scene.cast(beam.entry.reshape(-1, 3), beam.direction.reshape(-1, 3))
-    _refuse_targets_behind_the_water(survey, hits)
+    place = Standing()
+    if setup.motion is not None:
+        place = Placed(*setup.motion.in_scene(time.ravel() + lag))
+    met_in_scene = scene.cast(
+        place.points(beam.entry.reshape(-1, 3)),
+        place.directions(beam.direction.reshape(-1, 3)),
+    )
+    _refuse_targets_behind_the_water(survey, met_in_scene)
     receiver = np.asarray(instrument.receiver.position)
     points, weights = aperture_points(receiver, radius=instrument.receiver.radius)
-    fraction = scene.visible_fraction(hits, points, weights)
+    apertures = [place.points(point) for point in points]
+    fraction = scene.visible_fraction(met_in_scene, apertures, weights)
+    hits = place.in_instrument(met_in_scene)
     met = hits.target >= 0
     to_receiver = receiver - hits.point[met]
     cosine = np.zeros(met.size)
@@ -134,21 +152,66 @@ def trace(
         elevation=elevation,
         time=time,
         view=view(survey, azimuth, elevation),
+        point=met_in_scene.point.reshape(*shape, 3),
         target=hits.target.reshape(shape),
         slant_range=hits.distance.reshape(shape) + beam.length_before,
         depth=hits.distance.reshape(shape),
         optical_path=path.reshape(shape),
         return_path=return_path.reshape(shape),
         cosine=(cosine * fraction).reshape(shape),
-        brightness=_brightness(survey, scene, hits, beam, receiver).reshape(shape),
+        brightness=_brightness(
+            survey, scene.texture(met_in_scene), hits, beam, receiver
+        ).reshape(shape),
     )
 
 
+class Standing:
+    """Place of an instrument whose axes are those of the targets."""
+
+    def points(self, points: Floats) -> Floats:
+        """Return points of the instrument's axes in the targets' axes [m]."""
+        return points
+
+    def directions(self, directions: Floats) -> Floats:
+        """Return directions of the instrument's axes in the targets' axes [1]."""
+        return directions
+
+    def in_instrument(self, hits: Hits) -> Hits:
+        """Return hits in the instrument's axes."""
+        return hits
+
+
+@dataclass(frozen=True)
+class Placed(Standing):
+    """Place of a moving instrument in the targets' axes, for each beam."""
+
+    position: Floats
+    rotation: Floats
+
+    def points(self, points: Floats) -> Floats:
+        """Return points of the instrument's axes in the targets' axes [m]."""
+        return self.position + self.directions(points)
+
+    def directions(self, directions: Floats) -> Floats:
+        """Return directions of the instrument's axes in the targets' axes [1]."""
+        return np.asarray((self.rotation @ directions[..., None])[..., 0])
+
+    def in_instrument(self, hits: Hits) -> Hits:
+        """Return hits in the instrument's axes."""
+        back = np.swapaxes(self.rotation, 1, 2)
+        away = (hits.point - self.position)[..., None]
+        return replace(
+            hits,
+            point=(back @ away)[..., 0],
+            normal=(back @ hits.normal[..., None])[..., 0],
+        )
+
+
 def _brightness(
-    survey: Survey, scene: Scene, hits: Hits, beam: rays.Beam, receiver: Floats
+    survey: Survey, texture: Floats, hits: Hits, beam: rays.Beam, receiver: Floats
 ) -> Floats:
     """Return the radiance to the receiver over that of a Lambertian target [1]."""
-    bright = scene.texture(hits)
+    bright = texture.copy()
     ray = -beam.direction.reshape(-1, 3)
     for number, target in enumerate(survey.targets):
         indices = np.flatnonzero(hits.target == number)

@@ -19,7 +19,7 @@ from amulor.simulation import lock_in
 from amulor.simulation.geometry import Setup
 from amulor.simulation.lock_in import Light
 from amulor.survey import InstrumentErrors, Survey
-from amulor.survey.directions import Floats
+from amulor.survey.directions import Floats, readings_in_turn
 from amulor.survey.instrument_errors import Crosstalk, OpticalLeakage, Part
 from amulor.survey.mueller import matrix
 
@@ -199,8 +199,7 @@ class Chain:
     @property
     def _step(self) -> float:
         """Duration of all samples of a pixel [s]."""
-        frequencies, channels = self._plane
-        return self.survey.scan.dwell * frequencies * channels
+        return self.survey.scan.dwell * readings_in_turn(self.survey)
 
     @property
     def _shots_before(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -35,6 +35,31 @@ class Light:
     variance: NDArray[np.float64] | float = 0.0
     """Variance of `modulated` from errors of the forward model, sum of real and
     imaginary part [1]."""
+
+    def reading(self, frequency: int, polarization: int) -> Light:
+        """Return the light of one frequency and one polarization."""
+        at = frequency, polarization
+        variance = self.variance
+        return Light(
+            self.modulated[at],
+            self.mean[at],
+            variance if np.ndim(variance) == 0 else np.asarray(variance)[at],
+        )
+
+    @classmethod
+    def of_readings(cls, lights: Sequence[Light], plane: tuple[int, ...]) -> Light:
+        """Return the light of all readings; `plane` is (frequencies, polarizations)."""
+
+        def joined(values: list[Any]) -> NDArray[Any]:
+            array = np.array(values)
+            return array.reshape(*plane, *array.shape[1:])
+
+        variance = [light.variance for light in lights]
+        return cls(
+            joined([light.modulated for light in lights]),
+            joined([light.mean for light in lights]),
+            joined(variance) if np.ndim(variance[0]) else variance[0],
+        )
 
     def __add__(self, other: Light) -> Light:
         """Return the sum of the light from two sources."""

@@ -13,16 +13,20 @@ from numpy.typing import NDArray
 from amulor import cube
 from amulor._progress import part, tell
 from amulor.cube import tiles
+from amulor.errors import SurveyError
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in
 from amulor.simulation.instrument_errors import Chain
 from amulor.simulation.models import DEFAULT_MODEL, FittedModel, SignalModel
 from amulor.simulation.standing_reference import ReferenceReadings
+from amulor.simulation.vehicle import VehicleMotion
 from amulor.survey import Survey
 from amulor.survey.counting import photon_noise_volt
 from amulor.survey.directions import (
     Floats,
     open_water_directions,
+    reading_windows,
+    readings_in_turn,
     refuse_scans_beyond_memory,
     scan_directions,
 )
@@ -120,10 +124,14 @@ class Setting:
         cls, survey: Survey, *, rng: np.random.Generator | int, model: SignalModel
     ) -> Setting:
         """Return the inputs for the simulation of a survey; see `simulate`."""
-        setup = geometry_of.Setup(survey)
+        moves = survey.platform is not None
+        motion = VehicleMotion.of(survey, rng) if moves else None
+        setup = geometry_of.Setup(survey, motion)
         chain = Chain.of(setup, rng)
         seed = int(rng) if isinstance(rng, numbers.Integral) else None
         text = survey.to_toml()
+        if chain is not None and moves:
+            _refuse_harmonics_in_turn(setup, chain)
         reference = ReferenceReadings.of(survey, chain, rng)
         return cls(
             setup=setup,
@@ -166,7 +174,8 @@ def fit(setting: Setting) -> SignalModel:
     )
     end = survey.water.column_end
     farthest = np.inf if end is None else end
-    if is_small:
+    # Later readings of a moving instrument may meet farther targets.
+    if is_small and setting.setup.motion is None:
         farthest = min(farthest, float(geometry.depth.max()))
     return lock_in.fitted(
         model,
@@ -187,13 +196,60 @@ def _spread(rows: int, columns: int) -> dict[str, NDArray[np.intp]]:
     }
 
 
-def _light(
+def _refuse_harmonics_in_turn(setup: geometry_of.Setup, chain: Chain) -> None:
+    """Raise if readings in turn from a vehicle need light at harmonics.
+
+    Light at a harmonic belongs to the reading of its fundamental.
+    """
+    if chain.errors.harmonic is not None and readings_in_turn(setup.survey) > 1:
+        raise SurveyError(
+            "instrument.errors.harmonic: is not simulated for readings in turn from a "
+            'moving platform; state platform.readings = "at-once", or leave it out'
+        )
+
+
+def _readings(
     setting: Setting, directions: tuple[Floats, Floats, Floats], *, model: SignalModel
+) -> tuple[list[geometry_of.Geometry], lock_in.Light, lock_in.Light]:
+    """Return geometry and light of all readings, each from where it was taken.
+
+    An instrument that stands still, or reads all frequencies and channels of a pixel at
+    once, has one geometry, else one for each frequency and channel.
+    """
+    survey = setting.setup.survey
+    middle, _ = reading_windows(survey)
+    if setting.setup.motion is None or readings_in_turn(survey) == 1:
+        lag = float(middle[0, 0])
+        geometry, target, water = _light(setting, directions, model=model, lag=lag)
+        return [geometry], target, water
+    geometries: list[geometry_of.Geometry] = []
+    parts: list[list[lock_in.Light]] = []
+    for place in np.ndindex(middle.shape):
+        share = len(parts) / middle.size
+        with part(share, share + 1 / middle.size):
+            geometry, *light = _light(
+                setting, directions, model=model, lag=float(middle[place])
+            )
+        geometries.append(geometry)
+        parts.append([source.reading(*place) for source in light])
+    target, water = (
+        lock_in.Light.of_readings(lights, middle.shape)
+        for lights in zip(*parts, strict=True)
+    )
+    return geometries, target, water
+
+
+def _light(
+    setting: Setting,
+    directions: tuple[Floats, Floats, Floats],
+    *,
+    model: SignalModel,
+    lag: float,
 ) -> tuple[geometry_of.Geometry, lock_in.Light, lock_in.Light]:
     """Return the geometry of beams, and the light received from targets and water."""
     setup = setting.light_setup
     tell("following the beams to the targets", 0.0)
-    geometry = geometry_of.trace(setting.setup, directions=directions)
+    geometry = geometry_of.trace(setting.setup, directions=directions, lag=lag)
     tell(f"light of the targets, {model.title}", 0.1)
     with part(0.1, 0.3):
         target = lock_in.target_light(setup, geometry, model=model)
@@ -217,12 +273,12 @@ def measured(
     instrument = setup.survey.instrument
     azimuth, elevation, time = directions
     if chain is None:
-        geometry, target, column = _light(setting, directions, model=model)
+        geometries, target, column = _readings(setting, directions, model=model)
         tell("noise of detector and lock-in", 0.7)
         samples = lock_in.sample(setup, target, column, rng=noise)
     else:
         true = chain.pointed(directions)
-        geometry, target, column = _light(setting, true, model=model)
+        geometries, target, column = _readings(setting, true, model=model)
         tell("noise and errors of the instrument", 0.7)
         samples = chain.scan_samples(target, column, time, rng=noise)
         target, column = chain.fundamental(target), chain.fundamental(column)
@@ -238,11 +294,24 @@ def measured(
             "azimuth": azimuth,
             "elevation": elevation,
             "time": time,
+            **_windows(setup, time),
         },
         geometry=setting.geometry,
         attributes=setting.attributes,
     )
-    return built, _truth(setup, geometry, target, column)
+    return built, _truth(setup, geometries, target, column)
+
+
+def _windows(setup: geometry_of.Setup, time: Floats) -> dict[str, Floats]:
+    """Return times and windows of the readings from a vehicle [s]."""
+    if setup.motion is None:
+        return {}
+    middle, length = reading_windows(setup.survey)
+    moments = time + middle[:, :, None, None]
+    return {
+        "reading_time": moments,
+        "reading_duration": np.full(moments.shape, length),
+    }
 
 
 def joined(
@@ -289,7 +358,7 @@ def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | No
 
 def _truth(
     setup: geometry_of.Setup,
-    geometry: geometry_of.Geometry,
+    geometries: list[geometry_of.Geometry],
     target: lock_in.Light,
     water: lock_in.Light,
 ) -> xr.Dataset:
@@ -297,8 +366,11 @@ def _truth(
     pixel = ("row", "column")
     echo = lock_in.expected_signal(setup, target)
     column = lock_in.expected_signal(setup, water)
-    met = geometry.target >= 0
-    slant_range = np.where(met, geometry.slant_range, np.nan)
+    geometry = geometries[0]
+    ranges = np.array(
+        [np.where(part.target >= 0, part.slant_range, np.nan) for part in geometries]
+    )
+    slant_range = ranges[0] if len(ranges) == 1 else ranges.mean(axis=0)
 
     def volts(values: NDArray[np.float64], name: str) -> xr.Variable:
         return xr.Variable(sample, values, {"long_name": name, "units": "V"})
@@ -319,5 +391,40 @@ def _truth(
             "target_quadrature": volts(echo.imag, "target signal, quadrature"),
             "water_in_phase": volts(column.real, "water signal, in phase"),
             "water_quadrature": volts(column.imag, "water signal, quadrature"),
+            **_moving_truth(setup, geometries, ranges),
         }
     )
+
+
+def _moving_truth(
+    setup: geometry_of.Setup, geometries: list[geometry_of.Geometry], ranges: Floats
+) -> dict[str, xr.Variable]:
+    """Return true ranges of readings from a vehicle, and the mean points in the site.
+
+    A pixel has no point if one of its readings meets no target.
+    """
+    if setup.motion is None:
+        return {}
+    instrument = setup.survey.instrument
+    plane = len(instrument.modulation_frequencies), len(instrument.polarizations)
+    shape = (*plane, *ranges.shape[1:])
+    # One geometry stands for all readings at once.
+    every = np.broadcast_to(ranges, (plane[0] * plane[1], *ranges.shape[1:]))
+    mean = np.mean([part.point for part in geometries], axis=0)
+    points = setup.motion.in_site(mean)
+    names = {"east": "to the east", "north": "to the north", "up": "upwards"}
+    return {
+        "reading_slant_range": xr.Variable(
+            ("modulation_frequency", "polarization", "row", "column"),
+            every.reshape(shape),
+            {"long_name": "distance along the beam at each reading", "units": "m"},
+        ),
+        **{
+            name: xr.Variable(
+                ("row", "column"),
+                points[..., axis],
+                {"long_name": f"mean position of the readings {words}", "units": "m"},
+            )
+            for axis, (name, words) in enumerate(names.items())
+        },
+    }

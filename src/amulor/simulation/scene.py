@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -216,15 +217,19 @@ class Scene:
         return bright
 
     def visible_fraction(
-        self, hits: Hits, aperture: NDArray[Any], weight: NDArray[Any]
+        self, hits: Hits, aperture: Sequence[Floats] | Floats, weight: NDArray[Any]
     ) -> NDArray[np.float64]:
-        """Return the visible fraction of the aperture from each hit; 0 for a miss."""
+        """Return the visible fraction of the aperture from each hit; 0 for a miss.
+
+        `aperture` are points for all hits, shape (points, 3), or points for each hit,
+        shape (points, hits, 3).
+        """
         fraction = np.zeros(len(hits.target))
         met = np.flatnonzero(hits.target >= 0)
         start, triangle = hits.point[met], hits.triangle[met]
         for spot, part in zip(aperture, weight, strict=True):
-            faces = np.einsum("ij,ij->i", hits.normal[met], spot - start) > 0
-            end = np.broadcast_to(spot, start.shape)
+            end = np.broadcast_to(spot, hits.point.shape)[met]
+            faces = np.einsum("ij,ij->i", hits.normal[met], end - start) > 0
             fraction[met] += part * (faces & self._caster.free(start, end, triangle))
         return fraction
 

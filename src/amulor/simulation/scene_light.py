@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.errors import SurveyError
 from amulor.simulation import geometry, lock_in
 from amulor.simulation.lock_in import expected_signal
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel
+from amulor.simulation.vehicle import VehicleMotion
 from amulor.survey import Survey
-from amulor.survey.directions import open_water_directions
+from amulor.survey.directions import open_water_directions, scan_directions
 from amulor.survey.view import view
 
 Floats = NDArray[np.float64]
@@ -87,6 +89,11 @@ def scene_light(
     >>> light.with_target.target.shape  # frequency, polarization, place
     (1, 1, 6)
     """
+    if survey.platform is not None:
+        raise SurveyError(
+            "platform: simulated devices stand still; simulate the scan of a vehicle "
+            "with amulor simulate, or leave [platform] out"
+        )
     setup = geometry.Setup(survey)
     scanned = geometry.trace(setup)
     with_target = _by_direction(
@@ -216,14 +223,22 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
     (1.0, True)
     """
     scan = survey.scan
-    coarse = survey.with_(
-        {
+    setup, directions = geometry.Setup(survey), None
+    if survey.platform is None:
+        coarse = {
             "scan.columns": min(scan.columns, _BEAMS),
             "scan.rows": min(scan.rows, _BEAMS),
         }
-    )
-    setup = geometry.Setup(coarse)
-    scanned = geometry.trace(setup)
+        setup = geometry.Setup(survey.with_(coarse))
+    else:
+        # Fewer pixels would take less time, in which the vehicle would go less far.
+        setup = geometry.Setup(survey, VehicleMotion.of(survey, 0))
+        directions = scan_directions(
+            survey,
+            rows=_spread(scan.rows),
+            columns=_spread(scan.columns),
+        )
+    scanned = geometry.trace(setup, directions=directions)
     echo = lock_in.target_light(setup, scanned, model=model)
     column = lock_in.water_light(setup, scanned.view, end=scanned.depth, model=model)
     samples = lock_in.sample(setup, echo, column, rng=np.random.default_rng(0))
@@ -242,6 +257,11 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
             met,
         ),
     )
+
+
+def _spread(count: int) -> NDArray[np.intp]:
+    """Return evenly spaced rows or columns, including the first and the last."""
+    return np.unique(np.linspace(0, count - 1, _BEAMS).round().astype(np.intp))
 
 
 def _median(values: Floats, met: NDArray[np.bool_]) -> Floats:

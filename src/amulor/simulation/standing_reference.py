@@ -11,6 +11,7 @@ from amulor.cube.phase_drift import Complex, Floats, PhaseDrift
 from amulor.simulation.instrument_errors import Chain
 from amulor.survey import Survey
 from amulor.survey.counting import reference_variance
+from amulor.survey.directions import readings_in_turn
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +39,9 @@ class ReferenceReadings:
             return None
         scan, instrument = survey.scan, survey.instrument
         channels = len(instrument.modulation_frequencies), len(instrument.polarizations)
-        row = np.arange(scan.rows) * scan.columns * scan.dwell * np.prod(channels)
+        row = (
+            np.arange(scan.rows) * scan.columns * scan.dwell * readings_in_turn(survey)
+        )
         time = np.asarray(row, dtype=float)
         if chain is not None:
             plan = scan.open_water

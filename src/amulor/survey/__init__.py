@@ -11,6 +11,16 @@ from amulor.survey.instrument import (
     Window,
 )
 from amulor.survey.instrument_errors import InstrumentErrors
+from amulor.survey.platform import (
+    Disturbance,
+    HoverCourse,
+    LawnMowerCourse,
+    LineCourse,
+    Mounting,
+    Navigation,
+    OrbitCourse,
+    Platform,
+)
 from amulor.survey.properties import WaterProperties, water_properties
 from amulor.survey.scan import OpenWater, Pose, Scan, StandingReference, read_pose
 from amulor.survey.surface import Lambertian, OrenNayar, TabulatedSurface
@@ -42,22 +52,30 @@ __all__ = [
     "Daylight",
     "Detector",
     "Disc",
+    "Disturbance",
     "Emitter",
     "FournierForand",
     "HenyeyGreenstein",
+    "HoverCourse",
     "Instrument",
     "InstrumentErrors",
     "JerlovWater",
     "Lambertian",
+    "LawnMowerCourse",
     "LayeredWater",
+    "LineCourse",
     "LockIn",
     "Mesh",
     "MilkWater",
+    "Mounting",
+    "Navigation",
     "OpenWater",
+    "OrbitCourse",
     "OrenNayar",
     "Petzold",
     "PetzoldWater",
     "Plate",
+    "Platform",
     "Pose",
     "PureWater",
     "Rayleigh",

@@ -53,11 +53,32 @@ def scan_directions(
     place = np.arange(scan.columns)[columns]
     if scan.order == "serpentine":
         place = np.where(row % 2 == 1, scan.columns - 1 - place, place)
-    channels = len(survey.instrument.modulation_frequencies) * len(
-        survey.instrument.polarizations
-    )
-    time = (row * scan.columns + place) * scan.dwell * channels
+    time = (row * scan.columns + place) * scan.dwell * readings_in_turn(survey)
     return azimuth, elevation, time.astype(float)
+
+
+def readings_in_turn(survey: Survey) -> int:
+    """Return the number of readings of a pixel that follow one another [1]."""
+    if survey.platform is not None and survey.platform.readings == "at-once":
+        return 1
+    instrument = survey.instrument
+    return len(instrument.modulation_frequencies) * len(instrument.polarizations)
+
+
+def reading_windows(survey: Survey) -> tuple[Floats, float]:
+    """Return middle and length of the integration windows of a pixel's readings [s].
+
+    Middles count from the start of the pixel, shape (frequency, polarization). The
+    frequencies of a channel follow one another, then those of the next channel.
+    """
+    instrument, dwell = survey.instrument, survey.scan.dwell
+    # Outputs after five time constants, each a mean over about one before it.
+    length = dwell - 4 * instrument.lock_in.time_constant
+    shape = len(instrument.polarizations), len(instrument.modulation_frequencies)
+    number = np.arange(shape[0] * shape[1], dtype=float).reshape(shape).T
+    if readings_in_turn(survey) == 1:
+        number = np.zeros_like(number)
+    return (number + 1) * dwell - length / 2, length
 
 
 def open_water_directions(survey: Survey) -> tuple[Floats, Floats]:

@@ -117,6 +117,7 @@ Frequency = Annotated[
     float, _read("frequency"), _finite, _write("frequency"), _schema("frequency")
 ]
 Time = Annotated[float, _read("time"), _finite, _write("time"), _schema("time")]
+Speed = Annotated[float, _read("speed"), _finite, _write("speed"), _schema("speed")]
 Power = Annotated[float, _read("power"), _finite, _write("power"), _schema("power")]
 Voltage = Annotated[
     float, _read("voltage"), _finite, _write("voltage"), _schema("voltage")

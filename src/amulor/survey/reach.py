@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import SurveyError
 from amulor.optics import ranging, rays
+from amulor.survey.course import planned_instrument
+from amulor.survey.directions import readings_in_turn
 from amulor.survey.properties import water_properties
 from amulor.survey.survey import Survey
 from amulor.survey.target import METRES, Disc, Mesh, Plate, Staircase
@@ -19,6 +23,8 @@ Floats = NDArray[np.float64]
 
 #: Number of traced beams along each side of the scan.
 _BEAMS = 65
+#: Number of places of a vehicle along its course.
+_PLACES = 33
 
 
 def target_reach(survey: Survey) -> tuple[float, float] | None:
@@ -27,7 +33,8 @@ def target_reach(survey: Survey) -> tuple[float, float] | None:
     Boxes enclose every target: a flat box for a plate, one box for each tread of a
     staircase, a box as deep as the curvature of a disc, a bounding box for a mesh. The
     limits are those of the beams in these boxes. The result may be too wide for a mesh,
-    and too narrow only for objects between two of 65 x 65 beams.
+    and too narrow only for objects between two of 65 x 65 beams. A vehicle is placed
+    along its planned course, without disturbances.
     """
     boxes: list[tuple[Floats, Floats, Floats, Floats]] = []
     for target in survey.targets:
@@ -40,8 +47,11 @@ def target_reach(survey: Survey) -> tuple[float, float] | None:
         ]
     if not boxes:
         return None
-    beam = _beams(survey)
-    ranges = [beam.length_before[..., None] + _crossing(beam, *box) for box in boxes]
+    ranges = [
+        beam.length_before[..., None] + _crossing(beam, *box)
+        for beam in _placed_beams(survey)
+        for box in boxes
+    ]
     met = np.concatenate([values.ravel() for values in ranges])
     met = met[np.isfinite(met)]
     return (float(met.min()), float(met.max())) if met.size else None
@@ -96,6 +106,21 @@ def _beams(survey: Survey) -> rays.Beam:
         rays.direction(azimuth, elevation),
         medium=medium_of(survey),
     )
+
+
+def _placed_beams(survey: Survey) -> Iterator[rays.Beam]:
+    """Yield the beams of a scan in the targets' axes, for each place of a vehicle."""
+    beam = _beams(survey)
+    if survey.platform is None:
+        yield beam
+        return
+    scan = survey.scan
+    end = scan.rows * scan.columns * scan.dwell * readings_in_turn(survey)
+    poses = planned_instrument(survey, np.linspace(0.0, end, _PLACES))
+    for origin, turn in zip(*poses, strict=True):
+        yield replace(
+            beam, entry=origin + beam.entry @ turn.T, direction=beam.direction @ turn.T
+        )
 
 
 def _crossing(

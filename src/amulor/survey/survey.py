@@ -13,6 +13,7 @@ from amulor.survey import files, presets, toml_file
 from amulor.survey.calibration import Calibration
 from amulor.survey.instrument import Daylight, Instrument
 from amulor.survey.limits import beyond
+from amulor.survey.platform import Platform
 from amulor.survey.quantity import Description
 from amulor.survey.scan import Pose, Scan
 from amulor.survey.target import Target
@@ -50,6 +51,24 @@ class Survey(Description):
     """Daylight in the water; no daylight by default."""
     pose: Pose | None = None
     """Position and attitude of the instrument; unknown by default."""
+    platform: Platform | None = None
+    """Vehicle that carries the instrument during the scan; none by default. The targets
+    are in the axes of an instrument at `pose`, or at the origin looking north."""
+
+    @model_validator(mode="after")
+    def _readings_at_once_share_the_light(self) -> Self:
+        if self.platform is None or self.platform.readings != "at-once":
+            return self
+        depth = self.instrument.modulation_depth
+        count = len(self.instrument.modulation_frequencies)
+        if count > 1 and depth * count > 1 + 1e-9:
+            raise ValueError(
+                f"{count} frequencies at once, each with a modulation depth of "
+                f"{depth:g}, would modulate {depth * count:.3g} of the light; lower "
+                f"instrument.modulation_depth to {1 / count:.3g} or less, or state "
+                'platform.readings = "in-turn"'
+            )
+        return self
 
     @model_validator(mode="after")
     def _dwell_lets_the_lock_in_settle(self) -> Self:

@@ -92,14 +92,14 @@ def test_wrong_options_are_named(words, part, log, capsys):
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        (("--trajectory", "rov.csv"), "must be given together"),
+        (("--mounting", "rov.csv"), "--mounting needs --trajectory"),
         (
             ("--trajectory", "rov.csv", "--mounting", "rov.csv", "--tile-rows", "4"),
             "--trajectory excludes --pose and --tile-rows",
         ),
     ],
 )
-def test_a_moving_scan_needs_both_files_and_is_read_as_a_whole(
+def test_a_moving_scan_needs_its_trajectory_and_is_read_as_a_whole(
     words, part, log, capsys
 ):
     image = imaging.range_image(rejection.cross_polarized(samples.cube("ladder")))
@@ -117,3 +117,59 @@ def test_no_mesh_is_made_of_a_moving_scan(log, capsys):
     )
     assert "a scan from a vehicle becomes a cloud, but no mesh" in said
     assert not Path("mesh.ply").exists()
+
+
+def _run(*words):
+    assert not main([*words])
+
+
+PASS = """
+[platform]
+readings = "at-once"
+[platform.course]
+kind = "line"
+start = ["3 m", "2 m", "-8 m"]
+heading = "40 deg"
+speed = "0.2 m/s"
+[platform.navigation]
+position_uncertainty = "2 cm"
+[platform.mounting]
+lever_arm = ["0 m", "10 cm", "0 m"]
+lever_arm_uncertainty = "1 mm"
+boresight_uncertainty = "0.02 deg"
+clock_uncertainty = "1 ms"
+"""
+
+
+def test_a_survey_from_a_vehicle_becomes_a_cloud_with_the_mounting_of_the_survey(
+    plate, capsys, tmp_path, monkeypatch
+):
+    """From the survey to points on the plate, ahead of a vehicle that looks at it."""
+    monkeypatch.chdir(tmp_path)
+    small = plate.with_(
+        {
+            "scan.columns": 6, "scan.rows": 4, "scan.dwell": "50 ms",
+            "pose": {"position": ["3 m", "2 m", "-8 m"], "heading": "40 deg"},
+        }
+    )  # fmt: skip
+    Path("pass.toml").write_text(small.to_toml() + PASS)
+    _run("survey", "check", "pass.toml")
+    printed = capsys.readouterr().out
+    # 0.2 m/s for 6 pixels of 50 ms in a row; the platform reads both channels at once.
+    assert "60 mm between rows" in printed
+    _run("simulate", "pass.toml", "-o", "samples.nc", "--model", "closure")
+    assert "samples.trajectory.csv" in capsys.readouterr().out
+    _run("reject", "samples.nc", "--method", "open-water", "-o", "target.nc")
+    limits = "--nearest", "0.5 m", "--farthest", "4 m"
+    _run("image", "target.nc", "-o", "range.nc", "--polarization", "VH", *limits)
+    track = "samples.trajectory.csv"
+    _run("export", "range.nc", "--trajectory", track, "-o", "cloud.nc")
+    assert "mm of track" in capsys.readouterr().out
+    cloud = io.read_cube("cloud.nc")
+    # The plate is 1.5 m ahead of the pose, and faces it.
+    ahead = (cloud["x"] - 3) * np.sin(np.radians(40))
+    ahead = ahead + (cloud["y"] - 2) * np.cos(np.radians(40))
+    distance = float(small.targets[0].position[2])
+    error = float(np.hypot(cloud["x_uncertainty"], cloud["y_uncertainty"]).max())
+    assert abs(float(ahead.mean()) - distance) < 4 * error
+    assert error < 0.1

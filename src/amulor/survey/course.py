@@ -1,0 +1,95 @@
+"""Planned course of a vehicle: position and heading over time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.optics.attitude import rotation_of
+from amulor.survey.platform import (
+    Course,
+    HoverCourse,
+    LawnMowerCourse,
+    LineCourse,
+    Mounting,
+    OrbitCourse,
+)
+from amulor.survey.scan import Pose
+from amulor.survey.survey import Survey
+
+Floats = NDArray[np.float64]
+
+#: Rotation from (right, down, forward) of a level vehicle heading north to the site.
+LEVEL = rotation_of(0.0, 0.0, 0.0)
+
+
+def planned(course: Course, time: ArrayLike) -> tuple[Floats, Floats]:
+    """Return position (east, north, up), shape (n, 3) [m], and heading (n,) [rad].
+
+    Time counts from the start of the scan. Before it, the vehicle arrives on the same
+    course; a lawn mower arrives along its first line.
+    """
+    at = np.asarray(time, dtype=float)
+    if isinstance(course, OrbitCourse):
+        bearing = course.bearing + course.speed * at / course.radius
+        around = np.stack([np.sin(bearing), np.cos(bearing), 0 * at], axis=-1)
+        return np.array(course.center) + course.radius * around, bearing + np.pi
+    across, along = _flat(course, at)
+    sine, cosine = np.sin(course.heading), np.cos(course.heading)
+    east = cosine * across + sine * along
+    north = cosine * along - sine * across
+    away = np.stack([east, north, 0 * at], axis=-1)
+    return np.array(course.start) + away, np.full(at.shape, course.heading)
+
+
+def _flat(
+    course: LineCourse | LawnMowerCourse | HoverCourse, time: Floats
+) -> tuple[Floats, Floats]:
+    """Return the way to the right of the heading and along it [m]."""
+    if isinstance(course, HoverCourse):
+        return 0 * time, 0 * time
+    way = course.speed * time
+    if isinstance(course, LineCourse):
+        return 0 * way, way
+    length, radius = course.line_length, course.line_spacing / 2
+    period = length + np.pi * radius
+    line = np.maximum(np.floor(way / period), 0.0)
+    rest = way - line * period
+    turn = np.maximum(rest - length, 0.0) / radius
+    across = line * course.line_spacing + radius * (1 - np.cos(turn))
+    forth = np.minimum(rest, length) + radius * np.sin(turn)
+    return across, np.where(line % 2 == 0, forth, length - forth)
+
+
+def boresight_of(mounting: Mounting) -> Floats:
+    """Return the rotation from instrument axes to vehicle axes, shape (3, 3) [1]."""
+    turn = rotation_of(mounting.heading, mounting.pitch, mounting.roll)
+    return np.asarray(LEVEL.T @ turn)
+
+
+def scene_axes(survey: Survey) -> tuple[Floats, Floats]:
+    """Return origin [m] and rotation of the targets' axes in the site."""
+    pose = survey.pose or Pose()
+    return np.array(pose.position), rotation_of(pose.heading, pose.pitch, pose.roll)
+
+
+def planned_instrument(survey: Survey, time: ArrayLike) -> tuple[Floats, Floats]:
+    """Return origin and rotation of the instrument in the targets' axes, (n, 3, 3)."""
+    platform = survey.platform
+    assert platform is not None
+    position, heading = planned(platform.course, time)
+    turn = rotation_of(heading, 0.0, 0.0)
+    mounting = platform.mounting
+    return in_scene(
+        survey,
+        position + turn @ np.array(mounting.lever_arm),
+        turn @ boresight_of(mounting),
+    )
+
+
+def in_scene(
+    survey: Survey, position: Floats, rotation: Floats
+) -> tuple[Floats, Floats]:
+    """Transform poses of the instrument from the site to the targets' axes."""
+    origin, axes = scene_axes(survey)
+    return (position - origin) @ axes, axes.T @ rotation
