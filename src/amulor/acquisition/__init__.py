@@ -9,6 +9,7 @@ from amulor.acquisition.cube.calibrate import (
 )
 from amulor.acquisition.cube.calibration import Calibration, calibrated
 from amulor.acquisition.cube.demodulator import from_terminated
+from amulor.acquisition.cube.polarizer import from_polarizer
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.run import Control, Outcome, Progress, acquire
 from amulor.acquisition.settings import Settings
@@ -24,6 +25,7 @@ __all__ = [
     "build",
     "calibrated",
     "from_plates",
+    "from_polarizer",
     "from_reference",
     "from_shutter",
     "from_temperatures",

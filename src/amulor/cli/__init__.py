@@ -71,6 +71,10 @@ COMMANDS = {
         "calibrate:demodulator",
         "Measure errors of the demodulator outputs; without cubes, print the steps.",
     ),
+    "calibrate polarizer": (
+        "calibrate:polarizer",
+        "Measure gain and cross-talk of channels; without cubes, print the steps.",
+    ),
     "calibrate reference": (
         "calibrate:reference",
         "Record the phase of a standing reference; without a cube, print the steps.",
@@ -153,8 +157,8 @@ COMMANDS = {
 #: Commands by the task of the user, in the order of `amulor --help`.
 TOPICS = {
     "measure": (
-        "calibrate demodulator", "calibrate leakage", "calibrate reference",
-        "calibrate temperature", "calibrate plate",
+        "calibrate demodulator", "calibrate leakage", "calibrate polarizer",
+        "calibrate reference", "calibrate temperature", "calibrate plate",
         "acquire", "watch", "recover", "devices simulate",
         "import transients", "import recordings",
         "import trajectory",
@@ -183,6 +187,11 @@ EXAMPLES = {
         "amulor calibrate demodulator silent.nc turn-1.nc turn-2.nc turn-3.nc "
         "turn-4.nc turn-5.nc -o demodulator.toml",
         "amulor calibrate leakage",
+    ),
+    "calibrate polarizer": (
+        "amulor calibrate polarizer a0.nc a30.nc a60.nc a90.nc a120.nc a150.nc "
+        "--angles 0,30,60,90,120,150 -o channels.toml",
+        "amulor calibrate plate",
     ),
     "calibrate reference": (
         "amulor calibrate reference plate-1/cube.nc -o reference.toml",

@@ -65,6 +65,23 @@ exactly 90 degrees.
 Apply the file to all plates and scans. Dark readings contain the offset already; it is
 subtracted only from scans without dark readings and leakage."""
 
+_POLARIZER_STEPS = """\
+A turned polarizer shows the gain, the phase and the cross-talk of two channels.
+  1. Put a white plate in front of the instrument, in air or clear water.
+  2. Mount a polarizer with a scale in front of the receiver. Its extinction is better
+     than that of the analyzers. It does not stand in the beam of the laser.
+  3. Measure the leakage first: amulor calibrate leakage
+  4. Turn the polarizer to 0 degrees, and acquire the plate:
+     amulor acquire plate.toml --devices devices.toml -o angle-0 \\
+         --calibration leakage.toml
+  5. Repeat step 4 at 30, 60, 90, 120 and 150 degrees.
+  6. amulor calibrate polarizer angle-0/cube.nc angle-30/cube.nc angle-60/cube.nc \\
+         angle-90/cube.nc angle-120/cube.nc angle-150/cube.nc \\
+         --angles 0,30,60,90,120,150 -o channels.toml
+  7. Go on with: amulor calibrate plate
+     Acquire its plates with --calibration channels.toml
+The zero of the scale does not matter. The polarization of the laser is not measured."""
+
 _REFERENCE_STEPS = """\
 The phase of a standing reference shows the drift of the instrument before each row.
   1. Mount a small target, or the end of a fiber that returns light, beside the scan.
@@ -164,6 +181,43 @@ def demodulator(
     _measure(
         cubes, output, lambda scans: acquisition.from_terminated(scans[0], scans[1:]),
         replaced="demodulator", calibration=calibration, overwrite=overwrite, json=json,
+    )  # fmt: skip
+
+
+def polarizer(
+    *cubes: Path,
+    angles: str | None = None,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Measure gain and cross-talk of channels; without cubes, print the steps.
+
+    Parameters
+    ----------
+    cubes
+        Cubes (netCDF) of a plate behind a turned polarizer, with two orthogonal
+        channels such as VV and VH.
+    angles
+        Angle of the polarizer in each cube in degrees, such as "0,30,60,90,120,150".
+    output
+        Calibration file to write (TOML). Its plot is written beside it (PNG).
+    overwrite
+        Replace existing files.
+    json
+        Print the result as JSON.
+    """
+    if not cubes:
+        print(_POLARIZER_STEPS)
+        return
+    from amulor import acquisition
+
+    if angles is None:
+        raise UsageError("--angles is missing; state it, such as --angles 0,30,60,90")
+    values = [math.radians(value) for value in _numbers("--angles", angles)]
+    _measure(
+        cubes, output, lambda scans: acquisition.from_polarizer(scans, angles=values),
+        overwrite=overwrite, json=json,
     )  # fmt: skip
 
 
@@ -283,6 +337,8 @@ def plate(
         else quantity_of("--distance-uncertainty", distance_uncertainty, "length")
     )
     values = None if densities is None else _numbers("--densities", densities)
+    if values is not None and not all(0 <= value <= 10 for value in values):
+        raise UsageError(f"--densities {densities}: optical densities are from 0 to 10")
 
     def measure(plates: Sequence[xr.Dataset]) -> Calibration:
         return acquisition.from_plates(
@@ -302,8 +358,8 @@ def _numbers(option: str, text: str) -> list[float]:
         raise UsageError(
             f"{option} {text}: needed are numbers with commas, such as 0,0.5,1"
         ) from None
-    if not all(0 <= value <= 10 for value in values):
-        raise UsageError(f"{option} {text}: optical densities are from 0 to 10")
+    if not all(map(math.isfinite, values)):
+        raise UsageError(f"{option} {text}: needed are finite numbers")
     return values
 
 
@@ -367,6 +423,7 @@ def _measure(
     print(f"{picture}: plot")
     _print_leakage(result)
     _print_demodulator(result)
+    _print_channels(result)
     _print_reference(result)
     _print_temperature(result)
     _print_phases(result)
@@ -412,6 +469,27 @@ def _print_demodulator(calibration: Calibration) -> None:
         )
     header = ["", "offset [uV]", "u", "gain [%]", "u", "angle [deg]", "u"]
     print_table("Demodulator outputs", header, rows)
+
+
+def _print_channels(calibration: Calibration) -> None:
+    if not calibration.channels:
+        return
+    rows = []
+    for entry in calibration.channels:
+        size, phase = math.hypot(*entry.gain), math.atan2(*entry.gain[::-1])
+        rows.append(
+            [
+                f"{entry.modulation_frequency / 1e6:g} MHz {entry.polarization}",
+                f"{100 * entry.crosstalk:.3f}",
+                f"{100 * entry.crosstalk_uncertainty:.3f}",
+                f"{size:.4f}",
+                f"{entry.gain_uncertainty:.4f}",
+                f"{1e3 * phase:+.2f}",
+                f"{1e3 * entry.gain_uncertainty / size:.2f}",
+            ]
+        )
+    header = ["", "cross-talk [%]", "u", "gain", "u", "phase [mrad]", "u"]
+    print_table("Channels", header, rows)
 
 
 def _print_reference(calibration: Calibration) -> None:

@@ -635,6 +635,10 @@ INSTRUMENT_ATTRIBUTES = {
     "demodulator outputs, for each frequency [V]",
     "demodulator_calibrated": "1 if gain and angle of the demodulator outputs were "
     "corrected",
+    "channel_gain_uncertainty": "standard uncertainty of the corrected gain of the "
+    "channels, for each frequency [1]",
+    "channel_crosstalk_uncertainty": "standard uncertainty of the corrected cross-talk "
+    "of the channels [1]",
     "temperature_delay_uncertainty_s": "standard uncertainty of the delay by the "
     "instrument temperature, for each frequency [s]",
     "temperature_recorded": "1 if the phases are corrected for the instrument "

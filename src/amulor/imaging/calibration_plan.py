@@ -30,6 +30,8 @@ _ALIGNED = math.radians(0.05)
 _DRIFT = 30e-12
 #: Change of the delay per degree: 10 m of coaxial cable at 100 ppm [s].
 _PER_DEGREE = 5e-12
+#: Delay between channels: 3 mm of another path or cable [s].
+_BETWEEN_CHANNELS = 10e-12
 #: Gain [1] and angle [rad] errors of the outputs after their calibration.
 _OUTPUTS = 1e-3, math.radians(0.1)
 #: Phase error of a standing reference that the survey does not describe [rad].
@@ -129,6 +131,7 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
             "amulor calibrate leakage",
         ),
         *_demodulator_line(survey, by_phase),
+        *_channel_line(survey, by_delay, by_phase),
         (
             "group index",
             None if index is None else float(geometry.error_by_index(path, index)),
@@ -201,6 +204,20 @@ def _demodulator_line(
     )
     how = "amulor calibrate demodulator, to 0.1 % and 0.1 degrees"
     return [("demodulator", now, calibrated, how)]
+
+
+def _channel_line(
+    survey: Survey, by_delay: float, by_phase: float
+) -> list[tuple[str, float | None, float, str]]:
+    """Return a list with the line of the delay between channels; empty for one.
+
+    A stated phase uncertainty contains it.
+    """
+    instrument = survey.instrument
+    if len(instrument.polarizations) < 2 or instrument.phase_uncertainty is not None:
+        return []
+    how = "amulor calibrate polarizer, phase to 1 mrad"
+    return [("channels", by_delay * _BETWEEN_CHANNELS, by_phase * _READING, how)]
 
 
 def _reading_error(survey: Survey) -> float:

@@ -31,6 +31,8 @@ def draw(calibration: Calibration) -> Figure:
         panels.append(_demodulator)
     if calibration.leakage:
         panels.append(_leakage)
+    if calibration.channels:
+        panels.append(_channels)
     if calibration.reference:
         panels.append(_reference)
     if calibration.temperature:
@@ -89,6 +91,31 @@ def _leakage(axis: Axes, calibration: Calibration) -> None:
     axis.set_xlabel("modulation frequency [MHz]")
     axis.set_ylabel("amplitude [uV]")
     axis.set_ylim(bottom=0)
+    axis.legend()
+
+
+def _channels(axis: Axes, calibration: Calibration) -> None:
+    names = list(dict.fromkeys(entry.polarization for entry in calibration.channels))
+    axis.axhline(0, color="0.6", linewidth=0.8)
+    for name in names:
+        entries = [e for e in calibration.channels if e.polarization == name]
+        first = entries[0]
+        axis.errorbar(
+            [1e-6 * entry.modulation_frequency for entry in entries],
+            [1e3 * np.angle(complex(*entry.gain)) for entry in entries],
+            yerr=[
+                1e3 * entry.gain_uncertainty / np.hypot(*entry.gain)
+                for entry in entries
+            ],
+            marker="o",
+            markersize=3,
+            capsize=2,
+            label=f"{name}, cross-talk {100 * first.crosstalk:.2f}"
+            f" ± {100 * first.crosstalk_uncertainty:.2f} %",
+        )
+    axis.set_title("Channels behind a turned polarizer")
+    axis.set_xlabel("modulation frequency [MHz]")
+    axis.set_ylabel(f"phase minus that of {names[0]} [mrad]")
     axis.legend()
 
 

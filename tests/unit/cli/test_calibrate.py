@@ -8,6 +8,7 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
@@ -52,7 +53,8 @@ def run(words: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["demodulator", "leakage", "reference", "temperature", "plate"]
+    "name",
+    ["demodulator", "leakage", "polarizer", "reference", "temperature", "plate"],
 )
 def test_without_files_the_steps_are_printed(name: str, capsys) -> None:
     run(f"calibrate {name}")
@@ -141,6 +143,36 @@ def test_the_demodulator_has_a_file_and_leakage_keeps_it(here, capsys) -> None:
     both, mixer = (Calibration.from_toml(name) for name in ("both.toml", "mixer.toml"))
     assert both.demodulator == mixer.demodulator
     assert len(both.leakage) == 4
+
+
+def test_the_polarizer_has_a_file_that_plates_keep(here, capsys) -> None:
+    samples = io.read_cube("closed.nc")
+    angles = range(0, 180, 30)
+    for angle in angles:
+        # Analyzers that pass 1 % of orthogonal light.
+        first = math.cos(math.radians(angle)) ** 2
+        factor = np.array([first, 1 - first]) * 0.99 + 0.01
+        light = {
+            name: samples[name].copy(
+                data=samples[name].values[:, [0, 0]] * factor[:, None, None]
+            )
+            for name in ("in_phase", "quadrature")
+        }
+        io.write_cube(samples.assign(light), Path(f"a{angle}.nc"))
+    files = " ".join(f"a{angle}.nc" for angle in angles)
+    run(
+        f"calibrate polarizer {files} --angles {','.join(map(str, angles))} "
+        "-o channels.toml"
+    )
+    printed = capsys.readouterr().out
+    assert re.search(r"50 MHz VH\W+1\.0", printed)
+    assert Path("channels.png").read_bytes().startswith(b"\x89PNG")
+    calibration = Calibration.from_toml("channels.toml")
+    assert_allclose([e.crosstalk for e in calibration.channels], 0.01, rtol=1e-3)
+    run("calibrate leakage closed.nc --calibration channels.toml -o both.toml")
+    assert Calibration.from_toml("both.toml").channels == calibration.channels
+    assert main(shlex.split(f"calibrate polarizer {files} -o b.toml")) == 2
+    assert "--angles is missing" in capsys.readouterr().err
 
 
 def test_cubes_with_light_are_refused_in_one_line(here, capsys) -> None:

@@ -377,6 +377,7 @@ def test_wrong_use_ends_with_2_and_one_line(words: list[str], capsys) -> None:
         ["recover", "none"],
         ["devices", "simulate", "none.toml", "-o", "b.toml"],
         ["calibrate", "demodulator", "none.nc", "-o", "b.toml"],
+        ["calibrate", "polarizer", "none.nc", "--angles", "0", "-o", "b.toml"],
         ["calibrate", "leakage", "none.nc", "-o", "b.toml"],
         ["calibrate", "reference", "none.nc", "-o", "b.toml"],
         ["calibrate", "temperature", "none.nc", "-o", "b.toml"],

@@ -130,6 +130,16 @@ def test_a_stated_phase_error_contains_that_of_the_demodulator(survey: Survey) -
         assert "demodulator" not in by_name(other)
 
 
+def test_two_channels_have_a_delay_between_them(survey: Survey) -> None:
+    line = by_name(survey)["channels"]
+    # 10 ps, and 1 mrad at 39 MHz.
+    assert_allclose(line.now, speed_of_light * 10e-12 / 2 / 1.38, rtol=1e-4)
+    phase = speed_of_light * 1e-3 / (4 * math.pi * 39e6 * 1.38)
+    assert_allclose(line.calibrated, phase, rtol=1e-3)
+    alone = survey.with_({"instrument.polarizations": ["VV"]})
+    assert "channels" not in by_name(alone)
+
+
 def test_frequencies_average_their_phase_errors(survey: Survey) -> None:
     two = survey.with_({"instrument.modulation_frequencies": ["39 MHz", "78 MHz"]})
     one = by_name(survey)["leakage, walk, harmonics"].now

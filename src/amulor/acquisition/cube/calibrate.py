@@ -408,7 +408,7 @@ def from_temperatures(plates: Sequence[xr.Dataset]) -> Calibration:
                 phases=tuple((phase - level).tolist()),
             )
         )
-    before = _applied(plates)
+    before = applied(plates)
     return Calibration(
         date=measured_on(plates[0]),
         leakage=before.get("leakage", ()),
@@ -518,7 +518,7 @@ def from_plates(
     ]
     mean, error = (np.array([values[k] for values in sums]) for k in (0, 1))
     first = plates[0]
-    before = _applied(plates)
+    before = applied(plates)
     entries, leakage, rest = [], [*before.get("leakage", ())], []
     for number, frequency in enumerate(first["modulation_frequency"].values):
         strongest = int(np.argmax(np.abs(np.nan_to_num(mean[0, number]))))
@@ -681,7 +681,7 @@ def _delay_uncertainty(
     return 2 * math.hypot(of_distance, of_index) / float(speed_of_light)
 
 
-def _applied(plates: Sequence[xr.Dataset]) -> dict[str, Any]:
+def applied(plates: Sequence[xr.Dataset]) -> dict[str, Any]:
     """Return the calibration applied to the plate cubes; raise if references differ."""
     phases = {tuple(cube.attrs.get("reference_phase_rad", ())) for cube in plates}
     if len(phases) > 1:

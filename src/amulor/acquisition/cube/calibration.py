@@ -167,7 +167,25 @@ class DemodulatorOutputs(Description):
     """Outputs for a signal of constant amplitude at several phases [V]."""
 
 
-_Entry = TypeVar("_Entry", Leakage, ReferencePhase)
+class ChannelResponse(Description):
+    """Response of one channel to light of the two polarizations of its pair."""
+
+    modulation_frequency: Annotated[Frequency, Field(gt=0)]
+    """Modulation frequency [Hz]."""
+    polarization: str
+    """Channel, such as "VH"."""
+    gain: tuple[float, float]
+    """Real and imaginary part of the gain relative to the first channel [1]."""
+    gain_uncertainty: Annotated[float, Field(ge=0)]
+    """Standard uncertainty of each of the two [1]."""
+    crosstalk: Annotated[float, Field(gt=-0.5, lt=0.5)]
+    """Response to the orthogonal polarization, divided by that to the polarization of
+    the channel [1]."""
+    crosstalk_uncertainty: Annotated[float, Field(ge=0)]
+    """Standard uncertainty of the cross-talk [1]."""
+
+
+_Entry = TypeVar("_Entry", Leakage, ReferencePhase, ChannelResponse)
 
 
 class Calibration(Description):
@@ -202,6 +220,8 @@ class Calibration(Description):
     are corrected to it."""
     demodulator: tuple[DemodulatorOutputs, ...] = ()
     """Offset, gain and angle of the demodulator outputs at each frequency."""
+    channels: tuple[ChannelResponse, ...] = ()
+    """Gain and cross-talk of each channel."""
     temperature: tuple[TemperatureCoefficient, ...] = ()
     """Dependence of the phase on the instrument temperature, at each frequency."""
     reference_temperature: Annotated[Temperature, Field(ge=-60, le=100)] | None = None
@@ -221,14 +241,16 @@ class Calibration(Description):
             self.frequencies
             or self.leakage
             or self.demodulator
+            or self.channels
             or self.reference
             or self.temperature
         ):
             raise ValueError(
                 "at least one is needed of frequencies (amulor calibrate plate), "
                 "leakage (amulor calibrate leakage), demodulator (amulor calibrate "
-                "demodulator), reference (amulor calibrate reference) and temperature "
-                "(amulor calibrate temperature)"
+                "demodulator), channels (amulor calibrate polarizer), reference "
+                "(amulor calibrate reference) and temperature (amulor calibrate "
+                "temperature)"
             )
         if self.temperature and self.reference_temperature is None:
             raise ValueError(
@@ -443,6 +465,56 @@ def demodulator_uncertainty(
     return quadrature_phase_error(gain, angle), offset
 
 
+def separated(
+    calibration: Calibration, cube: xr.Dataset, signal: Complex, errors: Covariance
+) -> tuple[Complex, Covariance, dict[str, object]]:
+    """Correct gains and cross-talk; return signal, covariance and error attributes.
+
+    Errors of the two channels are independent before the correction. The covariance
+    that the correction makes between them is omitted, since cross-talk is small.
+    """
+    if not calibration.channels:
+        return signal, errors, {}
+    entries = _by_channel(
+        calibration.channels,
+        cube,
+        what="gain",
+        remedy="measure it (amulor calibrate polarizer)",
+    )
+    shape = (*signal.shape[:2], *[1] * (signal.ndim - 2))
+    gain = np.reshape([complex(*e.gain) for row in entries for e in row], shape)
+    share = np.reshape([e.crosstalk for row in entries for e in row], shape)
+    names = cube.amulor.polarizations
+    partner = [names.index(_partner(name, names)) for name in names]
+    both = 1 - share * share[:, partner]
+    own, other = 1 / gain / both, -share / gain[:, partner] / both
+    part = (slice(None), partner)
+    phase = np.max([[e.gain_uncertainty for e in row] for row in entries], axis=1)
+    crosstalk = max(e.crosstalk_uncertainty for row in entries for e in row)
+    return (
+        own * signal + other * signal[:, partner],
+        errors.turned(own) + errors.part(part).turned(other),
+        {
+            "channel_gain_uncertainty": phase,
+            "channel_crosstalk_uncertainty": crosstalk,
+        },
+    )
+
+
+_ORTHOGONAL = {"V": "H", "H": "V", "P": "M", "M": "P"}
+
+
+def _partner(name: str, names: Sequence[str]) -> str:
+    """Return the channel with the orthogonal analyzer; raise if there is none."""
+    partner = name[:-1] + _ORTHOGONAL.get(name[-1], "")
+    if partner == name[:-1] or partner not in names:
+        raise FormatError(
+            f"the calibration has a cross-talk, but the scan has no channel {partner} "
+            f"beside {name}; record both, or calibrate without the polarizer"
+        )
+    return partner
+
+
 def _by_channel(
     entries: Sequence[_Entry], cube: xr.Dataset, *, what: str, remedy: str
 ) -> list[list[_Entry]]:
@@ -639,6 +711,7 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
         errors = errors.turned(turn) + Covariance(
             *detection.phase_floor_covariance(np.nan_to_num(signal), phase_floor=beyond)
         )
+        signal, errors, of_channels = separated(calibration, cube, signal, errors)
         values = {
             "in_phase": signal.real,
             "quadrature": signal.imag,
@@ -674,7 +747,11 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
         attributes["offset_uncertainty_volt"] = of_offset
         if all(e.quadrature_gain_uncertainty for e in calibration.demodulator):
             attributes["demodulator_calibrated"] = np.int32(1)
-    if calibration.demodulator or table_known:
+    attributes |= of_channels
+    if calibration.channels:
+        gain_error = np.asarray(of_channels["channel_gain_uncertainty"])
+        of_phase = np.hypot(of_phase, gain_error)
+    if calibration.demodulator or calibration.channels or table_known:
         attributes["calibration_phase_uncertainty_rad"] = of_phase
     if calibration.leakage:
         attributes["leakage_uncertainty_volt"] = np.sqrt(squares)
