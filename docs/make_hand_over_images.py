@@ -22,6 +22,8 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "how-to" / "hand-over.md"
 FOLDER = ROOT / "docs" / "images" / "hand-over"
 SITE = ROOT / "docs" / "images" / "site"
+#: Part of the section with the amphora that moved [pixel].
+AMPHORA = (395, 175, 550, 305)
 #: Picture, the file that a command writes, and its size on screen.
 PICTURES = {
     "amphora": ("amphora.svg", (820, 1150)),
@@ -72,15 +74,28 @@ def draw_site(browser: str) -> None:
         SITE.mkdir(parents=True, exist_ok=True)
         for picture, file in {"plan": "plan", "section": "section_B"}.items():
             svg = folder / f"wreck_{file}.svg"
-            shot(browser, svg, (1150, 820), SITE / f"{picture}.png")
+            shot(browser, svg, (1150, 820), SITE / f"{picture}.png", zoom=2)
+        shot(browser, svg, (1150, 820), SITE / "detail.png", zoom=6, part=AMPHORA)
 
 
-def shot(browser: str, svg: Path, size: tuple[int, int], picture: Path) -> None:
-    """Write a picture of an SVG file in a browser window of a size [pixel]."""
+def shot(
+    browser: str,
+    svg: Path,
+    size: tuple[int, int],
+    picture: Path,
+    *,
+    zoom: int = 1,
+    part: tuple[int, int, int, int] | None = None,
+) -> None:
+    """Write a picture of an SVG file, or a part of it, in a window of a size [pixel].
+
+    The part is its left, upper, right and lower edge [pixel of the window].
+    """
     target = svg.with_suffix(".shot.png")
     subprocess.run(
         [
             *(browser, "--headless", "--no-sandbox", "--hide-scrollbars"),
+            f"--force-device-scale-factor={zoom}",
             f"--screenshot={target}",
             f"--window-size={size[0]},{size[1]}",
             svg.as_uri(),
@@ -88,7 +103,11 @@ def shot(browser: str, svg: Path, size: tuple[int, int], picture: Path) -> None:
         check=True,
         capture_output=True,
     )
-    _cropped(target, picture)
+    if part is None:
+        _cropped(target, picture)
+        return
+    left, top, right, bottom = (zoom * edge for edge in part)
+    pictures.imsave(picture, pictures.imread(target)[top:bottom, left:right])
 
 
 def _cropped(source: Path, target: Path) -> None:

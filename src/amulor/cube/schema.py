@@ -607,8 +607,8 @@ INSTRUMENT_ATTRIBUTES = {
     "[1]",
     "channel_phase_rad": "largest phase between channels of the target, for each "
     "frequency; present if the probability is below 1e-4 [rad]",
-    "frequency_phase_probability": "probability by chance of the deviations of all "
-    "frequencies from one optical path, from two frequencies on [1]",
+    "frequency_phase_probability": "probability by chance of the deviations of two or "
+    "more frequencies from one optical path [1]",
     "frequency_phase_rad": "deviation of each frequency from the optical path of all; "
     "present if the probability is below 1e-4 [rad]",
     "uncalibrated_share": "fraction of the samples whose amplitude is beyond those of "
@@ -620,10 +620,10 @@ INSTRUMENT_ATTRIBUTES = {
     "equal for all frequencies [s]",
     "calibration_phase_uncertainty_rad": "standard uncertainty of the calibrated "
     "phases, for each frequency [rad]",
-    "reference_calibrated": "1 if the samples are corrected to the phase of the "
-    "standing reference during the calibration of the delay",
-    "reference_drift_rad": "phase of the standing reference minus its middle, for each "
-    "frequency, channel and time [rad]",
+    "reference_calibrated": "1 if the samples are corrected to the phase that the "
+    "standing reference had during the calibration of the delay",
+    "reference_drift_rad": "phase of the standing reference minus the mean of its "
+    "smallest and largest phase, for each frequency, channel and time [rad]",
     "reference_phase_rad": "phase of the standing reference to which the samples are "
     "corrected, for each frequency and channel [rad]",
     "reference_phase_uncertainty_rad": "standard uncertainty of the subtracted phase "

@@ -198,10 +198,10 @@ class _Drawer:
             cuts=cuts,
         )
         block = self._block(name, self._statements(raster, annotations))
-        legend = [(self.colours[self.epoch], "", "footprints and stations")]
+        words = "footprints, stations"
         if annotations.stations:
-            enlarged = f"error ellipses, k = 1, x {annotations.enlarged:g}"
-            legend.append(("#ffffff", "", enlarged))
+            words += f", error ellipses (k = 1, x {annotations.enlarged:g})"
+        legend = [(self.colours[self.epoch], "", words)]
         figure = sheet(
             raster,
             block,
@@ -241,23 +241,23 @@ class _Drawer:
             f"{', '.join(scan.name for scan in self.visit)}. Contours every "
             f"{(self.interval or 0) * 1e3:g} mm; heights count upwards from the origin "
             "of the site",
-            f"Standard uncertainty of heights against scan {first}: {sigma}; noise, "
-            "pose and errors that a scan shares included. Not in it: the position of "
-            f"the whole site, {place * 1e3:.2g} mm",
+            f"Standard uncertainty of heights relative to scan {first}: {sigma}. It "
+            "includes noise, poses and errors common to a scan, but not the position "
+            f"of the whole site, {place * 1e3:.2g} mm",
             f"{(several & covered).sum() / covered.sum():.0%} of the area was measured "
             f"by several scans. Cells {raster.cell * 1e3:.3g} mm, pixels "
             f"{self.spacing * 1e3:.3g} mm",
             *(
                 [
-                    "Error ellipses: one standard uncertainty of the stations against "
-                    f"{first}, enlarged {annotations.enlarged:g} times"
+                    "Error ellipses: one standard uncertainty of the stations relative "
+                    f"to {first}, enlarged {annotations.enlarged:g} times"
                 ]
                 if annotations.stations
                 else []
             ),
             drawings.relief_statement(raster),
             *(
-                [f"{moving} points that other scans see through are left out"]
+                [f"{moving} points of moving objects are left out"]
                 if moving
                 else []
             ),
@@ -364,9 +364,9 @@ class _Drawer:
                 f"Section from ({ends[0][0]:.3f}, {ends[0][1]:.3f}) to "
                 f"({ends[1][0]:.3f}, {ends[1][1]:.3f}) m, east and north, across the "
                 f"scans {', '.join(met)}",
-                f"Standard uncertainty across the profile against scan {first}: "
-                f"{median}; pose and errors that a scan shares included. The band is "
-                "two of them wide to either side",
+                f"Standard uncertainty across the profile, relative to scan {first}: "
+                f"{median}. It includes poses and errors common to a scan. The band "
+                "is plus and minus twice this uncertainty",
                 "Visits differ where their bands do not overlap",
                 *self._origin(),
             ],

@@ -59,6 +59,7 @@ def draw(track: Trajectory) -> Figure:
             axis.set_ylabel(label)
             axis.grid(True)
             if len(lines) > 1:
+                axis.margins(y=0.35)
                 axis.legend(ncols=2, loc="upper right")
             if number < len(panels) - 1:
                 axis.tick_params(labelbottom=False)
@@ -78,8 +79,9 @@ def _draw_plan(axis: Axes, poses: Poses) -> None:
     forward = poses.rotation[shown, :2, 2]
     axis.quiver(
         east[shown], north[shown], forward[:, 0], forward[:, 1],
-        angles="xy", width=0.004, color=COLOURS[6], label="heading",
+        angles="xy", width=0.004, color=COLOURS[6],
     )  # fmt: skip
+    axis.plot([], [], color=COLOURS[6], marker=r"$\rightarrow$", ls="", label="heading")
     spread = _largest(poses.covariance[known, :2, :2])
     title = "Plan"
     if np.isfinite(spread):
@@ -89,7 +91,7 @@ def _draw_plan(axis: Axes, poses: Poses) -> None:
     axis.set_xlabel("east [m]")
     axis.set_ylabel("north [m]")
     axis.grid(True)
-    axis.legend()
+    axis.legend(ncols=3)
 
 
 def _largest(covariance: NDArray[np.float64]) -> float:
