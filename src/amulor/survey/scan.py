@@ -181,8 +181,8 @@ class Scan(Description):
     reference: StandingReference | None = None
     """Standing reference for the phase of the instrument; none by default."""
     instrument_temperature: Annotated[Temperature, Field(ge=-60, le=100)] | None = None
-    """Temperature of the instrument during the scan, for the correction by a temperature
-    calibration; not recorded by default [degC]."""
+    """Temperature of the instrument during the scan, for the correction by a
+    temperature calibration; not recorded by default [degC]."""
     instrument_temperature_uncertainty: (
         Annotated[Temperature, Field(ge=0, le=60)] | None
     ) = None
