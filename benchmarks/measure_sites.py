@@ -60,7 +60,7 @@ COLUMNS = (
     "gross", "silent", "beyond", "covered", "poses", "undetected_m",
     "within_1", "within_2", "components", "points_1", "points_2", "points",
     "lengths_1", "lengths_2", "lengths", "largest_m", "gicp_gross", "seconds",
-    "off", "tied", "reasons", "named", "version", "words",
+    "off", "tied", "unchecked", "reasons", "named", "version", "words",
 )  # fmt: skip
 
 
@@ -190,7 +190,8 @@ def measured(number: int) -> dict[str, Any]:
         return row | {"seconds": round(time.process_time() - begin, 1)}
     row["seconds"] = round(time.process_time() - begin, 1)
     row["outcome"] = "contradicted" if result.contradictions else "good"
-    if not result.contradictions and (result.weaknesses or result.remarks):
+    warned = result.weaknesses or result.remarks or result.unchecked
+    if not result.contradictions and warned:
         row["outcome"] = "good, warned"
     if not result.contradictions and result.disagreements:
         row["outcome"] = "good, pair contradicts"
@@ -209,7 +210,10 @@ def measured(number: int) -> dict[str, Any]:
     )
     scores, lengths, points, gross, largest = [], [], [], [], 0.0
     covered = []
-    names = [name for name in result.poses if name != "a1"]
+    # Unchecked scans are neither merged nor compared.
+    unchecked = {item.scan for item in result.unchecked}
+    row["unchecked"] = " ".join(sorted(unchecked))
+    names = [name for name in result.poses if name not in {"a1", *unchecked}]
     for name in names:
         true, pose = site.stations[name], result.poses[name]
         off = np.concatenate(
@@ -315,12 +319,13 @@ def table(rows: list[dict[str, str]]) -> None:
     """Print the summary of all sites."""
     print(
         f"{len(rows)} sites; silent: called good, a pose beyond 6 sigma and 2 cm "
-        "or 10 mrad, no line names its scan; beyond: of these, also beyond what an "
+        "or 10 mrad, no line names its scan; gross: the same, named by a warning or "
+        "not; beyond: of these, also beyond what an "
         "undetected error may change; covered: poses within 1.96 sigma and that"
     )
     print(
         f"{'spoiler':8} {'sites':>5} {'good':>5} {'contra':>6} {'refused':>7} "
-        f"{'unsettled':>9} {'silent':>6} {'beyond':>6} {'covered':>7} "
+        f"{'unsettled':>9} {'gross':>5} {'silent':>6} {'beyond':>6} {'covered':>7} "
         f"{'68 %':>6} {'95 %':>6} {'gicp off':>8}"
     )
     groups = [(name, [r for r in rows if r["spoiler"] == name]) for name in
@@ -342,7 +347,8 @@ def table(rows: list[dict[str, str]]) -> None:
         count = [
             len(some), len(good),
             *(sum(r["outcome"] == k for r in some) for k in outcomes),
-            sum(r["settled"] == "0" for r in some), len(bad),
+            sum(r["settled"] == "0" for r in some),
+            sum(int(r["gross"]) > 0 for r in good), len(bad),
             sum(int(r["beyond"]) > 0 for r in good),
         ]  # fmt: skip
         poses = max(sum(int(r["poses"]) for r in good), 1)

@@ -135,6 +135,7 @@ def register(
                     vars(group) for group in observation_groups(result.reliability)
                 ],
                 "remarks": result.remarks,
+                "unchecked": [vars(entry) for entry in result.unchecked],
                 "settled": result.settled,
             }
         )
@@ -190,6 +191,8 @@ def _print_poses(result: Registration) -> None:
         print(f"the frame is that of {result.fixed}: nothing ties it to the world")
     for line in result.remarks:
         print(f"warning: {line}")
+    for entry in result.unchecked:
+        print(f"warning: {entry.sentence}")
     for disagreement in result.disagreements:
         first, second = disagreement["scans"]
         print(
@@ -625,7 +628,10 @@ def drawings(
 
 
 def registered(path: Path, poses: Path | None) -> tuple[Site, Registration]:
-    """Read a site and its registration, or register the site; check the poses."""
+    """Read a site and its registration, or register the site; check the poses.
+
+    The returned site has no scans whose poses are unchecked, unless trusted.
+    """
     from amulor.errors import CubeError
     from amulor.site import Site
     from amulor.site.registration.register import register as fit
@@ -651,7 +657,27 @@ def registered(path: Path, poses: Path | None) -> tuple[Site, Registration]:
             f"{poses or path}: {_not_good(registration)}\nmend the site file and "
             f"register again: amulor site register {path} -o {again}"
         )
-    return site, registration
+    return _without_unchecked(site, registration), registration
+
+
+def _without_unchecked(site: Site, registration: Registration) -> Site:
+    """Return a site without the scans whose poses no other data check."""
+    import sys
+
+    from amulor.errors import CubeError
+
+    trusted = {scan.name for scan in site.scan if scan.trusted}
+    unchecked = [item for item in registration.unchecked if item.scan not in trusted]
+    names = {item.scan for item in unchecked}
+    remaining = tuple(scan for scan in site.scan if scan.name not in names)
+    if unchecked and len(remaining) < 2:
+        raise CubeError(
+            "no two scans are checked by each other\n"
+            + "\n".join(item.sentence for item in unchecked)
+        )
+    for item in unchecked:
+        print(f"warning: {item.sentence}", file=sys.stderr)
+    return site.model_copy(update={"scan": remaining})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -712,9 +738,17 @@ def changes_between(
     import numpy as np
 
     from amulor import _progress
+    from amulor.errors import CubeError
     from amulor.site.change.distances import change, regions
     from amulor.site.change.moved import around, bodies, motion_of
 
+    for epoch in epochs:
+        if not merged.site.scans_of(epoch):
+            raise CubeError(
+                f"epoch {epoch!r}: no other data check the poses of its scans, so no "
+                "change is known; add targets that both visits see, or state trusted "
+                "= true in each [[scan]] whose start pose is surveyed"
+            )
     with _progress.part(0.6, 0.8):
         result = change(
             merged.site,

@@ -129,6 +129,9 @@ class SiteScan(Description):
     start: Annotated[StartPose | None, BeforeValidator(_unknown_as_none)] = None
     """Approximate pose of the instrument, with uncertainties; "unknown" if targets in
     other scans or control points determine it."""
+    trusted: bool = False
+    """Whether the scan is merged and compared although no other data check its pose,
+    for example because its start pose is surveyed."""
     water: Path | None = None
     """Survey file that states the water; by default the survey of the scan. Scans with
     equal water share the error of its group index."""

@@ -224,12 +224,18 @@ def _summary(site: Site, registration: Registration, cloud: Merged) -> str:
         else ""
     )
     crs = f" Reference system: {site.frame.crs}." if site.frame.crs else ""
+    present = {scan.name for scan in site.scan}
+    unchecked = "".join(
+        f" Left out is {item.scan}: {item.reason}."
+        for item in registration.unchecked
+        if item.scan not in present
+    )
     return (
         f"{len(site.scan)} scans of {len(site.epoch)} visits, "
         f"{len(cloud.position):,} points, {int((cloud.confirmed > 0).sum()):,} of them "
         f"seen by several scans of a visit, {int(cloud.moving.sum()):,} seen through "
-        f"by others and left out of comparisons.{tied}{crs}{unsettled} Uncertainties "
-        "are standard uncertainties (k = 1)."
+        f"by others and left out of comparisons.{tied}{crs}{unsettled}{unchecked} "
+        "Uncertainties are standard uncertainties (k = 1)."
     )
 
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import underwater_sites as oracle
-from drawn_sites import DrawnSite, one_visit, written
+from drawn_sites import DrawnSite, drawn_site, one_visit, written
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -137,6 +137,59 @@ def test_poses_that_contradict_their_starts_are_not_handed_on(
     merged = str(tmp_path / "all.e57")
     assert cli.main(["site", "merge", site, "--poses", poses, "-o", merged]) == 1
     assert "the poses are not good" in capsys.readouterr().err
+    assert not Path(merged).exists()
+
+
+def islands(count: int, folder: Path) -> Path:
+    """Site of scans of a bed, of which the last stands 20 m away."""
+    rng = np.random.default_rng(6)
+    bed, places = oracle.bed(rng), oracle.ring(count, rng)
+    stations = {f"a{k + 1}": place for k, place in enumerate(places)}
+    east, north, up = places[-1].place
+    stations[f"a{count}"] = replace(places[-1], place=(east + 20, north, up))
+    starts = {
+        name: oracle.start_of(place, rng, position=0.01, angle=0.005)
+        for name, place in stations.items()
+    }
+    drawn = drawn_site({"one": bed}, {"one": stations}, starts, rng, rows=48)
+    return written(drawn, folder)
+
+
+def test_a_scan_that_nothing_checks_is_left_out_unless_trusted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    site, poses = islands(3, tmp_path), str(tmp_path / "poses.json")
+    register = ["site", "register", str(site), "-o", poses, "--overwrite"]
+    merged = str(tmp_path / "all.e57")
+    merge = ["site", "merge", str(site), "--poses", poses, "-o", merged, "--overwrite"]
+    merge += ["--json"]
+    assert cli.main(register) == 0
+    content = json.loads(Path(poses).read_text())
+    assert [item["scan"] for item in content["unchecked"]] == ["a3"]
+    assert "warning: a3: no surface and no target ties it" in capsys.readouterr().out
+    assert cli.main(merge) == 0
+    said = capsys.readouterr()
+    assert "a3: no surface" in said.err
+    few = json.loads(said.out)["points"]
+    text = site.read_text().replace('file = "a3.nc"', 'file = "a3.nc"\ntrusted = true')
+    site.write_text(text)
+    assert cli.main(merge) == 0
+    # Each scan has nearly as many points as each other.
+    assert json.loads(capsys.readouterr().out)["points"] == pytest.approx(
+        1.5 * few, rel=0.1
+    )
+    assert cli.main(register) == 0
+    assert json.loads(Path(poses).read_text())["unchecked"] == []
+
+
+def test_two_scans_that_do_not_check_each_other_are_not_merged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    site, poses = str(islands(2, tmp_path)), str(tmp_path / "poses.json")
+    assert cli.main(["site", "register", site, "-o", poses]) == 0
+    merged = str(tmp_path / "all.e57")
+    assert cli.main(["site", "merge", site, "--poses", poses, "-o", merged]) == 1
+    assert "no two scans are checked by each other" in capsys.readouterr().err
     assert not Path(merged).exists()
 
 

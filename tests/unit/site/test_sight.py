@@ -18,6 +18,7 @@ from drawn_sites import (
     one_visit,
 )
 
+from amulor.site.registration.landmarks import common_relief
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import register
 from amulor.site.registration.result import (
@@ -25,7 +26,13 @@ from amulor.site.registration.result import (
     read_registration,
     write_registration,
 )
-from amulor.site.registration.sight import pairs_seen_through
+from amulor.site.registration.sight import (
+    Absence,
+    Sight,
+    absent_points,
+    looks_of,
+    pairs_seen_through,
+)
 
 ROWS = 60
 
@@ -49,6 +56,15 @@ def stood(drawn: DrawnSite) -> Registration:
     return replace(result, places=places, covariance=spread)
 
 
+def through(result: Registration, drawn: DrawnSite) -> tuple[Sight, ...]:
+    return pairs_seen_through(looks_of(result, drawn.surfaces, list(drawn.stations)))
+
+
+def absent(result: Registration, drawn: DrawnSite) -> list[Absence]:
+    looks = looks_of(result, drawn.surfaces, list(drawn.stations))
+    return list(absent_points(looks, drawn.surfaces, result))
+
+
 def shifted(result: Registration, name: str, step: tuple[float, ...]) -> Registration:
     pose = result.poses[name]
     other = ScanPose(pose.rotation, pose.position + step)
@@ -58,13 +74,13 @@ def shifted(result: Registration, name: str, step: tuple[float, ...]) -> Registr
 def test_scans_at_their_true_poses_do_not_look_through_each_other(
     wall: DrawnSite,
 ) -> None:
-    assert pairs_seen_through(stood(wall), wall.surfaces, list(wall.stations)) == ()
+    assert through(stood(wall), wall) == ()
 
 
 def test_a_scan_one_strut_aside_looks_through_its_neighbors(wall: DrawnSite) -> None:
     step = (0.65, 0.0, 0.0)
     result = shifted(stood(wall), "a3", step)
-    pairs = pairs_seen_through(result, wall.surfaces, list(wall.stations))
+    pairs = through(result, wall)
     assert pairs
     assert all("a3" in pair.scans for pair in pairs)
     # The distance of those points by rays of the generator, from the true scene.
@@ -122,7 +138,7 @@ def test_a_connected_scan_with_wrong_ranges_is_named_at_any_uncertainty(
     for drawn, named in ((wrong, {"a3"}), (right, set())):
         result = stood(drawn)
         result = connected(replace(result, covariance=scale * result.covariance))
-        pairs = pairs_seen_through(result, drawn.surfaces, list(drawn.stations))
+        pairs = through(result, drawn)
         common = [set(pair.scans) for pair in pairs]
         assert set.intersection(*common or [set()]) >= named
         assert bool(pairs) == bool(named)
@@ -144,7 +160,7 @@ def test_fish_do_not_count_also_in_two_scans(
         spoiled=dict.fromkeys(scans, fish),
     )  # fmt: skip
     result = connected(stood(drawn)) if tied else stood(drawn)
-    assert pairs_seen_through(result, drawn.surfaces, list(stations)) == ()
+    assert through(result, drawn) == ()
 
 
 def test_register_names_the_scan_one_strut_aside(tmp_path: Path) -> None:
@@ -175,3 +191,109 @@ def test_register_names_the_scan_one_strut_aside(tmp_path: Path) -> None:
     content = json.loads(path.read_text())
     assert content["good"] is False
     assert read_registration(path).contradictions == result.contradictions
+
+
+def of_another_place(rng: np.random.Generator, other: oracle.Scene) -> DrawnSite:
+    """Corner with three stones; the scan a3 is of another corner."""
+    stations = {f"a{k + 1}": at for k, at in enumerate(oracle.corner_stations(4, rng))}
+    starts = {
+        name: oracle.start_of(place, rng, position=0.05, angle=np.radians(3))
+        for name, place in stations.items()
+    }
+    starts["a1"] = oracle.start_of(
+        stations["a1"], rng, position=SURVEYED[0], angle=SURVEYED[1]
+    )
+    beams = oracle.grid(ROWS, ROWS * 4 // 3)[2]
+
+    def elsewhere(distance: np.ndarray) -> np.ndarray:
+        away = oracle.cast(other, stations["a3"], beams)
+        return away + oracle.Noise().own * rng.normal(size=distance.shape)
+
+    return drawn_site(
+        {"one": stones(0.0, ((-0.4, 0.1), (0.2, -0.3), (-0.5, -0.5)))},
+        {"one": stations}, starts, rng, rows=ROWS, spoiled={"a3": elsewhere},
+    )  # fmt: skip
+
+
+def stones(turn: float, places: tuple[tuple[float, float], ...]) -> oracle.Scene:
+    balls = [oracle.Ball((*place, 0.0), 0.15) for place in places]
+    return oracle.Scene((oracle.Corner(turn), *balls))
+
+
+def test_a_scan_of_another_corner_is_named_by_its_stones() -> None:
+    other = stones(0.02, ((0.3, 0.2), (-0.1, 0.35), (0.0, -0.5)))
+    drawn = of_another_place(np.random.default_rng(11), other)
+    result = register(drawn.site, surfaces=drawn.surfaces, images=drawn.images)
+    # The planes of both corners fit without a misfit.
+    assert max(pair["misfit"] for pair in result.pairs) < 1.2
+    (line,) = [line for line in result.contradictions if line.error == "absent"]
+    assert line.scan == "a3"
+    assert set(line.peers) == {"a1", "a2", "a4"}
+    assert "may be a scan of another place" in line.sentence
+
+
+def test_points_on_which_others_agree_are_absent_from_one_scan() -> None:
+    # Four scans of one corner, and the true stones that a3 does not show.
+    drawn = of_another_place(np.random.default_rng(11), stones(0.0, ()))
+    (line,) = absent(connected(stood(drawn)), drawn)
+    assert line.scan == "a3"
+    # Part of pixels on stones, by rays of the generator with and without them.
+    beams = oracle.grid(ROWS, ROWS * 4 // 3)[2]
+    full = stones(0.0, ((-0.4, 0.1), (0.2, -0.3), (-0.5, -0.5)))
+    before = [
+        oracle.cast(stones(0.0, ()), drawn.stations[name], beams)
+        - oracle.cast(full, drawn.stations[name], beams)
+        for name in ("a1", "a2", "a4")
+    ]
+    share = np.mean([np.mean(off > 0.05) for off in before])
+    # Pixels at edges are not compared.
+    assert 0.2 * share < line.share < share
+    high = np.concatenate([off[off > 0.05] for off in before])
+    assert line.distance == pytest.approx(np.median(high), rel=0.4)
+
+
+def test_stones_that_all_scans_show_and_fish_are_not_absent() -> None:
+    same = stones(0.0, ((-0.4, 0.1), (0.2, -0.3), (-0.5, -0.5)))
+    drawn = of_another_place(np.random.default_rng(11), same)
+    assert absent(connected(stood(drawn)), drawn) == []
+    bed = one_visit("bed", 5, rows=ROWS, spoiled={"a2": fish})
+    assert absent(connected(stood(bed)), bed) == []
+
+
+def test_a_bare_corner_is_unchecked_and_one_with_stones_is_not() -> None:
+    rng = np.random.default_rng(11)
+    bare = of_another_place(rng, stones(0.03, ()))
+    result = register(bare.site, surfaces=bare.surfaces, images=bare.images)
+    assert "a3" in {item.scan for item in result.unchecked} | {
+        line.scan for line in result.contradictions
+    }
+    # Neither scan has a stone: no data tell this corner from another one.
+    stations = dict(bare.stations)
+    starts = {
+        name: oracle.start_of(place, rng, position=0.05, angle=np.radians(3))
+        for name, place in stations.items()
+    }
+    for scene, unchecked in (
+        (stones(0.0, ()), 3),
+        (stones(0.0, ((-0.4, 0.1), (0.2, -0.3), (-0.5, -0.5))), 0),
+    ):
+        drawn = drawn_site({"one": scene}, {"one": stations}, starts, rng, rows=ROWS)
+        result = register(drawn.site, surfaces=drawn.surfaces, images=drawn.images)
+        assert not result.contradictions
+        assert len(result.unchecked) == unchecked
+        assert all("too symmetrical" in item.reason for item in result.unchecked)
+
+
+@pytest.mark.parametrize("kind", ["bed", "wall", "amphorae", "low bed"])
+def test_scans_of_one_place_share_relief(kind: str) -> None:
+    drawn = one_visit(kind, 2, rows=ROWS)
+    result = connected(stood(drawn))
+    assert min(common_relief(result, drawn.surfaces)) > 4
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_plane_has_no_common_relief(seed: int) -> None:
+    # Noise of two scans is independent, so the score is a standard normal number; of
+    # six pairs the larger of two is below 4 in 99.9 % of all cases.
+    drawn = one_visit("plane", seed, rows=ROWS)
+    assert max(common_relief(connected(stood(drawn)), drawn.surfaces)) < 4

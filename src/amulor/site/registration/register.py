@@ -18,6 +18,7 @@ from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import range_image_of
 from amulor.site.registration.align import Alignment, align, squared_pull
 from amulor.site.registration.centres import centre_of
+from amulor.site.registration.landmarks import common_relief
 from amulor.site.registration.network import (
     Centre,
     KnownDistance,
@@ -41,10 +42,16 @@ from amulor.site.registration.reliability import Reliability, reliabilities
 from amulor.site.registration.result import (
     Contradiction,
     Registration,
+    Unchecked,
     Weakness,
     relative_covariance,
 )
-from amulor.site.registration.sight import pairs_seen_through
+from amulor.site.registration.sight import (
+    Sight,
+    absent_points,
+    looks_of,
+    pairs_seen_through,
+)
 from amulor.site.registration.starts import (
     height_above,
     part_met,
@@ -67,6 +74,11 @@ _DATUM = 0.5
 _SOME = 3000
 #: Differences of heights below this distance are not tested [m].
 _LEAST_HEIGHT = 0.02
+#: Least score of the relief by which two scans are known to be of one place [1].
+_RELIEF = 4.0
+#: Part of absent points that contradicts a scan although it shares relief with others:
+#: more than a moved object has [1].
+_MANY_ABSENT = 0.02
 
 
 def surfaces_of(
@@ -168,7 +180,7 @@ def _fits(
         result = _registered(site, surfaces, images, ())
     except CubeError:
         return False
-    return not result.contradictions and not result.remarks
+    return not (result.contradictions or result.remarks or result.unchecked)
 
 
 def _registered(
@@ -332,8 +344,17 @@ def _result(
         undetected=alignment.undetected,
         reliability=reliability,
     )
-    seen_through = _seen_through(site, result, ties, surfaces)
-    return replace(
+    result = replace(
+        result,
+        pairs=tuple(
+            {**pair, "relief": score}
+            for pair, score in zip(
+                result.pairs, common_relief(result, surfaces), strict=True
+            )
+        ),
+    )
+    along_beams = tuple(_sight_contradictions(site, result, ties, surfaces))
+    result = replace(
         result,
         # Suspected errors do not make a direction weak.
         weaknesses=_weak_directions(
@@ -342,11 +363,12 @@ def _result(
         contradictions=_worst_first(
             (
                 *result.contradictions,
-                *seen_through,
+                *along_beams,
                 *_other_datums(site, result, ties, surfaces),
             )
         ),
     )
+    return replace(result, unchecked=tuple(_unchecked(site, result, ties, surfaces)))
 
 
 def _contradictions(
@@ -425,24 +447,51 @@ def _worst_first(contradictions: Iterable[Contradiction]) -> tuple[Contradiction
     return tuple(sorted(contradictions, key=lambda line: -line.score))
 
 
-def _seen_through(
+def _sight_contradictions(
     site: Site,
     result: Registration,
     ties: Ties,
     surfaces: Mapping[str, ScanSurface],
+) -> Iterator[Contradiction]:
+    """Yield a contradiction for each scan that looks through surfaces of its visit."""
+    pairs: list[Sight] = []
+    for epoch in site.epoch:
+        scans = [scan.name for scan in site.scans_of(epoch.name)]
+        looks = looks_of(result, surfaces, scans)
+        pairs += pairs_seen_through(looks)
+        for absence in absent_points(looks, surfaces, result):
+            others = [_relief(name, result) for name in absence.peers]
+            alike = _relief(absence.scan, result) > max(_RELIEF, np.median(others) / 2)
+            if not alike or absence.share > _MANY_ABSENT:
+                yield Contradiction(
+                    scan=absence.scan, error="absent", shift=absence.distance, turn=0.0,
+                    stated_shift=absence.uncertainty, stated_turn=0.0,
+                    score=(absence.distance / absence.uncertainty) ** 2,
+                    peers=absence.peers, share=absence.share,
+                )  # fmt: skip
+    yield from _seen_through(pairs, result, ties)
+
+
+def _relief(name: str, result: Registration) -> float:
+    """Return the largest score of relief that a scan shares with another [1]."""
+    return max(
+        (
+            pair["relief"]
+            for pair in result.pairs
+            if name in (pair["source"], pair["target"])
+        ),
+        default=0.0,
+    )
+
+
+def _seen_through(
+    pairs: list[Sight], result: Registration, ties: Ties
 ) -> Iterator[Contradiction]:
     """Yield a contradiction for each scan that looks through surfaces of others.
 
     Of the two scans in a pair, the one with more such pairs is named; if equal, the one
     farther from its start pose.
     """
-    pairs = [
-        pair
-        for epoch in site.epoch
-        for pair in pairs_seen_through(
-            result, surfaces, [scan.name for scan in site.scans_of(epoch.name)]
-        )
-    ]
     pulls = {
         name: squared_pull(result.poses[name], start)
         for name, start in ties.start.items()
@@ -554,13 +603,88 @@ def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:
                 "another visit; only start poses and control points do, and change is "
                 "compared no better than these are known"
             )
+    trusted = {scan.name for scan in site.scan if scan.trusted}
     if met or len(site.epoch) == 1:
         groups = _groups([scan.name for scan in site.scan], tied)
         for group in groups[1:]:
-            yield (
-                f"{', '.join(group)}: no surface and no target ties them to the other "
-                "scans; only start poses and control points do, which nothing checks"
-            )
+            if not trusted.isdisjoint(group):
+                yield (
+                    f"{', '.join(group)}: no surface and no target ties them to the "
+                    "other scans; only start poses and control points do, which "
+                    "nothing checks"
+                )
+
+
+def _unchecked(
+    site: Site,
+    result: Registration,
+    ties: Ties,
+    surfaces: Mapping[str, ScanSurface],
+) -> Iterator[Unchecked]:
+    """Yield the scans whose poses no other data check.
+
+    Nothing connects them to the others, or only three planes do. The scan with the most
+    certain start pose defines where the site is.
+    """
+    tied = _tied([(pair["source"], pair["target"]) for pair in result.pairs], ties)
+    groups = _groups([scan.name for scan in site.scan], tied)
+    main = min(
+        groups,
+        key=lambda names: (-len(names), _group_error(names, ties, surfaces)),
+    )
+    controlled = {
+        centre.scan for centre in ties.centres if centre.target in ties.control
+    }
+    first = ties.fixed or min(
+        main, key=lambda name: _group_error([name], ties, surfaces)
+    )
+    exempt = {scan.name for scan in site.scan if scan.trusted} | {first}
+    targets = tied[len(result.pairs) :]
+    alike = [pair for pair in result.pairs if pair["relief"] > _RELIEF]
+    recognized = next(
+        group
+        for group in _groups(
+            [scan.name for scan in site.scan],
+            [*targets, *((pair["source"], pair["target"]) for pair in alike)],
+        )
+        if first in group
+    )
+    weak = {weakness.scan for weakness in result.weaknesses}
+    for group in groups:
+        placed = group is main or not controlled.isdisjoint(group)
+        for name in group:
+            if name in exempt:
+                continue
+            if not placed:
+                yield Unchecked(
+                    scan=name,
+                    reason=(
+                        "no surface and no target ties it to the other scans, so only "
+                        "start poses place it"
+                    ),
+                )
+            elif (
+                group is main
+                and name not in {*recognized, *weak, *controlled}
+                and not _surveyed(name, ties, surfaces)
+            ):
+                yield Unchecked(
+                    scan=name,
+                    reason=(
+                        "the overlap is too symmetrical: three planes fit any other "
+                        "corner, and no relief beside them is common to two scans"
+                    ),
+                )
+
+
+def _surveyed(name: str, ties: Ties, surfaces: Mapping[str, ScanSurface]) -> bool:
+    """Whether a start pose places points to a fraction of their spacing."""
+    if name not in ties.start:
+        return False
+    variance = np.diag(ties.start[name].covariance)
+    away = float(np.nanmedian(surfaces[name].distance))
+    off = math.sqrt(variance[:3].max()) + away * math.sqrt(variance[3:].max())
+    return off < _ENOUGH * surfaces[name].spacing
 
 
 def _groups(names: list[str], tied: list[tuple[str, str]]) -> list[list[str]]:

@@ -38,6 +38,25 @@ class Weakness:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Unchecked:
+    """Scan whose pose no other data check, so it is not merged or compared."""
+
+    scan: str
+    """Name of the scan."""
+    reason: str
+    """Missing check, in words."""
+
+    @property
+    def sentence(self) -> str:
+        """Message that names the scan, the missing check and the remedies."""
+        return (
+            f"{self.scan}: {self.reason}; it is left out of clouds, comparisons and "
+            "reports; add a target or a scan between, or state trusted = true in its "
+            "[[scan]] if its start pose is surveyed"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Contradiction:
     """Pose, error or surface that the observations contradict, and its discrepancy."""
 
@@ -46,8 +65,8 @@ class Contradiction:
     error: str
     """Key of the shared error, of a pattern of a scan, or of a control point or scale
     bar; "surface" if a scan fits no other; "sight" if scans look through each other's
-    surface; "datum" if scans fit the others at another height; empty for a start
-    pose."""
+    surface; "absent" if a scan looks through points on which others agree; "datum" if
+    scans fit the others at another height; empty for a start pose."""
     shift: float
     """Distance of the adjusted position from the start pose, size of a pattern,
     distance of points in front of a surface, or height above other scans [m]."""
@@ -62,11 +81,12 @@ class Contradiction:
     score: float
     """Chi-square against the stated uncertainty, over its degrees of freedom [1]."""
     peers: tuple[str, ...] = ()
-    """Other scans of the contradicting pairs, for "sight"; further scans with the same
-    datum, for "datum"."""
+    """Other scans of the contradicting pairs, for "sight"; scans of the points, for
+    "absent"; further scans with the same datum, for "datum"."""
     share: float = 0.0
     """Largest part of points in front of another scan's surface, for "sight"; part of
-    points that meet other scans at their height, for "datum" [1]."""
+    the points on which other scans agree, for "absent"; part of points that meet other
+    scans at their height, for "datum" [1]."""
 
     alike: tuple[str, ...] = ()
     """Further patterns that explain the ranges of the scan nearly as well."""
@@ -89,6 +109,15 @@ class Contradiction:
                 f"by {self.shift * 1e3:.0f} mm in the median; its pose or its ranges "
                 "are wrong, or something moved between the scans; check [scan.start], "
                 "delay and water of this scan first, add targets, or leave it out"
+            )
+        if self.error == "absent":
+            return (
+                f"scan {self.scan!r}: looks through {self.share:.1%} of the points on "
+                f"which other scans ({', '.join(self.peers)}) agree; they are in front "
+                f"of its surface by {self.shift * 1e3:.0f} mm in the median; it may be "
+                "a scan of another place, its pose may be wrong, or an object moved "
+                "between the scans; check the file and [scan.start] of this scan, or "
+                "leave it out"
             )
         if self.error == "datum":
             where, change = (
@@ -163,6 +192,8 @@ class Registration:
     poses are not valid."""
     remarks: tuple[str, ...]
     """Visits and scans that nothing connects to the others."""
+    unchecked: tuple[Unchecked, ...] = ()
+    """Scans whose poses no other data check."""
     settled: bool
     """Whether the fit converged: its last step was small."""
     fixed: str = ""
@@ -266,6 +297,7 @@ def write_registration(
         "disagreements": list(result.disagreements),
         "weaknesses": [vars(item) for item in result.weaknesses],
         "remarks": list(result.remarks),
+        "unchecked": [vars(item) for item in result.unchecked],
         "good": not result.contradictions,
         "contradictions": [vars(item) for item in result.contradictions],
         "undetected": {name: vars(item) for name, item in result.undetected.items()},
@@ -342,6 +374,7 @@ def _registration_of(content: dict[str, Any]) -> Registration:
             for item in content["contradictions"]
         ),
         remarks=tuple(content["remarks"]),
+        unchecked=tuple(Unchecked(**item) for item in content.get("unchecked", ())),
         settled=bool(content["settled"]),
         fixed=content["fixed"],
         undetected={

@@ -1,9 +1,12 @@
-"""Test of lines of sight: pairs of scans that look through each other's surface.
+"""Test of lines of sight: scans that look through surfaces of other scans.
 
 Water reaches up to the surface that a scan measures. A point of another scan in front
 of that surface passed by in between, like a fish, or one of both scans is at a wrong
 pose. At a wrong pose each scan looks through points of the other one. Where a surface
 repeats, as struts along a wall, no misfit shows such a pose.
+
+A point on which two scans agree is no passing object. A scan that looks through it is
+at a wrong pose or of another place, or an object moved.
 """
 
 from __future__ import annotations
@@ -35,6 +38,11 @@ _SHARE, _FEWEST = 0.02, 10
 _SHARE_CONNECTED = 0.05
 #: Largest number of points of a scan that are tested [1].
 _MOST = 5000
+#: Relief in front of which a point counts if another scan confirms it, and the distance
+#: within which a point confirms another one, in point spacings [1].
+_RELIEF_CONFIRMED, _CONFIRMED = 1.0, 0.7
+#: Least part of confirmed points in front of a scan's surface [1].
+_SHARE_CONFIRMED = 0.004
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +60,32 @@ class Sight:
     """Median standard error of these distances [m]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Absence:
+    """Points on which other scans agree, in front of the surface of a scan."""
+
+    scan: str
+    """Name of the scan that looks through these points."""
+    peers: tuple[str, ...]
+    """Names of the scans of these points."""
+    count: int
+    """Number of these points [1]."""
+    share: float
+    """Fraction of all compared points on which other scans agree [1]."""
+    distance: float
+    """Median distance of these points in front of the surface [m]."""
+    uncertainty: float
+    """Median standard error of these distances [m]."""
+
+
 @dataclass(frozen=True)
 class _Look:
     """Points of a scan compared along the beams of another scan of the same visit."""
 
+    place: Floats
     compared: Flags
     front: Flags
+    closely: Flags
     distance: Floats
     error: Floats
 
@@ -72,24 +100,26 @@ class _Look:
         return count / max(int(self.compared.sum()), 1) if count >= _FEWEST else 0.0
 
 
-def pairs_seen_through(
+@dataclass(frozen=True)
+class Looks:
+    """Comparisons along beams of all pairs of scans of one visit."""
+
+    scans: tuple[str, ...]
+    """Names of the scans."""
+    looks: dict[tuple[str, str], _Look]
+    """Comparison of the points of the first scan with the surface of the second."""
+    connected: dict[tuple[str, str], _Look]
+    """Comparisons of scans that the fit connects, without the errors of poses."""
+
+
+def looks_of(
     result: Registration, surfaces: Mapping[str, ScanSurface], scans: Sequence[str]
-) -> tuple[Sight, ...]:
-    """Return the pairs of scans of one visit that look through each other's surface.
-
-    A passing object, such as a fish, is in front of the surfaces of all other scans. A
-    scan with a wrong pose sees through points of the others, but these points are not
-    in front of a third scan.
-
-    Scans that the fit connects must agree wherever both see the surface, even if the
-    pose of one is uncertain. A scan with wrong ranges agrees in a few places only.
-    """
-    if len(scans) < 2:
-        return ()
+) -> Looks:
+    """Compare the points of scans of one visit along the beams of the others."""
     looks: dict[tuple[str, str], _Look] = {}
     connected: dict[tuple[str, str], _Look] = {}
     tied = {frozenset((pair["source"], pair["target"])) for pair in result.pairs}
-    for target in scans:
+    for target in scans if len(scans) > 1 else ():
         depth = _nearest_range(surfaces[target], result)
         tree = cKDTree(surfaces[target].direction.reshape(-1, 3))
         for source in scans:
@@ -100,14 +130,79 @@ def pairs_seen_through(
                 )
                 if frozenset(key) in tied:
                     connected[key] = by_noise
-    found = {
+    return Looks(tuple(scans), looks, connected)
+
+
+def pairs_seen_through(compared: Looks) -> tuple[Sight, ...]:
+    """Return the pairs of scans of one visit that look through each other's surface.
+
+    A passing object, such as a fish, is in front of the surfaces of all other scans. A
+    scan with a wrong pose sees through points of the others, but these points are not
+    in front of a third scan.
+
+    Scans that the fit connects must agree wherever both see the surface, even if the
+    pose of one is uncertain. A scan with wrong ranges agrees in a few places only.
+    """
+    sights = {
         sight.scans: sight
         for sight in (
-            *_seen_through(connected, scans, _wrong_if_connected),
-            *_seen_through(looks, scans, _wrong),
+            *_seen_through(compared.connected, compared.scans, _wrong_if_connected),
+            *_seen_through(compared.looks, compared.scans, _wrong),
         )
     }
-    return tuple(found.values())
+    return tuple(sights.values())
+
+
+def absent_points(
+    compared: Looks, surfaces: Mapping[str, ScanSurface], result: Registration
+) -> Iterator[Absence]:
+    """Yield the scans that look through points on which two other scans agree."""
+    agreeing = _agreeing(compared, surfaces, result)
+    for target in compared.scans:
+        counts, total, off, error = {}, 0, [], []
+        for source in compared.scans:
+            key = (source, target)
+            if source == target:
+                continue
+            look = compared.connected.get(key, compared.looks[key])
+            agreed = np.zeros(len(look.place), dtype=bool)
+            for peer in compared.scans:
+                if peer != target and (source, peer) in agreeing:
+                    agreed |= agreeing[source, peer]
+            absent = look.closely & agreed
+            counts[source] = int(absent.sum())
+            total += int((look.compared & agreed).sum())
+            off.append(look.distance[absent])
+            error.append(look.error[absent])
+        count = sum(counts.values())
+        if count >= _FEWEST and count > _SHARE_CONFIRMED * total:
+            yield Absence(
+                scan=target,
+                peers=tuple(name for name, number in counts.items() if number),
+                count=count,
+                share=count / total,
+                distance=float(np.median(np.concatenate(off))),
+                uncertainty=float(np.median(np.concatenate(error))),
+            )
+
+
+def _agreeing(
+    compared: Looks, surfaces: Mapping[str, ScanSurface], result: Registration
+) -> dict[tuple[str, str], Flags]:
+    """Return masks of the points of a scan that lie near points of a connected scan."""
+    trees = {}
+    for name in compared.scans:
+        surface = surfaces[name]
+        points = corrected(surface, result.errors)[surface.usable]
+        trees[name] = cKDTree(result.poses[name].place(points))
+    masks = {}
+    for source, peer in compared.connected:
+        near = _CONFIRMED * max(surfaces[source].spacing, surfaces[peer].spacing)
+        away = trees[peer].query(
+            compared.connected[source, peer].place, distance_upper_bound=near
+        )[0]
+        masks[source, peer] = np.isfinite(away)
+    return masks
 
 
 def _wrong(share: tuple[float, float], alone: tuple[float, float]) -> bool:
@@ -203,7 +298,10 @@ def _looks(
     error = np.sqrt(variance + noise**2)
 
     def look(limit: Floats) -> _Look:
-        far = distance > np.maximum(_THROUGH * limit, _RELIEF * other.spacing)
-        return _Look(compared=met, front=met & far, distance=distance, error=error)
+        closely, far = (
+            met & (distance > np.maximum(_THROUGH * limit, relief * other.spacing))
+            for relief in (_RELIEF_CONFIRMED, _RELIEF)
+        )
+        return _Look(place, met, far, closely, distance, error)
 
     return look(error), look(noise)
