@@ -133,8 +133,9 @@ class SiteScan(Description):
     """Whether the scan is merged and compared although no other data check its pose,
     for example because its start pose is surveyed."""
     water: Path | None = None
-    """Survey file that states the water; by default the survey of the scan. Scans with
-    equal water share the error of its group index."""
+    """Survey file that states the water; by default the survey of the scan. Scans of a
+    visit with equal water, or without any statement, share the error of its group
+    index."""
     instrument: Name = "instrument"
     """Name of the instrument; scans of one instrument and one epoch share the errors of
     its delay and its geometry."""

@@ -412,3 +412,17 @@ def test_patterns_that_explain_a_scan_as_well_are_named_with_the_strongest() -> 
         "scan 'a2': its ranges change with the angle of incidence or by one amount, by "
         "10.0 +- 1.0 mm (10.0 standard uncertainties) beside those of its neighbors"
     )
+
+
+@pytest.mark.parametrize("visits", [("one", "one"), ("one", "two")])
+def test_scans_of_a_visit_without_stated_water_share_the_error_of_its_index(
+    visits: tuple[str, str],
+) -> None:
+    drawn = one_visit("plane", 1, rows=30)
+    keys = []
+    for scan, visit in zip(drawn.site.scan[:2], visits, strict=True):
+        unstated = scan.model_copy(update={"water": None, "epoch": visit})
+        surface = surface_of(drawn.site, unstated, drawn.images[scan.name])
+        keys.append({key for key in surface.shared.keys if "group_index" in key})
+    assert len(keys[0]) == len(keys[1]) == 1
+    assert (keys[0] == keys[1]) == (visits[0] == visits[1])

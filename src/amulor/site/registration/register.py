@@ -102,7 +102,8 @@ def surfaces_of(
 
 def surface_of(site: Site, scan: SiteScan, image: xr.Dataset) -> ScanSurface:
     """Return the surface of one scan of a site."""
-    water = str(scan.water or _water_in(image) or scan.name)
+    # Without a statement all scans of a visit are in one water.
+    water = str(scan.water or _water_in(image) or "water")
     shared = shared_errors(
         image,
         scan=scan.name,
