@@ -16,9 +16,11 @@ from exact_scenes import plane
 from fuzzing import Reader
 from mutations import BYTES, TEXT, glb, hdf5, npy_header, npz
 from project_files import project_text
+from shared_light import scene_light
 
-from amulor import imaging, io
+from amulor import acquisition, imaging, io
 from amulor.acquisition import Calibration
+from amulor.acquisition.journal.file import FILE_NAME
 from amulor.acquisition.settings import Settings
 from amulor.handover import references
 from amulor.handover.archive import read_project
@@ -401,3 +403,34 @@ def shapes(folder: Path) -> dict[str, Reader]:
         "shown": Reader(read=shown, files={**meshes, **clouds}, mutations=mutations,
                         judge=_sound_points),
     }  # fmt: skip
+
+
+def journals(folder: Path, plate: Survey) -> Reader:
+    """Return the reader of journals, of which any bytes may be damaged.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where the scan will be written.
+    plate : Survey
+        What is recorded.
+
+    Returns
+    -------
+    Reader
+        Reader of the journal in a folder named `scan`.
+    """
+    survey = plate.with_(
+        {"scan.columns": 3, "scan.rows": 2, "scan.dwell": "50 ms",
+         "scan.open_water": {"columns": 2, "rows": 2, "repeats": 2}}
+    )  # fmt: skip
+    acquisition.acquire(survey, folder / "scan", scene=scene_light)
+    name = f"scan/{FILE_NAME}"
+
+    def read(path: Path) -> None:
+        with acquisition.Journal.read(path.parent) as journal:
+            acquisition.build(journal)
+            journal.damage()
+
+    return Reader(read=read, files={name: (folder / name).read_bytes()},
+                  mutations=BYTES)  # fmt: skip

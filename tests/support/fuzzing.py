@@ -57,6 +57,63 @@ class Counts:
     slowest: float = 0.0
 
 
+def fed(
+    reader: Reader, folder: Path, name: str, content: bytes, case: str
+) -> tuple[bool, float]:
+    """Feed a reader with one file.
+
+    Parameters
+    ----------
+    reader : Reader
+        Who is fed.
+    folder : pathlib.Path
+        Where the file is written.
+    name : str
+        Name of the real file that it was.
+    content : bytes
+        Content of the file.
+    case : str
+        Name of the case in errors.
+
+    Returns
+    -------
+    accepted : bool
+        Whether the file was read and not refused.
+    taken : float
+        Processor time [s].
+
+    Raises
+    ------
+    AssertionError
+        As for `campaign`.
+    """
+    path = folder / name
+    path.write_bytes(content)
+    begun = time.process_time()
+    accepted = False
+    try:
+        with warnings.catch_warnings():
+            # What packages warn about in damaged files is no concern of the test.
+            warnings.simplefilter("ignore")
+            result = reader.read(path)
+    except AmulorError as error:
+        said = str(error)
+        assert said.strip(), case
+        for line in said.splitlines():
+            assert line.strip(), (case, said)
+            assert len(line) < _LONGEST_LINE, (case, said)
+    except Exception as error:
+        raise AssertionError(f"{case}: {type(error).__name__}: {error}") from error
+    else:
+        reader.judge(result, case)
+        if reader.whole is not None:
+            reader.whole(result, name, content)
+        accepted = True
+    taken = time.process_time() - begun
+    assert taken < LONGEST, (case, taken)
+    return accepted, taken
+
+
 def campaign(reader: Reader, folder: Path, seeds: range) -> Counts:
     """Feed a reader with a case for each seed.
 
@@ -90,31 +147,9 @@ def campaign(reader: Reader, folder: Path, seeds: range) -> Counts:
             warnings.simplefilter("ignore")  # numbers that do not fit, on purpose
             for _ in range(rng.choice((1, 1, 1, 2, 5))):
                 content = rng.choice(reader.mutations)(content, rng)
-        path = folder / name
-        path.write_bytes(content)
-        case = f"{name}, seed {seed}"
-        begun = time.process_time()
-        try:
-            with warnings.catch_warnings():
-                # What packages warn about in damaged files is no concern of the test.
-                warnings.simplefilter("ignore")
-                result = reader.read(path)
-        except AmulorError as error:
-            said = str(error)
-            assert said.strip(), case
-            for line in said.splitlines():
-                assert line.strip(), (case, said)
-                assert len(line) < _LONGEST_LINE, (case, said)
-            counts.refused += 1
-        except Exception as error:
-            raise AssertionError(f"{case}: {type(error).__name__}: {error}") from error
-        else:
-            reader.judge(result, case)
-            if reader.whole is not None:
-                reader.whole(result, name, content)
-            counts.accepted += 1
-        taken = time.process_time() - begun
-        assert taken < LONGEST, (case, taken)
+        accepted, taken = fed(reader, folder, name, content, f"{name}, seed {seed}")
+        counts.accepted += accepted
+        counts.refused += not accepted
         counts.slowest = max(counts.slowest, taken)
     # Linux tells kilobytes.
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024

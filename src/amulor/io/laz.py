@@ -66,6 +66,8 @@ _PART = 500_000
 #: Number of the record that describes compression; layers of a compressed item by its
 #: kind, and the kind of extra bytes, each of which is a layer.
 _LASZIP, _LAYERS, _BYTES = 22204, {10: 9, 11: 1, 12: 2, 13: 1}, 14
+#: Class of errors that a library in Rust raises where its own code fails.
+_PANIC = "PanicException"
 #: Dimensions of the format without meaning for such a scan.
 _DULL = {
     "X", "Y", "Z", "red", "green", "blue", "return_number", "number_of_returns",
@@ -286,7 +288,10 @@ def read_laz(path: Path, *, most: int) -> Shape:
             return _points_of(file, most, path.name)
     except FormatError:
         raise
-    except Exception as error:  # laspy and lazrs raise whatever they meet
+    # laspy and lazrs raise whatever they meet; panics of lazrs are no `Exception`.
+    except BaseException as error:
+        if not isinstance(error, Exception) and type(error).__name__ != _PANIC:
+            raise
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise FormatError(
             f"{path.name} cannot be read as LAS or LAZ: {reason}; it is damaged or was "

@@ -199,6 +199,31 @@ def test_a_header_that_declares_more_than_fits_is_refused_at_once(
     assert time.monotonic() - begin < 1  # without the check: up to 25 s
 
 
+class PanicException(BaseException):
+    """Error of a Rust library, which is no `Exception`."""
+
+
+@pytest.mark.parametrize(
+    ("raised", "expected"),
+    [
+        (PanicException("index 96"), FormatError),
+        (KeyboardInterrupt(), KeyboardInterrupt),
+    ],
+)
+def test_a_panic_of_the_decoder_is_a_refusal_and_ctrl_c_is_not(
+    point_cloud, path, monkeypatch, raised, expected
+):
+    def fail(*_):
+        raise raised
+
+    write_laz(point_cloud, path)
+    monkeypatch.setattr(laspy.LasReader, "chunk_iterator", fail)
+    with pytest.raises(expected) as refusal:
+        read_laz(path, most=10)
+    if expected is FormatError:
+        assert "cloud.laz cannot be read as LAS or LAZ: index 96" in str(refusal.value)
+
+
 @pytest.mark.parametrize("excess", [0, 1, 2**32 - 2000])
 def test_layers_longer_than_their_chunk_take_no_memory(point_cloud, path, excess):
     write_laz(point_cloud, path)

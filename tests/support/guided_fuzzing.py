@@ -1,0 +1,74 @@
+"""Feeds a reader with files that a coverage-guided fuzzer makes, for some seconds.
+
+`python guided_fuzzing.py READER SECONDS FOLDER`: the first byte of an input chooses the
+real file, the others are its content. Ends with an error after an exception, a case of
+20 s, or above 2 GB.
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+import warnings
+from pathlib import Path
+
+import atheris
+
+PACKAGE = Path(__file__).parents[2] / "src" / "amulor"
+#: Modules of compiled functions, which numba does not compile with counters in them.
+COMPILED = [
+    ".".join(("amulor", *path.relative_to(PACKAGE).with_suffix("").parts))
+    for path in PACKAGE.rglob("*.py")
+    if "_kernels" in str(path) or "numba" in path.read_text("utf-8")
+]
+
+with atheris.instrument_imports(
+    include=["amulor", "laspy", "h5netcdf", "trimesh", "tomllib"], exclude=COMPILED
+):
+    import fuzzed_readers
+    from fuzzing import fed
+
+    from amulor.survey import Survey
+
+
+def main(name: str, seconds: str, place: str) -> None:
+    """Feed one reader."""
+    folder = Path(place)
+    text = (folder / "plate.toml").read_text()
+    plate = Survey.from_text(text)
+    if name == "journal":
+        reader = fuzzed_readers.journals(folder, plate)
+    elif name == "survey":
+        reader = fuzzed_readers.texts(folder, text)[name]
+    elif name == "shown":
+        reader = fuzzed_readers.shapes(folder)[name]
+    else:
+        reader = fuzzed_readers.arrays(folder, plate)[name]
+    files = sorted(reader.files)
+    corpus = folder / "corpus"
+    corpus.mkdir()
+    for number, file in enumerate(files):
+        (corpus / str(number)).write_bytes(bytes([number]) + reader.files[file])
+
+    def test(data: bytes) -> None:
+        if data:
+            file = files[data[0] % len(files)]
+            fed(reader, folder, file, data[1:], file)
+
+    def mutated(data: bytes, longest: int, seed: int) -> bytes:
+        rng = random.Random(seed)
+        if len(data) < 2 or rng.random() < 0.5:
+            return bytes(atheris.Mutate(data, longest))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            content = rng.choice(reader.mutations)(data[1:], rng)
+        return (data[:1] + content)[:longest]
+
+    options = [f"-max_total_time={seconds}", "-timeout=20", "-rss_limit_mb=2048",
+               "-max_len=1000000", f"-artifact_prefix={folder}/"]  # fmt: skip
+    atheris.Setup([sys.argv[0], *options, str(corpus)], test, custom_mutator=mutated)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
