@@ -99,6 +99,42 @@ def test_the_page_of_a_scan(
         check(shown, axe)
 
 
+@pytest.mark.parametrize("width", [1440, 420])
+def test_panels_of_the_page_of_a_scan(
+    tab: Callable[..., Any], steps: page.Recording, axe: str, tmp_path: Path, width: int
+) -> None:
+    """The clip box, an annotation, a saved view, deviations and an error are shown."""
+    io.write_cube(steps.channel().shown.whole(), tmp_path / "steps.nc")
+    recording = page.opened(tmp_path / "steps.nc")
+    recording.against = handover.comparison(tmp_path / "steps.nc", unit="m")
+    with page.background(recording) as address:
+        shown = tab(viewport={"width": width, "height": 900}).open(address)
+        for key in "bct":
+            shown.keyboard.press(key)
+            settled(shown)
+            # The field that the key opens would get the next letter.
+            shown.evaluate("document.activeElement.blur()")
+        shown.fill("#book .annotation .text", "worn edge")
+        shown.press("#book .annotation .text", "Tab")
+        until(shown, "document.getElementById('book-note').textContent !== ''")
+        field = shown.locator("#clip-fields input").first
+        field.fill("900000")
+        field.press("Tab")
+        for name in ("deviation", "significant", "deviation_uncertainty"):
+            shown.click(f"#tabs button[data-layer={name}]")
+            until(shown, f"amulor.layerName === '{name}'")
+        assert shown.is_visible("#clip-panel")
+        check(shown, axe)
+        page.save_page(recording, tmp_path / "page.html")
+        shown = tab(viewport={"width": width, "height": 900}).open(
+            (tmp_path / "page.html").as_uri()
+        )
+        shown.keyboard.press("b")
+        assert shown.is_visible("#clip-panel")
+        assert shown.is_visible("#book .annotation")
+        check(shown, axe)
+
+
 def test_the_page_of_a_cloud(
     tab: Callable[..., Any], steps: page.Recording, axe: str, tmp_path: Path
 ) -> None:
