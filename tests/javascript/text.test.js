@@ -70,6 +70,7 @@ test("ticks are round, even, inside, and about as many as wanted", () => {
       assert.ok(Math.abs(Number(value.toFixed(places)) - value) < step * 1e-6);
     }
   }
+  assert.ok(ticks(-0.689, 0.689, 8).values.some((value) => Object.is(value, 0)));
   assert.deepEqual(ticks(3, 3).values, [3]);
 });
 

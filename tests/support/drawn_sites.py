@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from amulor.imaging import flag_mixed, flag_outliers
 from amulor.site import Site
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import surface_of
-from amulor.site.registration.result import Registration
+from amulor.site.registration.result import Registration, write_registration
 from amulor.site.registration.surface import ScanSurface
 
 
@@ -242,6 +242,19 @@ def written(drawn: DrawnSite, folder: Path) -> Path:
         ]
     (folder / "site.toml").write_text("\n".join(lines) + "\n")
     return folder / "site.toml"
+
+
+def bumped_site(
+    folder: Path, *, rows: int, height: float, middle: tuple[float, float]
+) -> Path:
+    """Write two visits between which a plateau appears, with true poses beside them."""
+    rng = np.random.default_rng(1)
+    before = oracle.bed(rng, high=(0.03, 0.08))
+    after = replace(before, bump=height, middle=middle)
+    noise = oracle.Noise(own=1e-3, delay=1e-5, index=1e-6, reference=1e-5)
+    drawn = two_visits(before, after, rng, rows=rows, noise=noise)
+    write_registration(known_registration(drawn), folder / "poses.json")
+    return written(drawn, folder)
 
 
 def known_registration(drawn: DrawnSite) -> Registration:

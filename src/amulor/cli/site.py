@@ -691,8 +691,8 @@ class Opened:
     cloud: Merged
 
 
-def opened(path: Path, poses: Path) -> Opened:
-    """Read a site and its registration, and merge its scans."""
+def opened(path: Path, poses: Path | None) -> Opened:
+    """Read a site and its registration, or register it, and merge its scans."""
     from amulor import _progress
     from amulor.site.merging.cloud import merge
     from amulor.site.registration.register import surfaces_of

@@ -19,6 +19,7 @@ def view(
     samples: Path | None = None,
     unit: Literal["m", "cm", "mm", "inch"] | None = None,
     against: Path | None = None,
+    poses: Path | None = None,
     save: Path | None = None,
     nearest: str | None = None,
     farthest: str | None = None,
@@ -34,7 +35,8 @@ def view(
     path
         File or folder to show. Range image, target signal or samples (netCDF); folder
         of a running scan; point cloud (.ply, .laz, .las, .e57, .xyz, .csv, .txt, .asc,
-        .pts, .nc); or mesh (.ply, .stl, .obj, .off, .glb).
+        .pts, .nc); mesh (.ply, .stl, .obj, .off, .glb); or site of several scans
+        (.toml).
     samples
         Samples or target signal from which a range image was made, to show it before
         rejection, too.
@@ -45,6 +47,9 @@ def view(
         Reference of which the page shows deviations: a mesh (.ply, .stl, .obj, .off,
         .glb; state --unit) in the axes of the instrument, or the range image (.nc) of
         another scan, placed by the poses of both surveys.
+    poses
+        Registration of a site (JSON), from "amulor site register". By default the site
+        is registered first.
     save
         Save the page as one file (HTML), which opens without this program, and exit.
     nearest
@@ -73,7 +78,9 @@ def view(
         _extras.require("view", purpose="the page")
     if save is not None:
         check_ending("--save", save, (".html", ".htm"))
-    if all(option is None for option in (samples, nearest, farthest, against, unit)):
+    if all(
+        option is None for option in (samples, nearest, farthest, against, unit, poses)
+    ):
         check_inputs(path)
 
     from amulor import handover, io
@@ -82,7 +89,10 @@ def view(
     from amulor.view.page import space
 
     interval = interval_of(nearest, farthest)
-    in_space = space.is_space(path)
+    is_site = path.suffix.lower() == ".toml" and not path.is_dir()
+    if poses is not None and not is_site:
+        raise UsageError("--poses goes with a site file (.toml)")
+    in_space = is_site or space.is_space(path)
     if in_space and not (samples is None and interval is None and against is None):
         raise UsageError(
             "--samples, --against, --nearest and --farthest go with a range image or a "
@@ -90,12 +100,17 @@ def view(
         )
     if unit is not None and not in_space and against is None:
         raise UsageError("--unit goes with a mesh or a cloud; scans are in meters")
-    inputs = [option for option in (path, samples, against) if option is not None]
-    check_inputs(against)
+    if unit is not None and is_site:
+        raise UsageError("--unit goes with a mesh or a cloud; sites are in meters")
+    options = (path, samples, against, poses)
+    inputs = [option for option in options if option is not None]
+    check_inputs(against, poses)
     if save is not None:
         io.check_output(save, overwrite=overwrite, inputs=inputs)
     shown: Recording | Live | Space
-    if in_space:
+    if is_site:
+        shown = _site(path, poses)
+    elif in_space:
         shown = space.opened(path, unit=None if unit is None else METRES[unit])
     else:
         shown = _shown(path, samples, interval)
@@ -116,6 +131,20 @@ def view(
         shown, host=host, port=port, products=products,
         announce=announcing(f"{path}: ", browser=browser),
     )  # fmt: skip
+
+
+def _site(path: Path, poses: Path | None) -> Space:
+    """Open a site: register it if needed, merge its scans, compare its visits."""
+    from amulor.cli._output import progress_bar
+    from amulor.cli.site import changes_between, epochs_of, opened
+    from amulor.view.page.sites import site_space
+
+    with progress_bar():
+        merged = opened(path, poses)
+        change = None
+        if len(merged.site.epoch) > 1:
+            change, *_ = changes_between(merged, epochs_of(merged.site, None, None))
+    return site_space(merged.cloud, merged.registration, change=change)
 
 
 def _shown(

@@ -44,8 +44,12 @@ _WORDS = {
     "flags": ("Flags", "", "flags"),
     "deviation": ("Deviation", "m", "signed"),
     "deviation_uncertainty": ("Uncertainty of it", "m", "error"),
+    "overlap": ("Scans at a place", "", "range"),
+    "change": ("Change", "m", "signed"),
+    "change_significant": ("Significant", "m", "signed"),
+    "change_uncertainty": ("Change ±", "m", "error"),
 }
-_HIDDEN = ("common", "sigma_x", "sigma_y", "sigma_z", "row", "column")
+_HIDDEN = ("common", "sigma_x", "sigma_y", "sigma_z", "row", "column", "scan")
 _LENGTHS = ("common", "sigma_x", "sigma_y", "sigma_z")
 
 
@@ -158,8 +162,18 @@ def _cloud(path: Path) -> Shape:
 class Space:
     """Point cloud or mesh shown on the page."""
 
-    def __init__(self, name: str, shape: Shape, *, notes: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        name: str,
+        shape: Shape,
+        *,
+        notes: Sequence[str] = (),
+        scans: Sequence[dict[str, Any]] = (),
+    ) -> None:
         self.name = name
+        #: Scans of a site, which the page shows and hides; the number of each point's
+        #: scan is in the column "scan".
+        self.scans = list(scans)
         low, high = (_ends(shape.position, side) for side in (np.nanmin, np.nanmax))
         #: Numbers travel in 32 bits, as differences from this place [m].
         self.centre = np.round((low + high) / 2, 3)
@@ -235,6 +249,7 @@ class Space:
             "up": self.up,
             "beams": self._beams,
             "layers": self.layers,
+            "scans": self.scans,
             "flags": flag_words(),
             "notes": self._all_notes(),
         }
@@ -261,6 +276,7 @@ class Space:
                 "and text that amulor exports have them."
             )
         prefixes = ("axes", "reference system", "uncertainty", "not shown")
+        prefixes += ("registration", "change")
         notes += [
             f"{line[0].upper()}{line[1:]}."
             for line in self._statements

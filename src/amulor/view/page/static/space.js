@@ -12,6 +12,7 @@ import { drawHistogram } from "./plots.js";
 import { PointRenderer } from "./points.js";
 import { sampled } from "./scene.js";
 import { SpaceSource } from "./source.js";
+import { listScans } from "./scans.js";
 import { short, withUnit } from "./text.js";
 import { Motion, turnable } from "./turning.js";
 
@@ -190,7 +191,7 @@ function cross(canvas, ratio) {
 }
 
 function home() {
-  const { position } = state.scene;
+  const { whole: position } = state.scene;
   const some = sampled(
     Array.from({ length: position.length / 3 }, (_, i) => i),
     6000,
@@ -210,7 +211,7 @@ function fit() {
 
 /** Return the heights of all points, along the selected vertical axis. */
 function heights() {
-  const { position, centre } = state.scene;
+  const { whole: position, centre } = state.scene;
   const up = UPWARDS[state.up];
   const values = new Float32Array(position.length / 3);
   for (let i = 0; i < values.length; i += 1) {
@@ -281,6 +282,8 @@ function readout() {
     add("x", `${x} m`, "big");
     add("y", `${y} m`, "big");
     add("z", `${z} m`, "big");
+    const { name, visit } = scene.scans[scene.numbers.scan?.[cursor.corners[0]]] ?? {};
+    if (name) add("scan", `${name}, visit ${visit}`);
     for (const { layer, values } of scene.maps.values()) {
       if (layer.kind === "flags" || (layer.kind === "hidden" && layer.name !== "common")) continue;
       if (layer.name === "height") continue;
@@ -514,6 +517,7 @@ async function loaded() {
   const scene = await source.scene();
   scene.position = await source.numbers("position");
   scene.faces = scene.mesh ? await source.numbers("faces", Uint32Array) : null;
+  scene.whole = scene.position;
   renderer.keep(scene.position, scene.faces);
   renderer.own(
     scene.colour
@@ -546,7 +550,7 @@ function buttons(scene) {
   const labels = [...scene.maps.values()]
     .filter(({ layer }) => layer.kind !== "hidden")
     .map(({ layer }) => [layer.name, layer.label]);
-  if (scene.colour) labels.push(["colour", "Color"]);
+  if (scene.colour) labels.push(["colour", scene.scans.length ? "Scan" : "Color"]);
   return labels.map(([name, label], at) => {
     const button = made("button", { type: "button", textContent: label, title: `Key ${at + 1}` });
     button.dataset.layer = name;
@@ -555,17 +559,31 @@ function buttons(scene) {
   });
 }
 
+/** Draw and pick only points of scans that are shown. */
+function hidden(numbers) {
+  const { scene } = state;
+  const { whole } = scene;
+  const { scan } = scene.numbers;
+  scene.position = numbers.size
+    ? whole.map((value, at) => (numbers.has(scan[Math.floor(at / 3)]) ? NaN : value))
+    : whole;
+  renderer.keep(scene.position, scene.faces);
+  page.redraw();
+}
+
 async function opened() {
   const scene = await loaded();
   const size = scene.size.map((part) => withUnit(part, "m", 3)).join(" × ");
   const subtitle = [scene.name, amount(scene), size, scene.simulated && "simulated"];
   page.titled(scene, subtitle.filter(Boolean).join(" · "));
   $("colours").replaceChildren(...buttons(scene));
+  if (scene.scans.length) listScans(scene.scans, hidden);
   $("space").setAttribute(
     "aria-label",
     `${amount(scene)} in space, ${size}. Arrow keys turn, Enter picks what is in the middle.`,
   );
   home();
+  if (scene.numbers.change) return (show("change"), readout());
   const numbers = scene.numbers.uncertainty && !scene.mesh ? "uncertainty" : "height";
   show(scene.colour ? "colour" : numbers);
   readout();

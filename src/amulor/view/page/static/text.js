@@ -112,7 +112,8 @@ export function ticks(low, high, wanted = 5) {
   const places = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   const values = [];
   for (let at = Math.ceil(low / step - 1e-9) * step; at <= high + 1e-9 * span; at += step)
-    values.push(at);
+    // A sum of steps misses zero by rounding, which would be shown as -0.
+    values.push(Math.abs(at) < 1e-9 * span ? 0 : at);
   return { values, places, step };
 }
 
