@@ -256,11 +256,7 @@ class _Drawer:
                 else []
             ),
             drawings.relief_statement(raster),
-            *(
-                [f"{moving} points of moving objects are left out"]
-                if moving
-                else []
-            ),
+            *([f"{moving} points of moving objects are left out"] if moving else []),
             *self._origin(),
         ]
 
