@@ -12,8 +12,6 @@ import sys
 import warnings
 from pathlib import Path
 
-import atheris
-
 PACKAGE = Path(__file__).parents[2] / "src" / "amulor"
 #: Modules of compiled functions, which numba does not compile with counters in them.
 COMPILED = [
@@ -22,17 +20,19 @@ COMPILED = [
     if "_kernels" in str(path) or "numba" in path.read_text("utf-8")
 ]
 
-with atheris.instrument_imports(
-    include=["amulor", "laspy", "h5netcdf", "trimesh", "tomllib"], exclude=COMPILED
-):
-    import fuzzed_readers
-    from fuzzing import fed
-
-    from amulor.survey import Survey
-
 
 def main(name: str, seconds: str, place: str) -> None:
     """Feed one reader."""
+    import atheris
+
+    with atheris.instrument_imports(
+        include=["amulor", "laspy", "h5netcdf", "trimesh", "tomllib"], exclude=COMPILED
+    ):
+        import fuzzed_readers
+        from fuzzing import fed
+
+        from amulor.survey import Survey
+
     folder = Path(place)
     text = (folder / "plate.toml").read_text()
     plate = Survey.from_text(text)
