@@ -48,6 +48,13 @@ def test_only_what_is_missing_is_named(monkeypatch):
         _extras.require("scene", "export", purpose="the demo")
 
 
+def test_only_a_page_that_is_served_needs_a_server(bare, capsys):
+    assert main(["view", "none.nc"]) == 1
+    assert "the page needs" in capsys.readouterr().err
+    assert main(["view", "none.nc", "--save", "page.html"]) == 1
+    assert "none.nc does not exist" in capsys.readouterr().err
+
+
 def test_the_demo_writes_what_it_can_and_says_what_it_leaves_out(
     bare, tmp_path, monkeypatch, capsys
 ):

@@ -106,6 +106,13 @@ def test_a_text_file_has_the_points_that_it_promises(path, written):
         read_ply(path, unit=1.0)
 
 
+@pytest.mark.parametrize("start", ["plx\n", "ply2\n", "\nply\n", ""])
+def test_a_file_that_does_not_begin_as_ply_is_none(path, start):
+    path.write_text(text_file(71).replace("ply\n", start, 1))
+    with pytest.raises(FormatError, match=r"cloud\.ply is no PLY file: it does not be"):
+        read_ply(path, unit=1.0)
+
+
 def text_file(lines):
     return (
         "ply\nformat ascii 1.0\nelement vertex 71\n"
