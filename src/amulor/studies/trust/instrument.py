@@ -199,10 +199,9 @@ def counts(rows: Iterable[InstrumentRow], *, method: str = "open-water") -> str:
         row for row in rows if row.key.kind != "perfect" and row.key.method == method
     ]
     lines = [
-        "| the survey | size of the error | cases | rejected scans | at least "
-        f"{_TRUSTED:g} % of the pixels trusted | trusted pixels inside the 95 % "
-        f"interval | cases with less than {_INSIDE:g} % inside | cases with more than "
-        f"{_FAR:g} % beyond 3.5 standard uncertainties |",
+        "| the survey states | error | cases | rejected | at least "
+        f"{_TRUSTED:g} % trusted | inside the 95 % interval | less than "
+        f"{_INSIDE:g} % inside | more than {_FAR:g} % far off |",
         "|" + " --- |" * 8,
     ]
     for state in STATES:
@@ -228,9 +227,9 @@ def counts(rows: Iterable[InstrumentRow], *, method: str = "open-water") -> str:
 
 
 _STATE_WORDS = {
-    "uncalibrated": "states no calibration",
-    "calibrated": "states the phase error",
-    "wrong": "states a third of the phase error",
+    "uncalibrated": "no calibration",
+    "calibrated": "the phase error",
+    "wrong": "a third of it",
 }
 
 
