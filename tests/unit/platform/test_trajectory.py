@@ -4,7 +4,7 @@ import moving_pass
 import numpy as np
 import pytest
 
-from amulor.platform import Trajectory, rotation_of
+from amulor.platform import Mounting, Trajectory, instrument_poses, rotation_of
 
 TIME = np.linspace(0.0, 20.0, 201)
 
@@ -143,3 +143,20 @@ def test_impossible_trajectories_are_refused(change, words):
     }
     with pytest.raises(ValueError, match=words):
         Trajectory(**{**fields, **change})
+
+
+def test_beams_of_a_vehicle_that_heads_east_and_looks_down() -> None:
+    track = Trajectory.of_angles(
+        time=[0.0, 1.0],
+        position=[[1, 2, -5], [1, 2, -5]],
+        heading=np.pi / 2,
+        position_uncertainty=0.01,
+        heading_uncertainty=1e-3,
+        level_uncertainty=1e-3,
+    )
+    poses = instrument_poses(track, Mounting(pitch="-90 deg"), [0.25, 0.75])
+    # Forward is down, and right is south.
+    beams = poses.turn([[0, 0, 1], [1, 0, 0]])
+    np.testing.assert_allclose(beams, [[0, 0, -1], [0, -1, 0]], atol=1e-12)
+    places = poses.place([[0, 0, 3], [3, 0, 0]])
+    np.testing.assert_allclose(places, [[1, 2, -8], [1, -1, -5]], atol=1e-12)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.reference.presence import DEPARTURE, _problem
+from amulor.rejection.reference.presence import (
+    DEPARTURE,
+    CutColumns,
+    _Problem,
+    _problem,
+)
 
 SAMPLES = 4
 
@@ -58,3 +64,31 @@ def test_what_no_cut_can_undercut_is_below_each_of_them(
     # Without any share the bound is the misfit but for the departure.
     alone = problem.surely_more_than(np.full(SAMPLES, -5 * DEPARTURE))
     assert alone <= problem._product(left, left) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("depth", [1.9, 2.0, 2.61])
+def test_water_that_ends_between_two_depths_is_found_there(depth: float) -> None:
+    wavenumber, fraction, sigma = np.array([2.0, 3.0]), 0.3, 0.01
+    nodes = np.linspace(1.0, 3.0, 9)
+    columns = CutColumns(
+        smooth=np.full((2, 9, 2, 2), fraction, dtype=complex),
+        depth=nodes,
+        wavenumber=wavenumber,
+    )
+    hidden = fraction * np.exp(2j * wavenumber * depth)[:, None]
+    pixels = _Problem(
+        difference=-hidden,
+        water=np.ones((2, 1), dtype=complex),
+        in_phase=np.full((2, 1), sigma**-2),
+        quadrature=np.full((2, 1), sigma**-2),
+        cross=np.zeros((2, 1)),
+        frequency=np.arange(2),
+    )
+    middle = np.array([0.5])
+    # Depths 4 mm apart are tried: at 3 rad/m, an angle of 0.024 of 0.3 at most.
+    assert columns.lowest(pixels, middle, middle)[0] < 2 * (0.3 * 0.024 / sigma) ** 2
+    # At the nodes alone, it is 0.3 times an angle of 0.2 and more, but for 2 m.
+    other = np.delete(nodes, np.argmin(np.abs(nodes - depth)))
+    turns = np.exp(2j * np.outer(wavenumber, other))
+    least = min(pixels.misfit(fraction * turn[:, None])[0] for turn in turns.T)
+    assert least > 20
