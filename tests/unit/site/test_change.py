@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from amulor.site import Site
 from amulor.site.change.distances import (
     Change,
     _corrected,
+    _in_cylinders,
     change,
     region_of,
     regions,
@@ -92,6 +95,28 @@ def test_cylinders_that_overlap_repeat_their_noise(radius: float) -> None:
     expected = 1e-4 * np.sqrt(float(of_points @ of_points) / np.mean(single))
     wide = region_of(replace(found, radius=radius), np.arange(100))
     assert wide.volume_uncertainty == pytest.approx(expected, rel=0.06)
+
+
+@pytest.mark.parametrize("reach", [0.02, 0.05, 0.2])
+def test_points_in_cylinders_are_those_of_all_pairs(reach: float) -> None:
+    rng = np.random.default_rng(3)
+    place = rng.uniform(-0.2, 0.2, (3000, 3))
+    facing = np.tile([0.0, 0.0, 1.0], (3000, 1))
+    facing[::3], facing[1::3] = np.nan, [0.0, 0.0, -1.0]
+    core = rng.uniform(-0.2, 0.2, (40, 3))
+    axis = rng.normal((0.0, 0.0, 1.0), 0.3, (40, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    cloud: Any = SimpleNamespace(position=place, normal=facing)
+    at = np.arange(0, 3000, 2)
+    owner, index, off, along = _in_cylinders(cloud, at, core, axis, 0.05, reach)
+    every = place[at] - core[:, None]
+    height = np.einsum("nij,nj->ni", every, axis)
+    aside = np.linalg.norm(every - height[..., None] * axis[:, None], axis=2)
+    toward = axis @ facing[at].T
+    inside = (aside <= 0.05) & (np.abs(height) <= reach) & ~(toward < 0.6)
+    assert_allclose(np.array([owner, index]), np.array(np.nonzero(inside)))
+    assert_allclose(off, every[inside])
+    assert_allclose(along, height[inside], atol=1e-15)
 
 
 def test_errors_by_shape_are_part_of_the_errors_of_mean_and_volume() -> None:

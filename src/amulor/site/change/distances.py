@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -385,15 +387,21 @@ def _in_cylinders(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
     """Return cylinder number, point index, offset and axial offset of enclosed points.
 
-    Cylinders are processed in groups, because the spheres around them contain many more
-    points.
+    Cylinders are searched by slabs along their axes and in groups, because one sphere
+    around a cylinder contains many more points.
     """
     place = cloud.position[at]
     tree = cKDTree(place)
-    ball = float(np.hypot(radius, reach))
+    slabs = max(math.ceil(reach / radius), 1)
+    half = reach / slabs
+    ball = 1.000001 * math.hypot(radius, half)
     pieces = []
-    for begin in range(0, max(len(core), 1), _AT_ONCE):
-        near = tree.query_ball_point(core[begin : begin + _AT_ONCE], ball)
+    for begin, slab in itertools.product(
+        range(0, max(len(core), 1), _AT_ONCE), range(slabs)
+    ):
+        some = slice(begin, begin + _AT_ONCE)
+        middle = core[some] + ((2 * slab + 1) * half - reach) * normal[some]
+        near = tree.query_ball_point(middle, ball)
         owner = begin + np.repeat(
             np.arange(len(near)), [len(members) for members in near]
         )
@@ -407,12 +415,15 @@ def _in_cylinders(
         # Points without a normal, on flanks and creases, are selected by position
         # alone.
         alike = ~(facing <= _ALIKE)
+        number = np.clip((along + reach) // (2 * half), 0, slabs - 1)
         inside = (across <= radius) & (np.abs(along) <= reach) & alike
+        inside &= number == slab
         pieces.append((owner[inside], index[inside], off[inside], along[inside]))
     owner, index, off, along = (
         np.concatenate(piece) for piece in zip(*pieces, strict=True)
     )
-    return owner, index, off, along
+    order = np.lexsort((index, owner))
+    return owner[order], index[order], off[order], along[order]
 
 
 def _summed(means: _Means, names: list[str]) -> Floats:
