@@ -371,6 +371,9 @@ def test_who_watches_a_scan_that_was_killed_is_given_the_command_that_resumes_it
             assert running.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.05)
+        # Halted, so that it does not end before it is looked at.
+        if hasattr(signal, "SIGSTOP"):
+            running.send_signal(signal.SIGSTOP)
         live = Live(Path("scan"))
         live.look()
         assert live.status["state"] == "running"
