@@ -80,6 +80,10 @@ def _combine(
             )
         target_ratio = ratios.possible(estimate, name="target_ratio")
         target_ratio_uncertainty = estimate.uncertainty
+    else:
+        target_ratio_uncertainty = ratios.stated_uncertainty(
+            cube, target_ratio, target_ratio_uncertainty
+        )
     present = list(cube["polarization"].values)
     channel = [(slice(None), present.index(name)) for name in (co, cross)]
     water = [subtracted.water_signal[index] for index in channel]

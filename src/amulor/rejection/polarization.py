@@ -11,10 +11,10 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
-from amulor.cube import tiles
+from amulor.cube import WaterResidualCause, tiles
 from amulor.errors import CubeError
 from amulor.optics.polarization import mueller, stokes
-from amulor.rejection import channels, ratios
+from amulor.rejection import channels, quality, ratios
 from amulor.rejection.build import present_terms, saturated_in_any, target_cube
 from amulor.rejection.channels import (
     CO_POLARIZED,
@@ -28,6 +28,7 @@ from amulor.rejection.observation import Observation
 from amulor.rejection.open_water import cube_of
 from amulor.rejection.reference.before_target import (
     WaterFit,
+    contradiction,
     raised_to_median_amplitude,
     raised_to_shot_amplitude,
 )
@@ -283,6 +284,8 @@ class PolarizationFit:
     """Depolarization ratio of the water."""
     fluctuation: FluctuationFit
     """Scan-wide statistics of the water fluctuation."""
+    contradiction: WaterResidualCause
+    """Cause INSTRUMENT if no water explains the references, else 0."""
     terms: tuple[str, ...]
     """Names of the error terms that are not zero everywhere."""
 
@@ -319,17 +322,30 @@ def _unmix(
     co, cross = pair_of(cube)
     of_target = None if fit is None else fit.target_ratio
     of_water = None if fit is None else fit.water_ratio
+    cause = WaterResidualCause(0) if fit is None else fit.contradiction
     if target_ratio is None:
         if of_target is None:
             subtracted = subtract_open_water(scan)
             of_target = ratios.ratio_of(cube_of(scan, subtracted)[0])
+            # Leakage in the references is in the scan, too, and unmixing amplifies it.
+            cause = WaterResidualCause.INSTRUMENT & contradiction(
+                subtracted.fit.strength, subtracted.water.turbidity
+            )
         target_ratio = ratios.possible(of_target, name="target_ratio")
         target_ratio_uncertainty = of_target.uncertainty
+    else:
+        target_ratio_uncertainty = ratios.stated_uncertainty(
+            cube, target_ratio, target_ratio_uncertainty
+        )
     if water_ratio is None:
         if of_water is None:
             of_water = ratios.water_ratio(cube)
         water_ratio = ratios.possible(of_water, name="water_ratio")
         water_ratio_uncertainty = of_water.uncertainty
+    else:
+        water_ratio_uncertainty = ratios.stated_uncertainty(
+            cube, water_ratio, water_ratio_uncertainty
+        )
     for name, ratio in (("target_ratio", target_ratio), ("water_ratio", water_ratio)):
         if not 0 <= ratio <= 1:
             raise ValueError(f"{name} must lie between 0 and 1, got {ratio:g}")
@@ -389,11 +405,13 @@ def _unmix(
         water_ratio_uncertainty=water_ratio_uncertainty,
         **gain,
     )
-    return result, PolarizationFit(
+    bits = np.full(result["quality_flag"].shape, cause, dtype=np.int8)
+    return quality.add_water_residual(result, bits), PolarizationFit(
         noise_scale=noise_scale,
         target_ratio=of_target,
         water_ratio=of_water,
         fluctuation=fluctuation,
+        contradiction=cause,
         terms=tuple(terms),
     )
 
@@ -426,8 +444,9 @@ def polarization(
         uncertainty, by `target_ratio` or `water_ratio`. An estimate that exceeds 0 or 1
         by less than its error is set to this limit.
     target_ratio_uncertainty, water_ratio_uncertainty : float
-        Standard uncertainties of the stated ratios [1]. The errors that they cause are
-        common to all pixels.
+        Standard uncertainties of the stated ratios [1], without those by cross-talk and
+        gain of the channels, which are added. The errors that they cause are common to
+        all pixels.
     water_fluctuation : float, optional
         Relative change of the water signal from sample to sample, which differs in the
         two channels since they are measured one after the other [1]. By default it is

@@ -15,6 +15,7 @@ from amulor.rejection.observation import Observation
 from amulor.rejection.open_water import open_water
 from amulor.rejection.reference.shots import with_noise_of_shots
 from amulor.rejection.reference.surface import FEWEST_SHOTS
+from amulor.survey.properties import TYPICAL_CHANNEL_GAIN, TYPICAL_CROSSTALK
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -53,6 +54,24 @@ def possible(ratio: Ratio, *, name: str) -> float:
             f"--{name.replace('_', '-')})"
         )
     return nearest
+
+
+def stated_uncertainty(cube: xr.Dataset, ratio: float, uncertainty: float) -> float:
+    """Return the uncertainty of a stated ratio, with cross-talk and gain of channels.
+
+    Estimated ratios contain both. A survey that states its phase uncertainty, and no
+    calibration of the channels, has perfect ones.
+    """
+    survey = cube.amulor.survey
+    crosstalk, gain = 0.0, 0.0
+    if "channel_crosstalk_uncertainty" in cube.attrs:
+        crosstalk = float(cube.attrs["channel_crosstalk_uncertainty"])
+        gain = float(np.max(cube.attrs["channel_gain_uncertainty"]))
+    elif survey is not None and survey.instrument.phase_uncertainty is None:
+        crosstalk, gain = TYPICAL_CROSSTALK, TYPICAL_CHANNEL_GAIN
+    # (r + x) / (1 + y r) to first order in the cross-talk of both channels.
+    of_crosstalk = crosstalk * np.hypot(1, ratio**2)
+    return float(np.linalg.norm([uncertainty, of_crosstalk, ratio * gain]))
 
 
 #: Standard uncertainties by which noise may carry a ratio beyond 0 or 1 [1].
