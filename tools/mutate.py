@@ -39,8 +39,9 @@ import tomllib
 import traceback
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -691,17 +692,19 @@ def main() -> int:
             (folder, words.budget, words.contexts),
         ) as pool,
     ):  # fmt: skip
-        for done in as_completed([pool.submit(_try, mutant) for mutant in waiting]):
-            if done.cancelled():
-                continue
-            mutant, outcome = done.result()
-            result = "caught" if outcome.failed else "survived"
-            earlier[mutant.key] = _row(mutant, result, outcome)
-            _write(words.results, list(earlier.values()))
-            place = f"{mutant.key[0]}:{mutant.line}: {mutant.said}"
-            print(f"{result} {outcome.seconds:.0f} s {place[:150]}", flush=True)
-            if time.monotonic() > deadline:
-                pool.shutdown(wait=False, cancel_futures=True)
+        order = iter(waiting)
+        running = {pool.submit(_try, mutant) for mutant in islice(order, words.jobs)}
+        while running:
+            ended, running = wait(running, return_when=FIRST_COMPLETED)
+            for done in ended:
+                mutant, outcome = done.result()
+                result = "caught" if outcome.failed else "survived"
+                earlier[mutant.key] = _row(mutant, result, outcome)
+                _write(words.results, list(earlier.values()))
+                place = f"{mutant.key[0]}:{mutant.line}: {mutant.said}"
+                print(f"{result} {outcome.seconds:.0f} s {place[:150]}", flush=True)
+                if time.monotonic() < deadline:
+                    running |= {pool.submit(_try, m) for m in islice(order, 1)}
     _write(words.results, list(earlier.values()))
     rows = [earlier[mutant.key] for mutant in drawn if mutant.key in earlier]
     found = Counter(row["result"] for row in rows)

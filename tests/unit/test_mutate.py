@@ -174,6 +174,10 @@ def test_a_campaign_finds_what_tests_notice_and_continues(tmp_path: Path) -> Non
     broken.write_text("import part_of_nothing\nfrom amulor import part\n")
     words = [sys.executable, str(tmp_path / "tools" / "mutate.py"), "--jobs", "1"]
     words += ["--budget", "2", "--sample", "30"]
+    # Without time, a campaign ends after its first change.
+    short = [*words, "--minutes", "0", "--results", str(tmp_path / "short.csv")]
+    subprocess.run(short, capture_output=True, check=True, timeout=200)
+    assert len((tmp_path / "short.csv").read_text().splitlines()) == 2
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     lines = (tmp_path / "tools" / "mutations.csv").read_text().splitlines()
     rows = list(csv.DictReader(lines))
