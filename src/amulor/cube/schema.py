@@ -153,6 +153,8 @@ class QualityFlag(enum.IntFlag):
     """The range may be wrong by whole ambiguity intervals."""
     CORNER = 512
     """Light reflected twice in a corner moves the range by more than other errors."""
+    MOVED = 1024
+    """Readings from a vehicle at different times disagree beyond errors and motion."""
 
 
 class WaterResidualCause(enum.IntFlag):
@@ -208,6 +210,7 @@ DOUBTFUL = (
     | QualityFlag.MIXED
     | QualityFlag.OUTLIER
     | QualityFlag.CORNER
+    | QualityFlag.MOVED
     | ERROR_UNKNOWN
 )
 
@@ -368,6 +371,9 @@ PIXEL_TESTS = {
 _IMAGE_TESTS = {
     "ambiguous_interval_probability": _optional(
         _PIXEL, "1", "probability of another interval, for ambiguous pixels"
+    ),
+    "moved_probability": _optional(
+        _PIXEL, "1", "p-value of the readings from a vehicle, for moved pixels"
     ),
     "ambiguous_misfit_probability": _optional(
         _PIXEL, "1", "p-value of the phases of all frequencies, for ambiguous pixels"

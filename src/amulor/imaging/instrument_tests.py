@@ -66,7 +66,8 @@ def frequency_phase(
     """
     from scipy.special import chdtrc
 
-    if len(observation.frequency) < 2:
+    # From a vehicle, frequencies in turn belong to different distances.
+    if len(observation.frequency) < 2 or observation.lag is not None:
         return None
     attributes = observation.channel.attrs
     if FREQUENCY_PHASES in attributes:

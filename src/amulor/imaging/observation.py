@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.cube.error import flags_of_pixels
+from amulor.cube.readings import lag_of
 from amulor.cube.schema import PHASE_PREFIX
 from amulor.cube.tiles import Span
 from amulor.errors import CubeError, SurveyError
 from amulor.optics import ambiguity, detection, ranging, rays
 from amulor.optics._geometry import Geometry
 from amulor.survey import Survey
+from amulor.survey.course import planned_speed
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -57,6 +59,10 @@ def geometry_of(cube: xr.Dataset) -> Geometry:
             **{name: float(attributes[name]) for name in _WINDOW if name in attributes},
         ),
     )
+
+
+#: Least standard uncertainty of the range rate of a vehicle, which also rolls [m/s].
+LEAST_RATE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,6 +168,27 @@ class Observation:
             return ranging.phase_shift(self.signal, residual=residual)
         taken_out = (channel["quality_flag"].values & QualityFlag.NO_OPEN_WATER) == 0
         return np.where(taken_out, 0.0, np.nan)
+
+    @cached_property
+    def lag(self) -> Floats | None:
+        """Times of the readings after the first of their pixel [s].
+
+        None if the instrument stands still or reads all frequencies at once.
+        """
+        return lag_of(self.channel, self.survey)
+
+    def rate_phase(self, weight: Floats) -> Floats:
+        """Phase uncertainties by an unknown range rate of a vehicle [rad].
+
+        The rate has a standard uncertainty of the planned speed over sqrt(3). Phases
+        count from the mean time of the readings with the weights of the frequencies.
+        """
+        if self.lag is None or self.survey is None or self.survey.platform is None:
+            return np.zeros((1, 1, 1))
+        speed = planned_speed(self.survey.platform) / np.sqrt(3)
+        path = 2 * self.geometry.medium.group_index * max(speed, LEAST_RATE)
+        since = self.lag - np.tensordot(weight, self.lag, 1)
+        return np.asarray(path * np.abs(since) / self.path_per_phase)
 
     @property
     def has_late_light(self) -> bool:

@@ -235,7 +235,7 @@ def _settled_path(
     instrument = instrument_phase(observation.channel, observation.survey)
     doubt = np.hypot(
         np.nan_to_num(np.abs(observation.shift), nan=np.inf),
-        instrument[:, None, None],
+        np.hypot(instrument[:, None, None], observation.rate_phase(weight)),
     )
 
     def path_of(

@@ -68,6 +68,8 @@ def ranges_of_path(
     slant_range, slope = observation.geometry.slant_range_and_slope(path.length)
     settled = path.settled & np.isfinite(slant_range) & np.isfinite(slope)
     flag = _with_unsettled(observation, settled)
+    moved = _moved(observation, path)
+    flag[np.isfinite(moved)] |= QualityFlag.MOVED
     usable = (flag & UNUSABLE) == 0
     per_phase = path.weight * observation.path_per_phase
     variance = path.uncertainty**2
@@ -92,6 +94,8 @@ def ranges_of_path(
     if frequency.size > 1:
         further["slant_range_wrong_interval"] = path.wrong
         tests = _tests_of(flag, path)
+        if observation.lag is not None:
+            tests["moved_probability"] = moved
     terms, unassigned = _terms(
         channel, per_phase, total, None if together is None else slope**2 * together
     )
@@ -185,6 +189,25 @@ def _with_unsettled(
     flag = observation.flag.copy()
     flag[observation.usable & ~settled] |= QualityFlag.AMBIGUOUS
     return flag
+
+
+def _moved(observation: Observation, path: ambiguity.Path) -> Floats:
+    """P-values of readings from a vehicle that contradict each other, else NaN."""
+    from scipy.special import chdtrc
+
+    if observation.lag is None:
+        return np.full(path.length.shape, np.nan)
+    freedom = (~path.left_out).sum(axis=0) - 1
+    probability = np.where(
+        freedom > 0, chdtrc(np.maximum(freedom, 1), path.strain), 1.0
+    )
+    # Readings with a finite error were left out because they contradict the others.
+    contradict = (path.left_out & np.isfinite(observation.sigma)).any(axis=0)
+    probability = np.where(
+        contradict, np.minimum(probability, ambiguity.DISAGREEMENT), probability
+    )
+    moved = observation.usable & (probability <= ambiguity.DISAGREEMENT)
+    return np.where(moved, probability, np.nan)
 
 
 def _tests_of(flag: NDArray[np.int16], path: ambiguity.Path) -> dict[str, Floats]:

@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import tiles
+from amulor.cube.readings import lag_of
 from amulor.rejection.covariance import Covariance
 from amulor.survey import Survey
 
@@ -110,6 +111,11 @@ class Observation:
             return None
         time = self.cube["time"].values.astype(float)
         return time if np.isfinite(time).all() else None
+
+    @property
+    def reads_in_turn(self) -> bool:
+        """Whether a vehicle moves between the readings of a pixel."""
+        return lag_of(self.cube, self.survey) is not None
 
     @cached_property
     def origin_z(self) -> Floats | None:

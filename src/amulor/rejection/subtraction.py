@@ -15,6 +15,7 @@ from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance, along
 from amulor.rejection.observation import Observation
 from amulor.rejection.reference.before_target import (
+    DEPARTURE,
     Strength,
     WaterBeforeTarget,
     WaterFit,
@@ -171,6 +172,9 @@ def subtract_open_water(
     # that is not added back is no change of the water.
     hidden = 0.0 if put_back or residual is None else np.nan_to_num(residual)
     strength = None if fit is None else fit.strength
+    if strength is None and scan.reads_in_turn:
+        # Another distance at each reading looks like another water.
+        strength = Strength(change=0.0, uncertainty=DEPARTURE)
     if strength is None:
         strength = strength_of(
             target - hidden,
@@ -190,6 +194,8 @@ def subtract_open_water(
     cause |= contradiction(strength, water.turbidity)
     if fit is not None:
         channel_phase = fit.channel_phase
+    elif scan.reads_in_turn:
+        channel_phase = None
     else:
         channel_phase = quality.channel_phase(
             target,

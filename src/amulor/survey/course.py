@@ -13,6 +13,7 @@ from amulor.survey.platform import (
     LineCourse,
     Mounting,
     OrbitCourse,
+    Platform,
 )
 from amulor.survey.scan import Pose
 from amulor.survey.survey import Survey
@@ -59,6 +60,14 @@ def _flat(
     across = line * course.line_spacing + radius * (1 - np.cos(turn))
     forth = np.minimum(rest, length) + radius * np.sin(turn)
     return across, np.where(line % 2 == 0, forth, length - forth)
+
+
+def planned_speed(platform: Platform) -> float:
+    """Return the planned speed of a vehicle, with current and oscillation [m/s]."""
+    wave = platform.disturbance
+    along = 0.0 if isinstance(platform.course, HoverCourse) else platform.course.speed
+    swell = 2 * np.pi / wave.period * wave.position
+    return float(along + np.linalg.norm(wave.current) + swell)
 
 
 def boresight_of(mounting: Mounting) -> Floats:

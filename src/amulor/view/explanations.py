@@ -112,7 +112,7 @@ def find(words: str) -> list[Explanation]:
 
 def _limits() -> dict[str, Any]:
     """Limits and false-alarm rates that replace placeholders in explanations."""
-    from amulor.imaging import edges, outliers
+    from amulor.imaging import edges, observation, outliers
     from amulor.optics import ambiguity
     from amulor.rejection import quality, subtraction
     from amulor.rejection.joint import cube as joint
@@ -136,6 +136,7 @@ def _limits() -> dict[str, Any]:
         "ambiguity": ambiguity,
         "joint": joint,
         "outliers": outliers,
+        "observation": observation,
         "progress": progress,
         "mixed": mixed,
         "alone": alone,
@@ -413,6 +414,8 @@ def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[
               float(channels.min())),
         _Test(flag.OUTLIER, "stand_off", "off its neighbors, in standard errors", ">",
               outliers.LEAST),
+        _Test(flag.MOVED, "moved_probability", "chance of so different readings", "<",
+              ambiguity.DISAGREEMENT),
         _Test(flag.CORNER, corner, "range error by light of the corner", ">",
               math.sqrt(max(total**2 - light**2, 0.0)), "m"),
     ]  # fmt: skip

@@ -34,6 +34,7 @@ def test_flags_have_the_numbers_that_stand_in_files() -> None:
         "OUTLIER": 128,
         "RELATIVE": 256,
         "CORNER": 512,
+        "MOVED": 1024,
     }
 
 

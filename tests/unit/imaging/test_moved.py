@@ -1,0 +1,106 @@
+"""Readings from a vehicle in turn: their range rate, and readings that disagree."""
+
+import numpy as np
+import pytest
+from scipy.constants import speed_of_light
+
+from amulor import imaging, rejection, simulation
+from amulor.cube import QualityFlag
+
+MODEL = simulation.ClosureModel()
+FREQUENCIES = np.array([20e6, 45e6, 100e6])
+SPEED, LIMITS = 0.1, (0.5, 3.0)
+
+
+def _target(plate, **changes):
+    """A vehicle drives towards a plate; three frequencies in turn, 50 ms each."""
+    survey = plate.with_(
+        {
+            "instrument.modulation_frequencies": FREQUENCIES.tolist(),
+            "instrument.polarizations": ["VV"],
+            "instrument.phase_uncertainty": 0.0,
+            "instrument.lock_in.time_constant": 5e-3,
+            "water.signal_fluctuation": 0.0,
+            "scan.columns": 5,
+            "scan.rows": 4,
+            "scan.dwell": 0.05,
+            "platform": {
+                "course": {"kind": "line", "start": [0.0, 0.0, 0.0], "speed": SPEED},
+                **changes,
+            },
+        }
+    )
+    cube = simulation.simulate(survey, rng=2, model=MODEL)
+    return rejection.open_water(cube)
+
+
+def _flagged(image, flag):
+    return (image["quality_flag"].values & int(flag)) != 0
+
+
+@pytest.fixture(scope="module")
+def target(plate):
+    return _target(plate)
+
+
+def test_a_range_rate_is_no_contradiction(target):
+    """The range changes by 5 mm from reading to reading, some standard errors each."""
+    image = imaging.range_image(target, interval=LIMITS)
+    assert not _flagged(image, QualityFlag.MOVED).any()
+    assert not _flagged(image, QualityFlag.AMBIGUOUS).any()
+    assert "frequency_probability" not in image.attrs
+    error = image["slant_range"] - image["truth_slant_range"]
+    # Ranges are means over the readings with the weights of the frequencies, which
+    # differ a little from pixel to pixel; the readings span 10 mm.
+    limit = 4 * float(image["slant_range_uncertainty"].max())
+    assert float(np.abs(error).max()) < limit
+
+
+def test_ranges_at_different_times_are_no_change_of_the_water(target):
+    """The subtracted water is that of the simulation, within 0.2 % of the echo."""
+    true = {
+        source: target[f"truth_{source}_in_phase"]
+        + 1j * target[f"truth_{source}_quadrature"]
+        for source in ("water", "target")
+    }
+    water = target["water_in_phase"] + 1j * target["water_quadrature"]
+    error = np.abs(water - true["water"]) / np.abs(true["target"])
+    assert float(error.max()) < 2e-3
+    assert float(target.attrs["open_water_change"]) == 0.0
+
+
+def test_the_same_phases_contradict_each_other_where_nothing_moves(target, plate):
+    """Without a vehicle in its survey, the scan has phases that no path explains."""
+    standing = plate.with_({"instrument.phase_uncertainty": 0.0})
+    still = target.assign_attrs(survey=standing.to_toml())
+    image = imaging.range_image(still, interval=LIMITS)
+    assert _flagged(image, QualityFlag.AMBIGUOUS).all()
+    assert not _flagged(image, QualityFlag.MOVED).any()
+
+
+def test_readings_that_disagree_beyond_the_motion_are_flagged(target):
+    """The middle reading of two pixels is moved by 0.25 m, as by a fish."""
+    jumped = target.copy(deep=True)
+    n = float(target["geometry"].attrs["group_index"])
+    phase = 4 * np.pi * FREQUENCIES[1] * n * 0.25 / speed_of_light
+    places = [(0, 1), (2, 3)]
+    for row, column in places:
+        at = (1, 0, row, column)
+        signal = (
+            jumped["in_phase"].values[at] + 1j * jumped["quadrature"].values[at]
+        ) * np.exp(1j * phase)
+        jumped["in_phase"].values[at] = signal.real
+        jumped["quadrature"].values[at] = signal.imag
+    image = imaging.range_image(jumped, interval=LIMITS)
+    moved = _flagged(image, QualityFlag.MOVED)
+    assert sorted(map(tuple, np.argwhere(moved))) == places
+    assert np.isfinite(image["moved_probability"].values[moved]).all()
+    assert image["moved_probability"].values[moved].max() <= 1e-4
+
+
+def test_readings_at_once_have_no_such_test(plate):
+    at_once = _target(
+        plate.with_({"instrument.modulation_depth": 0.3}), readings="at-once"
+    )
+    image = imaging.range_image(at_once, interval=LIMITS)
+    assert "moved_probability" not in image
