@@ -443,6 +443,7 @@ def cloud_file(
     frame: Frame | None = None,
     selection: Selection | None = None,
     rows: int | None = None,
+    slim: bool = False,
     overwrite: bool = False,
 ) -> CloudSummary:
     """Write the point cloud of a range image, tile by tile."""
@@ -465,7 +466,7 @@ def cloud_file(
 
         shape = image.rows, image.columns
         io.write_cloud_parts(
-            parts, summary.points, output, shape=shape, overwrite=overwrite
+            parts, summary.points, output, shape=shape, slim=slim, overwrite=overwrite
         )
     return summary
 

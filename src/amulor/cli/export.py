@@ -52,6 +52,10 @@ def export(
     pose: Path | None = None,
     trajectory: Path | None = None,
     mounting: Path | None = None,
+    line_number: Annotated[
+        int | None, Parameter(validator=validators.Number(gte=0, lte=65535))
+    ] = None,
+    slim: Annotated[bool, Parameter(negative="")] = False,
     seen_from: Literal["front", "top"] = "front",
     scale: str | None = None,
     exaggeration: Annotated[
@@ -106,6 +110,11 @@ def export(
     mounting
         TOML file with a section [mounting]: lever arm, boresight and clock offset of
         the instrument on the vehicle. By default the mounting of the survey.
+    line_number
+        Number of the survey line, which a LAS or LAZ file states for each point.
+    slim
+        Write 18 bytes of extra dimensions per point to a LAS or LAZ file, for programs
+        that reject more: amplitude, uncertainties of the coordinates, and flags.
     seen_from
         View of a drawing: from the front (elevation), or from the top (plan).
     scale
@@ -175,6 +184,7 @@ def export(
             "dots_per_inch": dpi,
             "against": against,
             "unit": unit,
+            "slim": slim,
             "title": title,
             "fields": title_fields(project, sheet),
         },
@@ -193,6 +203,11 @@ def export(
             f"--tile-rows {tile_rows}: state 1 row or more, and a cloud: other "
             "products need the whole image"
         )
+    laz = output.suffix.lower() in (".laz", ".las")
+    if (slim or line_number is not None) and not laz:
+        raise UsageError("--slim and --line-number need a .laz or .las file")
+    if line_number is not None and trajectory is None:
+        raise UsageError("--line-number needs --trajectory")
     if mounting is not None and trajectory is None:
         raise UsageError("--mounting needs --trajectory, the poses of the vehicle")
     if trajectory is not None and (pose is not None or tile_rows is not None):
@@ -203,7 +218,7 @@ def export(
     if by_rows and trajectory is None and (tile_rows is not None or is_large(image)):
         _by_rows(
             image, output, tile_rows, axes, pose, largest, good_only, without_mixed,
-            overwrite=overwrite,
+            slim=slim, overwrite=overwrite,
         )  # fmt: skip
         return
     with progress_bar() as progress:
@@ -213,6 +228,8 @@ def export(
             cube, axes, pose, largest, good_only, without_mixed,
             moved=None if trajectory is None else (trajectory, mounting),
         )  # fmt: skip
+        if line_number is not None:
+            cube = cube.assign_attrs(line_number=line_number)
         progress(f"making the {product}", 0.2)
         statements = handover.hand_over(
             cube, output, order, frame=frame, overwrite=overwrite
@@ -235,6 +252,7 @@ def _by_rows(
     good_only: bool,
     without_mixed: bool,
     *,
+    slim: bool,
     overwrite: bool,
 ) -> None:
     """Write a cloud tile by tile, and print its summary."""
@@ -250,7 +268,7 @@ def _by_rows(
         assert isinstance(frame, Frame)
         with refusing("--largest-uncertainty"):
             summary = cloud_file(
-                image, output, frame=frame, selection=selection, rows=rows,
+                image, output, frame=frame, selection=selection, rows=rows, slim=slim,
                 overwrite=overwrite,
             )  # fmt: skip
     doubt = f", {summary.doubtful} of them doubtful" if summary.doubtful else ""

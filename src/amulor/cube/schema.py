@@ -542,6 +542,9 @@ LEVELS = {
                 "quality_flag": _optional(
                     _POINT, "1", "reason why a point is doubtful"
                 ),
+                "time": _optional(
+                    _POINT, "s", "mean time of the readings, by the trajectory's clock"
+                ),
                 "row": _needed(_POINT, "1", "row of the scan"),
                 "column": _needed(_POINT, "1", "column of the scan"),
             },

@@ -76,6 +76,8 @@ class Order:
     """Unit of length in the mesh file."""
     farthest: float | None = None
     """Largest distance of a pixel from the reference; farther ones are ignored [m]."""
+    slim: bool = False
+    """Whether a LAS or LAZ file has fewer extra dimensions."""
     title: str = ""
     """Title of the drawing; by default that of the range image."""
     fields: Mapping[str, str] = field(default_factory=dict)

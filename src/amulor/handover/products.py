@@ -42,7 +42,7 @@ def hand_over(
         )
     frame = frame or imaging.frame_of(image)
     if order.product == "cloud":
-        return _cloud(image, path, frame, overwrite=overwrite)
+        return _cloud(image, path, frame, slim=order.slim, overwrite=overwrite)
     if isinstance(frame, MovingFrame):
         raise CubeError(
             f"a scan from a vehicle becomes a cloud, but no {order.product} so far; "
@@ -117,13 +117,18 @@ def hand_over(
 
 
 def _cloud(
-    image: xr.Dataset, path: Path, frame: Frame | MovingFrame, *, overwrite: bool
+    image: xr.Dataset,
+    path: Path,
+    frame: Frame | MovingFrame,
+    *,
+    slim: bool,
+    overwrite: bool,
 ) -> str:
     cloud = imaging.point_cloud(image, frame=frame)
     if path.suffix.lower() == ".nc":
         io.write_cube(cloud, path, overwrite=overwrite)
     else:
-        io.write_cloud(cloud, path, overwrite=overwrite)
+        io.write_cloud(cloud, path, slim=slim, overwrite=overwrite)
     marked = int(((cloud["quality_flag"].values & int(DOUBTFUL)) != 0).sum())
     doubt = f", {marked} of them doubtful" if marked else ""
     words = error_unknown(image)

@@ -51,6 +51,8 @@ class MovingFrame:
     window: Floats
     """Time from the first to the last instant of the readings of each pixel, shape
     (row, column) [s]."""
+    clock: Literal["unix", "relative"]
+    """Clock of the trajectory: since 1970-01-01 UTC, or of unknown origin."""
     crs: str
     """Coordinate reference system; none if empty."""
     crs_offset: tuple[float, float, float]
@@ -163,6 +165,7 @@ def moving_frame(
         poses=poses,
         shape=(shape[0], shape[1]),
         window=_window(times, duration),
+        clock=trajectory.clock,
         crs=trajectory.crs,
         crs_offset=trajectory.crs_offset,
     )

@@ -11,6 +11,7 @@ from amulor.cube import UNUSABLE
 from amulor.imaging.frame import Frame, frame_of
 from amulor.imaging.moving import MovingFrame
 from amulor.imaging.observation import geometry_of
+from amulor.platform import InstrumentPoses
 
 
 def point_cloud(
@@ -89,6 +90,7 @@ def point_cloud(
                 for number, axis in enumerate("xyz")
             },
             "quality_flag": flag[row, column],
+            **_time(placed),
             "row": row.astype(np.int32),
             "column": column.astype(np.int32),
         },
@@ -103,7 +105,10 @@ def point_cloud(
             **(
                 {"frame_matrix": frame.matrix.ravel()}
                 if isinstance(frame, Frame)
-                else {"reading_spread": _spread(frame, row, column)}
+                else {
+                    "reading_spread": _spread(frame, row, column),
+                    "trajectory_clock": frame.clock,
+                }
             ),
             "crs": frame.crs,
             "crs_offset": np.array(frame.crs_offset),
@@ -113,6 +118,11 @@ def point_cloud(
     for axis, meaning in zip("xyz", frame.meanings, strict=True):
         cloud[axis].attrs["long_name"] = meaning
     return cubes.note(cloud, "point cloud")
+
+
+def _time(placed: Frame | InstrumentPoses) -> dict[str, NDArray[np.float64]]:
+    """Return the times of the points of a moving instrument [s]."""
+    return {} if isinstance(placed, Frame) else {"time": placed.vehicle.time}
 
 
 def _spread(

@@ -59,6 +59,7 @@ def write_cloud(
     path: str | os.PathLike[str],
     *,
     shape: tuple[int, int] | None = None,
+    slim: bool = False,
     overwrite: bool = False,
 ) -> None:
     """Write a point cloud in the format of the file's suffix.
@@ -72,6 +73,8 @@ def write_cloud(
     shape : tuple of int, optional
         Rows and columns of the scan, for E57 files only [1]; for the default see
         `write_e57`.
+    slim : bool
+        Whether LAS and LAZ files have fewer extra dimensions; see `write_laz`.
     overwrite : bool
         Whether an existing file is replaced.
 
@@ -101,7 +104,7 @@ def write_cloud(
     if suffix == ".ply":
         write_ply(cloud, path, overwrite=overwrite)
     elif suffix in (".laz", ".las"):
-        write_laz(cloud, path, overwrite=overwrite)
+        write_laz(cloud, path, slim=slim, overwrite=overwrite)
     elif suffix == ".e57":
         write_e57(cloud, path, shape=shape, overwrite=overwrite)
     elif suffix in (".xyz", ".csv"):
@@ -116,6 +119,7 @@ def write_cloud_parts(
     path: str | os.PathLike[str],
     *,
     shape: tuple[int, int],
+    slim: bool = False,
     overwrite: bool = False,
 ) -> None:
     """Write a point cloud in parts; the file is as if written in one piece."""
@@ -123,7 +127,7 @@ def write_cloud_parts(
         case ".ply":
             write_ply_parts(parts(), count, path, overwrite=overwrite)
         case ".laz" | ".las":
-            write_laz_parts(parts, count, path, overwrite=overwrite)
+            write_laz_parts(parts, count, path, slim=slim, overwrite=overwrite)
         case ".e57":
             write_e57_parts(parts, count, path, shape=shape, overwrite=overwrite)
         case ".nc":

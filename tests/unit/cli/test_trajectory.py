@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 
@@ -93,6 +94,7 @@ def test_wrong_options_are_named(words, part, log, capsys):
     ("words", "part"),
     [
         (("--mounting", "rov.csv"), "--mounting needs --trajectory"),
+        (("--slim",), "--slim and --line-number need a .laz or .las file"),
         (
             ("--trajectory", "rov.csv", "--mounting", "rov.csv", "--tile-rows", "4"),
             "--trajectory excludes --pose and --tile-rows",
@@ -165,7 +167,14 @@ def test_a_survey_from_a_vehicle_becomes_a_cloud_with_the_mounting_of_the_survey
     track = "samples.trajectory.csv"
     _run("export", "range.nc", "--trajectory", track, "-o", "cloud.nc")
     assert "mm of track" in capsys.readouterr().out
+    laz = "--line-number", "3", "--slim", "-o", "cloud.laz"
+    _run("export", "range.nc", "--trajectory", track, *laz)
+    points = laspy.read("cloud.laz")
+    assert set(points["point_source_id"]) == {3}
     cloud = io.read_cube("cloud.nc")
+    np.testing.assert_allclose(points["gps_time"], cloud["time"], atol=1e-9)
+    # 24 pixels of 50 ms; the clock of the vehicle is off by milliseconds.
+    assert 1.0 < np.ptp(points["gps_time"]) < 1.2
     # The plate is 1.5 m ahead of the pose, and faces it.
     ahead = (cloud["x"] - 3) * np.sin(np.radians(40))
     ahead = ahead + (cloud["y"] - 2) * np.cos(np.radians(40))

@@ -273,3 +273,57 @@ def test_the_header_of_an_old_version_ends_before_the_extended_records(tmp_path)
     path.write_bytes(header)
     with pytest.raises(FormatError, match="2147483648 records"):
         read_laz(path, most=10)
+
+
+def _dated(cloud, clock, time):
+    """The cloud as from a vehicle, with a time of each point."""
+    times = np.full(cloud.sizes["point"], time)
+    dated = cloud.assign(
+        time=("point", times, {"units": "s", "long_name": "time of the readings"})
+    )
+    return dated.assign_attrs(trajectory_clock=clock, line_number=7)
+
+
+@pytest.mark.parametrize(
+    ("unix", "gps"),
+    [
+        # 2011-09-14 01:46:25 UTC was 1,000,000,000 s of GPS time, 15 s ahead of UTC.
+        (1_315_964_785.0, 0.0),
+        # 2026-11-26 00:00:00 UTC: 17,126 days after 1980-01-06, and 18 leap seconds.
+        (1_795_651_200.0, 17_126 * 86_400 + 18 - 1e9),
+    ],
+)
+def test_times_of_a_dated_trajectory_are_adjusted_gps_times(
+    point_cloud, path, unix, gps
+):
+    write_laz(_dated(point_cloud, "unix", unix), path)
+    found = laspy.read(path)
+    assert found.header.global_encoding.gps_time_type == 1
+    np.testing.assert_allclose(found["gps_time"], gps, rtol=0, atol=1e-6)
+    assert set(found["point_source_id"]) == {7}
+
+
+def test_times_of_a_clock_without_origin_stay_as_they_are(point_cloud, path):
+    write_laz(_dated(point_cloud, "relative", 12.5), path)
+    found = laspy.read(path)
+    assert found.header.global_encoding.gps_time_type == 0
+    assert set(found["gps_time"]) == {12.5}
+
+
+def test_a_slim_file_has_fewer_than_24_extra_bytes(point_cloud, path):
+    cloud = point_cloud
+    for axis in "xyz":
+        sigma = np.linspace(1e-3, 2e-3, cloud.sizes["point"])
+        cloud = cloud.assign({f"{axis}_uncertainty": ("point", sigma, {
+            "units": "m", "long_name": "standard uncertainty"})})  # fmt: skip
+    write_laz(cloud, path, slim=True)
+    found = laspy.read(path)
+    extra = list(found.point_format.extra_dimension_names)
+    assert found.point_format.num_extra_bytes < 24
+    assert len(extra) < 8
+    for axis in "xyz":
+        # Single precision has 24 bits.
+        np.testing.assert_allclose(
+            found[f"sigma_{axis}"], cloud[f"{axis}_uncertainty"], rtol=2**-23
+        )
+        assert error(found[axis], cloud[axis]) <= SCALE / 2 + 1e-14
