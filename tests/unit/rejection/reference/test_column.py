@@ -112,3 +112,37 @@ def test_the_mean_share_shrinks_with_depth(
     )[0]
     assert 0 < fractions[1].real < fractions[0].real < 1
     assert abs(fractions.imag).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("count", "part", "expected"),
+    [
+        # A tenth of 1 V; doubled and shared where several frequencies turn together.
+        (1, 0.5, 0.1**2 / 2),
+        (2, 0.5, 4 * 0.1**2 / 2),
+        (3, 0.5, 6 * 0.1**2 / 2),
+        # At most all of the part behind the target.
+        (1, 0.05, 0.05**2 / 2),
+        (2, 0.05, 4 * 0.05**2 / 2),
+    ],
+)
+def test_the_model_error_is_a_share_of_the_whole_column(
+    count: int, part: float, expected: float
+) -> None:
+    water = np.ones((count, 1, 1), dtype=complex)
+    found = column.hidden_error(water, part * water, part * water, misfit=0.1)
+    assert_allclose(found.in_phase, expected, rtol=1e-12)
+    assert_allclose(found.quadrature, expected, rtol=1e-12)
+    assert_allclose(found.cross, 0, atol=1e-15)
+
+
+def test_an_error_of_turbidity_moves_the_column_along_itself() -> None:
+    # 0.05 V at 2 frequencies, along the in-phase output and then along both.
+    water = np.array([1.0, 1.0])[:, None, None] + 0j
+    turn = np.array([1.0, np.exp(0.25j * np.pi)])[:, None, None]
+    none = np.zeros(water.shape, dtype=complex)
+    found = column.hidden_error(water * turn, none, none + 0.05, misfit=0.1)
+    size = 2 * 0.05**2
+    assert_allclose(found.in_phase.ravel(), [size, size / 2], atol=1e-12)
+    assert_allclose(found.quadrature.ravel(), [0, size / 2], atol=1e-12)
+    assert_allclose(found.cross.ravel(), [0, size / 2], atol=1e-12)
