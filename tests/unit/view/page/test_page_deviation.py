@@ -11,8 +11,9 @@ import trimesh
 import xarray as xr
 from starlette.testclient import TestClient
 
-from amulor import handover, imaging, io
+from amulor import acquisition, handover, imaging, io, simulation
 from amulor.cli import main
+from amulor.survey import Survey
 from amulor.view import page
 
 TOKEN = "a-token-for-tests"
@@ -101,6 +102,29 @@ def test_a_reference_elsewhere_is_a_note(
     scene = served(shown(image, path)).get(f"/{TOKEN}/scene").json()
     assert "deviation" not in {layer["name"] for layer in scene["layers"]}
     assert "no pixel lies near the reference" in scene["notes"][0]
+
+
+@pytest.mark.slow
+def test_running_scans_have_deviations(
+    plate: Survey, wall: Path, tmp_path: Path
+) -> None:
+    survey = plate.with_(
+        {
+            "scan.columns": 6,
+            "scan.rows": 4,
+            "scan.dwell": "50 ms",
+            "scan.open_water": {"columns": 3, "rows": 2, "repeats": 3},
+        }
+    )
+    acquisition.acquire(survey, tmp_path / "scan", scene=simulation.scene_light)
+    live = page.Live(tmp_path / "scan")
+    live.against = handover.comparison(wall, unit="mm")
+    live.look()
+    found = live.recording.layer("VH", "deviation", 1)
+    # Larger than the uncertainty of a short dwell; the wall's right half is behind.
+    assert np.nanmedian(found[:, 3:]) == pytest.approx(BEHIND, abs=0.03)
+    assert np.nanmedian(found[:, :3]) == pytest.approx(0, abs=0.03)
+    live.stop()
 
 
 def test_saved_pages_contain_deviations(

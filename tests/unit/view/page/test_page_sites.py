@@ -81,6 +81,7 @@ def test_a_place_is_in_several_scans(shown: Space) -> None:
     assert overlap.max() <= 4
 
 
+@pytest.mark.slow
 def test_the_command_saves_a_site_as_one_page(
     site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
