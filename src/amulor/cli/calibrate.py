@@ -550,6 +550,18 @@ def _print_phases(calibration: Calibration) -> None:
         print("uncertainty of the delay unknown: state --distance-uncertainty")
     else:
         print(f"uncertainty of the delay: {1e12 * delay:.2g} ps")
+    if calibration.filters:
+        cells = [
+            [f"{f.density:g}", f"{f.transmission:.4g}", f"{f.uncertainty:.2g}"]
+            for f in calibration.filters
+        ]
+        print_table("Filters", ["density", "transmission", "u"], cells)
+    gain, of_gain = calibration.gain_change, calibration.gain_change_uncertainty
+    if gain is not None and of_gain is not None:
+        print(
+            f"gain at the largest amplitude: {100 * gain:+.2g} +- "
+            f"{100 * of_gain:.2g} % (not applied)"
+        )
     index, of_index = calibration.group_index, calibration.group_index_uncertainty
     if index is not None:
         known = "" if of_index is None else f" +- {of_index:.2g}"

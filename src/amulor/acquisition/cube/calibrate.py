@@ -22,6 +22,7 @@ from amulor.acquisition.cube.calibration import (
     TemperatureCoefficient,
     phase_correction,
 )
+from amulor.acquisition.cube.filters import measured_filters
 from amulor.acquisition.cube.samples import Samples, counting_variance, procedure_of
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.sampler import SampleFlag
@@ -441,7 +442,8 @@ def from_plates(
     densities : sequence of float, optional
         Optical density of the filter of each cube [1], at least three at the first
         distance. The fit S = T y + L then separates leakage from the dependence of the
-        phase on the amplitude.
+        phase on the amplitude. The transmissions T are measured, too, and with signals
+        of different strength the change of the gain.
 
     Returns
     -------
@@ -520,6 +522,7 @@ def from_plates(
     first = plates[0]
     before = applied(plates)
     entries, leakage, rest = [], [*before.get("leakage", ())], []
+    stray = np.full((2, *mean.shape[1:]), complex(np.nan, np.nan))
     for number, frequency in enumerate(first["modulation_frequency"].values):
         strongest = int(np.argmax(np.abs(np.nan_to_num(mean[0, number]))))
         if not np.isfinite(mean[:, number, strongest]).all():
@@ -543,8 +546,11 @@ def from_plates(
                 else None
                 for channel in range(mean.shape[2])
             ]
-            for name, fit in zip(first.amulor.polarizations, fits, strict=True):
+            for at, (name, fit) in enumerate(
+                zip(first.amulor.polarizations, fits, strict=True)
+            ):
                 if fit is not None:
+                    stray[:, number, at] = fit[3:]
                     leakage = _with_leakage(leakage, float(frequency), name, *fit[3:])
             fitted = fits[strongest]
             assert fitted is not None
@@ -561,6 +567,23 @@ def from_plates(
         reference_temperature=before.get("reference_temperature"),
         delay_uncertainty=_delay_uncertainty(first, distances, distance_uncertainty),
     )
+    if density is not None:
+        part = slice(None) if first_distance.all() else first_distance
+        shape = int(first_distance.sum()), -1
+        echo = np.abs(mean[part] - stray[0]).reshape(shape)
+        filters, gain = measured_filters(
+            density[part],
+            echo,
+            error[part].reshape(shape),
+            leakage=float(np.nanmin(stray[1].real.ravel() / echo.max(axis=0))),
+        )
+        change, of_change = (None, None) if gain is None else gain
+        update = {
+            "filters": filters,
+            "gain_change": change,
+            "gain_change_uncertainty": of_change,
+        }
+        table = table.model_copy(update=update)
     if first_distance.all():
         return table
     return _over_distances(

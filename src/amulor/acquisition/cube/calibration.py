@@ -118,6 +118,17 @@ class ReferencePhase(Description):
     """Phase at these times minus `phase` [rad]."""
 
 
+class NeutralFilter(Description):
+    """Neutral filter of a phase calibration, with its measured transmission."""
+
+    density: Annotated[float, Field(ge=0, le=10)]
+    """Stated optical density [1]."""
+    transmission: Annotated[float, Field(gt=0, le=10)]
+    """Transmission, relative to the stated one of the first filter [1]."""
+    uncertainty: Annotated[float, Field(ge=0)] = 0.0
+    """Standard uncertainty of the transmission; 0 for the first filter [1]."""
+
+
 class TemperatureCoefficient(Description):
     """Dependence of the phase on the instrument temperature at one frequency."""
 
@@ -213,6 +224,13 @@ class Calibration(Description):
     frequencies: tuple[FrequencyCalibration, ...] = ()
     """Phase delays at each modulation frequency of a scan, in any order; empty if only
     the leakage was measured."""
+    filters: tuple[NeutralFilter, ...] = ()
+    """Neutral filters with which the phases were measured; not used for scans."""
+    gain_change: float | None = None
+    """Change of the gain from zero to the largest amplitude of the filters; not applied
+    to samples, unknown by default [1]."""
+    gain_change_uncertainty: Annotated[float, Field(ge=0)] | None = None
+    """Standard uncertainty of this change [1]."""
     leakage: tuple[Leakage, ...] = ()
     """Leakage of each channel, which is subtracted before the phase is corrected."""
     reference: tuple[ReferencePhase, ...] = ()

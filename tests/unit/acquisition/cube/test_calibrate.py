@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from amulor import rejection
 from amulor.acquisition import Calibration, calibrated, from_plates, from_shutter
+from amulor.acquisition.cube.filters import measured_filters
 from amulor.errors import CubeError, FormatError
 from amulor.simulation import simulate
 from amulor.survey import Survey
@@ -218,6 +219,56 @@ def test_filters_tell_leakage_from_walk(clear, leak) -> None:
         error = np.hypot(*np.array(entry.phase_uncertainties)[[0, -1]]) / 1.5
         assert abs(slope - 0.05) < 4.5 * error
         assert abs(entry.phases[-1] - zero) < 4.5 * entry.phase_uncertainties[-1]
+
+
+def test_filters_have_their_transmissions(clear) -> None:
+    stated = [0.0, 0.5, 1.0, 1.5]
+    true = [0.0, 0.52, 0.97, 1.52]
+    plates = [
+        plate_at(clear, 1.5, power=10**-density, walk=0.05, seed=seed)
+        for seed, density in enumerate(true)
+    ]
+    calibration = from_plates(plates, distance=1.5, densities=stated)
+    assert [each.density for each in calibration.filters] == stated
+    assert calibration.filters[0].transmission == 1.0
+    for each, density in zip(calibration.filters[1:], true[1:], strict=True):
+        off = each.transmission - 10**-density
+        # The leakage is fitted with stated transmissions of 5 %: that of the darkest
+        # filter, 0.03, leaves 0.0015 of the brightest signal.
+        assert abs(off) < 3 * each.uncertainty
+        assert each.uncertainty < 3e-3
+    assert Calibration.from_text(calibration.to_toml()) == calibration
+
+
+def test_signals_of_different_strength_show_the_gain() -> None:
+    """Six signals behind five filters, whose gain falls by 4 % at 50 mV."""
+    rng = np.random.default_rng(2)
+    density = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+    true = np.array([1.0, 0.33, 0.098, 0.033, 0.0105])
+    pulls = []
+    for _ in range(50):
+        light = true[:, None] * np.array([50, 49, 51, 12, 13, 12]) * 1e-3
+        error = np.full(light.shape, 5e-6)
+        amplitude = light * (1 - 0.04 * light / 0.05)
+        amplitude = amplitude + error * rng.standard_normal(light.shape)
+        filters, gain = measured_filters(density, amplitude, error)
+        assert gain is not None
+        # The change at the largest output, 0.051 x 0.96: 0.04 x 0.051 / 0.05, and the
+        # square of it between amplitudes of light and of output.
+        pulls.append((gain[0] + 0.0408) / gain[1])
+        ratios = [each.transmission / value for each, value in zip(
+            filters, true, strict=True,
+        )]  # fmt: skip
+        errors = [each.uncertainty / each.transmission for each in filters]
+        assert np.all(np.abs(np.array(ratios) - 1) < 4.5 * np.array(errors) + 2e-3)
+        # 5 uV of 0.5 mV in the best of three bright signals behind the last filter.
+        assert errors[-1] < 0.01
+    # The model is linear in the output; 4 % squared is 0.16 %.
+    assert abs(np.mean(pulls)) * gain[1] < 2e-3
+    assert 0.6 < np.std(pulls) < 1.4
+    # One signal, or signals of one strength, cannot tell gain from transmission.
+    assert measured_filters(density, amplitude[:, :1], error[:, :1])[1] is None
+    assert measured_filters(density, amplitude[:, :3], error[:, :3])[1] is None
 
 
 def test_numbers_that_do_not_fit_are_refused(clear) -> None:
