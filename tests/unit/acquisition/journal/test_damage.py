@@ -6,6 +6,7 @@ import os
 import resource
 import shutil
 import sqlite3
+import struct
 import tempfile
 import time
 import zlib
@@ -205,6 +206,31 @@ def test_rows_of_a_first_page_that_is_broken_are_named_from_the_first_one(
     with Journal.read(place) as journal:
         told = " ".join(journal.damage())
     assert "row 1: cannot be read" in told
+
+
+def test_rows_of_an_unreadable_page_are_named_once_each(whole, folder) -> None:
+    place = copied(whole, folder / "scan")
+    connection = sqlite3.connect(place / FILE_NAME)
+    ((root,),) = connection.execute(
+        "SELECT rootpage FROM sqlite_master WHERE name = 'samples'"
+    )
+    ((size,),) = connection.execute("PRAGMA page_size")
+    ((count,),) = connection.execute("SELECT COUNT(*) FROM samples")
+    connection.close()
+    raw = bytearray((place / FILE_NAME).read_bytes())
+    begin = (root - 1) * size
+    # An interior page has kind 5; each of its cells begins with the number of a page.
+    assert raw[begin] == 5
+    (cell,) = struct.unpack_from(">H", raw, begin + 12)
+    (first,) = struct.unpack_from(">I", raw, begin + cell)
+    raw[(first - 1) * size] = 0xFF
+    (place / FILE_NAME).write_bytes(raw)
+    with Journal.read(place) as journal:
+        told = [line.partition(": ") for line in journal.damage()]
+    rows = [int(name.removeprefix("row ")) for name, _, _ in told]
+    assert {reason for _, _, reason in told} == {"cannot be read"}
+    assert rows == [*range(1, len(rows) + 1)]
+    assert 1 < len(rows) < count
 
 
 # -- many of them ----------------------------------------------------------------------
