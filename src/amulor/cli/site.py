@@ -398,7 +398,7 @@ def compare(
         f"{np.nanmedian(change.uncertainty[finite]) * 1e3:.2f} mm"
     )
     for number, region in enumerate(places):
-        print(_sentence(number, region, motions))
+        print(region_sentence(number, region, motions))
     print(f"{output}: {len(change.value)} rows")
 
 
@@ -440,7 +440,8 @@ def _region(region: Region, number: int, motions: dict[int, Motion]) -> dict[str
     return content
 
 
-def _sentence(number: int, region: Region, motions: dict[int, Motion]) -> str:
+def region_sentence(number: int, region: Region, motions: dict[int, Motion]) -> str:
+    """Describe a region of change: place, area, mean, volume, motion of a body."""
     place = ", ".join(f"{value:.3f}" for value in region.centre)
     text = (
         f"{number + 1}: at ({place}) m, {region.area * 1e4:.0f} +- "

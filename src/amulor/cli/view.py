@@ -136,15 +136,22 @@ def view(
 def _site(path: Path, poses: Path | None) -> Space:
     """Open a site: register it if needed, merge its scans, compare its visits."""
     from amulor.cli._output import progress_bar
-    from amulor.cli.site import changes_between, epochs_of, opened
+    from amulor.cli.site import changes_between, epochs_of, opened, region_sentence
     from amulor.view.page.sites import site_space
 
     with progress_bar():
         merged = opened(path, poses)
-        change = None
+        change, sentences = None, []
         if len(merged.site.epoch) > 1:
-            change, *_ = changes_between(merged, epochs_of(merged.site, None, None))
-    return site_space(merged.cloud, merged.registration, change=change)
+            epochs = epochs_of(merged.site, None, None)
+            change, places, motions = changes_between(merged, epochs)
+            sentences = [
+                region_sentence(number, place, motions)
+                for number, place in enumerate(places)
+            ]
+    return site_space(
+        merged.cloud, merged.registration, change=change, regions=sentences
+    )
 
 
 def _shown(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,21 @@ Floats = NDArray[np.float64]
 
 #: Colors of scans: black would vanish in the dark theme.
 _INKS = tuple(colour for colour in COLOURS if colour != "#000000")
+#: Number of regions in the notes; `amulor site compare` lists all [1].
+_MOST_REGIONS = 10
 
 
 def site_space(
-    cloud: Merged, registration: Registration, *, change: Change | None = None
+    cloud: Merged,
+    registration: Registration,
+    *,
+    change: Change | None = None,
+    regions: Sequence[str] = (),
 ) -> Space:
-    """Page content of a site: points of all scans, poses, and change of two visits."""
+    """Page content of a site: points of all scans, poses, and change of two visits.
+
+    The notes contain a sentence for each of the first regions of change.
+    """
     site = cloud.site
     sigma = cloud.sigma
     scalars = {
@@ -42,12 +52,21 @@ def site_space(
         position=cloud.position,
         scalars=scalars,
         colour=np.array(colours, dtype=np.uint8)[cloud.scan],
-        statements=[f"title: {site.name}", *_statements(registration, change)],
+        statements=[
+            f"title: {site.name}",
+            *_statements(registration, change),
+            *(_noted(text) for text in regions[:_MOST_REGIONS]),
+        ],
     )
     if len(shape.position) > MOST_POINTS:
         shape = thinned(shape, spread(len(shape.position), MOST_POINTS))
     scans = _scans(cloud, registration, colours)
     return Space(site.name, shape, scans=scans)
+
+
+def _noted(sentence: str) -> str:
+    """Sentence on a region of change as one line of the notes."""
+    return f"change {' '.join(sentence.split())}".replace("+-", "±")
 
 
 def _bytes(colour: str) -> list[int]:

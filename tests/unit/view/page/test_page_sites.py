@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import drawn_sites
@@ -90,6 +91,9 @@ def test_the_command_saves_a_site_as_one_page(
     assert main(["view", str(site), *words]) == 0
     assert "one page" in capsys.readouterr().out
     text = saved.read_text(encoding="utf-8")
+    # One region changed: its place, area, mean and volume are in the notes.
+    place = r"Change 1: at \(0\.1\d+, 0\.0\d+, [\d.-]+\) m, \d+ \\u00b1 \d+ cm2"
+    assert re.search(place, text)
     assert 'data-name="layer/space/change_significant"' in text
     assert 'data-name="layer/space/scan"' in text
 
