@@ -171,6 +171,12 @@ def test_a_scan_that_nothing_checks_is_left_out_unless_trusted(
     said = capsys.readouterr()
     assert "a3: no surface" in said.err
     few = json.loads(said.out)["points"]
+    page = tmp_path / "site.html"
+    assert (
+        cli.main(["site", "report", str(site), "--poses", poses, "-o", str(page)]) == 0
+    )
+    assert "Left out is a3: no surface" in page.read_text()
+    capsys.readouterr()
     text = site.read_text().replace('file = "a3.nc"', 'file = "a3.nc"\ntrusted = true')
     site.write_text(text)
     assert cli.main(merge) == 0
