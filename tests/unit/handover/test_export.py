@@ -55,6 +55,21 @@ def test_a_section_shows_steps_of_forty_and_ten_millimetres(
     assert re.search(r"section of 0.120 m in 5 pieces", capsys.readouterr().out)
 
 
+def test_a_slanting_section_is_as_long_as_pythagoras_says(
+    ladder_file, tmp_path, capsys
+) -> None:
+    path = tmp_path / "s.csv"
+    run(ladder_file, "-o", path, "--line=-3cm,-1cm,0m,3cm")
+    assert re.search(r"section of 0.050 m in", capsys.readouterr().out)
+    rows = read_csv(path)
+    along, right, up = (
+        np.array([float(row[f"{name} [m]"]) for row in rows])
+        for name in ("along", "right", "up")
+    )
+    np.testing.assert_allclose(right, -0.03 + 0.6 * along, atol=2e-6)
+    np.testing.assert_allclose(up, -0.01 + 0.8 * along, atol=2e-6)
+
+
 def test_a_section_in_dxf_has_a_piece_for_each_tread(ladder_file, tmp_path) -> None:
     ezdxf = pytest.importorskip("ezdxf")
     path = tmp_path / "s.dxf"
