@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.quality import channels_disagree
+from amulor.rejection.quality import channels_disagree, phase_error
 from amulor.rejection.reference.before_target import DEPARTURE, strength_of
 
 SPEED = 299792458.0
@@ -218,3 +218,14 @@ def test_a_difference_that_all_pixels_have_is_no_outlier() -> None:
     found = _marked(left, own)
     assert found[1, :, 3, 5].all()
     assert found.sum() <= 4
+
+
+def test_the_phase_error_of_no_signal_is_a_number() -> None:
+    signal = np.array([0j, 2.0, 2.0])
+    each = np.full(3, 1e-4)
+    error = phase_error(
+        signal, Covariance(each, each, 0 * each), np.array([True, True, False])
+    )
+    # 10 mV of error across 2 V are 5 mrad; the others are not read.
+    assert error[1] == pytest.approx(5e-3, rel=1e-3)
+    assert np.isfinite(error).all()

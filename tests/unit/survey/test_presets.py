@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from amulor import imaging, rejection
+from amulor.cli import main
 from amulor.errors import SurveyError
 from amulor.optics import ranging
 from amulor.simulation import simulate
@@ -119,3 +120,15 @@ def test_the_open_sea_is_not_part_of_a_preset() -> None:
     sea = {"kind": "jerlov", "type": "II", "source": "williamson-hollins-2022"}
     survey = Survey.preset("green-2021").with_({"water": sea})
     assert water_properties(survey).absorption > 0
+
+
+def test_the_listing_prints_name_title_and_source_of_each_preset(capsys) -> None:
+    assert main(["survey", "presets"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for name in presets.names():
+        entry = presets.preset(name)
+        at = lines.index(f"{name}: {entry.title}")
+        assert lines[at + 1] == f"  {entry.use}"
+        assert lines[at + 2] == f"  {entry.source}, doi:{entry.doi}"
+        counts = [int(n) for n in re.findall(r"\d+", lines[at + 3])]
+        assert counts == [*entry.counts.values()]
