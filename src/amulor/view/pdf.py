@@ -82,9 +82,18 @@ def write_pdf(
     with style(), PdfPages(buffer, metadata={**about, "CreationDate": None}) as pages:
         for figure in figures:
             pages.savefig(figure, dpi=300)
-    content = _archival(buffer.getvalue(), about)
+    content = _archival(_marked_binary(buffer.getvalue()), about)
     with atomic_output(path, overwrite=overwrite) as temporary:
         temporary.write_bytes(content)
+
+
+def _marked_binary(content: bytes) -> bytes:
+    """Content with a second line of bytes above 127 only, which PDF/A requires.
+
+    The comment of matplotlib contains a space.
+    """
+    head, comment, rest = content.split(b"\n", 2)
+    return b"\n".join([head, comment.replace(b" ", b"\xa0"), rest])
 
 
 def _archival(content: bytes, about: dict[str, str]) -> bytes:

@@ -12,6 +12,9 @@ import exact_scenes as scenes
 import ezdxf
 import numpy as np
 import pytest
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
+from pdf_archive import archive_faults
 from pdf_files import letter_sizes, pages_of, streams_of
 from project_files import project_text
 
@@ -94,6 +97,55 @@ def test_a_pdf_has_colors_fonts_and_identifier_of_an_archive(folder) -> None:
     assert fonts == content.count(b"/FontFile2") > 0
     for forbidden in (b"/Type3", b"/Encrypt", b"/JavaScript", b"/LZWDecode"):
         assert forbidden not in content
+
+
+def test_a_set_violates_no_clause_of_the_archive_standard(folder) -> None:
+    assert archive_faults(folder / "cone.pdf") == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "clause"),
+    [
+        (b"\xac\xdc\xa0", b"\xac\xdc ", "6.1.2:"),
+        (b"/ID [", b"/IX [", "6.1.3: no file identifier"),
+        (b"\nendstream", b" endstream", "6.1.7.1:"),
+        (b"endobj\n2 0 obj", b"endobj 2 0 obj", "6.1.9:"),
+        (b"/OutputIntents", b"/OutputIntentz", "6.2.3: no output intent"),
+        (b"mntrRGB", b"mntrGRA", "6.2.3: color profile"),
+        (b"/Indexed /DeviceRGB", b"/Indexed/DeviceCMYK", "6.2.4.3:"),
+        (b"/ca 1 ", b"/BM/A ", "6.2.10:"),
+        (b"/FontFile2", b"/FontFile4", "6.2.11.4.1:"),
+        (b"[ 636 636", b"[ 656 636", "6.2.11.5:"),
+        (b"/Metadata ", b"/Metadatb ", "6.6.2.1:"),
+        (b"<pdfaid:part>2", b"<pdfaid:part>1", "6.6.4:"),
+    ],
+)
+def test_the_reader_finds_each_violation(folder, tmp_path, old, new, clause) -> None:
+    content = (folder / "cone.pdf").read_bytes()
+    assert old in content
+    (tmp_path / "o.pdf").write_bytes(content.replace(old, new))
+    assert len(content.replace(old, new)) == len(content)
+    assert any(fault.startswith(clause) for fault in archive_faults(tmp_path / "o.pdf"))
+
+
+def test_the_reader_finds_appended_data(folder, tmp_path) -> None:
+    content = (folder / "cone.pdf").read_bytes()
+    (tmp_path / "o.pdf").write_bytes(content + b"more\n")
+    assert archive_faults(tmp_path / "o.pdf") == [
+        "6.1.3: data after the end of the file"
+    ]
+
+
+def test_the_reader_finds_that_a_plain_file_is_none_for_archives(tmp_path) -> None:
+    figure = Figure()
+    figure.text(0.5, 0.5, "text")
+    with PdfPages(tmp_path / "o.pdf") as pages:
+        pages.savefig(figure)
+    faults = " ".join(archive_faults(tmp_path / "o.pdf"))
+    # By default matplotlib embeds Type 3 fonts, and states no colors and no metadata.
+    assert "Type3 in place of TrueType" in faults
+    assert "no output intent" in faults
+    assert "no XMP metadata" in faults
 
 
 @pytest.mark.skipif(shutil.which("pdfinfo") is None, reason="needs poppler")
