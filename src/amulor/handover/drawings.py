@@ -288,7 +288,6 @@ def contour_product(
     counts = [len(line.points) for line in lines]
     points = np.concatenate([line.points for line in lines])
     scale = scale_of(order, raster.surface, raster.plane)
-    shortest = _LABELLED * scale
     levels = len({line.level for line in lines})
     return LineProduct(
         drawing=formats.Drawing(
@@ -298,7 +297,7 @@ def contour_product(
                 formats.Line(
                     points=line.points,
                     layer="contours",
-                    label=f"{line.level:.4g}" if _extent(line) > shortest else "",
+                    label=height_beside(line, scale),
                     elevation=line.level,
                 )
                 for line in lines
@@ -318,6 +317,12 @@ def contour_product(
         scale=scale,
         summary=f"{len(lines)} contour lines at {levels} levels{doubt}",
     )
+
+
+def height_beside(line: products.Contour, scale: float) -> str:
+    """Return the height of a contour line as text; empty if the line is short."""
+    extent = float(np.ptp(line.points, axis=0).max())
+    return f"{line.level:.4g}" if extent > _LABELLED * scale else ""
 
 
 def scale_of(order: Order, surface: products.Surface, plane: products.Plane) -> float:
@@ -498,11 +503,6 @@ def _fields(order: Order, plane: products.Plane, kind: str = "") -> dict[str, st
     """Return the texts of the title block: those of the order, and the view's name."""
     view = _VIEWS[plane.side]
     return {**order.fields, "view": f"{kind}, {view}" if kind else view}
-
-
-def _extent(line: products.Contour) -> float:
-    """Return the larger side of the box around a contour line [m]."""
-    return float(np.ptp(line.points, axis=0).max())
 
 
 def _length(cut: products.Section) -> float:

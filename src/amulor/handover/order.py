@@ -81,7 +81,7 @@ class Order:
     title: str = ""
     """Title of the drawing; by default that of the range image."""
     fields: Mapping[str, str] = field(default_factory=dict)
-    """Texts of the title block, by field of `amulor.view.sheet.FIELDS`."""
+    """Texts of the title block, by field of `amulor.io.drawings.FIELDS`."""
 
 
 def product_of(

@@ -59,6 +59,19 @@ class TitleBlock:
     """Texts by field; missing fields stay blank for a pen."""
 
 
+#: Fields of a title block, in the order of their cells: two rows of four.
+FIELDS = (
+    "project",
+    "object",
+    "find number",
+    "sheet",
+    "author",
+    "institution",
+    "date",
+    "view",
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Drawing(TitleBlock):
     """Line drawing: polylines with axis names and title block."""
@@ -114,9 +127,16 @@ def rounded_up(value: float) -> float:
 
 
 def grid_step(low: float, high: float, scale: float) -> float:
-    """Grid spacing of a drawing [m]: 20 to 50 mm on paper, 8 to 20 mm if small."""
+    """Grid spacing of a drawing [m]: 20 to 50 mm on paper, 8 or 4 mm and more if small.
+
+    Where larger steps give fewer than two places, 4 to 10 mm are taken.
+    """
     step = rounded_up(0.02 * scale)
-    return step if high - low >= 4 * step else rounded_up(0.008 * scale)
+    if high - low >= 4 * step:
+        return step
+    step = rounded_up(0.008 * scale)
+    few = len(places_between(low, high, step)) < 2
+    return rounded_up(0.004 * scale) if few else step
 
 
 def places_between(low: float, high: float, step: float) -> Floats:
@@ -145,7 +165,7 @@ def write_dxf(
     line. The layer "uncertainty" has the outline of the band of two standard
     uncertainties, the layer "axes" a frame with coordinates and the names of places,
     and the layer "notes" the statements as text below the drawing. The title block is a
-    block reference with an attribute for each field.
+    block reference with an attribute for each field, blank if it has no text.
 
     Parameters
     ----------
@@ -198,9 +218,11 @@ def write_dxf(
     left = drawing.limits[0]
     for number, statement in enumerate((drawing.title, *drawing.statements)):
         write(statement, (left, bottom - (number + 2) * 1.6 * letters), "notes")
-    if drawing.fields:
-        place = left, bottom - (len(drawing.statements) + 4) * 1.6 * letters
-        _title_block(document, drawing.fields, place, letters)
+    place = left, bottom - (len(drawing.statements) + 4) * 1.6 * letters
+    fields = (
+        dict.fromkeys(FIELDS, "") | dict(drawing.fields) | {"scale": f"1:{scale:g}"}
+    )
+    _title_block(document, fields, place, letters)
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
         document.saveas(temporary)
 

@@ -21,6 +21,7 @@ from scipy import ndimage
 from amulor.errors import CubeError, FormatError
 from amulor.imaging.products import Contour, Raster
 from amulor.io.drawings import (
+    FIELDS,
     Drawing,
     TitleBlock,
     grid_step,
@@ -40,18 +41,6 @@ from amulor.view.style import (
 Floats = NDArray[np.float64]
 Shown = Literal["amplitude", "height", "relief", "uncertainty", "deviation"]
 
-#: Fields of a title block, in the order of their cells: two rows of four.
-FIELDS = (
-    "project",
-    "object",
-    "find number",
-    "sheet",
-    "author",
-    "institution",
-    "date",
-    "view",
-)
-
 #: ISO 216 sheets, short and long side [mm].
 _SHEETS = {
     "A4": (210, 297),
@@ -69,6 +58,8 @@ _LETTERS, _LETTER, _LINE = 7.0, 1.34, 3.1
 _INCH = 25.4
 #: Room around a drawing inside its frame, on paper [m].
 _ROOM = 3e-3
+#: Least distance of coordinates that are written upwards, on paper [m].
+_UPRIGHT = 8e-3
 # Color of a surface without a value to show: #e2e2e2.
 _GREY = (226, 226, 226, 255)
 #: Part of the cells that limits of colors may leave out on either side [%].
@@ -404,6 +395,10 @@ class _Paper:
         for which, factor in (("x", 1.0), ("y", self.heights)):
             low, high = getattr(axis, f"get_{which}lim")()
             step = grid_step(low, high, scale / factor)
+            if which == "y":
+                # Letters along a small step would meet.
+                wide = step * factor / scale > _UPRIGHT
+                axis.tick_params(axis="y", rotation=90 if wide else 0)
             digits = max(0, int(np.ceil(-np.log10(step))))
             places = places_between(low, high, step)
             getattr(axis, f"set_{which}ticks")(
@@ -412,7 +407,6 @@ class _Paper:
         axis.grid(color="#56B4E9", lw=0.25, alpha=0.8)
         axis.set_axisbelow(False)
         axis.tick_params(labelsize=_LETTERS, length=2, width=0.3)
-        axis.tick_params(axis="y", rotation=90)
         for label in axis.get_yticklabels():
             label.set_verticalalignment("center")
         axis.set_xlabel(f"{names[0]} [m]", fontsize=_LETTERS)

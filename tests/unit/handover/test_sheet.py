@@ -19,8 +19,8 @@ from amulor.cli import main
 from amulor.errors import FormatError
 from amulor.handover import Order, hand_over
 from amulor.imaging import products
-from amulor.io.drawings import Drawing, Line
-from amulor.view.sheet import FIELDS, colours_of, fitting_scale, line_sheet
+from amulor.io.drawings import FIELDS, Drawing, Line
+from amulor.view.sheet import colours_of, fitting_scale, line_sheet
 
 SVG = "{http://www.w3.org/2000/svg}"
 PROJECT = project_text(
@@ -81,6 +81,18 @@ def test_names_of_the_ends_stand_above_the_frame(steps) -> None:
     top = axis.get_window_extent().y1
     for name in ("A", "A'"):
         assert marks[name].get_window_extent().y0 > top
+
+
+def test_a_low_section_has_two_heights_at_least() -> None:
+    points = np.array([[0.0, -0.09], [2.0, 0.02], [4.0, 0.11]])
+    low = Drawing(
+        title="low", lines=(Line(points=points, layer="section"),), axes=("along", "up")
+    )
+    (axis, *_) = line_sheet(low, scale=20.0).axes
+    # 4 to 10 mm on paper at 1:20 is 0.08 to 0.2 m.
+    texts = [text.get_text() for text in axis.get_yticklabels()]
+    assert texts == ["-0.1", "0.0", "0.1"]
+    assert {text.get_rotation() for text in axis.get_yticklabels()} == {0.0}
 
 
 def test_exaggerated_heights_are_stated(steps) -> None:
