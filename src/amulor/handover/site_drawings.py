@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -29,13 +30,23 @@ from amulor.site import Site
 from amulor.site.merging import plan
 from amulor.site.merging.plan import PlacedScan
 from amulor.site.registration.result import Registration
-from amulor.view.sheet import Annotations, fitting_scale, largest_on_a3, sheet
-from amulor.view.site_plan import annotations_of, visit_colours
+from amulor.view.sheet import (
+    Annotations,
+    Station,
+    fitting_scale,
+    largest_on_a3,
+    sheet,
+)
+from amulor.view.site_plan import Window, annotations_of, visit_colours
 
 Floats = NDArray[np.float64]
 
 #: Size of a printed cell, and the largest semi-axis of an error ellipse, on paper [m].
 _CELL, _ELLIPSE = 2.54e-4, 6e-3
+#: Arm of the cross at a station or target, on paper [m].
+_ARM = 2e-3
+#: Corners of an error ellipse in a DXF file [1].
+_AROUND = 73
 #: Cells per pixel of the coarsest scan, at most [1].
 _FINE = 6.0
 #: Contour lines of a plan, about [1].
@@ -77,48 +88,39 @@ def write_site_drawings(
     overwrite: bool = False,
 ) -> str:
     """Write plan, sections and details to one PDF file, each to SVG, lines to DXF."""
-    epoch = order.epoch or site.epoch[-1].name
-    visit = [scan for scan in scans if scan.epoch == epoch]
-    if not visit:
-        raise CubeError(f"the site has no scan of the visit {epoch!r}")
-    west, east, south, north = plan.bounds(visit)
-    lines = order.lines or _middle_lines(west, east, south, north)
-    cuts = {
-        chr(ord("A") + number): np.array(line).reshape(2, 2)
-        for number, line in enumerate(lines)
-    }
-    stations = [registration.poses[scan.name].position[:2] for scan in visit]
-    corners = np.concatenate([*cuts.values(), stations, [(west, south), (east, north)]])
-    overview = fitting_scale(*np.ptp(corners, axis=0))
-    spacing = max(scan.surface.spacing for scan in visit)
-    coarse = max(max(east - west, north - south) / _OUTLINE, spacing)
-    key = plan.orthoplan(visit, cell=coarse)
+    visit = _Visit(site=site, registration=registration, scans=scans, order=order)
+    overview = visit.overview_scale()
     tiles = [
         window
-        for window in _tiles(order.scale, overview, (west, east, south, north))
-        if _has_surface(key, window)
+        for window in _tiles(order.scale, overview, visit.bounds)
+        if _has_surface(visit.key, window)
     ]
-    names = ["plan", *(f"section_{letter}" for letter in cuts)]
-    names += [f"detail_{number + 1}" for number in range(len(tiles))]
+    sections = {f"section_{letter}": letter for letter in visit.cuts}
+    details = {f"detail_{number + 1}": tile for number, tile in enumerate(tiles)}
+    names = ["plan", "uncertainty", *sections, *details]
     check_files(path, names, overwrite=overwrite)
     heights = path.with_name(f"{path.stem}_plan.tif")
     check_output(heights, overwrite=overwrite)
-    draw = _Drawer(
-        site, registration, scans, visit, epoch, order, cuts, key, len(names)
-    )
-    pages = {"plan": draw.plan(overview if tiles else order.scale or overview)}
+    blocks = _blocks(names, order.title or site.name, order.fields)
+    scale = overview if tiles else order.scale or overview
+    whole = visit.heights(scale, visit.bounds)
+    interval = order.contours or contour_interval(whole.coarse, levels=_LEVELS)
+    pages = {
+        "plan": visit.plan(blocks["plan"], whole, interval, cuts=visit.cuts),
+        "uncertainty": visit.uncertainty(blocks["uncertainty"], whole),
+    }
     tell("drawing sections", 0.5)
-    pages |= {f"section_{letter}": draw.section(letter) for letter in cuts}
-    for number, window in enumerate(tiles):
-        tell("drawing details", 0.6 + 0.3 * number / len(tiles))
-        assert order.scale is not None
-        name = f"detail_{number + 1}"
-        pages[name] = draw.detail(name, order.scale, window)
-    sentences = write_pages(pages, path, draw.title, overwrite=overwrite)
-    assert draw.raster is not None
+    pages |= {
+        name: visit.section(blocks[name], letter) for name, letter in sections.items()
+    }
+    for number, (name, window) in enumerate(details.items()):
+        tell("drawing details", 0.6 + 0.3 * number / len(details))
+        part = visit.heights(order.scale or overview, window)
+        pages[name] = visit.plan(blocks[name], part, interval)
+    sentences = write_pages(pages, path, order.title or site.name, overwrite=overwrite)
     drawings.write_bands(
-        draw.raster,
-        drawings.bands_of(draw.raster, first="dem"),
+        whole.fine,
+        drawings.bands_of(whole.fine, first="dem"),
         heights,
         pages["plan"].block.statements,
         overwrite=overwrite,
@@ -132,76 +134,133 @@ def write_site_drawings(
     )
 
 
-class _Drawer:
+def _blocks(
+    names: Sequence[str], title: str, fields: Mapping[str, str]
+) -> dict[str, formats.TitleBlock]:
+    """Return title blocks with sheet numbers, by name of the sheet."""
+    blocks = {}
+    for number, name in enumerate(names):
+        kind = name.replace("_", " ")
+        sheet_number = {"sheet": f"{number + 1} of {len(names)}"}
+        blocks[name] = formats.TitleBlock(
+            title=f"{title}: {kind}",
+            fields={**sheet_number, **fields, "view": kind},
+        )
+    return blocks
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Heights:
+    """Heights of a part of a site, for print and for contour lines."""
+
+    scale: float
+    """Scale denominator [1]."""
+    window: Window
+    """West, east, south and north bound [m]."""
+    fine: products.Raster
+    """Cells of a printed dot, or of a part of a pixel."""
+    coarse: products.Raster
+    """Cells of a pixel and more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Visit:
     """Maker of the sheets of one visit."""
 
-    def __init__(
-        self,
-        site: Site,
-        registration: Registration,
-        scans: Sequence[PlacedScan],
-        visit: Sequence[PlacedScan],
-        epoch: str,
-        order: SiteOrder,
-        cuts: Mapping[str, Floats],
-        key: products.Raster,
-        count: int,
-    ) -> None:
-        self.site, self.registration, self.order = site, registration, order
-        self.scans, self.visit, self.epoch, self.cuts = scans, visit, epoch, cuts
-        self.title = order.title or site.name
-        self.spacing = max(scan.surface.spacing for scan in visit)
-        self.key, self.count, self.number = key, count, 0
-        self.footprints = {
-            scan.name: plan.footprint(scan, cell=key.cell) for scan in visit
+    site: Site
+    registration: Registration
+    scans: Sequence[PlacedScan]
+    """Scans of all visits."""
+    order: SiteOrder
+
+    @property
+    def epoch(self) -> str:
+        """Name of the visit."""
+        return self.order.epoch or self.site.epoch[-1].name
+
+    @cached_property
+    def present(self) -> list[PlacedScan]:
+        """Scans of the visit."""
+        scans = [scan for scan in self.scans if scan.epoch == self.epoch]
+        if not scans:
+            raise CubeError(f"the site has no scan of the visit {self.epoch!r}")
+        return scans
+
+    @cached_property
+    def bounds(self) -> Window:
+        """West, east, south and north bound of the visit [m]."""
+        return plan.bounds(self.present)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Pixel distance of the coarsest scan [m]."""
+        return max(scan.surface.spacing for scan in self.present)
+
+    @cached_property
+    def cuts(self) -> dict[str, Floats]:
+        """Ends of the section lines by letter [m]."""
+        lines = self.order.lines or _middle_lines(*self.bounds)
+        return {
+            chr(ord("A") + number): np.array(line).reshape(2, 2)
+            for number, line in enumerate(lines)
         }
-        self.colours = visit_colours(site)
-        self.raster: products.Raster | None = None
-        self.interval = order.contours
 
-    def plan(self, scale: float) -> Page:
-        """Draw the whole site from above."""
-        return self._from_above("plan", scale, plan.bounds(self.visit), cuts=self.cuts)
+    @cached_property
+    def key(self) -> products.Raster:
+        """Coarse raster of the visit, for key plans."""
+        west, east, south, north = self.bounds
+        cell = max(max(east - west, north - south) / _OUTLINE, self.spacing)
+        return plan.orthoplan(self.present, cell=cell)
 
-    def detail(
-        self, name: str, scale: float, window: tuple[float, float, float, float]
-    ) -> Page:
-        """Draw a part of the site from above, at a larger scale."""
-        return self._from_above(name, scale, window, cuts={})
+    @cached_property
+    def footprints(self) -> dict[str, list[Floats]]:
+        """Outlines of the scans by name [m]."""
+        return {
+            scan.name: plan.footprint(scan, cell=self.key.cell) for scan in self.present
+        }
 
-    def _from_above(
-        self,
-        name: str,
-        scale: float,
-        window: tuple[float, float, float, float],
-        *,
-        cuts: Mapping[str, Floats],
-    ) -> Page:
+    def overview_scale(self) -> float:
+        """Return the scale denominator at which plan and stations fit A4 [1]."""
+        west, east, south, north = self.bounds
+        stations = [self.registration.poses[s.name].position[:2] for s in self.present]
+        corners = [*self.cuts.values(), stations, [(west, south), (east, north)]]
+        return fitting_scale(*np.ptp(np.concatenate(corners), axis=0))
+
+    def heights(self, scale: float, window: Window) -> _Heights:
+        """Compute the heights of a part of the site."""
         cell = max(scale * _CELL, self.spacing / _FINE)
-        raster = plan.orthoplan(self.visit, cell=cell, window=window)
-        if self.raster is None:
-            self.raster = raster
-        coarse = plan.orthoplan(self.visit, cell=max(cell, self.spacing), window=window)
-        if self.interval is None:
-            self.interval = contour_interval(coarse, levels=_LEVELS)
+        fine, coarse = (
+            plan.orthoplan(self.present, cell=size, window=window)
+            for size in (cell, max(cell, self.spacing))
+        )
+        return _Heights(scale=scale, window=window, fine=fine, coarse=coarse)
+
+    def plan(
+        self,
+        block: formats.TitleBlock,
+        heights: _Heights,
+        interval: float,
+        *,
+        cuts: Mapping[str, Floats] | None = None,
+    ) -> Page:
+        """Draw the site, or a part without section lines, shaded from above."""
+        raster, scale = heights.fine, heights.scale
         try:
-            contours = products.contours(coarse, interval=self.interval)
+            contours = products.contours(heights.coarse, interval=interval)
         except CubeError:
             contours = []
-        annotations = annotations_of(
-            self.site,
-            self.registration,
-            self.visit,
-            largest=_ELLIPSE * scale,
-            outlines=self.footprints,
-            window=None if cuts else window,
-            cuts=cuts,
+        annotations = self._annotations(heights, cuts)
+        block = replace(
+            block,
+            statements=(
+                f"{self._scans()}. Contours every {interval * 1e3:g} mm; heights count "
+                "upwards from the origin of the site",
+                *self._statements(raster, annotations),
+                drawings.relief_statement(raster),
+                *self._moving(),
+                *self._origin(),
+            ),
         )
-        block = self._block(name, self._statements(raster, annotations))
-        words = "footprints, stations"
-        if annotations.stations:
-            words += f", error ellipses (k = 1, x {annotations.enlarged:g})"
-        legend = [(self.colours[self.epoch], "", words)]
         figure = sheet(
             raster,
             block,
@@ -209,16 +268,16 @@ class _Drawer:
             show="relief",
             contours=contours,
             annotations=annotations,
-            legend=legend,
+            legend=self._legend(annotations),
         )
-        wide, high = (count * cell for count in reversed(raster.height.shape))
+        wide, high = (count * raster.cell for count in reversed(raster.height.shape))
         covered = np.isfinite(raster.height)
         summary = (
             f"{wide:.3g} x {high:.3g} m at 1:{scale:g}, "
-            f"{covered.sum() * cell**2:.3g} m2 measured, contours every "
-            f"{self.interval * 1e3:g} mm"
+            f"{covered.sum() * raster.cell**2:.3g} m2 measured, contours every "
+            f"{interval * 1e3:g} mm"
         )
-        drawing = self._plan_lines(contours, annotations, block, raster)
+        drawing = _plan_lines(contours, annotations, block, scale)
         return Page(
             figure=figure,
             block=block,
@@ -226,42 +285,94 @@ class _Drawer:
             lines=LineProduct(drawing=drawing, table={}, summary=summary, scale=scale),
         )
 
+    def uncertainty(self, block: formats.TitleBlock, heights: _Heights) -> Page:
+        """Draw the standard uncertainty of the heights from above."""
+        raster = heights.fine
+        annotations = self._annotations(heights, {})
+        sigma = raster.uncertainty[np.isfinite(raster.uncertainty)]
+        summary = (
+            f"standard uncertainty of heights: {in_millimetres(sigma)}, at most "
+            f"{np.percentile(sigma, 95) * 1e3:.2g} mm in 95 % of the area"
+        )
+        block = replace(
+            block,
+            statements=(
+                f"{self._scans()}. Color: standard uncertainty of the height, largest "
+                "value within a pixel of the scan",
+                f"At most {np.percentile(sigma, 95) * 1e3:.2g} mm in 95 % of the area",
+                *self._statements(raster, annotations),
+                *self._moving(),
+                *self._origin(),
+            ),
+        )
+        figure = sheet(
+            raster,
+            block,
+            scale=heights.scale,
+            show="uncertainty",
+            annotations=annotations,
+            legend=self._legend(annotations),
+        )
+        return Page(figure=figure, block=block, summary=summary)
+
+    def _annotations(
+        self, heights: _Heights, cuts: Mapping[str, Floats] | None
+    ) -> Annotations:
+        """Return footprints, stations and section lines; of a part, those inside."""
+        return annotations_of(
+            self.site,
+            self.registration,
+            self.present,
+            largest=_ELLIPSE * heights.scale,
+            outlines=self.footprints,
+            window=heights.window if cuts is None else None,
+            cuts=cuts,
+        )
+
+    def _legend(self, annotations: Annotations) -> list[tuple[str, str, str]]:
+        """Return the entry of the color of the visit."""
+        words = "footprints, stations"
+        if annotations.stations:
+            words += f", error ellipses (k = 1, x {annotations.enlarged:g})"
+        return [(visit_colours(self.site)[self.epoch], "", words)]
+
+    def _scans(self) -> str:
+        """Return the visit and its scans in words."""
+        names = ", ".join(scan.name for scan in self.present)
+        return f"Visit {self.epoch}, {len(self.present)} scans: {names}"
+
     def _statements(
         self, raster: products.Raster, annotations: Annotations
     ) -> list[str]:
+        """Return sentences on the uncertainty of heights and stations."""
         first = self.site.scan[0].name
         datum = self.registration.covariance_of(f"pose {first}")[:3, :3]
         place = math.sqrt(max(float(np.linalg.eigvalsh(datum)[-1]), 0.0))
-        several = raster.layers["scans"] > 1
         covered = np.isfinite(raster.height)
-        moving = sum(scan.moving for scan in self.visit)
-        sigma = in_millimetres(raster.uncertainty)
-        return [
-            f"Visit {self.epoch}, {len(self.visit)} scans: "
-            f"{', '.join(scan.name for scan in self.visit)}. Contours every "
-            f"{(self.interval or 0) * 1e3:g} mm; heights count upwards from the origin "
-            "of the site",
-            f"Standard uncertainty of heights relative to scan {first}: {sigma}. It "
+        several = (raster.layers["scans"] > 1) & covered
+        sentences = [
+            f"Standard uncertainty of heights relative to scan {first}: "
+            f"{in_millimetres(raster.uncertainty)}. It "
             "includes noise, poses and errors common to a scan, but not the position "
             f"of the whole site, {place * 1e3:.2g} mm",
-            f"{(several & covered).sum() / covered.sum():.0%} of the area was measured "
+            f"{several.sum() / covered.sum():.0%} of the area was measured "
             f"by several scans. Cells {raster.cell * 1e3:.3g} mm, pixels "
             f"{self.spacing * 1e3:.3g} mm",
-            *(
-                [
-                    "Error ellipses: one standard uncertainty of the stations relative "
-                    f"to {first}, enlarged {annotations.enlarged:g} times"
-                ]
-                if annotations.stations
-                else []
-            ),
-            drawings.relief_statement(raster),
-            *([f"{moving} points of moving objects are left out"] if moving else []),
-            *self._origin(),
         ]
+        if annotations.stations:
+            sentences.append(
+                "Error ellipses: one standard uncertainty of the stations relative "
+                f"to {first}, enlarged {annotations.enlarged:g} times"
+            )
+        return sentences
+
+    def _moving(self) -> list[str]:
+        """Return a sentence on points that are left out; empty if there are none."""
+        moving = sum(scan.moving for scan in self.present)
+        return [f"{moving} points of moving objects are left out"] if moving else []
 
     def _origin(self) -> list[str]:
-        """Sentences on the frame of the site, and on simulated data."""
+        """Return sentences on the frame of the site, and on simulated data."""
         frame = self.site.frame
         offset = ", ".join(f"{v:.12g}" for v in frame.crs_offset)
         local = "Local frame of the site; north is grid north"
@@ -272,56 +383,7 @@ class _Drawer:
             sentences.append("Simulated data; nothing here was measured")
         return sentences
 
-    def _block(self, name: str, statements: Sequence[str]) -> formats.TitleBlock:
-        self.number += 1
-        kind = name.replace("_", " ")
-        numbered = {"sheet": f"{self.number} of {self.count}"} | dict(self.order.fields)
-        return formats.TitleBlock(
-            title=f"{self.title}: {kind}",
-            statements=tuple(statements),
-            fields={**numbered, "view": kind},
-        )
-
-    def _plan_lines(
-        self,
-        contours: Sequence[products.Contour],
-        annotations: Annotations,
-        block: formats.TitleBlock,
-        raster: products.Raster,
-    ) -> formats.Drawing:
-        """Return contours, footprints, stations and section lines for a DXF file."""
-        lines = [
-            formats.Line(
-                points=contour.points,
-                layer="contours",
-                label=f"{contour.level:.4g}",
-                elevation=contour.level,
-            )
-            for contour in contours
-        ]
-        for _, polygons in annotations.outlines:
-            lines += [
-                formats.Line(points=points, layer="footprints") for points in polygons
-            ]
-        arm = 4 * raster.cell
-        for name, station in annotations.stations.items():
-            for step in (np.array([arm, 0.0]), np.array([0.0, arm])):
-                ends = np.stack([station.position - step, station.position + step])
-                label = name if step[0] else ""
-                lines.append(formats.Line(points=ends, layer="stations", label=label))
-        lines += [
-            formats.Line(points=ends, layer="sections", label=f"{letter}-{letter}'")
-            for letter, ends in annotations.cuts.items()
-        ]
-        return formats.Drawing(
-            title=block.title,
-            statements=block.statements,
-            fields=block.fields,
-            lines=tuple(lines),
-            axes=("east", "north"),
-        )
-
-    def section(self, letter: str) -> Page:
+    def section(self, block: formats.TitleBlock, letter: str) -> Page:
         """Draw a section across all scans of all visits."""
         ends = self.cuts[letter]
         length = float(np.linalg.norm(ends[1] - ends[0]))
@@ -354,9 +416,9 @@ class _Drawer:
             )
         first = self.site.scan[0].name
         median = in_millimetres(np.concatenate(sigmas))
-        block = self._block(
-            f"section_{letter}",
-            [
+        block = replace(
+            block,
+            statements=(
                 f"Section from ({ends[0][0]:.3f}, {ends[0][1]:.3f}) to "
                 f"({ends[1][0]:.3f}, {ends[1][1]:.3f}) m, east and north, across the "
                 f"scans {', '.join(met)}",
@@ -365,7 +427,7 @@ class _Drawer:
                 "is plus and minus twice this uncertainty",
                 "Visits differ where their bands do not overlap",
                 *self._origin(),
-            ],
+            ),
         )
         drawing = formats.Drawing(
             title=block.title,
@@ -378,6 +440,7 @@ class _Drawer:
         left, right, low, high = drawing.limits
         tall = (high - low) * self.order.exaggeration
         scale = self.order.scale or fitting_scale(right - left, tall)
+        colours = visit_colours(self.site)
         product = LineProduct(
             drawing=drawing,
             table={},
@@ -387,9 +450,70 @@ class _Drawer:
             scale=scale,
             heights=self.order.exaggeration,
             key=(self.key, ends),
-            colours={name: self.colours[name] for name in drawing.layers},
+            colours={name: colours[name] for name in drawing.layers},
         )
         return lines_page(product)
+
+
+def _plan_lines(
+    contours: Sequence[products.Contour],
+    annotations: Annotations,
+    block: formats.TitleBlock,
+    scale: float,
+) -> formats.Drawing:
+    """Return contours, footprints, stations and section lines for a DXF file."""
+    lines = [
+        formats.Line(
+            points=contour.points,
+            layer="contours",
+            label=drawings.height_beside(contour, scale),
+            elevation=contour.level,
+        )
+        for contour in contours
+    ]
+    for _, polygons in annotations.outlines:
+        lines += [
+            formats.Line(points=points, layer="footprints") for points in polygons
+        ]
+    for name, station in annotations.stations.items():
+        lines += _cross(station.position, name, "stations", scale)
+        lines.append(_ellipse(station, annotations.enlarged))
+    for name, position in annotations.targets.items():
+        lines += _cross(position, name, "targets", scale)
+    lines += [
+        formats.Line(points=ends, layer="sections", label=f"{letter}-{letter}'")
+        for letter, ends in annotations.cuts.items()
+    ]
+    return formats.Drawing(
+        title=block.title,
+        statements=block.statements,
+        fields=block.fields,
+        lines=tuple(lines),
+        axes=("east", "north"),
+    )
+
+
+def _cross(position: Floats, name: str, layer: str, scale: float) -> list[formats.Line]:
+    """Return a cross of 4 mm on paper with a name."""
+    arms = np.diag([_ARM * scale, _ARM * scale])
+    return [
+        formats.Line(
+            points=np.stack([position - arm, position + arm]), layer=layer, label=label
+        )
+        for arm, label in zip(arms, (name, ""), strict=True)
+    ]
+
+
+def _ellipse(station: Station, factor: float) -> formats.Line:
+    """Return the outline of an enlarged error ellipse."""
+    values, vectors = np.linalg.eigh(station.covariance)
+    angle = np.linspace(0, 2 * np.pi, _AROUND)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    radii = factor * np.sqrt(np.maximum(values, 0))
+    return formats.Line(
+        points=station.position + ((vectors * radii) @ circle).T,
+        layer="error ellipses",
+    )
 
 
 def _middle_lines(
@@ -408,8 +532,8 @@ def _middle_lines(
 def _tiles(
     scale: float | None,
     overview: float,
-    window: tuple[float, float, float, float],
-) -> list[tuple[float, float, float, float]]:
+    window: Window,
+) -> list[Window]:
     """Return the windows [m] of A3 detail sheets; empty if the overview is enough."""
     if scale is None or scale >= overview:
         return []
@@ -428,9 +552,7 @@ def _tiles(
     ]
 
 
-def _has_surface(
-    raster: products.Raster, window: tuple[float, float, float, float]
-) -> bool:
+def _has_surface(raster: products.Raster, window: Window) -> bool:
     """Whether a raster has a height in a window."""
     west, east, south, north = window
     rows = (raster.rows >= south) & (raster.rows <= north)

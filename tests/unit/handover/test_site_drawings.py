@@ -14,11 +14,13 @@ import pytest
 import tifffile
 import underwater_sites as oracle
 from matplotlib.figure import Figure
+from pdf_archive import archive_faults
 from pdf_files import letter_sizes, pages_of
 
 from amulor.cli import main
+from amulor.handover.site_drawings import _ellipse
 from amulor.site.registration.result import write_registration
-from amulor.view.sheet import error_ellipse
+from amulor.view.sheet import Station, error_ellipse
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -69,6 +71,23 @@ def test_the_plan_has_what_a_reader_of_plans_needs(drawings) -> None:
     assert "scale-bar" in " ".join(ids)
 
 
+def test_the_map_of_uncertainty_states_its_limit(drawings) -> None:
+    path = drawings / "site_uncertainty.svg"
+    ids, texts = ids_of(path), texts_of(path)
+    assert {"uncertainty [mm]", "2 of 4", "site: uncertainty"} & texts == {
+        "uncertainty [mm]",
+        "2 of 4",
+    }
+    assert ids.count("footprint") == ids.count("error-ellipse") == 4
+    assert "A" not in texts
+    limit = next(m for t in texts if (m := re.match(r"At most (\S+) mm in 95 %", t)))
+    # The second band of the heights is their standard uncertainty.
+    sigma = tifffile.imread(drawings / "site_plan.tif")[1]
+    beyond = (sigma > float(limit[1]) * 1e-3).sum() / np.isfinite(sigma).sum()
+    # The limit has two digits: 5 % of its value to either side.
+    assert 0.01 < beyond < 0.12
+
+
 def test_a_section_shows_all_visits(drawings) -> None:
     texts = texts_of(drawings / "site_section_A.svg")
     assert {"one", "two", "A", "A'", "section line"} <= texts
@@ -81,6 +100,13 @@ def test_the_plan_opens_in_cad_and_gis(drawings) -> None:
     document = ezdxf.readfile(drawings / "site_plan.dxf")
     layers = {entity.dxf.layer for entity in document.modelspace()}
     assert {"contours", "footprints", "stations", "sections"} <= layers
+    assert "error ellipses" in layers
+    (block,) = document.modelspace().query("INSERT")
+    attributes = {attribute.dxf.tag: attribute.dxf.text for attribute in block.attribs}
+    assert attributes["SHEET"] == "1 of 4"
+    assert attributes["SCALE"].startswith("1:")
+    # Texts that no project file states stay blank.
+    assert attributes["FIND_NUMBER"] == attributes["AUTHOR"] == ""
     heights = tifffile.imread(drawings / "site_plan.tif")[0]
     # The sea bed of the oracle has relief of some centimeters about zero.
     assert np.isfinite(heights).any()
@@ -88,7 +114,8 @@ def test_the_plan_opens_in_cad_and_gis(drawings) -> None:
 
 
 def test_all_sheets_are_pages_with_readable_letters(drawings) -> None:
-    assert pages_of(drawings / "site.pdf") == 3
+    assert pages_of(drawings / "site.pdf") == 4
+    assert archive_faults(drawings / "site.pdf") == []
     assert min(letter_sizes(drawings / "site.pdf")) >= 7
 
 
@@ -97,7 +124,7 @@ def test_a_larger_scale_adds_details(site, capsys) -> None:
     said = capsys.readouterr().out
     details = sorted(site.parent.glob("site_detail_*.svg"))
     assert len(details) >= 2
-    assert f"{3 + len(details)} sheets" in said
+    assert f"{4 + len(details)} sheets" in said
     assert any("1:4 on " in text for text in texts_of(details[0]))
     # An overview on A4 remains the first sheet.
     assert any(
@@ -133,6 +160,17 @@ def test_an_error_ellipse_has_the_axes_of_its_covariance() -> None:
     assert ellipse.get_height() == pytest.approx(0.2)
     assert ellipse.get_angle() % 180 == pytest.approx(30)
     Figure().add_subplot().add_patch(ellipse)
+
+
+def test_ellipses_of_a_cad_file_have_the_axes_of_their_covariance() -> None:
+    covariance = np.array([[4e-6, 0.0], [0.0, 1e-6]])
+    station = Station(position=np.array([1.0, 2.0]), covariance=covariance, colour="")
+    points = _ellipse(station, 100.0).points - (1.0, 2.0)
+    # Semi-axes of 2 and 1 mm, a hundred times enlarged: 0.2 m east and 0.1 m north.
+    assert np.ptp(points[:, 0]) == pytest.approx(0.4, rel=2e-3)
+    assert np.ptp(points[:, 1]) == pytest.approx(0.2, rel=2e-3)
+    on_ellipse = (points[:, 0] / 0.2) ** 2 + (points[:, 1] / 0.1) ** 2
+    assert on_ellipse == pytest.approx(1.0)
 
 
 def test_the_report_shows_the_same_plan(site) -> None:
