@@ -106,7 +106,13 @@ def write_site_drawings(
     whole = visit.heights(scale, visit.bounds)
     interval = order.contours or contour_interval(whole.coarse, levels=_LEVELS)
     pages = {
-        "plan": visit.plan(blocks["plan"], whole, interval, cuts=visit.cuts),
+        "plan": visit.plan(
+            blocks["plan"],
+            whole,
+            interval,
+            cuts=visit.cuts,
+            details={str(number + 1): tile for number, tile in enumerate(tiles)},
+        ),
         "uncertainty": visit.uncertainty(blocks["uncertainty"], whole),
     }
     tell("drawing sections", 0.5)
@@ -223,8 +229,9 @@ class _Visit:
         """Return the scale denominator at which plan and stations fit A4 [1]."""
         west, east, south, north = self.bounds
         stations = [self.registration.poses[s.name].position[:2] for s in self.present]
-        corners = [*self.cuts.values(), stations, [(west, south), (east, north)]]
-        return fitting_scale(*np.ptp(np.concatenate(corners), axis=0))
+        ends = [end for cut in self.cuts.values() for end in cut]
+        corners = np.array([*ends, *stations, (west, south), (east, north)])
+        return fitting_scale(*np.ptp(corners, axis=0))
 
     def heights(self, scale: float, window: Window) -> _Heights:
         """Compute the heights of a part of the site."""
@@ -242,6 +249,7 @@ class _Visit:
         interval: float,
         *,
         cuts: Mapping[str, Floats] | None = None,
+        details: Mapping[str, Window] | None = None,
     ) -> Page:
         """Draw the site, or a part without section lines, shaded from above."""
         raster, scale = heights.fine, heights.scale
@@ -249,12 +257,13 @@ class _Visit:
             contours = products.contours(heights.coarse, interval=interval)
         except CubeError:
             contours = []
-        annotations = self._annotations(heights, cuts)
+        annotations = replace(self._annotations(heights, cuts), details=details or {})
         block = replace(
             block,
             statements=(
                 f"{self._scans()}. Contours every {interval * 1e3:g} mm; heights count "
                 "upwards from the origin of the site",
+                *(["Gray frames: detail sheets with their numbers"] if details else []),
                 *self._statements(raster, annotations),
                 drawings.relief_statement(raster),
                 *self._moving(),
@@ -484,6 +493,10 @@ def _plan_lines(
         formats.Line(points=ends, layer="sections", label=f"{letter}-{letter}'")
         for letter, ends in annotations.cuts.items()
     ]
+    for number, (west, east, south, north) in annotations.details.items():
+        corners = [(west, south), (east, south), (east, north), (west, north)]
+        points = np.array([*corners, corners[0]])
+        lines.append(formats.Line(points=points, layer="details", label=number))
     return formats.Drawing(
         title=block.title,
         statements=block.statements,

@@ -104,6 +104,10 @@ class Annotations:
     """Targets by name, shape (2,) [m]."""
     cuts: Mapping[str, Floats] = field(default_factory=dict)
     """Ends of section lines by letter, shape (2, 2) [m]."""
+    details: Mapping[str, tuple[float, float, float, float]] = field(
+        default_factory=dict
+    )
+    """West, east, south and north bound of detail sheets by number [m]."""
 
 
 def error_ellipse(
@@ -607,6 +611,14 @@ def annotate(axis: Axes, annotations: Annotations) -> None:
     for name, point in annotations.targets.items():
         axis.plot(*point, "o", color="#000000", ms=4, mfc="none", mew=0.8)
         axis.annotate(name, (point[0], point[1]), xytext=(4, -9), **offset)
+    for detail, (west, east, south, north) in annotations.details.items():
+        axis.add_patch(
+            Rectangle(
+                (west, south), east - west, north - south,
+                fill=False, edgecolor="#555555", lw=0.4, gid="detail",
+            )
+        )  # fmt: skip
+        axis.annotate(detail, (west, north), xytext=(3, -9), color="#555555", **offset)
     for letter, ends in annotations.cuts.items():
         axis.plot(*ends.T, color="#000000", lw=0.8, ls=(0, (8, 2, 1, 2)))
         onward = 7 * (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])

@@ -126,6 +126,10 @@ def test_a_larger_scale_adds_details(site, capsys) -> None:
     assert len(details) >= 2
     assert f"{4 + len(details)} sheets" in said
     assert any("1:4 on " in text for text in texts_of(details[0]))
+    # The plan shows where each detail lies.
+    plan = site.with_name("site_plan.svg")
+    assert ids_of(plan).count("detail") == len(details)
+    assert {str(number + 1) for number in range(len(details))} <= texts_of(plan)
     # An overview on A4 remains the first sheet.
     assert any(
         text.endswith(" on A4") for text in texts_of(site.parent / "site_plan.svg")
