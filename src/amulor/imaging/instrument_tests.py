@@ -222,13 +222,17 @@ def _frequencies(cube: xr.Dataset) -> InstrumentTest | None:
     if FREQUENCY_PHASES not in cube.attrs:
         return None
     size = float(np.max(np.abs(cube.attrs[FREQUENCY_PHASES])))
-    cause = (
-        f"{_AMPLITUDE}, or {_WATER}"
-        if "channel_phase_rad" in cube.attrs
-        # Errors that depend on the echo differ between the channels.
-        else "harmonics, reflections in a cable, an error of the demodulator, a scale "
+    shared = (
+        "harmonics, reflections in a cable, an error of the demodulator, a scale "
         "change, or frequencies without a calibration of their phase"
     )
+    if "channel_phase_rad" in cube.attrs:
+        cause = f"{_AMPLITUDE}, or {_WATER}"
+    elif "channel_phase_probability" in cube.attrs:
+        # Errors that depend on the echo differ between the channels.
+        cause = shared
+    else:
+        cause = f"{_AMPLITUDE}, {_WATER}, {shared}"
     return InstrumentTest(
         name="frequencies",
         result=f"the frequencies differ from one distance by up to {1e3 * size:.3g} "

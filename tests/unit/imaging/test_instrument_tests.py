@@ -84,9 +84,14 @@ def test_a_delay_is_no_contradiction_and_a_constant_phase_is() -> None:
     (failed,) = instrument_tests(constant)
     assert failed.name == "frequencies"
     assert "frequencies differ" in failed.result
-    # Errors that the channels share are no leakage.
+    # Without a comparison of channels, leakage is as likely as an error of both.
     assert "demodulator" in failed.cause
+    assert "leakage" in failed.cause
     assert "plate" in failed.measurement
+    # Errors that the channels share are no leakage.
+    (failed,) = instrument_tests(constant.assign_attrs(channel_phase_probability=0.3))
+    assert "demodulator" in failed.cause
+    assert "leakage" not in failed.cause
     (failed, _) = instrument_tests(
         constant.assign_attrs(channel_phase_rad=0.02, channel_phase_probability=1e-9)
     )[::-1]
