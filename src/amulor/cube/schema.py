@@ -174,7 +174,7 @@ class WaterResidualCause(enum.IntFlag):
     WATER_SHAPE = 4
     """The target signal has the same shape as the water signal over all samples."""
     MODEL_MISFIT = 8
-    """Joint estimation: the samples contradict the model of target and water."""
+    """The samples contradict joint estimation, or are on no line of `phasor-lines`."""
     MODEL_DEPARTURE = 16
     """Joint estimation: departures from the model move the range considerably."""
     WATER_CHANGED = 32

@@ -64,7 +64,8 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
 
     Notes
     -----
-    Noise is independent from pixel to pixel. The reference is a polynomial over the
+    Noise is independent from pixel to pixel, except for ranges from phasor lines, whose
+    windows overlap. The reference is a polynomial over the
     scan, of the degree that the image states: its errors at two pixels correlate like
     :math:`\phi_i^T (\Phi^T \Phi)^{-1} \phi_j` with the monomials :math:`\phi`, for
     shots that cover the scan evenly. An error of the water signal shifts the phase by
@@ -103,7 +104,7 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
         )
     total = image["slant_range_uncertainty"].values[which] ** 2
     if "slant_range_common_uncertainty" not in image:
-        return np.diag(total)
+        return _of_noise(image, which, total)
     alike, of_water = (
         [
             image[f"{RANGE_PREFIX}{name}"].values[which]
@@ -119,7 +120,20 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     matrix = np.outer(shared, shared) * _along_the_scan(image, which) * turn
     matrix += sum(np.outer(term, term) for term in of_water) * turn
     matrix += sum(np.outer(term, term) for term in alike)
+    matrix += _of_noise(image, which, np.maximum(total - squares, 0.0))
     matrix[np.diag_indices(count)] = total
+    return matrix
+
+
+def _of_noise(image: xr.Dataset, which: NDArray[np.bool_], variance: Floats) -> Floats:
+    """Covariance of the noise, independent except in windows of phasor lines."""
+    matrix = np.diag(variance)
+    if "phasor_line_window" not in image.attrs:
+        return matrix
+    width = float(image.attrs["phasor_line_window"])
+    matrix = np.sqrt(np.outer(variance, variance))
+    for place in np.nonzero(which):
+        matrix *= np.clip(1 - np.abs(place[:, None] - place) / width, 0, 1)
     return matrix
 
 

@@ -17,6 +17,7 @@ from amulor.rejection.joint.water_fit import (
 )
 from amulor.rejection.methods import Method, Needs, load, method, names, reject
 from amulor.rejection.open_water import open_water
+from amulor.rejection.phasor_lines import phasor_lines
 from amulor.rejection.polarization import (
     ChannelChoice,
     choose_channel,
@@ -58,6 +59,7 @@ __all__ = [
     "method",
     "names",
     "open_water",
+    "phasor_lines",
     "polarization",
     "reject",
     "split_scattering",

@@ -1,0 +1,201 @@
+"""Phasor lines: the target's phase from reflectances alone, and refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.constants import speed_of_light
+
+from amulor import cube as cubes
+from amulor import imaging, rejection
+from amulor.cube import QualityFlag, tiles
+from amulor.errors import CubeError
+from amulor.optics import detection
+
+FREQUENCY = np.array([20e6, 60e6])
+ROWS, COLUMNS = np.mgrid[0:14, 0:16]
+DISTANCE = 1.5 + 0.004 * COLUMNS - 0.002 * ROWS
+
+
+def pattern(seed: int, dark: float = 0.1) -> np.ndarray:
+    """Return reflectances of 0.3 and `dark`, drawn for each pixel."""
+    rng = np.random.default_rng(seed)
+    return np.where(rng.random(DISTANCE.shape) < 0.5, 0.3, dark)
+
+
+def phasors(distance: np.ndarray = DISTANCE) -> np.ndarray:
+    """Return echoes of a white target, over (frequency, row, column)."""
+    wave = 4 * np.pi * FREQUENCY * 1.38 / speed_of_light
+    return np.exp(1j * wave[:, None, None] * distance)
+
+
+def cube_of(
+    signal: np.ndarray, *, noise: float = 2e-3, seed: int = 1, excess: float = 0.0
+) -> xr.Dataset:
+    """Return samples of a signal without shots and without a survey."""
+    rng = np.random.default_rng(seed)
+    draws = rng.standard_normal((2, *signal.shape))
+    measured = signal + (noise + excess) * (draws[0] + 1j * draws[1])
+    stated = np.full(signal.shape, noise)[:, None]
+    azimuth, elevation = 0.002 * COLUMNS, -0.002 * ROWS
+    return cubes.build(
+        "samples",
+        {
+            "in_phase": measured.real[:, None],
+            "quadrature": measured.imag[:, None],
+            "in_phase_uncertainty": stated,
+            "quadrature_uncertainty": stated,
+            "saturated": np.zeros(stated.shape, np.int8),
+        },
+        {
+            "modulation_frequency": FREQUENCY,
+            "polarization": ["none"],
+            "azimuth": azimuth,
+            "elevation": elevation,
+        },
+        geometry={
+            "group_index": 1.38,
+            "refractive_index": 1.34,
+            "emitter_position": np.zeros(3),
+            "receiver_position": np.zeros(3),
+        },
+        attributes=cubes.attributes("samples", title="by hand", source="by hand"),
+    )
+
+
+def phase_errors(target: xr.Dataset, truth: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return errors of the phase and their stated uncertainties."""
+    signal = target.amulor.signal.values
+    stated = detection.phase_uncertainty(
+        signal,
+        in_phase_variance=target["in_phase_uncertainty"].values ** 2,
+        quadrature_variance=target["quadrature_uncertainty"].values ** 2,
+        covariance=target["in_phase_quadrature_covariance"].values,
+    )
+    return np.angle(signal / truth[:, None]), stated
+
+
+@pytest.mark.parametrize("excess", [0.0, 4e-3])
+def test_errors_of_the_phase_are_as_stated(excess: float) -> None:
+    inside = []
+    for seed in range(4):
+        signal = pattern(seed) * phasors() + 0.2 - 0.1j
+        target = rejection.phasor_lines(cube_of(signal, seed=seed, excess=excess))
+        error, stated = phase_errors(target, phasors())
+        inside.append((np.abs(error) < 1.96 * stated).mean())
+        assert (target["quality_flag"].values == 0).mean() > 0.95
+    # Neighbors share windows: 1,792 samples count for about 140.
+    assert 0.91 < np.mean(inside) < 0.99
+
+
+@settings(max_examples=8)
+@given(
+    terms=st.lists(
+        st.complex_numbers(max_magnitude=0.2, allow_nan=False), min_size=6, max_size=6
+    )
+)
+def test_smooth_water_does_not_move_the_phase(terms: list[complex]) -> None:
+    x, y = COLUMNS / 15 - 0.5, ROWS / 13 - 0.5
+    shapes = (np.ones_like(x), x, y, x**2, x * y, y**2)
+    water = sum(term * shape for term, shape in zip(terms, shapes, strict=True))
+    signal = pattern(3) * phasors()
+    clean, moved = (
+        rejection.phasor_lines(cube_of(part, noise=1e-5)).amulor.signal.values
+        for part in (signal + 0.05, signal + 0.05 + water)
+    )
+    # Modulo half a turn: which end of a line is bright depends on the water. The phase
+    # turns by up to 0.07 rad in a window, so that a quadratic water signal has a cubic
+    # part across the line. Left in, this water turns phases by up to 1 rad.
+    turn = np.angle((moved / clean) ** 2) / 2
+    assert np.abs(turn).max() < 5e-3
+
+
+def test_error_follows_the_contrast_as_the_formula_for_two_pixels() -> None:
+    # sqrt(2) a1 / (a1 - a2) of the error in known water: 2.1 at 0.1, 4.2 at 0.2.
+    errors = []
+    for dark in (0.1, 0.2):
+        cube = cube_of(pattern(5, dark) * phasors() + 0.1, noise=5e-4)
+        errors.append(
+            np.median(phase_errors(rejection.phasor_lines(cube), phasors())[1])
+        )
+    assert errors[1] / errors[0] == pytest.approx(2.0, rel=0.05)
+
+
+def test_rows_are_those_of_the_whole_scan() -> None:
+    cube = cube_of(pattern(1) * phasors() + 0.2)
+    whole = rejection.phasor_lines(cube)
+    of = rejection.load("phasor-lines").fit(tiles.InMemory(cube))
+    for begin, end in ((0, 3), (3, 9), (9, 14)):
+        part = of(cube.isel(row=slice(begin, end)), begin)
+        for name in ("in_phase", "quadrature_uncertainty", "quality_flag"):
+            assert_array_equal(part[name], whole[name].isel(row=slice(begin, end)))
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.02])
+def test_a_scene_of_one_reflectance_is_refused(slope: float) -> None:
+    signal = 0.3 * phasors(DISTANCE + slope * COLUMNS) + 0.2
+    with pytest.raises(CubeError, match="the reflectance does not vary within 5 x 5"):
+        rejection.phasor_lines(cube_of(signal))
+
+
+def test_the_edge_of_an_object_alone_is_refused() -> None:
+    bright = COLUMNS > 7
+    signal = np.where(bright, 0.3, 0.1) * phasors(np.where(bright, 1.4, 1.5)) + 0.2
+    with pytest.raises(CubeError, match="does not vary"):
+        rejection.phasor_lines(cube_of(signal))
+
+
+def test_pixels_without_contrast_or_line_are_flagged() -> None:
+    reflectance = np.where(COLUMNS < 8, pattern(2), 0.3)
+    flag = rejection.phasor_lines(cube_of(reflectance * phasors() + 0.2))
+    flag = flag["quality_flag"].values[:, 0]
+    assert (flag[:, :, :6] == 0).mean() > 0.95
+    assert (flag[:, :, 13:] & QualityFlag.NO_TARGET).all()
+    # A sponge on the plate, in a corner of the scan: all windows there contain pores.
+    pores = (np.hypot(ROWS - 2, COLUMNS - 2) < 2.5) * np.random.default_rng(4).random(
+        DISTANCE.shape
+    )
+    signal = pattern(2) * phasors(DISTANCE - 0.1 * pores) + 0.2
+    flag = rejection.phasor_lines(cube_of(signal))["quality_flag"].values[:, 0]
+    doubtful = (flag & (QualityFlag.WATER_RESIDUAL | QualityFlag.NO_TARGET)) != 0
+    assert doubtful[:, 1:4, 1:4].mean() > 0.9
+    assert doubtful[:, :, 9:].mean() < 0.1
+
+
+def test_lost_samples_leave_their_neighbors() -> None:
+    cube = cube_of(pattern(6) * phasors() + 0.2)
+    cube["in_phase"][0, 0, 5, 5] = np.nan
+    target = rejection.phasor_lines(cube)
+    assert target["quality_flag"].values[0, 0, 5, 5] == QualityFlag.MISSING
+    error, stated = phase_errors(target, phasors())
+    assert_allclose(error[1], 0, atol=5 * stated[1].max())
+    assert (target["quality_flag"].values[0, 0, 4:7, 4:7] == 0).sum() >= 7
+
+
+def test_windows_are_odd_and_no_larger_than_the_scan() -> None:
+    cube = cube_of(pattern(1) * phasors() + 0.2)
+    for window in (3, 6, 5.5):
+        with pytest.raises(ValueError, match="window must be an odd number of pixels"):
+            rejection.phasor_lines(cube, window=window)
+    with pytest.raises(CubeError, match=r"14 x 16 pixels, but .* 15 x 15"):
+        rejection.phasor_lines(cube, window=15)
+
+
+def test_errors_of_means_contain_the_shared_windows() -> None:
+    region = np.zeros(DISTANCE.shape, dtype=bool)
+    region[3:11, 4:12] = True
+    scores = []
+    for seed in range(10):
+        cube = cube_of(pattern(seed) * phasors() + 0.2, seed=seed)
+        target = rejection.phasor_lines(cube)
+        image = imaging.range_image(target, polarization="none", interval=(1.0, 2.0))
+        mean = imaging.correlation.mean_range(image, region)
+        error = mean.value - DISTANCE[region & (image["quality_flag"] == 0)].mean()
+        scores.append(error / mean.uncertainty)
+    # Ten draws: the deviation of a standard normal to 22 %. With independent pixels it
+    # would be 3 or more.
+    assert 0.3 < np.sqrt(np.mean(np.square(scores))) < 1.6
