@@ -59,14 +59,14 @@ def test_a_slanting_section_is_as_long_as_pythagoras_says(
     ladder_file, tmp_path, capsys
 ) -> None:
     path = tmp_path / "s.csv"
-    run(ladder_file, "-o", path, "--line=-3cm,-1cm,0m,3cm")
+    run(ladder_file, "-o", path, "--line=-2cm,-1cm,1cm,3cm")
     assert re.search(r"section of 0.050 m in", capsys.readouterr().out)
     rows = read_csv(path)
     along, right, up = (
         np.array([float(row[f"{name} [m]"]) for row in rows])
         for name in ("along", "right", "up")
     )
-    np.testing.assert_allclose(right, -0.03 + 0.6 * along, atol=2e-6)
+    np.testing.assert_allclose(right, -0.02 + 0.6 * along, atol=2e-6)
     np.testing.assert_allclose(up, -0.01 + 0.8 * along, atol=2e-6)
 
 
