@@ -556,12 +556,12 @@ def phasor_lines(cube: xr.Dataset, *, window: int = 5) -> xr.Dataset:
     Notes
     -----
     Pixels of one distance and different reflectance a lie on a line in the plane of
-    both outputs [1]_, :math:`S_i = W + a_i e^{iarphi}`: a difference of two samples
+    both outputs [1]_, :math:`S_i = W + a_i e^{i\varphi}`: a difference of two samples
     has the phase of the target, whatever the water signal W is. In a window W may
-    change as a quadratic polynomial of row and column, and :math:`arphi` linearly.
+    change as a quadratic polynomial of row and column, and :math:`\varphi` linearly.
     The fit minimizes the squared distances from the line,
 
-    .. math:: \sum_i rac{\operatorname{Im}^2 [(S_i - W_i) e^{-iarphi_i}]}
+    .. math:: \sum_i \frac{\operatorname{Im}^2 [(S_i - W_i) e^{-i\varphi_i}]}
         {\sigma_i^2},
 
     with errors of both coordinates. Two samples give the phase with an error of

@@ -192,6 +192,21 @@ def test_one_row_of_one_channel_is_estimated_jointly(samples: xr.Dataset) -> Non
     assert result["in_phase"].shape == (3, 1, 1, 12)
 
 
+def test_lines_of_phasors_take_one_frequency_and_channel(samples: xr.Dataset) -> None:
+    selected = {"polarization": "VV", "modulation_frequency": 39e6}
+    lists = {name: [value] for name, value in selected.items()}
+    steps = [lambda: rejection.phasor_lines(samples.sel(selected)),
+             lambda: rejection.phasor_lines(samples.sel(lists))]  # fmt: skip
+    # The plate has one reflectance, which both refuse in the same words.
+    messages = []
+    for step in steps:
+        with pytest.raises(CubeError) as refusal:
+            step()
+        messages.append(str(refusal.value))
+    assert messages[0] == messages[1]
+    assert "reflectance" in messages[0]
+
+
 PAIRS: dict[str, Step] = {
     "cross_polarized": rejection.cross_polarized,
     "polarization": rejection.polarization,
@@ -226,8 +241,11 @@ def test_stokes_vectors_take_one_frequency(plate_text: str) -> None:
 
 def test_every_rejection_step_is_tested_here() -> None:
     classes = {name for name in rejection.__all__ if name[0].isupper()}
-    # The first has a test of its own, the second takes a fit, the rest names.
-    others = {"stokes_vectors", "split_scattering", "load", "method", "names", "reject"}
+    # The first two have tests of their own, the third takes a fit, the rest names.
+    others = {
+        "stokes_vectors", "phasor_lines", "split_scattering", "load", "method", "names",
+        "reject",
+    }  # fmt: skip
     tested = {*REJECTION, *SINGLE, *SWEEPS, *PAIRS}
     assert set(rejection.__all__) == classes | tested | others
 

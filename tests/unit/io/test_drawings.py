@@ -252,9 +252,13 @@ class TestDxf:
         assert {"along [m]", "nearer [m]", "-1.46"} <= set(texts)
         (block,) = space.query("INSERT")
         assert block.dxf.name == "TITLE_BLOCK"
+        # Fields without a text are there, for a CAD program to fill.
+        blank = "OBJECT", "SHEET", "AUTHOR", "INSTITUTION", "DATE", "VIEW"
         assert {a.dxf.tag: a.dxf.text for a in block.attribs} == {
             "PROJECT": "Harbour",
             "FIND_NUMBER": "HB 17",
+            "SCALE": "1:2",
+            **dict.fromkeys(blank, ""),
         }
 
     def test_nothing_to_draw_is_refused(self, tmp_path):
