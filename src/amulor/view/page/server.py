@@ -420,7 +420,7 @@ class _Connection(H11Protocol):
     """HTTP connection that is closed if a request takes too long."""
 
     _timer: asyncio.TimerHandle | None = None
-    _awaited: type[h11.Sentinel] | None = None
+    _awaited: object = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
@@ -439,7 +439,9 @@ class _Connection(H11Protocol):
         if self._timer is not None:
             self._timer.cancel()
         limit = {h11.IDLE: _HEADER_TIME, h11.SEND_BODY: _BODY_TIME}.get(state)
-        self._timer = limit and self.loop.call_later(limit, self.transport.close)
+        self._timer = (
+            self.loop.call_later(limit, self.transport.close) if limit else None
+        )
 
 
 def serve(

@@ -275,8 +275,10 @@ class Space:
                 "The file has no uncertainties, so lengths have none here; PLY, LAZ "
                 "and text that amulor exports have them."
             )
-        prefixes = ("axes", "reference system", "uncertainty", "not shown")
-        prefixes += ("registration", "change")
+        prefixes = (
+            "axes", "reference system", "uncertainty", "not shown", "registration",
+            "change",
+        )  # fmt: skip
         notes += [
             f"{line[0].upper()}{line[1:]}."
             for line in self._statements
