@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import sys
+import textwrap
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -220,10 +221,11 @@ def summary(table: dict[str, NDArray[np.float64]]) -> str:
 
     return (
         f"{left.size} amplitudes above {LOWEST} are compared. Their rms difference is "
-        f"{rms(left):.1f} %, the median {np.median(left):+.1f} %. The noise of the "
-        f"simulation contributes {rms(noise):.1f} %. With one time zero for all slabs, "
-        f"the delays differ by {1e12 * rms(delays(table)):.0f} ps (rms). With one for "
-        f"each slab, they differ by {1e12 * rms(without_time_zeros(table)):.0f} ps."
+        f"{rms(left):.1f} %, and the median difference is {np.median(left):+.1f} %. "
+        f"The noise of the simulation contributes {rms(noise):.1f} %. "
+        "With one time zero for all slabs, the delays differ by "
+        f"{1e12 * rms(delays(table)):.0f} ps (rms). With one for each slab, they "
+        f"differ by {1e12 * rms(without_time_zeros(table)):.0f} ps."
     )
 
 
@@ -232,7 +234,7 @@ def main() -> None:
     if "--photons" in sys.argv[1:]:
         add_missing()
     table = compared()
-    print(summary(table))
+    print(textwrap.fill(summary(table), 80))
     with style():
         PICTURE.write_bytes(png(drawn(table)))
 

@@ -11,6 +11,7 @@ import matplotlib
 import numpy as np
 import pytest
 from scipy.constants import speed_of_light
+from scipy.special import j1
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -36,7 +37,7 @@ def test_transport_is_within_four_percent_of_the_measured_slabs(
     # Photons that are too few would confirm everything.
     noise = table["amplitude_error"] / table["measured_amplitude"]
     assert np.sqrt(np.mean(noise**2)) < 0.025
-    page = (DOCS / "theory" / "photon-transport.md").read_text(encoding="utf-8")
+    page = (DOCS / "how-to" / "import-transients.md").read_text(encoding="utf-8")
     assert script.summary(table) in " ".join(page.split())
 
 
@@ -50,13 +51,14 @@ def test_simulated_slabs_follow_diffusion_from_point_to_point(
     scattering, absorption, index, beyond = 262.0, 0.53, 1.12, 3.6e-3
     diffusion = 1 / (3 * (scattering + absorption))
 
-    def light(thickness: float, frequency: float) -> complex:
+    def light(thickness: float, frequency: float, radius: float = 0.0) -> complex:
         modulation = 2j * np.pi * frequency * index / speed_of_light
         wave = np.linspace(0, 60 / thickness, 6001)[1:]
         decay = np.sqrt(wave**2 + (absorption + modulation) / diffusion)
         passed = np.sinh(decay * (beyond + 1 / scattering)) * np.cosh(decay * beyond)
         passed = passed / np.sinh(decay * (thickness + 2 * beyond))
-        return complex(np.trapezoid(passed * wave, wave))
+        disc = 1.0 if radius == 0 else 2 * j1(wave * radius) / (wave * radius)
+        return complex(np.trapezoid(passed * wave * disc, wave))
 
     thick = [row for row in script.rows() if row.inch >= 3 and row.amplitude > 0.1]
     ratios, errors = [], []
@@ -68,6 +70,22 @@ def test_simulated_slabs_follow_diffusion_from_point_to_point(
     # Diffusion is good to a few percent; each difference has the noise of photons.
     assert np.all(np.abs(ratios) < 0.03 + 4 * np.array(errors))
     assert abs(np.median(ratios)) < 0.01
+
+    def extrapolated(thickness: float, frequency: float) -> complex:
+        inner, outer = script.INNER, script.OUTER
+        near, whole = (
+            light(thickness, frequency, share * thickness) for share in (inner, outer)
+        )
+        ring = (whole * outer**2 - near * inner**2) / (outer**2 - inner**2)
+        return near + (near - ring) * inner**2 / outer**2
+
+    for row in thick:
+        thickness = row.inch * 0.0254
+        point, estimate = (
+            abs(form(thickness, 1e6 * row.mhz) / form(thickness, 0.0))
+            for form in (light, extrapolated)
+        )
+        assert abs(estimate / point - 1) < 0.01
 
 
 @pytest.mark.slow

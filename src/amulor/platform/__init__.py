@@ -1,6 +1,6 @@
 """Platform of the instrument: its trajectory, and the pose of every reading."""
 
-from amulor.optics.attitude import rotation_of
+from amulor._attitude import rotation_of
 from amulor.platform.mounting import read_mounting
 from amulor.platform.poses import (
     InstrumentPoses,

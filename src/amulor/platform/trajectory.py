@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from amulor.optics.attitude import rotation_of
+from amulor._attitude import rotation_of
 from amulor.platform.attitude import covariance_of, turn_between
 
 Floats = NDArray[np.float64]

@@ -573,6 +573,7 @@ def stokes_vectors(cube: xr.Dataset, *, launched: str) -> xr.DataArray:
     >>> from amulor import cube as cubes, rejection, samples
     >>> pair = cubes.without_groups(samples.cube("ladder").isel(row=[20]))
     >>> half = pair.mean("polarization", keep_attrs=True)
+    >>> half["in_phase_quadrature_covariance"][:] = 0
     >>> more = [half.expand_dims(polarization=[name]) for name in ("VP", "VR")]
     >>> four = xr.concat([pair, *more], "polarization", data_vars="minimal")
     >>> stokes = rejection.stokes_vectors(four, launched="V")

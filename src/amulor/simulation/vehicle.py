@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from amulor._attitude import rotation_of
 from amulor.errors import SurveyError
-from amulor.optics.attitude import rotation_of
 from amulor.platform import Trajectory
 from amulor.platform.trajectory import usual_gap
 from amulor.survey import Platform, Survey

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics.attitude import rotation_of
+from amulor._attitude import rotation_of
 from amulor.survey.platform import (
     Course,
     HoverCourse,
