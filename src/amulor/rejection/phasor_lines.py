@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -70,8 +70,8 @@ class NoiseScale:
         """Return the factor, at least 1, over (frequency, channel, row, column)."""
         terms = _direction_terms(azimuth, elevation, self.middle, self.half_span)
         logarithm = np.zeros((*self.terms.shape[:2], *azimuth.shape))
-        for k, term in enumerate(terms[: self.terms.shape[2]]):
-            logarithm += self.terms[:, :, k, None, None] * term
+        for k in range(self.terms.shape[2]):
+            logarithm += self.terms[:, :, k, None, None] * terms[..., k]
         return np.exp(np.maximum(logarithm, 0.0))
 
 
@@ -118,7 +118,12 @@ def _surface(window: int) -> Floats:
     """Return the terms of a quadratic surface at the samples of a window."""
     line = np.linspace(-1.0, 1.0, window)
     y, x = (part.ravel() for part in np.meshgrid(line, line, indexing="ij"))
-    return np.stack([np.ones_like(x), x, y, x**2, x * y, y**2], axis=1)
+    return _quadratic(x, y)
+
+
+def _quadratic(x: Floats, y: Floats) -> Floats:
+    """Return the terms of a quadratic function of two coordinates, on the last axis."""
+    return np.stack([np.ones_like(x), x, y, x**2, x * y, y**2], axis=-1)
 
 
 @functools.cache
@@ -270,7 +275,7 @@ def _fit_windows(scan: Observation, errors: Covariance, window: int) -> _Lines:
         np.lib.stride_tricks.sliding_window_view(part, (window, window), axis=(2, 3))
         for part in (*parts, usable)
     ]
-    planes, rows, columns = views[0].shape[:2], views[0].shape[2], views[0].shape[3]
+    rows, columns = views[0].shape[2:4]
     step = max(1, _AT_ONCE // columns)
     blocks = [
         _fit_block([view[:, :, first : first + step] for view in views], window)
@@ -278,23 +283,17 @@ def _fit_windows(scan: Observation, errors: Covariance, window: int) -> _Lines:
     ]
     return _Lines(
         **{
-            name: np.concatenate(
-                [getattr(block, name) for block in blocks], axis=2
-            ).reshape(*planes, rows, columns, *tail)
-            for name, tail in (
-                ("phase", (_TERMS,)),
-                ("covariance", (_TERMS, _TERMS)),
-                ("misfit", ()),
-                ("freedom", ()),
-                ("edge", ()),
+            field.name: np.concatenate(
+                [getattr(block, field.name) for block in blocks], axis=2
             )
+            for field in fields(_Lines)
         }
     )
 
 
 def _fit_block(views: list[NDArray[Any]], window: int) -> _Lines:
     """Fit lines to the windows of some rows, and direct them alike in all samples."""
-    planes = views[0].shape[:2]
+    shape, planes = views[0].shape[:4], views[0].shape[:2]
     lines, contrasts, bright = [], [], []
     for plane in np.ndindex(planes):
         signal, in_phase, quadrature, cross, usable = (
@@ -318,10 +317,9 @@ def _fit_block(views: list[NDArray[Any]], window: int) -> _Lines:
         line.phase[where, 0] += np.pi
     return _Lines(
         **{
-            name: np.stack([getattr(line, name) for line in lines]).reshape(
-                *planes, -1, *getattr(lines[0], name).shape[1:]
-            )
-            for name in ("phase", "covariance", "misfit", "freedom", "edge")
+            field.name: values.reshape(*shape, *values.shape[2:])
+            for field in fields(_Lines)
+            for values in [np.stack([getattr(line, field.name) for line in lines])]
         }
     )
 
@@ -382,11 +380,11 @@ def _directions(lines: _Lines, frequency: Floats, window: int) -> _Directions:
 
 def _direction_terms(
     azimuth: Floats, elevation: Floats, middle: Floats, half_span: Floats
-) -> list[Floats]:
-    """Return the terms of a quadratic function of the direction."""
+) -> Floats:
+    """Return the terms of a quadratic function of the direction, on the last axis."""
     x = (azimuth - middle[0]) / half_span[0]
     y = (elevation - middle[1]) / half_span[1]
-    return [np.ones_like(x), x, y, x**2, x * y, y**2]
+    return _quadratic(x, y)
 
 
 def _noise_scale(
@@ -399,7 +397,7 @@ def _noise_scale(
     spans = [(float(part.min()), float(part.max())) for part in (azimuth, elevation)]
     middle = np.array([(low + high) / 2 for low, high in spans])
     half = np.array([max((high - low) / 2, 1e-12) for low, high in spans])
-    design = np.stack(_direction_terms(azimuth, elevation, middle, half), axis=-1)
+    design = _direction_terms(azimuth, elevation, middle, half)
     terms = np.zeros((*lines.misfit.shape[:2], _TERMS))
     for plane in np.ndindex(lines.misfit.shape[:2]):
         good = np.isfinite(lines.covariance[plane][..., 0, 0])
