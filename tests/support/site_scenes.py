@@ -2,24 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
+from scripts import script
 
-FOLDER = Path(__file__).parents[2] / "examples" / "wreck"
-
-
-def _loaded(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their own module up
-    spec.loader.exec_module(module)
-    return module
-
-
-shapes = _loaded("bodies")
-scanning = _loaded("scanning")
-make_site = _loaded("make_site")
+# A script imports those before it.
+shapes = script("examples/wreck/bodies.py")
+scanning = script("examples/wreck/scanning.py")
+make_site = script("examples/wreck/make_site.py")

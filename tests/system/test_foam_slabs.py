@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
 from types import ModuleType
 
 import matplotlib
 import numpy as np
 import pytest
+import scripts
 from scipy.constants import speed_of_light
 from scipy.special import j1
 
@@ -18,13 +17,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("foam", DOCS / "make_foam_images.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["foam"] = module
-    spec.loader.exec_module(module)
-    return module
+    return scripts.script("docs/make_foam_images.py")
 
 
 def test_transport_is_within_four_percent_of_the_measured_slabs(

@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import random
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from scripts import script
 
 TOOL = Path(__file__).parents[2] / "tools" / "mutate.py"
 
 
 @pytest.fixture
-def tool(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(TOOL.parent)
-    spec = importlib.util.spec_from_file_location("mutate_tool", TOOL)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["mutate_tool"] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules["mutate_tool"]
+    return script("tools/mutate.py")
 
 
 @pytest.fixture
