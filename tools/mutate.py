@@ -398,7 +398,7 @@ def _used() -> float:
 
 @dataclass
 class Outcome:
-    """How the tests of a change ended."""
+    """Result of the tests of a change."""
 
     failed: str = ""
     """First test that failed, or "hang"."""
@@ -422,7 +422,7 @@ class Worker:
                 importlib.import_module(name)
 
     def outcome(self, mutant: Mutant) -> Outcome:
-        """Return how the tests of a change end."""
+        """Run the tests of a change, and return their result."""
         place = self._copy / "amulor" / mutant.file.relative_to(PACKAGE)
         kept, times = place.read_bytes(), place.stat()
         place.write_text(mutant.source, "utf-8")

@@ -37,7 +37,7 @@ def cube(plate: Survey) -> xr.Dataset:
 
 
 def response(angle: float) -> np.ndarray:
-    """Return what both channels pass of linear light, by Malus' law."""
+    """Return the transmission of both channels for linear light, by Malus' law."""
     first = math.cos(angle - ZERO) ** 2
     second = math.sin(angle - ZERO - TURN) ** 2
     passed = [first + PASSED[0] * (1 - first), second + PASSED[1] * (1 - second)]
