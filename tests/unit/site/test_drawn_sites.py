@@ -14,6 +14,7 @@ from drawn_sites import DrawnSite, drawn_site, one_visit, written
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from scripts import script
 
 from amulor import cli
 from amulor.site.registration.pair import compared
@@ -394,6 +395,27 @@ def test_a_large_but_not_significant_delay_widens_the_covariance(seed: int) -> N
     # The scan by itself is not good to a part of what the delay moves.
     sigma = np.sqrt(np.trace(found.covariance_of("pose a2")[:3, :3]))
     assert sigma > 0.3 * np.linalg.norm(off[:3])
+
+
+def test_a_delay_beside_a_stronger_test_of_another_scan_widens_the_covariance() -> None:
+    # The delay of 20 mm is that of a2 (3.4 standard errors); the rows of a1 have 3.8.
+    # Without the delay in the covariance, chi-square of a2 is above 216 and its error
+    # is 0.1 m and 0.28 rad.
+    campaign = script("benchmarks/measure_sites.py")
+    scanned, words = campaign.drawn(259)
+    assert (words["kind"], words["spoiler"]) == ("plane", "delay")
+    drawn = scanned()
+    found = registered(drawn)
+    assert found.contradictions == ()
+    strong = [test for test in found.patterns if abs(test.score) > 2.5]
+    assert max(strong, key=lambda test: abs(test.score)).scan == "a1"
+    assert "a2" in {test.scan for test in strong}
+    for name, pose in found.poses.items():
+        true = drawn.stations[name]
+        turn = Rotation.from_matrix(pose.rotation @ true.matrix.T).as_rotvec()
+        off = np.concatenate([pose.position - true.place, turn])
+        square = off @ np.linalg.solve(found.covariance_of(f"pose {name}"), off)
+        assert square < chi2.isf(1e-3, 6)
 
 
 def test_patterns_that_explain_a_scan_as_well_are_named_with_the_strongest() -> None:

@@ -184,17 +184,15 @@ def pattern_tests(
 def _suspected(
     tests: Sequence[PatternTest], changes: Sequence[Floats], count: int
 ) -> Floats:
-    """Return the covariance of all unknowns due to suspected errors of one scan.
+    """Return the covariance of all unknowns due to suspected errors.
 
-    These are the range errors of the scan with the strongest test whose estimated size
-    is large but not significant. Each counts with this size as its standard error.
+    These are all range errors whose estimated size is large, of any scan: the strongest
+    test may be a consequence of an error of another scan. Each error counts with its
+    estimated size as its standard error.
     """
     spread = np.zeros((count, count))
-    if not tests:
-        return spread
-    scan = max(tests, key=lambda test: abs(test.score)).scan
     for test, change in zip(tests, changes, strict=True):
-        if test.scan == scan and abs(test.score) > _SUSPECTED:
+        if abs(test.score) > _SUSPECTED:
             step = change * test.size / test.detectable
             spread += np.outer(step, step)
     return spread
