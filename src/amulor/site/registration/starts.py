@@ -40,6 +40,8 @@ class StartFindings:
     """Start poses that give a larger overlap under another convention."""
     remarks: tuple[str, ...]
     """Visits and scans that do not overlap with any other."""
+    poor: tuple[str, ...] = ()
+    """Notes on the start poses of `mistakes` that name no convention."""
     corrected: dict[str, StartPose] = field(default_factory=dict)
     """Start poses by scan under the convention that `mistakes` names first."""
 
@@ -115,6 +117,7 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
     }
     visits = {name: scans for name, scans in visits.items() if scans}
     mistakes: list[str] = []
+    poor: list[str] = []
     remarks: list[str] = []
     if len(starts) < 2:
         return StartFindings(mistakes=(), remarks=())
@@ -175,13 +178,18 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
                 name: starts[name].model_copy(update=reading(starts[name]))
                 for name in scans
             }
-            mistakes.append(
+            share = (
                 f"{group}: start poses of {', '.join(scans)} bring {agreement:.0%} of "
-                f"their points onto other scans, and {best:.0%} if "
+                "their points onto other scans"
+            )
+            remedy = "state the uncertainty of these start poses as large as it is"
+            mistakes.append(
+                f"{share}, and {best:.0%} if "
                 + " (or: ".join(words)
                 + ")" * (len(words) - 1)
-                + "; or state the uncertainty of these start poses as large as it is"
+                + f"; or {remedy}"
             )
+            poor.append(f"{share}; check [scan.start], or {remedy}")
     for name in worse[:1] if len(visits) == 2 else worse:
         scans = visits[name]
         others = [scan_name for scan_name in starts if scan_name not in scans]
@@ -201,7 +209,10 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
                 "[scan.start]"
             )
     return StartFindings(
-        mistakes=tuple(mistakes), remarks=tuple(remarks), corrected=corrected
+        mistakes=tuple(mistakes),
+        remarks=tuple(remarks),
+        poor=tuple(poor),
+        corrected=corrected,
     )
 
 
