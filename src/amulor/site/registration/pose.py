@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from amulor.errors import MissingExtraError
 from amulor.imaging import Frame, frame_of
+from amulor.platform.attitude import covariance_of
 from amulor.site.description import SiteFrame, StartPose
 
 Floats = NDArray[np.float64]
@@ -79,12 +80,12 @@ def start_pose(start: StartPose) -> ScanPose:
 
 def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
     """Return the covariance of a start pose, from the site file's uncertainties."""
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = start.position_uncertainty**2 * np.eye(3)
-    heading = np.array([0.0, 0.0, 1.0])
-    for axis in (pose.rotation[:, 0], pose.rotation[:, 2]):
-        covariance[3:, 3:] += start.level_uncertainty**2 * np.outer(axis, axis)
-    covariance[3:, 3:] += start.heading_uncertainty**2 * np.outer(heading, heading)
+    covariance = covariance_of(
+        pose.rotation[None],
+        start.position_uncertainty,
+        start.heading_uncertainty,
+        start.level_uncertainty,
+    )[0]
     # Three axes may lie nearly in a plane; no direction may count as known.
     least = 0.25 * min(start.level_uncertainty, start.heading_uncertainty) ** 2
     covariance[3:, 3:] += least * np.eye(3)
