@@ -160,7 +160,7 @@ def register(
     # a registration shows whether these start poses are then as good as stated.
     if _fits(corrected, surfaces, images) and not _fits(site, surfaces, images):
         raise CubeError("\n".join(findings.mistakes))
-    return _registered(site, surfaces, images, (*findings.mistakes, *findings.remarks))
+    return _registered(site, surfaces, images, (*findings.poor, *findings.remarks))
 
 
 def _with_targets(site: Site) -> set[str]:
@@ -320,6 +320,9 @@ def _result(
                 "moved_pixels": moved.tolist(),
             }
         )
+    targets = _common_targets(ties)
+    tied = [*((pair.source, pair.target) for pair in alignment.pairs), *targets]
+    groups = _groups(site, tied, ties, surfaces)
     reliability = reliabilities(
         alignment.state, alignment.covariance, alignment.layout, ties,
         inverse=alignment.inverse,
@@ -338,7 +341,7 @@ def _result(
         ),
         weaknesses=(),
         contradictions=_contradictions(site, alignment, ties, reliability),
-        remarks=(*remarks, *_untied(site, alignment, ties)),
+        remarks=(*remarks, *_untied(site, tied, groups)),
         settled=alignment.settled,
         fixed=ties.fixed or "",
         patterns=alignment.patterns,
@@ -365,11 +368,12 @@ def _result(
             (
                 *result.contradictions,
                 *along_beams,
-                *_other_datums(site, result, ties, surfaces),
+                *_other_datums(groups, result, ties, surfaces),
             )
         ),
     )
-    return replace(result, unchecked=tuple(_unchecked(site, result, ties, surfaces)))
+    unchecked = _unchecked(site, groups, targets, result, ties, surfaces)
+    return replace(result, unchecked=tuple(unchecked))
 
 
 def _contradictions(
@@ -515,7 +519,7 @@ def _seen_through(
 
 
 def _other_datums(
-    site: Site,
+    groups: list[list[str]],
     result: Registration,
     ties: Ties,
     surfaces: Mapping[str, ScanSurface],
@@ -524,16 +528,8 @@ def _other_datums(
 
     Nothing ties them to the others, and the difference is beyond what is stated.
     """
-    tied = _tied([(pair["source"], pair["target"]) for pair in result.pairs], ties)
-    groups = _groups([scan.name for scan in site.scan], tied)
-    # Of two groups of equal size the less accurate is named.
-    main = min(
-        groups,
-        key=lambda names: (-len(names), _group_error(names, ties, surfaces)),
-    )
-    for group in groups:
-        if group is main:
-            continue
+    main = groups[0]
+    for group in groups[1:]:
         points, others = (
             np.concatenate([_some_placed(result, surfaces[name]) for name in names])
             for names in (group, main)
@@ -578,23 +574,21 @@ def _some_placed(result: Registration, surface: ScanSurface) -> Floats:
     return result.poses[surface.name].place(points[::step])
 
 
-def _tied(pairs: list[tuple[str, str]], ties: Ties) -> list[tuple[str, str]]:
-    """Return the pairs of scans with a common surface or target."""
+def _common_targets(ties: Ties) -> list[tuple[str, str]]:
+    """Return the pairs of scans with a common target."""
     return [
-        *pairs,
-        *(
-            (first.scan, second.scan)
-            for first in ties.centres
-            for second in ties.centres
-            if first.target == second.target
-        ),
+        (first.scan, second.scan)
+        for first in ties.centres
+        for second in ties.centres
+        if first.target == second.target
     ]
 
 
-def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:
+def _untied(
+    site: Site, tied: list[tuple[str, str]], groups: list[list[str]]
+) -> Iterator[str]:
     """Yield a message for each visit or group of scans not connected to the others."""
     visit = {scan.name: scan.epoch for scan in site.scan}
-    tied = _tied([(pair.source, pair.target) for pair in alignment.pairs], ties)
     met = {visit[a] for a, b in tied if visit[a] != visit[b]}
     met |= {visit[b] for a, b in tied if visit[a] != visit[b]}
     for epoch in site.epoch if len(site.epoch) > 1 else ():
@@ -606,7 +600,6 @@ def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:
             )
     trusted = {scan.name for scan in site.scan if scan.trusted}
     if met or len(site.epoch) == 1:
-        groups = _groups([scan.name for scan in site.scan], tied)
         for group in groups[1:]:
             if not trusted.isdisjoint(group):
                 yield (
@@ -618,6 +611,8 @@ def _untied(site: Site, alignment: Alignment, ties: Ties) -> Iterator[str]:
 
 def _unchecked(
     site: Site,
+    groups: list[list[str]],
+    targets: list[tuple[str, str]],
     result: Registration,
     ties: Ties,
     surfaces: Mapping[str, ScanSurface],
@@ -627,12 +622,7 @@ def _unchecked(
     Nothing connects them to the others, or only three planes do. The scan with the most
     certain start pose defines where the site is.
     """
-    tied = _tied([(pair["source"], pair["target"]) for pair in result.pairs], ties)
-    groups = _groups([scan.name for scan in site.scan], tied)
-    main = min(
-        groups,
-        key=lambda names: (-len(names), _group_error(names, ties, surfaces)),
-    )
+    main = groups[0]
     controlled = {
         centre.scan for centre in ties.centres if centre.target in ties.control
     }
@@ -640,14 +630,14 @@ def _unchecked(
         main, key=lambda name: _group_error([name], ties, surfaces)
     )
     exempt = {scan.name for scan in site.scan if scan.trusted} | {first}
-    targets = tied[len(result.pairs) :]
-    alike = [pair for pair in result.pairs if pair["relief"] > _RELIEF]
+    alike = [
+        (pair["source"], pair["target"])
+        for pair in result.pairs
+        if pair["relief"] > _RELIEF
+    ]
     recognized = next(
         group
-        for group in _groups(
-            [scan.name for scan in site.scan],
-            [*targets, *((pair["source"], pair["target"]) for pair in alike)],
-        )
+        for group in _groups(site, [*targets, *alike], ties, surfaces)
         if first in group
     )
     weak = {weakness.scan for weakness in result.weaknesses}
@@ -688,8 +678,14 @@ def _surveyed(name: str, ties: Ties, surfaces: Mapping[str, ScanSurface]) -> boo
     return off < _ENOUGH * surfaces[name].spacing
 
 
-def _groups(names: list[str], tied: list[tuple[str, str]]) -> list[list[str]]:
-    """Return the connected groups of scans, the largest first."""
+def _groups(
+    site: Site,
+    tied: list[tuple[str, str]],
+    ties: Ties,
+    surfaces: Mapping[str, ScanSurface],
+) -> list[list[str]]:
+    """Return the connected groups of scans, the largest and most accurate first."""
+    names = [scan.name for scan in site.scan]
     number = {name: at for at, name in enumerate(names)}
     for _ in names:
         for pair in tied:
@@ -699,7 +695,9 @@ def _groups(names: list[str], tied: list[tuple[str, str]]) -> list[list[str]]:
         [name for name in names if number[name] == at]
         for at in sorted(set(number.values()))
     ]
-    return sorted(groups, key=len, reverse=True)
+    return sorted(
+        groups, key=lambda names: (-len(names), _group_error(names, ties, surfaces))
+    )
 
 
 def _weak_directions(
