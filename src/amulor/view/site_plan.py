@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -98,11 +99,23 @@ def plan_figure(
     for name, colour in visit_colours(site).items():
         axis.plot([], [], "+", color=colour, label=name)
     axis.legend(loc="upper right", frameon=True)
-    axis.set_aspect("equal")
     axis.autoscale_view()
-    axis.set_xlabel("east [m]")
-    axis.set_ylabel("north [m]")
+    label_plan(axis)
     return figure, annotations.enlarged
+
+
+def label_plan(axes: Axes) -> None:
+    """Label the axes of a plan, with all digits of its coordinates."""
+    axes.set_aspect("equal")
+    axes.set_xlabel("east [m]")
+    axes.set_ylabel("north [m]")
+    with_all_digits(axes)
+
+
+def with_all_digits(axes: Axes) -> None:
+    """Print coordinates such as 512345.2 without a common offset, and few of them."""
+    axes.ticklabel_format(useOffset=False, style="plain")
+    axes.locator_params(axis="x", nbins=5)
 
 
 def _inside(place: Floats, window: Window | None) -> bool:

@@ -24,7 +24,7 @@ from amulor.site.registration.reliability import (
 from amulor.site.registration.result import Registration, relative_covariance
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report
 from amulor.view.sheet import error_ellipse
-from amulor.view.site_plan import plan_figure
+from amulor.view.site_plan import label_plan, plan_figure, with_all_digits
 from amulor.view.style import (
     COLOURS,
     DIFFERENCE_MAP,
@@ -126,6 +126,7 @@ def ellipses(site: Site, registration: Registration) -> Figure:
         axes.set_ylabel(label)
         axes.set_title(title)
         axes.grid(visible=True)
+        with_all_digits(axes)
     panels[1].set_xlabel("east [m]")
     panels[0].plot([], [], color=COLOURS[0], label="scans")
     if registration.points:
@@ -152,9 +153,7 @@ def errors(cloud: Merged) -> Figure:
         rasterized=True,
     )  # fmt: skip
     figure.colorbar(points, ax=axes[0], label="standard uncertainty [mm]")
-    axes[0].set_aspect("equal")
-    axes[0].set_xlabel("east [m]")
-    axes[0].set_ylabel("north [m]")
+    label_plan(axes[0])
     axes[1].hist(largest, bins=60, range=(0, float(np.quantile(largest, 0.995))))
     axes[1].set_xlabel("standard uncertainty [mm]")
     axes[1].set_ylabel("points shown")
@@ -193,9 +192,7 @@ def change_map(change: Change, places: Sequence[Region]) -> Figure:
         margin = max(float((high - low).max()), 10 * change.spacing) / 2
         axes[0].set_xlim(low[0] - margin, high[0] + margin)
         axes[0].set_ylim(low[1] - margin, high[1] + margin)
-    axes[0].set_aspect("equal")
-    axes[0].set_xlabel("east [m]")
-    axes[0].set_ylabel("north [m]")
+    label_plan(axes[0])
     score = change.value[both] / change.uncertainty[both]
     bins = np.linspace(-6, 6, 61)
     axes[1].hist(

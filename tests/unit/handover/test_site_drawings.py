@@ -21,6 +21,7 @@ from amulor.cli import main
 from amulor.handover.site_drawings import _ellipse
 from amulor.site.registration.result import write_registration
 from amulor.view.sheet import Station, error_ellipse
+from amulor.view.site_plan import label_plan
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -189,3 +190,17 @@ def test_the_report_shows_the_same_plan(site) -> None:
     enlarged = re.search(r"enlarged (\S+) times", first)
     assert enlarged is not None
     assert float(enlarged[1]) >= 1
+
+
+def test_coordinates_of_a_report_have_all_digits() -> None:
+    figure = Figure()
+    axes = figure.add_subplot()
+    axes.plot([512_343.2, 512_346.5], [4_599_998.1, 4_600_000.9])
+    label_plan(axes)
+    figure.draw_without_rendering()
+    for axis, first in ((axes.xaxis, "51234"), (axes.yaxis, "4")):
+        assert axis.get_offset_text().get_text() == ""
+        labels = [text.get_text() for text in axis.get_ticklabels()]
+        assert len(labels) >= 3
+        assert all(re.fullmatch(first + r"\d+(\.\d)?", label) for label in labels)
+        assert len(set(labels)) == len(labels)
