@@ -141,22 +141,16 @@ def measured_large(count: int, folder: Path, rows: int) -> None:
     print(f"{count} scans of {rows * (rows * 4 // 3)} pixels", flush=True)
     print(timed("register", __file__, count, folder, "--only-register"), flush=True)
     result = read_registration(poses)
-    scores, off = [], []
+    names, errors = [], []
     for of_visit in large_stations(count).values():
         for name, station in of_visit.items():
             pose = result.poses[name]
             turn = rotation_vector(pose.rotation @ station.matrix.T)
-            error = np.concatenate([pose.position - station.place, turn])
-            sigma = np.sqrt(np.diag(result.covariance_of(f"pose {name}")))
-            scores += list(error / sigma)
-            off.append(float(np.linalg.norm(error[:3])))
-    inside = np.abs(scores)
-    print(
-        f"largest error {1e3 * max(off):.2f} mm; {(inside < 1).mean():.0%} of the "
-        f"components within 1 stated uncertainty, {(inside < 1.96).mean():.0%} within "
-        "1.96",
-        flush=True,
-    )
+            names.append(f"pose {name}")
+            errors.append(np.concatenate([pose.position - station.place, turn]))
+    largest = max(float(np.linalg.norm(error[:3])) for error in errors)
+    print(f"largest error {1e3 * largest:.2f} mm", flush=True)
+    print(agreement(np.concatenate(errors), result.covariance_of(*names)), flush=True)
     for command, name in (("merge", "merged"), ("compare", "change.csv")):
         output = folder / name
         print(
@@ -164,6 +158,34 @@ def measured_large(count: int, folder: Path, rows: int) -> None:
                   "-o", output, "--overwrite"),
             flush=True,
         )  # fmt: skip
+
+
+def agreement(error: np.ndarray, covariance: np.ndarray) -> str:
+    """Agreement of errors of poses with their joint covariance, in words.
+
+    All poses of a site share a few errors: of the surveyed station, the delay and the
+    index. So the share of components within their uncertainties differs from site to
+    site. Its range is that of errors drawn from the covariance. The chi-square of all
+    components has no such range.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    values, axes = np.linalg.eigh(covariance / np.outer(sigma, sigma))
+    score = error / sigma
+    square = float(((axes.T @ score) ** 2 / values).mean())
+    rng = np.random.default_rng(0)
+    drawn = (rng.normal(size=(4000, len(score))) * np.sqrt(values)) @ axes.T
+    lines = [
+        f"chi-square of all poses {square:.2f} for each of {len(score)} components, "
+        f"1 +- {np.sqrt(2 / len(score)):.2f} expected"
+    ]
+    for limit in (1.0, 1.96):
+        share = float((np.abs(score) < limit).mean())
+        low, high = np.quantile((np.abs(drawn) < limit).mean(axis=1), [0.025, 0.975])
+        lines.append(
+            f"{share:.0%} of the components within {limit:g} stated uncertainties; "
+            f"{low:.0%} to {high:.0%} in 95 % of sites with this covariance"
+        )
+    return "\n".join(lines)
 
 
 def main() -> None:

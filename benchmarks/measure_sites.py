@@ -6,8 +6,9 @@ degrees, stated as they are or too small; a fish, a scan that nothing explains, 
 over the rows, a delay, another height datum, and quiet sites; from number 1000 on a
 scan of another place. Each site is a row of `benchmarks/sites.csv`, with a digest of
 the code of `amulor.site.registration` that measured it. A
-number of further sites is measured, and the campaign goes on where it ended. Without a
-number the table of all rows is printed. `--redo` measures rows of other versions again.
+number of further sites is measured, and the campaign goes on where it ended. `--redo`
+measures rows of other versions again, in random order. Without a number the summary of
+all rows of the present version is printed; `--page` writes it into docs/benchmarks.md.
 
 `--first 1000` draws from that number on.
 """
@@ -20,6 +21,7 @@ import csv
 import dataclasses
 import hashlib
 import itertools
+import re
 import sys
 import time
 import warnings
@@ -42,6 +44,7 @@ from amulor.site.registration.pose import start_pose  # noqa: E402
 from amulor.site.registration.register import register  # noqa: E402
 
 TABLE = HERE / "sites.csv"
+PAGE = HERE.parent / "docs/benchmarks.md"
 KINDS = ("bed", "wall", "amphorae", "corner", "plane")
 #: Rows of pixels; struts need more.
 ROWS = {"bed": 42, "wall": 72, "amphorae": 48, "corner": 42, "plane": 42}
@@ -50,6 +53,23 @@ STARTS = ((0.01, 0.5), (0.05, 3.0), (0.05, 3.0), (0.15, 6.0), (0.3, 10.0), (0.5,
 #: The stated one over the drawn one; below 1 a statement is wrong [1].
 STATED = (1.0, 1.0, 1.0, 0.2)
 SPOILERS = ("quiet", "quiet", "quiet", "fish", "outlier", "drift", "delay", "datum")
+#: Errors of sites in words.
+WORDS = {
+    "quiet": "quiet", "fish": "fish", "outlier": "wrong ranges",
+    "elsewhere": "another place", "drift": "drift", "delay": "delay", "datum": "datum",
+}  # fmt: skip
+#: First reasons of contradictions in words; all others are shared errors.
+REASONS = {
+    "start pose": ("start",),
+    "pattern, one amount": ("constant",),
+    "pattern, angle of incidence": ("angle",),
+    "pattern, rows": ("rows", "rows,_bent"),
+    "pattern, columns or range": ("columns", "columns,_bent", "range"),
+    "no fitting neighbor": ("surface",),
+    "surfaces block beams": ("sight",),
+    "points of others absent": ("absent",),
+    "another height datum": ("datum",),
+}
 #: From this number on the scan a3 is one of another place.
 ELSEWHERE = 1000
 #: A pose is grossly wrong beyond so many standard uncertainties, and beyond so much
@@ -315,49 +335,102 @@ def gicp(site: Any) -> int:
     return gross
 
 
-def table(rows: list[dict[str, str]]) -> None:
-    """Print the summary of all sites."""
-    print(
-        f"{len(rows)} sites; silent: called good, a pose beyond 6 sigma and 2 cm "
-        "or 10 mrad, no line names its scan; gross: the same, named by a warning or "
-        "not; beyond: of these, also beyond what an "
-        "undetected error may change; covered: poses within 1.96 sigma and that"
-    )
-    print(
-        f"{'spoiler':8} {'sites':>5} {'good':>5} {'contra':>6} {'refused':>7} "
-        f"{'unsettled':>9} {'gross':>5} {'silent':>6} {'beyond':>6} {'covered':>7} "
-        f"{'68 %':>6} {'95 %':>6} {'gicp off':>8}"
-    )
-    groups = [(name, [r for r in rows if r["spoiler"] == name]) for name in
-              dict.fromkeys([*SPOILERS, "elsewhere"])]  # fmt: skip
-    groups += [(f"{k}, quiet",
-                [r for r in rows if (r["kind"], r["spoiler"]) == (k, "quiet")])
-               for k in KINDS]  # fmt: skip
-    outcomes = ("contradicted", "refused")
-    for name, some in [*groups, ("all", rows)]:
-        good = [r for r in some if r["outcome"].startswith("good")]
-        bad = [r for r in good if int(r["silent"]) > 0]
-        shares = []
-        for key in ("within", "points", "lengths"):
-            total = sum(int(r["components" if key == "within" else key]) for r in good)
-            shares += [
-                100 * sum(int(r[f"{key}_{k}"]) for r in good) / max(total, 1)
-                for k in (1, 2)
-            ]
-        count = [
-            len(some), len(good),
-            *(sum(r["outcome"] == k for r in some) for k in outcomes),
-            sum(r["settled"] == "0" for r in some),
-            sum(int(r["gross"]) > 0 for r in good), len(bad),
-            sum(int(r["beyond"]) > 0 for r in good),
+def shares(rows: list[dict[str, str]], key: str) -> str:
+    """Shares of errors within 1 and 1.96 stated uncertainties, as two cells."""
+    total = sum(int(row["components" if key == "within" else key]) for row in rows)
+    inside = [sum(int(row[f"{key}_{limit}"]) for row in rows) for limit in (1, 2)]
+    return " | ".join(f"{count / total:.1%}" if total else "" for count in inside)
+
+
+def good_of(rows: list[dict[str, str]]) -> list[dict[str, str]]:
+    """Rows of sites rated good."""
+    return [row for row in rows if row["outcome"].startswith("good")]
+
+
+def table(rows: list[dict[str, str]]) -> str:
+    """Summary of sites by error and by kind (Markdown)."""
+    lines = [
+        "| sites | number | good | contradicted | refused | not settled | gross "
+        "| silent | within 1 error | within 1.96 errors | small_gicp wrong |",
+        "| --- " * 11 + "|",
+    ]
+    groups = [
+        (words, [row for row in rows if row["spoiler"] == name])
+        for name, words in WORDS.items()
+    ]
+    groups += [(kind, [row for row in rows if row["kind"] == kind]) for kind in KINDS]
+    for words, some in (*groups, ("all", rows)):
+        good = good_of(some)
+        counts = [
+            len(some),
+            len(good),
+            *(sum(row["outcome"] == outcome for row in some)
+              for outcome in ("contradicted", "refused")),
+            sum(row["settled"] == "0" for row in some),
+            *(sum(int(row[key]) > 0 for row in good) for key in ("gross", "silent")),
         ]  # fmt: skip
-        poses = max(sum(int(r["poses"]) for r in good), 1)
-        count.append(f"{sum(int(r['covered']) for r in good) / poses:.1%}")
-        off = sum(int(r["gicp_gross"] or 0) > 0 for r in some)
-        words = [f"{name:16}", *(f"{c:>5}" for c in count)]
-        words += [*(f"{s:6.1f}" for s in shares), f"{off:>5}"]
-        words += ["called good: " + ", ".join(r["site"] for r in bad)] if bad else []
-        print(*words)
+        peer = [int(row["gicp_gross"]) > 0 for row in some if row["gicp_gross"]]
+        lines.append(
+            f"| {words} | {' | '.join(f'{count:,}' for count in counts)} | "
+            f"{shares(good, 'within')} | {sum(peer)} of {len(peer)} |"
+        )
+    return "\n".join(lines)
+
+
+def quantities(rows: list[dict[str, str]]) -> str:
+    """Shares of errors of each quantity in quiet sites rated good (Markdown)."""
+    good = [row for row in good_of(rows) if row["spoiler"] == "quiet"]
+    lines = ["| quantity | number | within 1 error | within 1.96 errors |"]
+    lines.append("| --- " * 4 + "|")
+    for key, words in (
+        ("within", "pose components"), ("points", "coordinates of points"),
+        ("lengths", "lengths between instruments"),
+    ):  # fmt: skip
+        total = sum(int(row["components" if key == "within" else key]) for row in good)
+        lines.append(f"| {words} | {total:,} | {shares(good, key)} |")
+    return "\n".join(lines)
+
+
+def reasons(rows: list[dict[str, str]]) -> str:
+    """Numbers of contradicted sites by first reason and error (Markdown)."""
+    firsts = [(row["spoiler"], row["reasons"].split()[0]) for row in rows
+              if row["outcome"] == "contradicted"]  # fmt: skip
+    lines = [f"| first reason | {' | '.join(WORDS.values())} |"]
+    lines.append("| --- " * (len(WORDS) + 1) + "|")
+    named = {name for names in REASONS.values() for name in names}
+    for words, names in {**REASONS, "shared error": ()}.items():
+        cells = [
+            sum(
+                spoiler == error
+                and (first in names or (not names and first not in named))
+                for spoiler, first in firsts
+            )
+            for error in WORDS
+        ]
+        if any(cells):
+            lines.append(f"| {words} | {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
+def write_page(rows: list[dict[str, str]], total: int) -> None:
+    """Replace the tables of the page of benchmarks."""
+    text = PAGE.read_text("utf-8")
+    count = f"{len(rows):,} of the {total:,} rows are of the present version."
+    for name, content in {
+        "random sites": f"{count}\n\n{table(rows)}",
+        "quantities of random sites": quantities(rows),
+        "reasons of random sites": reasons(rows),
+    }.items():
+        marks = rf"(<!-- {name} -->\n).*?(<!-- end of {name} -->\n)"
+        text, found = re.subn(
+            marks,
+            lambda at, new=content: f"{at[1]}{new}\n{at[2]}",
+            text,
+            flags=re.DOTALL,
+        )
+        if found != 1:
+            raise SystemExit(f"{PAGE} has {found} places for {name}, not 1")
+    PAGE.write_text(text, "utf-8")
 
 
 def main() -> None:
@@ -365,12 +438,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("count", type=int, nargs="?", default=0)
     parser.add_argument("--redo", action="store_true")
+    parser.add_argument("--page", action="store_true")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=1150.0)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    go_on(TABLE, COLUMNS, measured, options, version("registration"))
-    table(rows_of(TABLE))
+    present = version("registration")
+    go_on(TABLE, COLUMNS, measured, options, present)
+    rows = rows_of(TABLE)
+    of_present = [row for row in rows if row["version"] == present]
+    if options.page:
+        write_page(of_present, len(rows))
+    print(table(of_present), quantities(of_present), reasons(of_present), sep="\n\n")
 
 
 def go_on(
