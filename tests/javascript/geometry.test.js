@@ -7,9 +7,12 @@ import {
   Beams,
   covariance,
   distance,
+  dots,
   height,
   interpolated,
+  nodesIn,
   surfaceMarks,
+  triangles,
 } from "../../src/amulor/view/page/static/geometry.js";
 
 /** Beams at two pixels of one row: place, direction, azimuth, elevation of each. */
@@ -204,4 +207,66 @@ test("a missing or flagged corner leaves one triangle of a cell", () => {
 test("steps to rows and columns part a corner from its cell", () => {
   // Pixel 0 steps to the right and down: only the triangle of the other three is there.
   assert.deepEqual([...surfaceMarks([2, 1, 1, 1], [3, 0, 0, 0], none, 2)], [3, 8, 8, 8]);
+});
+
+/** Area that triangles of nodes cover, each node at its row and column [pixel]. */
+function covered(corners, places) {
+  let area = 0;
+  for (let at = 0; at < corners.length; at += 3) {
+    const [a, b, c] = [0, 1, 2].map((k) => places[corners[at + k]]);
+    area += Math.abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / 2;
+  }
+  return area;
+}
+
+function gridPlaces(high, wide, step) {
+  const along = (count) =>
+    Array.from({ length: nodesIn(count, step) }, (_, k) => Math.min(k * step, count - 1));
+  return along(high).flatMap((row) => along(wide).map((column) => [row, column]));
+}
+
+test("triangles cover a whole grid at every step of nodes and size of cells", () => {
+  const [high, wide] = [6, 8];
+  const range = new Array(high * wide).fill(1);
+  const marks = surfaceMarks(range, new Array(range.length).fill(0), none, wide);
+  for (const [step, stride] of [
+    [1, 1],
+    [1, 2],
+    [1, 3],
+    [2, 2],
+    [2, 4],
+    [3, 3],
+    [1, 20],
+  ]) {
+    const corners = triangles(range, marks, wide, step, stride);
+    const cells = (nodesIn(high, stride) - 1) * (nodesIn(wide, stride) - 1);
+    assert.equal(corners.length, 6 * cells);
+    close(covered(corners, gridPlaces(high, wide, step)), (high - 1) * (wide - 1));
+  }
+});
+
+test("a coarse cell ends at a step within it", () => {
+  // One row of cells, 8 pixels wide, with a step behind column 4: the cell of columns 3 to 6
+  // keeps neither triangle, as both have a side along a row.
+  const wide = 8;
+  const range = Array.from({ length: 4 * wide }, (_, at) => (at % wide > 4 ? 2 : 1));
+  const steps = range.map((_, at) => (at % wide === 4 ? 1 : 0));
+  const marks = surfaceMarks(range, steps, none, wide);
+  const corners = triangles(range, marks, wide, 1, 3);
+  const columns = [...corners].map((node) => node % wide);
+  assert.equal(corners.length, 12);
+  assert.deepEqual([...new Set(columns)].sort(), [0, 3, 6, 7]);
+  for (let at = 0; at < columns.length; at += 3) {
+    const ends = columns.slice(at, at + 3);
+    assert.ok(Math.max(...ends) <= 3 || Math.min(...ends) >= 6);
+  }
+});
+
+test("dots are the pixels with a range that no triangle has", () => {
+  const range = [1, 1, 2, 1, 1, NaN];
+  const marks = surfaceMarks(range, [0, 1, 0, 0, 0, 0], none, 3);
+  assert.deepEqual([...dots(range, marks, 3)], [2]);
+  assert.deepEqual([...dots(range, null, 3)], [0, 1, 2, 3, 4]);
+  assert.deepEqual([...dots(range, null, 3, 1, 2)], [0, 2]);
+  assert.deepEqual([...dots(range, null, 3, 2)], [0, 1]);
 });

@@ -2,6 +2,7 @@
 
 import { Camera, extent, projected } from "./camera.js";
 import { inkOf, over, ratioOf, spotOn } from "./dom.js";
+import { dots, nodesIn, triangles } from "./geometry.js";
 import { clearedOver } from "./map.js";
 import { annotated, axes, chain, chains, dot, halo, polyline, scaleBar } from "./marks.js";
 import { Motion, turnable } from "./turning.js";
@@ -32,6 +33,8 @@ export class CloudView {
     /** Camera distance and pose when the points were put in view. */
     this.fitting = 1;
     this.placed = "";
+    /** Matrix of the last drawing. */
+    this.matrix = /** @type {any} */ (null);
     this.motion = new Motion(changed);
     /** Number of pixels drawn while the view moves; adapted to the frame time. */
     this.moving = 250000;
@@ -134,50 +137,60 @@ export class CloudView {
     this.placed = this.#pose();
   }
 
-  #parts(state, stride) {
+  /** Return what the renderer draws: nodes of the grid, and triangles and points of them. */
+  #parts(state, most) {
     const { scene } = state;
     const { width, height } = this.canvas;
     const { camera } = this;
-    const parts = scene.uniforms(state.layerName, state.limits, state.look);
-    const across = Math.ceil(scene.wide / stride);
+    const { set, ...maps } = scene.uniforms(state.layerName, state.limits, state.look);
+    const step = strideOf(scene, RESTING);
+    const stride = step * Math.max(1, Math.round(strideOf(scene, most) / step));
+    const across = nodesIn(scene.wide, step);
+    const averaged = state.look.averaged ? 1 : 0;
+    const range = shapeOf(state);
+    const shape = `${scene.version} ${range}`;
+    const colours = ["uLimits", "uKind", "uMissing", "uLight", "uRelief"].map((name) => set[name]);
     const matrix = camera.matrix(width / height);
     // Dots as large as the spacing of the pixels, so that surfaces have no gaps.
     const gap = Math.max(scene.spacing.row, scene.spacing.column) * stride * 1.32;
     const focal = camera.orthographic
       ? height / camera.span()
       : height / 2 / Math.tan(Camera.ANGLE / 2);
-    Object.assign(parts.set, {
-      uProject: ["Matrix4fv", false, matrix],
-      uStride: ["1i", stride],
-      uAcross: ["1i", across],
-      uDot: ["1f", gap * focal],
-      uShrinks: ["1i", camera.orthographic ? 0 : 1],
-      uAveraged: ["1i", state.look.averaged ? 1 : 0],
-    });
     return {
-      ...parts,
       matrix,
+      across,
+      step,
+      shape,
       ground: state.look.ground,
-      points: across * Math.ceil(scene.high / stride),
+      nodes: {
+        ...maps,
+        set: {
+          ...set,
+          uStep: ["1i", step],
+          uAcross: ["1i", across],
+          uAveraged: ["1i", averaged],
+        },
+        key: [shape, maps.layer, averaged, colours].join(),
+        count: across * nodesIn(scene.high, step),
+      },
+      ...drawnOf(scene, scene.maps.get(range), step, stride),
+      set: {
+        uProject: ["Matrix4fv", false, matrix],
+        uDot: ["1f", gap * focal],
+        uShrinks: ["1i", camera.orthographic ? 0 : 1],
+        uClipped: set.uClipped,
+        uLow: set.uLow,
+        uHigh: set.uHigh,
+      },
     };
   }
 
-  #stride(scene, most) {
-    return Math.max(1, Math.ceil(Math.sqrt((scene.wide * scene.high) / most)));
-  }
-
   draw(state, colours) {
-    const { scene, renderer } = state;
+    const { renderer } = state;
     this.state = state;
     const { busy } = this.motion;
-    const stride = this.#stride(scene, busy ? this.moving : RESTING);
-    const parts = this.#parts(state, stride);
-    const cells = [scene.wide, scene.high].map((count) => Math.ceil((count - 1) / stride));
-    renderer.drawCloud(this.context, {
-      ...parts,
-      across: cells[0],
-      cells: this.points ? 0 : cells[0] * cells[1],
-    });
+    const parts = this.#parts(state, busy ? this.moving : RESTING);
+    renderer.drawCloud(this.context, { ...parts, parts: this.points ? parts.all : parts.surface });
     if (busy && !this.pacing) {
       this.pacing = true;
       // The GPU draws later than its commands are given.
@@ -203,10 +216,13 @@ export class CloudView {
     if (!state) return null;
     const [x, y] = spotOn(this.canvas, event).map(Math.round);
     const { scene } = state;
-    const parts = this.#parts(state, this.#stride(scene, RESTING));
-    const id = state.renderer.drawCloud(this.context, { ...parts, pick: { x, y } });
+    const { across, step, ...rest } = this.#parts(state, RESTING);
+    const id = state.renderer.drawCloud(this.context, { ...rest, parts: rest.all, pick: { x, y } });
     if (id < 0) return null;
-    return [Math.floor(id / scene.wide) * scene.stride, (id % scene.wide) * scene.stride];
+    return [
+      Math.min(Math.floor(id / across) * step, scene.high - 1) * scene.stride,
+      Math.min((id % across) * step, scene.wide - 1) * scene.stride,
+    ];
   }
 
   #spot(point) {
@@ -260,6 +276,24 @@ export class CloudView {
     if (camera.orthographic)
       this.bar = scaleBar(ctx, ctx.canvas.height / camera.span(), ratio, colours);
   }
+}
+
+/** Return what is drawn of a range map: all pixels as points, or the surface and the points
+that no triangle of it has. Nodes are apart by a step, points and cells by a stride. */
+function drawnOf({ wide }, { values, marks }, step, stride) {
+  const part = (name, mode, numbers) => ({ name: `${name} ${stride}`, mode, numbers });
+  return {
+    all: [part("all", "points", () => dots(values, null, wide, step, stride))],
+    surface: [
+      part("surface", "triangles", () => triangles(values, marks, wide, step, stride)),
+      part("alone", "points", () => dots(values, marks, wide, step, stride)),
+    ],
+  };
+}
+
+/** Return the step in rows and columns at which about a given number of pixels is drawn. */
+function strideOf(scene, most) {
+  return Math.max(1, Math.ceil(Math.sqrt((scene.wide * scene.high) / most)));
 }
 
 /** Return the pixels along the edges of a rectangle, thinned evenly. */

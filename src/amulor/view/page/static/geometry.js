@@ -301,9 +301,7 @@ export function height(scene, pixels, axis = [0, -1, 0]) {
 
 /**
  * Marks of pixels for a surface through the grid: 1 for a step to the next column, 2 for a
- * step to the next row, 4 for a pixel off the surface, 8 for a pixel of a triangle. A cell of
- * four pixels has two triangles, along the diagonal that keeps more of them. A triangle has
- * three usable corners and no step along its two sides in the grid.
+ * step to the next row, 4 for a pixel off the surface, 8 for a pixel of a triangle.
  * @param {ArrayLike<number>} range
  * @param {ArrayLike<number>} steps
  * @param {(at: number) => boolean} off
@@ -314,25 +312,97 @@ export function surfaceMarks(range, steps, off, wide) {
   const marks = new Uint8Array(range.length);
   for (let at = 0; at < range.length; at += 1)
     marks[at] = (steps[at] & 3) | (Number.isFinite(range[at]) && !off(at) ? 0 : 4);
+  for (const at of triangles(range, marks, wide)) marks[at] |= 8;
+  return marks;
+}
+
+/**
+ * Return the number of nodes in a line of pixels: every stride-th pixel, and the last.
+ * @param {number} count
+ * @param {number} stride
+ */
+export function nodesIn(count, stride) {
+  return Math.ceil((count - 1) / stride) + 1;
+}
+
+/**
+ * Return the corners of the triangles of a surface, as numbers of the nodes of a grid. A cell
+ * of four pixels has two triangles, along the diagonal that keeps more of them. A triangle has
+ * three usable corners and no step along its two sides in the grid.
+ * @param {ArrayLike<number>} range
+ * @param {Uint8Array} marks
+ * @param {number} wide
+ * @param {number} [step] distance of nodes [pixel]
+ * @param {number} [stride] size of cells, a multiple of it [pixel]
+ */
+export function triangles(range, marks, wide, step = 1, stride = step) {
   const high = range.length / wide;
-  for (let row = 0; row < high - 1; row += 1) {
-    for (let column = 0; column < wide - 1; column += 1) {
+  const across = nodesIn(wide, step);
+  const corners = new Uint32Array(6 * (nodesIn(wide, stride) - 1) * (nodesIn(high, stride) - 1));
+  let count = 0;
+  const usable = (/** @type {number} */ at) => !(marks[at] & 4);
+  /** @type {(from: number, to: number, by: number, bit: number) => boolean} */
+  const joined = (from, to, by, bit) => {
+    for (let at = from; at !== to; at += by) if (marks[at] & bit) return false;
+    return usable(from) && usable(to);
+  };
+  for (let row = 0; row < high - 1; row += stride) {
+    const low = Math.min(row + stride, high - 1);
+    const [upper, lower] = [row, low].map((line) => Math.ceil(line / step) * across);
+    for (let column = 0; column < wide - 1; column += stride) {
+      const end = Math.min(column + stride, wide - 1);
       const a = row * wide + column;
-      const [b, c, d] = [a + 1, a + wide, a + wide + 1];
-      /** @type {(i: number, j: number, bit: number) => boolean} */
-      const joined = (i, j, bit) => !((marks[i] | marks[j]) & 4 || marks[i] & bit);
-      const [above, below] = [joined(a, b, 1), joined(c, d, 1)];
-      const [left, right] = [joined(a, c, 2), joined(b, d, 2)];
+      const b = row * wide + end;
+      const c = low * wide + column;
+      const d = low * wide + end;
+      const above = joined(a, b, 1, 1);
+      const below = joined(c, d, 1, 1);
+      const left = joined(a, c, wide, 2);
+      const right = joined(b, d, wide, 2);
       const rising = Number(above && left) + Number(below && right);
       const falling = Number(above && right) + Number(below && left);
       const fall =
         falling > rising ||
         (falling === rising && Math.abs(range[a] - range[d]) < Math.abs(range[b] - range[c]));
-      const first = above && (fall ? right : left);
-      const second = below && (fall ? left : right);
-      if (first) for (const at of [a, b, fall ? d : c]) marks[at] |= 8;
-      if (second) for (const at of [fall ? a : b, d, c]) marks[at] |= 8;
+      const [first, last] = [Math.ceil(column / step), Math.ceil(end / step)];
+      if (above && (fall ? right : left)) {
+        corners[count] = upper + first;
+        corners[count + 1] = upper + last;
+        corners[count + 2] = lower + (fall ? last : first);
+        count += 3;
+      }
+      if (below && (fall ? left : right)) {
+        corners[count] = upper + (fall ? first : last);
+        corners[count + 1] = lower + last;
+        corners[count + 2] = lower + first;
+        count += 3;
+      }
     }
   }
-  return marks;
+  return corners.subarray(0, count);
+}
+
+/**
+ * Return the numbers of the nodes that are drawn as points: those with a range, of which no
+ * triangle has the pixel.
+ * @param {ArrayLike<number>} range
+ * @param {Uint8Array | null} marks null for all nodes with a range
+ * @param {number} wide
+ * @param {number} [step] distance of nodes [pixel]
+ * @param {number} [stride] distance of points, a multiple of it [pixel]
+ */
+export function dots(range, marks, wide, step = 1, stride = step) {
+  const high = range.length / wide;
+  const across = nodesIn(wide, step);
+  const out = new Uint32Array(Math.ceil(wide / stride) * Math.ceil(high / stride));
+  let count = 0;
+  for (let row = 0; row < high; row += stride) {
+    for (let column = 0; column < wide; column += stride) {
+      const at = row * wide + column;
+      if (!Number.isFinite(range[at]) || (marks && marks[at] & 8)) continue;
+      out[count] = (row / step) * across + column / step;
+      count += 1;
+    }
+  }
+  return out.subarray(0, count);
 }

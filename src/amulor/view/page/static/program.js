@@ -3,9 +3,10 @@
 /**
  * Return a program of two shaders, and the locations of its uniforms.
  * @param {WebGL2RenderingContext} gl
- * @param {{vertex: string, fragment: string}} sources
+ * @param {{vertex: string, fragment: string, captured?: string[]}} sources with the names of
+ * vertex outputs that go to a buffer
  */
-export function program(gl, { vertex, fragment }) {
+export function program(gl, { vertex, fragment, captured = [] }) {
   const made = gl.createProgram();
   const shaders = [
     { kind: gl.VERTEX_SHADER, text: vertex },
@@ -18,6 +19,7 @@ export function program(gl, { vertex, fragment }) {
     gl.attachShader(made, shader);
     return shader;
   });
+  if (captured.length) gl.transformFeedbackVaryings(made, captured, gl.INTERLEAVED_ATTRIBS);
   gl.linkProgram(made);
   if (!gl.getProgramParameter(made, gl.LINK_STATUS)) {
     const logs = shaders.map((shader) => gl.getShaderInfoLog(shader));

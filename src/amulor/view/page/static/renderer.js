@@ -1,10 +1,18 @@
 // One graphics context for all views, so that textures are stored once.
 
 import { program } from "./program.js";
-import { CLOUD, MAP, SURFACE } from "./shaders.js";
+import { MAP, NODES, SPACE } from "./shaders.js";
+
+/** Bytes of a node: three coordinates, and a color in four bytes. */
+const NODE = 16;
 
 /** Renderer of maps and clouds on any canvas. */
 export class Renderer {
+  /** Key of the nodes on the graphics card, and their number. */
+  #nodes = { key: "", count: 0 };
+  /** Key of the index buffers on the graphics card, and these by stride. */
+  #drawn = { key: "", parts: new Map() };
+
   constructor() {
     this.canvas = document.createElement("canvas");
     const gl = this.canvas.getContext("webgl2", {
@@ -23,9 +31,19 @@ export class Renderer {
       this.lost();
     });
     this.map = program(gl, MAP);
-    this.cloud = program(gl, CLOUD);
-    this.surface = program(gl, SURFACE);
-    gl.bindVertexArray(gl.createVertexArray());
+    this.nodes = program(gl, NODES);
+    this.space = program(gl, SPACE);
+    this.plain = gl.createVertexArray();
+    this.grid = gl.createVertexArray();
+    this.buffer = gl.createBuffer();
+    gl.bindVertexArray(this.grid);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
+    gl.enableVertexAttribArray(0);
+    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, NODE, 0);
+    gl.enableVertexAttribArray(1);
+    gl.vertexAttribPointer(1, 4, gl.UNSIGNED_BYTE, true, NODE, 12);
+    gl.bindBuffer(gl.ARRAY_BUFFER, null);
+    gl.bindVertexArray(this.plain);
     this.longest = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     this.textures = new Map();
   }
@@ -134,25 +152,63 @@ export class Renderer {
     this.#copied(context, width, height);
   }
 
-  /** Draw a surface of cells with the points off it, or, without cells, all points; with
-  `pick`, return the index of the pixel at a position, or -1. */
-  drawCloud(context, { layer, table, set, textures, points, across = 0, cells = 0, ground, pick }) {
+  /** Compute places and colors of the nodes, unless the card has those of this key. */
+  #placed({ layer, table, set, textures, key, count }) {
+    const { gl } = this;
+    if (this.#nodes.key === key) return;
+    if (this.#nodes.count !== count) {
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
+      gl.bufferData(gl.ARRAY_BUFFER, count * NODE, gl.DYNAMIC_COPY);
+      gl.bindBuffer(gl.ARRAY_BUFFER, null);
+    }
+    this.#use(this.nodes, { ...textures, uLayer: layer, uTable: table }, set);
+    gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, this.buffer);
+    gl.enable(gl.RASTERIZER_DISCARD);
+    gl.beginTransformFeedback(gl.POINTS);
+    gl.drawArrays(gl.POINTS, 0, count);
+    gl.endTransformFeedback();
+    gl.disable(gl.RASTERIZER_DISCARD);
+    gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, null);
+    this.#nodes = { key, count };
+  }
+
+  /** Draw nodes by their numbers, which are computed once for a shape and a name. */
+  #indexed(mode, shape, name, numbers) {
+    const { gl } = this;
+    if (this.#drawn.key !== shape) {
+      for (const { buffer } of this.#drawn.parts.values()) gl.deleteBuffer(buffer);
+      this.#drawn = { key: shape, parts: new Map() };
+    }
+    const { parts } = this.#drawn;
+    if (!parts.has(name)) {
+      const all = numbers();
+      const buffer = gl.createBuffer();
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer);
+      gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, all, gl.STATIC_DRAW);
+      parts.set(name, { buffer, count: all.length });
+    }
+    const { buffer, count } = parts.get(name);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer);
+    if (count) gl.drawElements(mode, count, gl.UNSIGNED_INT, 0);
+  }
+
+  /** Draw parts of the nodes: triangles and points; with `pick`, return the number of the node
+  at a position, or -1. */
+  drawCloud(context, { nodes, shape, parts, set, ground, pick }) {
     const { gl } = this;
     const { width, height } = context.canvas;
+    this.#placed(nodes);
     this.#sized(width, height);
     gl.enable(gl.DEPTH_TEST);
     const [red, green, blue, cover] = pick ? [0, 0, 0, 0] : [...ground, 1];
     gl.clearColor(red, green, blue, cover);
     if (pick) gl.scissor(Math.max(pick.x - 6, 0), Math.max(height - pick.y - 7, 0), 13, 13);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    const maps = { ...textures, uLayer: layer, uTable: table };
-    if (cells) {
-      this.#use(this.surface, maps, { ...set, uAcross: ["1i", across] });
-      gl.drawArrays(gl.TRIANGLES, 0, 6 * cells);
-    }
-    const alone = ["1i", cells ? 1 : 0];
-    this.#use(this.cloud, maps, { ...set, uAlone: alone, uPick: ["1i", pick ? 1 : 0] });
-    gl.drawArrays(gl.POINTS, 0, points);
+    this.#use(this.space, {}, { ...set, uPick: ["1i", pick ? 1 : 0] });
+    gl.bindVertexArray(this.grid);
+    for (const { mode, name, numbers } of parts)
+      this.#indexed(mode === "points" ? gl.POINTS : gl.TRIANGLES, shape, name, numbers);
+    gl.bindVertexArray(this.plain);
     if (!pick) {
       this.#copied(context, width, height);
       return -1;

@@ -41,6 +41,8 @@ export class Scene {
     this.renderer = renderer;
     this.maps = new Map();
     this.loading = new Map();
+    /** Number of changes of the maps on the graphics card. */
+    this.version = 0;
     /** Rows received since the last recomputation. */
     this.fresh = new Set();
     for (const name of MAPS) renderer.keep(`table ${name}`, 256, 1, table(name));
@@ -87,6 +89,7 @@ export class Scene {
   }
 
   #place(values) {
+    this.version += 1;
     this.beams = new Beams(this.nodes, values);
     const { rows, columns } = this.nodes;
     const base = new Float32Array(4 * rows.length * columns.length);
@@ -153,6 +156,7 @@ export class Scene {
 
   /** Copy a whole map to the graphics card. */
   upload(name) {
+    this.version += 1;
     const { layer, values } = this.maps.get(name);
     const shown = layer.kind === "flags" ? flagRanks(values, this.flags) : values;
     this.renderer.keep(`map ${name}`, this.wide, this.high, shown);
@@ -187,6 +191,8 @@ export class Scene {
       !steps || this.fresh.has(Math.floor(at / this.wide)) || Boolean(flags && flags[at] & stray);
     const marks = surfaceMarks(map.values, steps ?? map.values, off, this.wide);
     if (!steps) marks.fill(4);
+    map.marks = marks;
+    this.version += 1;
     this.renderer.keep(`edges ${name}`, this.wide, this.high, Float32Array.from(marks));
   }
 
@@ -194,6 +200,7 @@ export class Scene {
   patch(name, first, values) {
     const map = this.maps.get(name);
     if (!map) return;
+    this.version += 1;
     map.values.set(values, first * this.wide);
     const count = values.length / this.wide;
     for (let row = first; row < first + count; row += 1) this.fresh.add(row);

@@ -1,4 +1,4 @@
-// Programs of the graphics card: map of a layer, and surface and points from ranges.
+// Programs of the graphics card: map of a layer, and places and colors of pixels in space.
 
 const HEADER = `#version 300 es
 precision highp float;
@@ -136,53 +136,49 @@ void main() {
 }`,
 };
 
-export const SURFACE = {
+/** Places and colors of the nodes of a grid of pixels, which do not depend on the camera. */
+export const NODES = {
+  captured: ["vPlace", "vColour"],
   vertex: `${HEADER}${POINTS}${COLOUR}${LIGHTING}
+uniform int uStep;            // distance of nodes [pixel]
+uniform int uAcross;          // nodes of a row
+uniform bool uAveraged;       // nodes on the surface that the light falls on
+out vec3 vPlace;
+flat out uint vColour;
+
+void main() {
+  ivec2 at = min(ivec2(gl_VertexID % uAcross, gl_VertexID / uAcross) * uStep, uSize - 1);
+  vPlace = place(at, uAveraged ? rangeAt(uSmooth, at) : rangeAt(uRange, at));
+  vec3 shown = coloured(texelFetch(uLayer, at, 0).r);
+  if (uKind != 1) shown *= lit(at);
+  uvec3 bytes = uvec3(clamp(shown, 0.0, 1.0) * 255.0 + 0.5);
+  vColour = bytes.r | (bytes.g << 8) | (bytes.b << 16) | (255u << 24);
+  gl_Position = vec4(0.0);
+  gl_PointSize = 1.0;
+}`,
+  fragment: `${HEADER}
+out vec4 colour;
+void main() { colour = vec4(0.0); }`,
+};
+
+/** Triangles and points between these nodes. */
+export const SPACE = {
+  vertex: `${HEADER}
+layout(location = 0) in vec3 aPlace;
+layout(location = 1) in vec4 aColour;
 uniform mat4 uProject;
-uniform int uStride;
-uniform int uAcross;          // cells of a row at this stride
-uniform bool uAveraged;       // vertices on the surface that the light falls on
+uniform float uDot;           // size of a point, times its distance if far ones shrink
+uniform bool uShrinks;
+uniform bool uPick;
 out vec4 vColour;
 out vec3 vPlace;
 
-// Whether the surface steps between two pixels of a row (bit 1) or of a column (bit 2).
-bool parted(ivec2 at, ivec2 end, int bit) {
-  ivec2 way = ivec2(bit == 1 ? 1 : 0, bit == 2 ? 1 : 0);
-  for (; at != end; at += way) if (steps(at, bit)) return true;
-  return false;
-}
-
-bool usable(ivec2 at) { return !bad(rangeAt(uRange, at)) && !steps(at, 4); }
-
-// As in geometry.js: two triangles per cell, along the better of its diagonals.
 void main() {
-  int cell = gl_VertexID / 6;
-  int corner = gl_VertexID % 6;
-  ivec2 a = ivec2(cell % uAcross, cell / uAcross) * uStride;
-  ivec2 d = min(a + uStride, uSize - 1);
-  ivec2 b = ivec2(d.x, a.y), c = ivec2(a.x, d.y);
-  bool above = usable(a) && usable(b) && !parted(a, b, 1);
-  bool below = usable(c) && usable(d) && !parted(c, d, 1);
-  bool left = usable(a) && usable(c) && !parted(a, c, 2);
-  bool right = usable(b) && usable(d) && !parted(b, d, 2);
-  int rising = int(above && left) + int(below && right);
-  int falling = int(above && right) + int(below && left);
-  bool fall = falling > rising || (falling == rising &&
-    abs(rangeAt(uRange, a) - rangeAt(uRange, d)) < abs(rangeAt(uRange, b) - rangeAt(uRange, c)));
-  bool second = corner > 2;
-  bool there = second ? below && (fall ? left : right) : above && (fall ? right : left);
-  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
-  vColour = vec4(0.0);
-  vPlace = vec3(0.0);
-  if (!there) return;
-  ivec2 first[3] = ivec2[3](a, b, fall ? d : c);
-  ivec2 last[3] = ivec2[3](fall ? a : b, d, c);
-  ivec2 at = second ? last[corner - 3] : first[corner];
-  vPlace = place(at, uAveraged ? rangeAt(uSmooth, at) : rangeAt(uRange, at));
-  gl_Position = uProject * vec4(vPlace, 1.0);
-  vec3 shown = coloured(texelFetch(uLayer, at, 0).r);
-  if (uKind != 1) shown *= lit(at);
-  vColour = vec4(shown, 1.0);
+  vPlace = aPlace;
+  gl_Position = uProject * vec4(aPlace, 1.0);
+  gl_PointSize = clamp(uShrinks ? uDot / max(gl_Position.w, 1e-6) : uDot, 1.4, 64.0);
+  int id = gl_VertexID + 1;
+  vColour = uPick ? vec4(ivec4(id, id >> 8, id >> 16, id >> 24) & 255) / 255.0 : aColour;
 }`,
   fragment: `${HEADER}
 uniform bool uClipped;
@@ -195,53 +191,4 @@ void main() {
   if (uClipped && (any(lessThan(vPlace, uLow)) || any(greaterThan(vPlace, uHigh)))) discard;
   colour = vColour;
 }`,
-};
-
-export const CLOUD = {
-  vertex: `${HEADER}${POINTS}${COLOUR}${LIGHTING}
-uniform mat4 uProject;
-uniform int uStride;
-uniform int uAcross;          // points of a row at this stride
-uniform float uDot;           // size of a point, times its distance if far ones shrink
-uniform bool uShrinks;
-uniform bool uPick;
-uniform bool uAlone;          // only pixels that no triangle has
-uniform bool uAveraged;       // points on the surface that the light falls on
-flat out vec4 vColour;
-
-void main() {
-  int column = (gl_VertexID % uAcross) * uStride;
-  int row = (gl_VertexID / uAcross) * uStride;
-  ivec2 at = ivec2(column, row);
-  float range = rangeAt(uRange, at);
-  if (bad(range) || (uAlone && steps(at, 8))) {
-    gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
-    gl_PointSize = 0.0;
-    vColour = vec4(0.0);
-    return;
-  }
-  if (uAveraged) range = rangeAt(uSmooth, at);
-  vec3 spot = place(at, range);
-  gl_Position = uProject * vec4(spot, 1.0);
-  if (clipped(spot)) {
-    gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
-    gl_PointSize = 0.0;
-    vColour = vec4(0.0);
-    return;
-  }
-  float size = uShrinks ? uDot / max(gl_Position.w, 1e-6) : uDot;
-  gl_PointSize = clamp(size, 1.4, 64.0);
-  if (uPick) {
-    int id = row * uSize.x + column + 1;
-    vColour = vec4(float(id & 255), float((id >> 8) & 255), float((id >> 16) & 255), float((id >> 24) & 255)) / 255.0;
-    return;
-  }
-  vec3 c = coloured(texelFetch(uLayer, at, 0).r);
-  if (uKind != 1) c *= lit(at);
-  vColour = vec4(c, 1.0);
-}`,
-  fragment: `${HEADER}
-flat in vec4 vColour;
-out vec4 colour;
-void main() { colour = vColour; }`,
 };
