@@ -282,7 +282,10 @@ class Modulation(Description):
             )
         for members in (self.frequencies, *self.sets):
             if any(b <= a for a, b in pairwise(members)):
-                raise ValueError("frequencies must increase and hold each one once")
+                raise ValueError(
+                    "frequencies must increase and hold each one once; found "
+                    + ", ".join(f"{value / 1e6:g} MHz" for value in members)
+                )
         return self
 
 
@@ -303,7 +306,10 @@ class _Box(Description):
         if box and (low is None or high is None or not low < high):
             raise ValueError(f"low and high are needed, low first; found {low}, {high}")
         if any(b <= a for a, b in pairwise(values)):
-            raise ValueError("values must increase")
+            raise ValueError(
+                "values must increase; found "
+                + ", ".join(f"{value:g}" for value in values)
+            )
         if self.prices and len(self.prices) != len(values):
             raise ValueError(
                 f"{len(values)} values need as many prices, found {len(self.prices)}"

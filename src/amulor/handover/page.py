@@ -132,7 +132,9 @@ class PageProducts:
             )
         }
         if product == "contours" and fields["contours"] is None:
-            raise CubeError("contour lines need their interval")
+            raise CubeError(
+                "contour lines need an interval, from 0.00001 to 10 m; none is stated"
+            )
         if product == "section":
             fields["line"] = _line(image, frame, side, request.get("pixels"))
         if product == "deviation":

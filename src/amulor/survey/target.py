@@ -207,8 +207,8 @@ class Mesh(_Target):
     def _channel_is_of_a_texture(self) -> Self:
         if self.texture_channel is not None and self.texture is None:
             raise ValueError(
-                "texture_channel is stated, but texture is missing: "
-                '"vertex-colours" or "image"'
+                f"texture_channel is {self.texture_channel!r}, but texture is missing: "
+                'state texture = "vertex-colours" or "image"'
             )
         return self
 

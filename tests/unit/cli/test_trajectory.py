@@ -107,6 +107,8 @@ def test_a_moving_scan_needs_its_trajectory_and_is_read_as_a_whole(
     image = imaging.range_image(rejection.cross_polarized(samples.cube("ladder")))
     io.write_cube(image, "range.nc")
     assert part in _refused(capsys, "export", "range.nc", *words, "-o", "cloud.ply")
+    line = ("--line-number", "3", "-o", "cloud.laz")
+    assert "needs --trajectory" in _refused(capsys, "export", "range.nc", *line)
 
 
 def test_no_mesh_is_made_of_a_moving_scan(log, capsys):

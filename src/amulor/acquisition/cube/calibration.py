@@ -70,7 +70,10 @@ class FrequencyCalibration(Description):
                 "phase_uncertainties; state one for each phase, or none"
             )
         if any(b <= a for a, b in pairwise(self.amplitudes)):
-            raise ValueError("amplitudes must increase")
+            raise ValueError(
+                "amplitudes must increase; found "
+                + ", ".join(f"{value * 1e3:g} mV" for value in self.amplitudes)
+            )
         return self
 
 

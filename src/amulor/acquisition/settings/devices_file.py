@@ -227,7 +227,8 @@ class Procedure(Description):
             )
         if self.mode == "continuous" and self.settled_by is not None:
             raise ValueError(
-                'with mode = "continuous" nothing settles; take settled_by out'
+                f'settled_by is {self.settled_by!r}, but with mode = "continuous" '
+                "nothing settles; leave settled_by out"
             )
         if self.run_up is not None and self.mode != "continuous":
             raise ValueError(

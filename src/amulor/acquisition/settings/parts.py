@@ -448,5 +448,8 @@ class PanTiltSettings(Description):
                 f"both or none of scanner.pan_tilt.lowest_{name} and highest_{name}",
             )
             if low is not None and not low < high:
-                raise ValueError(f"lowest_{name} must be less than highest_{name}")
+                raise ValueError(
+                    f"lowest_{name} ({math.degrees(low):g} deg) must be less than "
+                    f"highest_{name} ({math.degrees(high):g} deg)"
+                )
         return self

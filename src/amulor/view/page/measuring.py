@@ -348,7 +348,10 @@ def _axis(request: Any) -> tuple[float, float, float]:
     except (TypeError, ValueError):
         raise CubeError("an axis is three numbers: right, down, forward") from None
     if not 0 < x * x + y * y + z * z < math.inf:
-        raise CubeError("an axis needs a length")
+        raise CubeError(
+            f"an axis of {x:g}, {y:g}, {z:g} has no direction; needed is a length "
+            "above 0"
+        )
     return x, y, z
 
 
