@@ -16,7 +16,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor._hdf5 import SEAL_LENGTH, SEAL_START, SIGNATURE, check_size
+from amulor._hdf5 import (
+    SEAL_LENGTH,
+    SEAL_START,
+    SIGNATURE,
+    check_heaps,
+    check_heaps_of,
+    check_size,
+)
 from amulor.cube import schema, tiles
 from amulor.errors import AmulorError, CubeError, FormatError
 from amulor.io.files import atomic_output, load_hdf5, read_bytes
@@ -276,7 +283,9 @@ def _seal(content: bytes) -> bytes:
 
 def _check_seal(content: bytes, path: Path) -> None:
     start = content.rfind(SEAL_START, -SEAL_LENGTH)
-    if start >= 0 and content[start:] != _seal(content[:start]):
+    if start < 0:
+        check_heaps(content, path)
+    elif content[start:] != _seal(content[:start]):
         raise FormatError(
             f"{path} is damaged: its bytes are not the ones that amulor wrote; copy it "
             "again, or make it again"
@@ -654,6 +663,7 @@ def _check_digest(path: Path) -> None:
                 read_cube(path)
             at = end.rfind(SEAL_START)
             if at < 0:
+                check_heaps_of(path)
                 return
             recorded = end[at + len(SEAL_START) :].strip().decode("ascii", "replace")
             file.seek(0)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, StringConstraints, model_validator
 
-from amulor._hdf5 import check_size
+from amulor._hdf5 import check_heaps_of, check_size
 from amulor.errors import FormatError
 from amulor.io.files import load_hdf5
 from amulor.survey import toml_file
@@ -386,6 +386,7 @@ def _is_number(text: str, decimal: str) -> bool:
 def _whole_hdf5(path: Path, names: list[str], count: int | None) -> Iterator[Table]:
     load_hdf5()
     try:
+        check_heaps_of(path)
         yield from _hdf5(path, names, count)
     except (FormatError, OSError):
         raise

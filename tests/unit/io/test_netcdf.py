@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as drawn
 
 from amulor import cube as cubes
+from amulor._hdf5 import check_small
 from amulor.cube.schema import FORMER_NAMES
 from amulor.errors import AmulorError, CubeError, FormatError
 from amulor.io import netcdf, read_cube, write_cube
@@ -545,3 +546,26 @@ def test_names_and_attributes_are_left_as_they_were(samples, path):
     before = samples.copy(deep=True)
     write_cube(samples, path)
     xr.testing.assert_identical(samples, before)
+
+
+@pytest.mark.parametrize(
+    ("place", "change"),
+    [(0, bytes(16)), (8, b"\xff\xff")],
+    ids=["an object of no size", "an object beyond the end"],
+)
+def test_a_damaged_heap_is_refused_before_hdf5_reads_it(content, path, place, change):
+    # HDF5 2.0 does not return from an object of index 0 and size 0.
+    unsealed = bytearray(content[:-SEAL])
+    path.write_bytes(unsealed)
+    read_cube(path)
+    first = unsealed.index(b"GCOL") + 16
+    unsealed[first + place : first + place + len(change)] = change
+    path.write_bytes(unsealed)
+    for read in (read_cube, _head, check_small):
+        with pytest.raises(FormatError, match=r"global heap at byte \d+ is not filled"):
+            read(path)
+
+
+def _head(path):
+    with netcdf.open_rows(path) as rows:
+        return rows.head
