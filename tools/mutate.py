@@ -76,6 +76,8 @@ _LIBRARIES = (
 )
 #: Rooms whose tests take minutes, or need devices; kernels are compiled each time.
 _LEFT_OUT = ("_kernels", "studies", "acquisition/drivers", "view/page/files")
+#: Tests that look at all modules.
+_OF_ALL = ("test_messages.py", "test_public_surface.py")
 #: Tests of `make check` that are not of `make test`.
 _LONGER = "slow and not study"
 _ARITHMETIC: dict[type, type] = {
@@ -275,7 +277,7 @@ def tests_of(file: Path) -> list[list[str]]:
         if path.is_relative_to(room):
             close = stem in path.stem or named or (defined and defined.search(text))
             (near if close else far).append(path)
-        elif named:
+        elif named or path.name in _OF_ALL:
             far.append(path)
     near.sort(key=lambda path: stem not in path.stem)
     staged = [[str(path.relative_to(ROOT)) for path in found] for found in (near, far)]

@@ -1,18 +1,25 @@
-"""List every public name of amulor with its kind; `make surface` writes it anew.
+"""List the public names of amulor and their defaults; `make surface` writes both anew.
 
 A public module is one that `__all__` of a package names, from `amulor` down. Its public
 names are its `__all__`, or, where it has none, the functions and classes defined in it.
+Defaults are those of arguments of public functions, of fields of public classes, and of
+the keys of all files that users write.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import inspect
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-LISTING = Path(__file__).parents[1] / "tests" / "reference" / "public_surface.txt"
+import numpy as np
+
+REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
+LISTING = REFERENCE / "public_surface.txt"
+DEFAULTS = REFERENCE / "public_defaults.txt"
 
 
 def kind(value: Any) -> str:
@@ -51,6 +58,76 @@ def surface(module: ModuleType | None = None) -> list[str]:
     return sorted(lines)
 
 
+def defaults() -> list[str]:
+    """Return "name(argument=value)" and "name.field = value" for all defaults."""
+    lines = []
+    described = {f"{cls.__module__}.{cls.__qualname__}": cls for cls in _descriptions()}
+    for line in surface():
+        full, _, what = line.rpartition(" ")
+        if what in ("function", "class"):
+            module, _, name = full.rpartition(".")
+            value = getattr(importlib.import_module(module), name)
+            if inspect.isclass(value):
+                described[f"{value.__module__}.{value.__qualname__}"] = value
+            else:
+                lines += [f"{full}({entry})" for entry in _arguments(value)]
+    for full, cls in described.items():
+        lines += [f"{full}.{entry}" for entry in _fields(cls)]
+    return sorted(set(lines))
+
+
+def _descriptions() -> list[type]:
+    """Return the classes of all tables of TOML files."""
+    from amulor.survey.quantity import Description
+
+    classes, waiting = [], [Description]
+    while waiting:
+        subclasses = waiting.pop().__subclasses__()
+        classes += subclasses
+        waiting += subclasses
+    return [cls for cls in classes if cls.__module__.startswith("amulor.")]
+
+
+def _arguments(function: Any) -> list[str]:
+    """Return the arguments that have a default, with it."""
+    return [
+        f"{name}={_value(parameter.default)}"
+        for name, parameter in inspect.signature(function).parameters.items()
+        if parameter.default is not parameter.empty
+    ]
+
+
+def _fields(cls: type) -> list[str]:
+    """Return the fields of a class that have a default, with it."""
+    if hasattr(cls, "model_fields"):
+        return [
+            f"{name} = {_value(field.default)}"
+            for name, field in cls.model_fields.items()
+            if name in vars(cls).get("__annotations__", {})
+            and field.default_factory is None
+            and not field.is_required()
+        ]
+    if dataclasses.is_dataclass(cls):
+        return [
+            f"{field.name} = {_value(field.default)}"
+            for field in dataclasses.fields(cls)
+            if field.default is not dataclasses.MISSING
+        ]
+    return []
+
+
+def _value(value: Any) -> str:
+    """Return a plain value as text, and the type of any other."""
+    if isinstance(value, float | np.floating):
+        return f"{float(value):.12g}"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_value, value))})"
+    if value is None or isinstance(value, str | int | np.ndarray):
+        return repr(value)
+    return type(value).__name__
+
+
 if __name__ == "__main__":
     LISTING.write_text("\n".join(surface()) + "\n", encoding="utf-8")
-    print(f"{LISTING}: {len(surface())} names")
+    DEFAULTS.write_text("\n".join(defaults()) + "\n", encoding="utf-8")
+    print(f"{LISTING}: {len(surface())} names, {len(defaults())} defaults")

@@ -54,6 +54,14 @@ def test_the_public_names_are_those_of_the_listing() -> None:
     assert not new, f"names not in the listing, write it anew by `make surface`: {new}"
 
 
+def test_defaults_are_those_of_the_listing() -> None:
+    # Whoever leaves an argument or a key out gets another result with another default.
+    listed = set(TOOL["DEFAULTS"].read_text().splitlines())
+    there = set(TOOL["defaults"]())
+    assert sorted(listed - there) == [], "defaults are gone or of another value"
+    assert sorted(there - listed) == [], "write the listing anew by `make surface`"
+
+
 #: Each name from the first import on, so that none is there by another's doing.
 FRESH = """
 import sys, warnings
