@@ -1,9 +1,9 @@
-"""List the public names of amulor and their defaults; `make surface` writes both anew.
+"""List the public names of amulor, their defaults and limits, for `make surface`.
 
 A public module is one that `__all__` of a package names, from `amulor` down. Its public
 names are its `__all__`, or, where it has none, the functions and classes defined in it.
 Defaults are those of arguments of public functions, of fields of public classes, and of
-the keys of all files that users write.
+the keys of all files that users write. Limits are those of these keys, in SI units.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
+import typing
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -72,7 +74,7 @@ def defaults() -> list[str]:
             else:
                 lines += [f"{full}({entry})" for entry in _arguments(value)]
     for full, cls in described.items():
-        lines += [f"{full}.{entry}" for entry in _fields(cls)]
+        lines += [f"{full}.{entry}" for entry in [*_fields(cls), *_limits(cls)]]
     return sorted(set(lines))
 
 
@@ -114,6 +116,29 @@ def _fields(cls: type) -> list[str]:
             if field.default is not dataclasses.MISSING
         ]
     return []
+
+
+def _limits(cls: type) -> list[str]:
+    """Return the limits of the keys of a table."""
+    if not hasattr(cls, "model_fields"):
+        return []
+    return [
+        f"{name}: {limit}"
+        for name, field in cls.model_fields.items()
+        if name in vars(cls).get("__annotations__", {})
+        for limit in _limits_in([*field.metadata, field.annotation])
+    ]
+
+
+def _limits_in(parts: Sequence[Any]) -> Iterator[str]:
+    """Yield the limits of an annotation, and of those inside it."""
+    for part in parts:
+        inside = [*getattr(part, "metadata", ()), *typing.get_args(part)]
+        yield from _limits_in([one for one in inside if not isinstance(one, str)])
+        for name in ("gt", "ge", "lt", "le", "min_length", "max_length"):
+            limit = getattr(part, name, None)
+            if isinstance(limit, int | float):
+                yield f"{name} {_value(limit)}"
 
 
 def _value(value: Any) -> str:
