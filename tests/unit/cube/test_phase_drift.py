@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import multivariate_normal
 
-from amulor.cube.phase_drift import PhaseDrift
+from amulor.cube.phase_drift import _WALKS, PhaseDrift, _smoothed
 
 NOISE = 1e-3
 
@@ -82,3 +83,46 @@ def test_one_reading_is_a_constant() -> None:
     assert_allclose(result.phase, 0)
     assert_allclose(result.zero, 0.3, atol=5 * NOISE)
     assert result.uncertainty[0, 0, 0] >= NOISE
+
+
+def test_a_drift_is_the_average_of_random_walks_by_their_likelihood() -> None:
+    # Each walk by dense covariances of its states, without a filter.
+    rng = np.random.default_rng(4)
+    noise = np.full(9, 2e-3) * (1 + rng.random(9))
+    gap = np.array([1.0, 2, 1, 1, 5, 1, 1, 1])
+    phase = 4e-3 * rng.standard_normal(9).cumsum()
+    noise[4] = np.inf  # a missing reading
+    seen = np.array([1, 2, 3, 5, 6, 7, 8])
+    elapsed = np.concatenate([[0], gap.cumsum()])
+    rates = _WALKS / 9 * np.median(np.delete(noise, 4))
+    states, variances, chances = [], [], []
+    for rate in rates:
+        prior = noise[0] + rate * np.minimum.outer(elapsed, elapsed)
+        read = prior[np.ix_(seen, seen)] + np.diag(noise[seen])
+        gain = np.linalg.solve(read, prior[seen]).T
+        states.append(phase[0] + gain @ (phase[seen] - phase[0]))
+        variances.append(np.diag(prior - gain @ prior[seen]) + rate / 6)
+        chances.append(
+            multivariate_normal(np.full(7, phase[0]), read).logpdf(phase[seen])
+        )
+    weight = np.exp(np.array(chances) - max(chances))
+    weight /= weight.sum()
+    mean = weight @ np.array(states)
+    variance = weight @ (np.array(variances) + (np.array(states) - mean) ** 2)
+    result = _smoothed(phase, noise, elapsed)
+    # The states differ between likely walks, or this would not test the last term.
+    assert np.max(weight) < 0.9
+    assert_allclose(result[0], mean, rtol=1e-9, atol=1e-12)
+    assert_allclose(result[1], variance, rtol=1e-9)
+
+
+def test_the_phase_of_the_first_reading_is_kept() -> None:
+    result = readings(np.linspace(0, 0.2, 30), 3, zero=0.3)
+    # A correction turns samples to `zero`; drift and zero together are the phase.
+    corrected = result.corrected(
+        np.exp(1j * (0.3 + np.linspace(0, 0.2, 30)))[None, None],
+        np.arange(30.0)[None, None],
+    )
+    assert_allclose(np.angle(corrected), result.zero[0, 0], atol=4 * NOISE)
+    assert_allclose(np.abs(corrected), 1.0, rtol=1e-12)
+    assert_allclose(result.zero[0, 0], 0.3 + 0.1, atol=3 * NOISE)

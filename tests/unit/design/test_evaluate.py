@@ -10,6 +10,7 @@ from scipy.constants import Planck, speed_of_light
 
 from amulor.design import TERMS, evaluate
 from amulor.design._kernels import assess, astray
+from amulor.design.axes import AXES, arranged
 from amulor.errors import SurveyError
 from amulor.optics import ambiguity
 from amulor.simulation import SmallAngleModel, expectation
@@ -216,3 +217,50 @@ def test_ranges_beyond_the_repetition_are_ambiguous_and_too_much_light_saturates
 def test_what_cannot_be_evaluated_is_said(arguments, said, tank: Survey) -> None:
     with pytest.raises(SurveyError, match=said):
         evaluate(tank, **arguments)
+
+
+#: Least and largest value of each axis, in SI units, and whether the least is allowed:
+#: a share is from 0 to 1, an element of a Mueller matrix from -1 to 1, a slope and a
+#: field of view below those for which the small-angle forms hold.
+LIMITS = {
+    "distance": (0.0, np.inf, False),
+    "attenuation": (0.0, np.inf, False),
+    "absorption": (0.0, np.inf, True),
+    "scattering": (0.0, np.inf, True),
+    "reflectance": (0.0, 1.0, False),
+    "target_m22": (-1.0, 1.0, True),
+    "water_m22": (-1.0, 1.0, True),
+    "slope": (0.0, 1.5, True),
+    "texture": (0.0, np.inf, True),
+    "power": (0.0, np.inf, False),
+    "modulation_depth": (0.0, 1.0, False),
+    "frequency": (0.0, np.inf, False),
+    "baseline": (0.0, np.inf, True),
+    "aim": (0.0, np.inf, False),
+    "radius": (0.0, np.inf, False),
+    "field_of_view": (0.0, 0.5, False),
+    "dwell": (0.0, np.inf, False),
+    "phase_floor": (0.0, np.inf, True),
+    "dark_rate": (0.0, np.inf, True),
+    "radiance": (0.0, np.inf, True),
+    "fluctuation": (0.0, 1.0, True),
+    "water_change": (0.0, 1.0, True),
+    "column_uncertainty": (0.0, 1.0, True),
+    "ratio_uncertainty": (0.0, 1.0, True),
+    "departure": (0.0, 1.0, True),
+}
+
+
+def test_each_axis_has_its_limits_on_both_sides() -> None:
+    assert set(LIMITS) == set(AXES)
+    for name, (least, most, allowed) in LIMITS.items():
+        good = [least + 1e-9, min(most, 1e12), *([least] if allowed else [])]
+        wrong = [least - 1e-9, np.nan, *([] if allowed else [least])]
+        if np.isfinite(most):
+            wrong.append(most + 1e-9)
+        # A receiver parallel to the beam aims at infinity.
+        (good if name == "aim" else wrong).append(np.inf)
+        arranged({name: good}, None)
+        for value in wrong:
+            with pytest.raises(SurveyError, match=f"{name}: found {value:g} "):
+                arranged({name: [value]}, None)

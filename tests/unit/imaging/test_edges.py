@@ -9,10 +9,11 @@ import pytest
 import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from amulor import cube as cubes
 from amulor import imaging
-from amulor.imaging.edges import reached, steps
+from amulor.imaging.edges import _off_lines, reached, steps
 
 Make = Callable[..., xr.Dataset]
 #: Of the images of `written` [m].
@@ -185,3 +186,34 @@ def test_slopes_and_curves_are_no_steps() -> None:
         across, _ = steps(image, np.full(image.shape, 1e-8))
         # Four standard errors are exceeded by 6 of 100,000; the rim sees one side.
         assert across[:, 4:-5].mean() < 1e-3
+
+
+@pytest.mark.parametrize("first", [1, -1, 2])
+def test_a_pixel_is_compared_with_lines_through_its_neighbours(first: int) -> None:
+    # Weighted least squares of numpy for the line at place 0, which all pixels beside
+    # the middle lie on; their errors are propagated through it.
+    rng = np.random.default_rng(3)
+    distance = (1.5 + 0.01 * np.arange(13.0))[None] + 1e-6 * rng.normal(size=(1, 13))
+    variance = 1e-6 * (1 + rng.random((1, 13)))
+    distance[0, 6] += 0.02
+    two, four = _off_lines(distance, variance, 1, first)
+    side = 1 if first > 0 else -1
+    for count, score in ((2, two), (4, four)):
+        place = abs(first) + np.arange(count)
+        gain = np.linalg.pinv(np.stack([np.ones(count), place], axis=1))[0]
+        beside = 6 + side * place
+        line = gain @ distance[0, beside]
+        spread = gain**2 @ variance[0, beside]
+        expected = (distance[0, 6] - line) / np.sqrt(variance[0, 6] + spread)
+        assert_allclose(score[0, 6], expected, rtol=1e-9)
+
+
+def test_four_pixels_that_are_not_straight_are_no_line() -> None:
+    # Their misfit has two degrees of freedom; a bend of a hundred errors is none.
+    straight = np.full((1, 9), 1.5)
+    bent = straight + 0.1 * (np.arange(9) % 3 == 0)
+    variance = np.full((1, 9), 1e-6)
+    assert np.isfinite(_off_lines(straight, variance, 1, 1)[1][0, 2])
+    two, four = _off_lines(bent, variance, 1, 1)
+    assert np.isfinite(two[0, 2])
+    assert np.isnan(four[0, 2])

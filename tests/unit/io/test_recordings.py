@@ -9,12 +9,13 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from numpy.testing import assert_allclose
 
 from amulor import imaging, rejection
 from amulor.cli import main
 from amulor.cube import UNUSABLE
 from amulor.errors import FormatError
-from amulor.io import read_cube
+from amulor.io import read_cube, recording_samples
 from amulor.io.recording_table import RecordingMap, read_table
 from amulor.io.recordings import BREAKDOWN, NO_NUMBER, ZERO, read_recordings
 from amulor.simulation import simulate
@@ -477,3 +478,25 @@ def test_the_command_takes_a_recording_to_a_range_image(
     )
     assert main([*words, "--columns", "none.toml", "-o", "other.nc"]) == 1
     assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("change", "count"), [(0.99e-6, 1), (1.01e-6, 2)])
+def test_frequencies_closer_than_a_millionth_are_equal(change, count) -> None:
+    frequencies = 39e6 * np.array([1.0, 1 + change])
+    assert len(set(recording_samples.groups(frequencies))) == count
+    means, place = recording_samples.distinct(frequencies[::-1])
+    assert_allclose(means, [frequencies.mean()] if count == 1 else frequencies)
+    assert place.tolist() == ([0, 0] if count == 1 else [1, 0])
+
+
+def test_a_sample_is_compared_with_mixtures_of_its_neighbours() -> None:
+    # On the way from 0 to 4 V the foot of 1 + 3i is 1 V; beyond 4 V the end is nearest.
+    beside = np.array([0.0, 4.0])[:, None] * np.ones(3)
+    signal = np.array([1 + 3j, 7 + 4j, 2 + 0j])
+    off, spread = recording_samples.off_mixtures(signal, beside.astype(complex))
+    assert_allclose(off, [3, 5, 0], atol=1e-12)
+    assert_allclose(spread, 4)
+    alone = np.full((2, 1), np.nan, complex)
+    off, spread = recording_samples.off_mixtures(signal[:1], alone)
+    assert off == np.inf
+    assert spread == 0
