@@ -35,6 +35,7 @@ from amulor.acquisition.laser_safety import hazard
 from amulor.acquisition.links.lines import DirectLink
 from amulor.acquisition.plan import Key
 from amulor.acquisition.settings import Settings
+from amulor.acquisition.settings.parts import PanTiltSettings
 from amulor.cli._arguments import UsageError
 from amulor.cli.site import epochs_of
 from amulor.design.candidates import fits as schemes_of
@@ -59,6 +60,7 @@ from amulor.simulation import scene
 from amulor.site.merging import tiles
 from amulor.survey import Mesh, Survey, files, scan
 from amulor.survey.surface import TabulatedSurface
+from amulor.survey.waters.named import SphereWater
 from amulor.transport.tally import Tally
 from amulor.view import figures
 from amulor.view.explanations import reasons
@@ -257,6 +259,22 @@ CASES: dict[str, Case] = {
         SurveyError,
         "bare.ply: has no image with coordinates .* export them, or leave out texture",
     ),
+    "spheres by two numbers": (
+        lambda _: SphereWater(kind="spheres", diameter="1 um", particle_index=1.2),
+        ValueError,
+        "spheres need a volume_fraction or a scattering, not both",
+    ),
+    "angles of a surface that fall": (
+        lambda _: TabulatedSurface(
+            kind="tabulated",
+            incidence=("30 deg", "0 deg"),
+            reflection=("0 deg", "30 deg"),
+            azimuth=("0 deg",),
+            values=(0.1, 0.1, 0.1, 0.1),
+        ),
+        ValueError,
+        "angles of a tabulated surface must rise; found 30, 0 deg",
+    ),
     # Goals.
     "an interval that ends before it begins": (
         _goal('"0 m"\nfarthest = "1.56 m"', '"2 m"\nfarthest = "1.5 m"'),
@@ -385,6 +403,22 @@ CASES: dict[str, Case] = {
         FormatError,
         "a.obj (holds no triangle|cannot be read as a mesh)",
     ),
+    "an attribute that readers take as theirs": (
+        lambda folder: io.write_cube(
+            samples.cube("ladder").assign_attrs(_FillValue=1.0), folder / "a.nc"
+        ),
+        CubeError,
+        "attribute '_FillValue' of the cube would change how a reader takes",
+    ),
+    "values of a cloud that are too many": (
+        lambda folder: io.write_ply(
+            imaging.point_cloud(_image()),
+            folder / "a.ply",
+            scalars={"depth": (np.ones(2), "m")},
+        ),
+        ValueError,
+        r"scalars must have \d+ values each, as many as points; depth has 2",
+    ),
     # Cubes and images.
     "a tile of no row": (
         lambda _: next(pipeline.run_step(lambda cube: cube, samples.cube("ladder"),
@@ -497,6 +531,17 @@ CASES: dict[str, Case] = {
         ),
         InstrumentError,
         "settled_by is 'samples', but with mode = \"continuous\" nothing settles",
+    ),
+    "a pan that ends before it begins": (
+        lambda _: PanTiltSettings(lowest_pan="20 deg", highest_pan="-20 deg"),
+        ValueError,
+        r"lowest_pan \(20 deg\) must be less than highest_pan \(-20 deg\)",
+    ),
+    "a half of a range of tilts": (
+        lambda _: PanTiltSettings(lowest_tilt="-20 deg"),
+        ValueError,
+        "both or none of scanner.pan_tilt.lowest_tilt and highest_tilt is needed; "
+        "state it",
     ),
     # Sites and archives.
     "an archive that exists": (

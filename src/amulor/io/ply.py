@@ -120,8 +120,12 @@ def write_ply(
         for name, (values, _) in (scalars or {}).items()
     }
     count = cloud.sizes["point"]
-    if any(values.shape != (count,) for values in more.values()):
-        raise ValueError(f"scalars must have {count} values each, as many as points")
+    for name, values in more.items():
+        if values.shape != (count,):
+            raise ValueError(
+                f"scalars must have {count} values each, as many as points; {name} has "
+                f"{values.size}"
+            )
     triangles = _triangles(faces, count)
     about = {name: text for name, (_, text) in (scalars or {}).items()}
     _write([cloud], count, path, overwrite=overwrite, more=more, about=about,

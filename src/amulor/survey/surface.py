@@ -112,7 +112,10 @@ class TabulatedSurface(Description):
                 raise ValueError(f"{name} needs at least two angles")
         for axis in axes:
             if any(b <= a for a, b in pairwise(axis or ())):
-                raise ValueError("angles of a tabulated surface must rise")
+                raise ValueError(
+                    "angles of a tabulated surface must rise; found "
+                    f"{', '.join(f'{math.degrees(a):g}' for a in axis or ())} deg"
+                )
         most = _largest_reflectance(axes[0], axes[1], axes[2], self.values)
         if most > 1.001:
             raise ValueError(

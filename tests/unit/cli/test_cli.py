@@ -383,6 +383,7 @@ def test_a_plan_without_open_water_is_noted(
         (["export", "a.nc", "-o", "b.obj"], "use one of .ply"),
         (["simulate", "a.toml", "-o", "b.csv"], "use one of .nc"),
         (["reject", "a.nc", "--method", "auto", "-o", "b.txt"], "use one of .nc"),
+        ([*UNMIX, "--option", "loud"], "must be \"name=value\", got 'loud'"),
         (["image", "a.nc", "-o", "b.png"], "use one of .nc"),
         (["recover", "scan", "-o", "b"], "use one of .nc"),
         (["design", "a.toml"], "needed is --output survey.toml, or --interactive"),
