@@ -27,6 +27,8 @@ function sceneOf(beams, maps, sharing = null) {
     channel: "VV",
     group_index: 1.36,
     frequencies: [80e6],
+    rows: 1,
+    columns: 2,
     value: (name, row, column) => maps[name]?.[column] ?? NaN,
   };
 }

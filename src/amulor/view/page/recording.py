@@ -321,6 +321,7 @@ class Recording:
             "group_index": float(picture.geometry["group_index"]),
             "nodes": {"rows": nodes.rows.tolist(), "columns": nodes.columns.tolist()},
             "sharing": sharing_of(picture),
+            "line_window": int(attributes.get("phasor_line_window", 0)),
             "error_unknown": picture.error_unknown,
             "water_in": pictures.after is not None and _water_in(picture),
             "spectrum": self.has_spectrum,

@@ -7,6 +7,7 @@ import { limitsKey } from "./limits.js";
 import { Live } from "./live.js";
 import { fitted, MapView } from "./map.js";
 import { Notes } from "./notes.js";
+import { needsServer } from "./offline.js";
 import { Page } from "./page.js";
 import { failed, say, showLegend, showReadout, unsay } from "./panel.js";
 import { download } from "./picture.js";
@@ -274,6 +275,8 @@ async function opened(channel) {
   await scene.open(channel);
   state.scene = scene;
   page.titled(scene, subtitle(scene));
+  // A saved page has no pixels between those that it draws.
+  $("average").closest("label").hidden = state.source.saved && scene.stride > 1;
   channels(scene);
   switches(scene);
   contours();
@@ -834,10 +837,9 @@ function numbered(at) {
   return Boolean(name);
 }
 
-/** Return why a tool is missing: it needs the server, which a saved page does not have. */
-function unable({ kind, axis }) {
-  const alone = kind === "distance" || axis;
-  return state.source.saved && !alone ? "Needs the server: open the file by amulor view" : "";
+/** Return why a tool is missing; a saved page has no server. */
+function unable({ kind }) {
+  return state.source.saved ? needsServer(kind) : "";
 }
 
 function wired() {
@@ -890,7 +892,6 @@ function fields() {
   $("average").addEventListener("input", (event) => {
     state.average = Number(event.target.value);
   });
-  if (state.source.saved) $("average").closest("label").hidden = true;
   $("channel").addEventListener("input", (event) =>
     opened(event.target.value)
       .then(() => point(state.cursor))

@@ -21,10 +21,15 @@
  * @property {number} group_index
  * @property {number[]} frequencies
  * @property {string} [error_unknown]
+ * @property {number} [line_window] size of the windows of phasor lines [pixel]
+ * @property {number} rows
+ * @property {number} columns
  * @property {(name: string, row: number, column: number) => number} value
  */
 
 const LIGHT = 299792458;
+/** Angle below which two directions coincide [rad]. */
+const STRAIGHT = 1e-6;
 
 /**
  * @param {number[]} nodes
@@ -176,24 +181,42 @@ function reference(sharing, beam) {
 }
 
 /**
- * Return the covariance of the slant ranges of pixels, as in amulor.imaging.correlation.
+ * Return the variance of the range of a pixel without errors that all pixels share [m^2]; NaN
+ * if it is unknown.
+ * @param {Measured} scene
+ * @param {Pixel} pixel
+ */
+export function ownVariance(scene, [row, column]) {
+  const variance = scene.value("uncertainty", row, column) ** 2;
+  if (!scene.sharing) return variance;
+  const shared = scene.value("common", row, column) ** 2;
+  return Math.max(variance - shared, 4 * Number.EPSILON * variance);
+}
+
+/**
+ * Return the covariance of the slant ranges of two pixels of a list, as a function of their
+ * numbers [m^2], as in amulor.imaging.correlation.
  * @param {Measured} scene
  * @param {Pixel[]} pixels
- * @returns {number[][]}
+ * @returns {(i: number, j: number) => number}
  */
-export function covariance(scene, pixels) {
+export function correlated(scene, pixels) {
   const sharing = scene.sharing;
+  const window = scene.line_window ?? 0;
+  const turns = scene.frequencies.map((f) => (4 * Math.PI * f * scene.group_index) / LIGHT);
   const all = pixels.map(([row, column]) => {
     const beam = scene.beams.at(row, column);
     const get = (/** @type {string} */ name) => scene.value(name, row, column);
     const total = get("uncertainty");
-    if (!sharing) return { total, range: NaN, alike: [], ofWater: [], rest: 0, basis: null };
+    const none = { total, noise: total, range: NaN, alike: [], ofWater: [], rest: 0, basis: null };
+    if (!sharing) return none;
     const alike = sharing.alike.map(get);
     const ofWater = sharing.of_water.map(get);
     const known = [...alike, ...ofWater].reduce((sum, one) => sum + one * one, 0);
     const common = get("common");
     return {
       total,
+      noise: Math.sqrt(Math.max(total * total - common * common, 0)),
       range: get("range"),
       alike,
       ofWater,
@@ -201,19 +224,35 @@ export function covariance(scene, pixels) {
       basis: reference(sharing, beam),
     };
   });
-  const turns = scene.frequencies.map((f) => (4 * Math.PI * f * scene.group_index) / LIGHT);
-  return all.map((one, i) =>
-    all.map((other, j) => {
-      if (i === j || samePixel(pixels[i], pixels[j])) return one.total ** 2;
-      if (!sharing) return 0;
-      const turn =
-        turns.reduce((sum, k) => sum + Math.cos(k * (one.range - other.range)), 0) / turns.length;
-      const along = one.basis && other.basis ? inner(one.basis, other.basis) : 1;
-      const water = inner(one.ofWater, other.ofWater);
-      const alike = inner(one.alike, other.alike);
-      return one.rest * other.rest * along * turn + water * turn + alike;
-    }),
-  );
+  return (i, j) => {
+    const [one, other] = [all[i], all[j]];
+    if (i === j || samePixel(pixels[i], pixels[j])) return one.total ** 2;
+    // The windows of phasor lines overlap.
+    const overlap = window
+      ? [0, 1]
+          .map((k) => Math.max(1 - Math.abs(pixels[i][k] - pixels[j][k]) / window, 0))
+          .reduce((product, part) => product * part)
+      : 0;
+    const noise = overlap * one.noise * other.noise;
+    if (!sharing) return noise;
+    let turn = 0;
+    for (const k of turns) turn += Math.cos(k * (one.range - other.range)) / turns.length;
+    const along = one.basis && other.basis ? inner(one.basis, other.basis) : 1;
+    const water = inner(one.ofWater, other.ofWater);
+    const alike = inner(one.alike, other.alike);
+    return noise + one.rest * other.rest * along * turn + water * turn + alike;
+  };
+}
+
+/**
+ * Return the covariance matrix of the slant ranges of pixels [m^2].
+ * @param {Measured} scene
+ * @param {Pixel[]} pixels
+ * @returns {number[][]}
+ */
+export function covariance(scene, pixels) {
+  const shared = correlated(scene, pixels);
+  return pixels.map((_, i) => pixels.map((__, j) => shared(i, j)));
 }
 
 /**
@@ -225,61 +264,117 @@ function samePixel(a, b) {
 }
 
 /**
- * @param {Measured} scene
- * @param {Pixel[]} pixels
+ * Return the pixels within reach of a pixel in a line of pixels, without a step in between.
+ * @param {(at: number) => boolean} steps whether the surface steps behind a pixel
+ * @param {number} start
+ * @param {number} reach
+ * @param {number} count
  */
-function pair(scene, pixels) {
-  return pixels.map(([row, column]) => {
-    const range = scene.value("range", row, column);
-    if (!Number.isFinite(range))
-      throw new Error(`Pixel (${row}, ${column}) holds no range; pick another.`);
-    const beam = scene.beams.at(row, column);
-    return { place: scene.beams.point(row, column, range), direction: beam.slice(3, 6) };
-  });
+function walked(steps, start, reach, count) {
+  let [low, high] = [start, start];
+  while (low > Math.max(start - reach, 0) && !steps(low - 1)) low -= 1;
+  while (high < Math.min(start + reach, count - 1) && !steps(high)) high += 1;
+  return Array.from({ length: high - low + 1 }, (_, k) => low + k);
 }
 
 /**
+ * Return the pixels of which the mean is a picked point: along the column, then the rows.
+ * @param {Measured} scene
+ * @param {Pixel} pixel
+ * @param {number} reach
+ * @returns {Pixel[]}
+ */
+function around(scene, [row, column], reach) {
+  /** @type {(r: number, c: number, bit: number) => boolean} */
+  const steps = (r, c, bit) => Boolean(scene.value("steps", r, c) & bit);
+  const lines = walked((r) => steps(r, column, 2), row, reach, scene.rows);
+  return lines.flatMap((r) =>
+    walked((c) => steps(r, c, 1), column, reach, scene.columns)
+      .filter((c) => Number.isFinite(scene.value("range", r, c)))
+      .map((c) => /** @type {Pixel} */ ([r, c])),
+  );
+}
+
+/**
+ * Return picked points: pixels, with the number of their point and their weight in it.
+ * @param {Measured} scene
+ * @param {Pixel[]} pixels
+ * @param {number} reach
+ */
+function picked(scene, pixels, reach) {
+  const members = pixels.flatMap((pixel, owner) => {
+    if (!Number.isFinite(scene.value("range", ...pixel)))
+      throw new Error(`Pixel (${pixel.join(", ")}) holds no range; pick another.`);
+    const part = reach ? around(scene, pixel, reach) : [pixel];
+    return part.map((member) => ({ pixel: member, owner, weight: 1 / part.length }));
+  });
+  const places = pixels.map(() => [0, 0, 0]);
+  for (const { pixel, owner, weight } of members) {
+    const place = scene.beams.point(...pixel, scene.value("range", ...pixel));
+    place.forEach((part, k) => (places[owner][k] += weight * part));
+  }
+  return { members, places };
+}
+
+/**
+ * Return a measurement with its uncertainty.
  * @param {Measured} scene
  * @param {string} kind
- * @param {Pixel[]} pixels
+ * @param {ReturnType<typeof picked>} points
  * @param {number} value
- * @param {number[]} slopes
+ * @param {number[][]} gradient by coordinates of the points
+ * @param {string} [unit]
  */
-function result(scene, kind, pixels, value, slopes) {
-  const matrix = covariance(scene, pixels);
+function result(scene, kind, { members }, value, gradient, unit = "m") {
+  const slopes = members.map(
+    ({ pixel, owner, weight }) =>
+      weight * dot(gradient[owner], scene.beams.at(...pixel).slice(3, 6)),
+  );
+  const pixels = members.map(({ pixel }) => pixel);
+  const shared = correlated(scene, pixels);
+  /** @type {Map<string, {pixel: Pixel, slope: number}>} */
+  const alone = new Map();
   let variance = 0;
-  slopes.forEach((a, i) => slopes.forEach((b, j) => (variance += a * b * matrix[i][j])));
-  let random = 0;
   slopes.forEach((a, i) => {
-    const common = scene.sharing ? scene.value("common", ...pixels[i]) : 0;
-    random += a * a * Math.max(matrix[i][i] - common * common, 0);
+    slopes.forEach((b, j) => (variance += a * b * shared(i, j)));
+    const before = alone.get(pixels[i].join());
+    alone.set(pixels[i].join(), { pixel: pixels[i], slope: a + (before?.slope ?? 0) });
   });
+  let random = 0;
+  for (const { pixel, slope } of alone.values()) random += slope ** 2 * ownVariance(scene, pixel);
   return {
     kind,
     channel: scene.channel,
     group_index: scene.group_index,
-    lines: [{ label: kind, value, uncertainty: Math.sqrt(Math.max(variance, 0)), unit: "m" }],
+    lines: [{ label: kind, value, uncertainty: Math.sqrt(Math.max(variance, 0)), unit }],
     error_unknown: scene.error_unknown,
     random: Number.isFinite(random) ? Math.sqrt(random) : undefined,
-    pixels: pixels.length,
+    pixels: alone.size,
   };
 }
+
+/** @type {(a: number[], factor: number) => number[]} */
+const times = (a, factor) => a.map((part) => part * factor);
+/** @type {(a: number[], b: number[]) => number[]} */
+export const cross = (a, b) => [
+  a[1] * b[2] - a[2] * b[1],
+  a[2] * b[0] - a[0] * b[2],
+  a[0] * b[1] - a[1] * b[0],
+];
 
 /**
  * Return the distance between two pixels, with its uncertainty.
  * @param {Measured} scene
  * @param {Pixel[]} pixels
+ * @param {number} [reach] pixels on each side over which a point is averaged
  */
-export function distance(scene, pixels) {
-  const [one, other] = pair(scene, pixels);
-  const step = minus(other.place, one.place);
+export function distance(scene, pixels, reach = 0) {
+  const points = picked(scene, pixels, reach);
+  const step = minus(points.places[1], points.places[0]);
   const length = norm(step);
   if (length === 0) throw new Error("Both points are the same; pick two that are apart.");
-  const along = step.map((part) => part / length);
-  return result(scene, "distance", pixels, length, [
-    -dot(along, one.direction),
-    dot(along, other.direction),
-  ]);
+  const along = times(step, 1 / length);
+  return result(scene, "distance", points, length, [times(along, -1), along]);
 }
 
 /**
@@ -287,16 +382,60 @@ export function distance(scene, pixels) {
  * @param {Measured} scene
  * @param {Pixel[]} pixels
  * @param {number[]} [axis]
+ * @param {number} [reach]
  */
-export function height(scene, pixels, axis = [0, -1, 0]) {
-  const size = norm(axis);
-  const up = axis.map((part) => part / size);
-  const [one, other] = pair(scene, pixels);
-  const value = dot(up, minus(other.place, one.place));
-  return result(scene, "height", pixels, value, [
-    -dot(up, one.direction),
-    dot(up, other.direction),
-  ]);
+export function height(scene, pixels, axis = [0, -1, 0], reach = 0) {
+  const up = times(axis, 1 / norm(axis));
+  const points = picked(scene, pixels, reach);
+  const value = dot(up, minus(points.places[1], points.places[0]));
+  return result(scene, "height", points, value, [times(up, -1), up]);
+}
+
+/**
+ * Return the angle at the second of three pixels, with its uncertainty.
+ * @param {Measured} scene
+ * @param {Pixel[]} pixels
+ * @param {number} [reach]
+ */
+export function angle(scene, pixels, reach = 0) {
+  const points = picked(scene, pixels, reach);
+  const [first, corner, second] = points.places;
+  const arms = [first, second].map((end) => norm(minus(end, corner)));
+  if (Math.min(...arms) === 0)
+    throw new Error("Two of the points are the same; pick three that are apart.");
+  const a = times(minus(first, corner), 1 / arms[0]);
+  const b = times(minus(second, corner), 1 / arms[1]);
+  const [sine, cosine] = [norm(cross(a, b)), dot(a, b)];
+  if (sine < STRAIGHT) throw new Error("The three points lie on a line; pick a corner off it.");
+  const toFirst = times(minus(times(a, cosine), b), 1 / (sine * arms[0]));
+  const toSecond = times(minus(times(b, cosine), a), 1 / (sine * arms[1]));
+  const toCorner = minus(times(toFirst, -1), toSecond);
+  const gradient = [toFirst, toCorner, toSecond];
+  return result(scene, "angle", points, Math.atan2(sine, cosine), gradient, "rad");
+}
+
+/**
+ * Return the area of a polygon with pixels as its corners, with its uncertainty.
+ * @param {Measured} scene
+ * @param {Pixel[]} pixels
+ * @param {number} [reach]
+ */
+export function area(scene, pixels, reach = 0) {
+  const points = picked(scene, pixels, reach);
+  const count = pixels.length;
+  // Far origins would cost digits.
+  const places = points.places.map((place) => minus(place, points.places[0]));
+  const before = places.map((_, k) => places[(k + count - 1) % count]);
+  const after = places.map((_, k) => places[(k + 1) % count]);
+  const vector = [0, 0, 0];
+  places.forEach((place, k) =>
+    cross(place, after[k]).forEach((part, axis) => (vector[axis] += part / 2)),
+  );
+  const size = norm(vector);
+  if (size === 0) throw new Error("The corners enclose no area; pick some that are off a line.");
+  const normal = times(vector, 1 / size);
+  const gradient = places.map((_, k) => times(cross(minus(after[k], before[k]), normal), 0.5));
+  return result(scene, "area", points, size, gradient, "m2");
 }
 
 /**

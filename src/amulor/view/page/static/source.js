@@ -134,10 +134,6 @@ class Saved {
   async products() {
     return [];
   }
-
-  async measure() {
-    throw new Error("Fits, angles and areas need the server: open the file by amulor view.");
-  }
 }
 
 function line(cube, scene, row, column) {

@@ -1,6 +1,6 @@
 // Measurements: picked points, results and uncertainties.
 
-import { distance, height } from "./geometry.js";
+import { measuredHere } from "./offline.js";
 import { withError, withUnit } from "./text.js";
 
 /**
@@ -103,13 +103,9 @@ function baseOf({ measurements, chosen, scene }) {
 /** Compute a measurement from its picks, by the server or in the page. */
 export async function measured(state, tool, { picks, region, box }) {
   const { scene, source } = state;
-  if (source.saved && (tool.kind === "distance" || tool.axis) && state.average === 0) {
-    await Promise.all(
-      scene.layers
-        .filter((layer) => layer.kind === "hidden" || layer.name === "uncertainty")
-        .map((layer) => scene.load(layer.name)),
-    );
-    return tool.kind === "distance" ? distance(scene, picks) : height(scene, picks, tool.axis);
+  if (source.saved) {
+    const how = { picks, region, clip: box, reach: state.average };
+    return measuredHere(scene, tool, how);
   }
   /** @type {Record<string, unknown>} */
   const request = {
