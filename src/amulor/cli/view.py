@@ -149,9 +149,11 @@ def _site(path: Path, poses: Path | None) -> Space:
                 region_sentence(number, place, motions)
                 for number, place in enumerate(places)
             ]
-    return site_space(
+    shown = site_space(
         merged.cloud, merged.registration, change=change, regions=sentences
     )
+    shown.path = path
+    return shown
 
 
 def _shown(

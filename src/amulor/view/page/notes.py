@@ -1,11 +1,11 @@
-"""Saved views and annotations of the browser page, in a small file beside the data."""
+"""Saved views and annotations of browser pages, in a small file beside the data."""
 
 from __future__ import annotations
 
 import json
 import threading
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -63,6 +63,25 @@ class View(_Model):
     clip: Clip | None
 
 
+class SpaceAnnotation(_Model):
+    """Text at a point of a cloud, a mesh or a site."""
+
+    name: Name
+    text: Annotated[str, Field(max_length=2000)]
+    place: Triple
+
+
+class SpaceView(_Model):
+    """Saved view of a cloud, a mesh or a site."""
+
+    name: Name
+    layer: Name
+    limits: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None
+    camera: Camera
+    up: Literal["z", "y", "-y"]
+    hidden: Annotated[list[Name], Field(max_length=1000)]
+
+
 class Content(_Model):
     """Content of a file of notes; the revision counts its changes."""
 
@@ -71,26 +90,37 @@ class Content(_Model):
     views: Annotated[list[View], Field(max_length=50)] = []
 
 
+class SpaceContent(_Model):
+    """Content of a file of notes on a cloud, a mesh or a site."""
+
+    revision: Annotated[int, Field(ge=0)] = 0
+    annotations: Annotated[list[SpaceAnnotation], Field(max_length=200)] = []
+    views: Annotated[list[SpaceView], Field(max_length=50)] = []
+
+
 class Notes:
     """Notes on a data file; without a file, they stay in the browser."""
 
-    def __init__(self, data: Path | None) -> None:
+    def __init__(
+        self, data: Path | None, kind: type[Content] | type[SpaceContent] = Content
+    ) -> None:
         self._path = None if data is None else data.with_name(f"{data.name}.notes.json")
+        self._kind = kind
         self._lock = threading.Lock()
 
     def read(self) -> dict[str, Any]:
         """Read the notes, with the name of their file."""
-        content = Content() if self._path is None else self._content(self._path)
+        content = self._kind() if self._path is None else self._content(self._path)
         name = None if self._path is None else self._path.name
         return {**content.model_dump(), "file": name}
 
-    def _content(self, path: Path) -> Content:
+    def _content(self, path: Path) -> Content | SpaceContent:
         if not path.exists():
-            return Content()
+            return self._kind()
         try:
             if path.stat().st_size > _LARGEST:
                 raise CubeError(f"{path.name} is too large for notes; move it away")
-            return Content.model_validate_json(path.read_bytes())
+            return self._kind.model_validate_json(path.read_bytes())
         except (ValidationError, OSError) as error:
             raise CubeError(
                 f"{path.name} beside the data cannot be read as notes; move it away"
@@ -101,7 +131,7 @@ class Notes:
         if self._path is None:
             raise CubeError("there is no data file beside which notes can be kept")
         try:
-            content = Content.model_validate(request)
+            content = self._kind.model_validate(request)
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(str(part) for part in first["loc"])

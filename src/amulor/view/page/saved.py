@@ -16,7 +16,7 @@ import numpy as np
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output
 from amulor.view.page.layers import packed, stored
-from amulor.view.page.notes import Notes
+from amulor.view.page.notes import Notes, SpaceContent
 from amulor.view.page.recording import MOST_PIXELS, Recording, spectra
 from amulor.view.page.space import Space
 
@@ -103,6 +103,7 @@ def saved_space(
         "scenes": {"space": scene},
         "measurements": [dict(measurement) for measurement in measurements],
         "limits": limits,
+        "notes": Notes(space.path, SpaceContent).read(),
     }
     scripts = [_data("amulor-scene", json.dumps(content, allow_nan=False))]
     names = ["position", *(str(layer["name"]) for layer in scene["layers"])]

@@ -30,7 +30,7 @@ from amulor.view.design.explorer import Explorer
 from amulor.view.page.layers import stored
 from amulor.view.page.live import POLL, Live, Rows
 from amulor.view.page.measuring import Made, Products, measured
-from amulor.view.page.notes import Notes
+from amulor.view.page.notes import Notes, SpaceContent
 from amulor.view.page.recording import Recording, spectrum
 from amulor.view.page.saved import TYPES, saved_page, saved_space, static_files
 from amulor.view.page.security import Guard, new_token
@@ -218,6 +218,7 @@ def design_routes(explorer: Explorer) -> list[Any]:
 def space_routes(space: Space) -> list[Any]:
     """HTTP routes of the page of a point cloud or mesh."""
     files = Files("space.html")
+    notes = _NotePages(Notes(space.path, SpaceContent))
 
     async def scene(request: Request) -> Response:
         return await answered(lambda: JSONResponse(space.describe()))
@@ -239,7 +240,32 @@ def space_routes(space: Space) -> list[Any]:
         Route("/scene", scene),
         Route("/layer/space/{name}", layer),
         Route("/save", save, methods=["POST"]),
+        *notes.routes(),
     ]
+
+
+class _NotePages:
+    """Reading and writing of the notes of a page."""
+
+    def __init__(self, notes: Notes) -> None:
+        self._notes = notes
+
+    def routes(self) -> list[Any]:
+        """HTTP routes of the notes."""
+        return [
+            Route("/notes", self.read),
+            Route("/notes", self.write, methods=["POST"]),
+        ]
+
+    async def read(self, request: Request) -> Response:
+        return await answered(lambda: JSONResponse(self._notes.read()))
+
+    async def write(self, request: Request) -> Response:
+        async def answer() -> Response:
+            content = await object_of(request)
+            return JSONResponse(await run_in_threadpool(self._notes.write, content))
+
+        return await explained(answer())
 
 
 def application(
@@ -273,8 +299,7 @@ def _routes(content: Recording | Live, products: Products | None) -> list[Any]:
         Route("/traces/{channel}/{frequency:int}", pages.traces),
         Route("/measure", pages.measure, methods=["POST"]),
         Route("/save", pages.save, methods=["POST"]),
-        Route("/notes", pages.notes),
-        Route("/notes", pages.keep_notes, methods=["POST"]),
+        *_NotePages(Notes(pages.path)).routes(),
         Route("/digest", pages.digest),
         Route("/products", pages.products),
         Route("/product", pages.product, methods=["POST"]),
@@ -285,7 +310,11 @@ def _routes(content: Recording | Live, products: Products | None) -> list[Any]:
 class _Pages:
     def __init__(self, content: Recording | Live, products: Products | None) -> None:
         self._shown, self._products = content, products
-        self._notes = Notes(self._recording.path)
+
+    @property
+    def path(self) -> Path | None:
+        """File of the data."""
+        return self._recording.path
 
     @property
     def _recording(self) -> Recording:
@@ -359,16 +388,6 @@ class _Pages:
                 saved_page, self._recording, **await saving(request)
             )
             return Response(page.encode(), media_type="application/octet-stream")
-
-        return await explained(answer())
-
-    async def notes(self, request: Request) -> Response:
-        return await answered(lambda: JSONResponse(self._notes.read()))
-
-    async def keep_notes(self, request: Request) -> Response:
-        async def answer() -> Response:
-            content = await object_of(request)
-            return JSONResponse(await run_in_threadpool(self._notes.write, content))
 
         return await explained(answer())
 

@@ -61,7 +61,7 @@ def site_space(
     if len(shape.position) > MOST_POINTS:
         shape = thinned(shape, spread(len(shape.position), MOST_POINTS))
     scans = _scans(cloud, registration, colours)
-    return Space(site.name, shape, scans=scans)
+    return Space(site.name, shape, scans=scans, pairs=_residuals(registration))
 
 
 def _noted(sentence: str) -> str:
@@ -116,6 +116,23 @@ def _scans(
             }
         )
     return entries
+
+
+def _residuals(registration: Registration) -> list[dict[str, Any]]:
+    """Residuals of each pair of overlapping scans, the largest misfit first."""
+    return [
+        {
+            "source": pair["source"],
+            "target": pair["target"],
+            "points": int(pair["points"]),
+            "distance": float(pair["median_distance_m"]),
+            "misfit": _misfit(pair),
+            "moved": int(pair["moved_points"]),
+            "directions": 6 - len(pair["loose"]),
+            "trust": float(pair["trust"]),
+        }
+        for pair in sorted(registration.pairs, key=_misfit, reverse=True)
+    ]
 
 
 def _statements(registration: Registration, change: Change | None) -> list[str]:

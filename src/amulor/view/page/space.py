@@ -93,7 +93,9 @@ def opened(path: Path, *, unit: float | None = None) -> Space:
         shape = Shape(**{**vars(shape), "faces": None})
     if shape.faces is None and len(shape.position) > MOST_POINTS:
         shape = thinned(shape, spread(len(shape.position), MOST_POINTS))
-    return Space(path.name, shape, notes=notes)
+    space = Space(path.name, shape, notes=notes)
+    space.path = path
+    return space
 
 
 def _read(path: Path, ending: str, unit: float | None) -> Shape:
@@ -169,11 +171,16 @@ class Space:
         *,
         notes: Sequence[str] = (),
         scans: Sequence[dict[str, Any]] = (),
+        pairs: Sequence[dict[str, Any]] = (),
     ) -> None:
         self.name = name
+        #: File of the cloud, or of the site; annotations are kept beside it.
+        self.path: Path | None = None
         #: Scans of a site, which the page shows and hides; the number of each point's
         #: scan is in the column "scan".
         self.scans = list(scans)
+        #: Residuals of overlapping scans of a site.
+        self.pairs = list(pairs)
         low, high = (_ends(shape.position, side) for side in (np.nanmin, np.nanmax))
         #: Numbers travel in 32 bits, as differences from this place [m].
         self.centre = np.round((low + high) / 2, 3)
@@ -250,6 +257,7 @@ class Space:
             "beams": self._beams,
             "layers": self.layers,
             "scans": self.scans,
+            "pairs": self.pairs,
             "flags": flag_words(),
             "notes": self._all_notes(),
         }

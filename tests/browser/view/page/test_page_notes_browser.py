@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pages import settled, until
 
-from amulor import io, rejection, samples
+from amulor import imaging, io, rejection, samples
 from amulor.view import page
 
 pytestmark = pytest.mark.slow
@@ -90,3 +90,69 @@ def test_a_saved_page_has_the_notes_and_keeps_changes_in_the_browser(
     assert "in this browser" in shown.inner_text("#book-note")
     assert (tmp_path / "ladder.nc.notes.json").read_bytes() == before
     assert opened.errors == []
+
+
+#: A place of the screen where a point of the cloud is.
+SOMEWHERE = """() => {
+  const canvas = document.getElementById("space");
+  const box = canvas.getBoundingClientRect();
+  const ratio = canvas.width / box.width;
+  for (let y = 0.2 * box.height; y < 0.8 * box.height; y += 4)
+    for (let x = 0.2 * box.width; x < 0.8 * box.width; x += 4)
+      if (amulor.views.seenAt(x * ratio, y * ratio)) return [box.left + x, box.top + y];
+  return null;
+}"""
+
+
+def test_a_cloud_has_views_and_annotations_of_its_own(
+    tab: Callable[..., Any], tmp_path: Path
+) -> None:
+    path = tmp_path / "ladder.ply"
+    image = imaging.range_image(rejection.cross_polarized(samples.cube("ladder")))
+    io.write_ply(imaging.point_cloud(image), path)
+    kept = tmp_path / "ladder.ply.notes.json"
+    with page.background(page.space.opened(path)) as address:
+        opened = tab()
+        shown = opened.open(address)
+        shown.select_option("#up", "y")
+        shown.keyboard.press("Escape")
+        shown.focus("#space")
+        shown.keyboard.press("2")
+        shown.keyboard.press("ArrowLeft")
+        look = "[amulor.views.camera.turn, amulor.up, amulor.layerName]"
+        pose = shown.evaluate(look)
+        shown.keyboard.press("c")
+        shown.keyboard.type("from the left")
+        shown.keyboard.press("Enter")
+        spot = shown.evaluate(SOMEWHERE)
+        shown.mouse.click(*spot)
+        place = shown.evaluate(
+            "amulor.cursor.place.map((part, k) => part + amulor.scene.centre[k])"
+        )
+        shown.keyboard.press("n")
+        shown.keyboard.type("worn edge")
+        shown.keyboard.press("Enter")
+        until(shown, "document.getElementById('book-note').textContent !== ''")
+        shown.wait_for_timeout(500)
+        note = json.loads(kept.read_text(encoding="utf-8"))
+        assert note["views"][0]["name"] == "from the left"
+        assert note["annotations"][0]["name"] == "worn edge"
+        assert note["annotations"][0]["place"] == pytest.approx(place)
+        shown.reload()
+        shown.wait_for_selector("html[data-complete=yes]")
+        assert shown.evaluate(look) != pose
+        shown.click("#book .view button")
+        settled(shown)
+        assert shown.evaluate(look) == pytest.approx(pose)
+        shown.click("#book .annotation button")
+        settled(shown)
+        at = shown.evaluate(
+            "amulor.cursor.place.map((part, k) => part + amulor.scene.centre[k])"
+        )
+        # The page has 32 bits of each coordinate.
+        assert at == pytest.approx(place, abs=1e-6)
+        assert opened.errors == []
+    page.save_page(page.space.opened(path), tmp_path / "page.html")
+    shown = tab().open((tmp_path / "page.html").as_uri())
+    assert shown.input_value("#book .annotation .name") == "worn edge"
+    assert shown.input_value("#book .view .name") == "from the left"

@@ -61,6 +61,20 @@ def look(opened_tab: Any, points: int) -> None:
     shown.click("#visits button:first-child")
     until(shown, f"{SHOWN} === {points}")
     assert shown.locator("#scans input:checked").count() == 8
+    rows = shown.locator("#pairs tbody tr").all_inner_texts()
+    pairs = shown.evaluate("amulor.scene.pairs")
+    assert len(rows) == len(pairs) > 3
+    for row, pair in zip(rows, pairs, strict=True):
+        assert row.startswith(f"{pair['source']} on {pair['target']}")
+        assert f"{pair['distance'] * 1e3:.2f}" in row
+        assert f"{pair['misfit']:.2f}" in row
+    # A saved view keeps which scans are hidden.
+    shown.uncheck("#scans input[name=a1]")
+    shown.click("#view-save")
+    shown.check("#scans input[name=a1]")
+    shown.click("#book .view:last-of-type button:first-child")
+    until(shown, f"{SHOWN} === {points - by_name['a1']['points']}")
+    assert not shown.is_checked("#scans input[name=a1]")
     assert opened_tab.errors == []
 
 

@@ -14,6 +14,7 @@ from starlette.testclient import TestClient
 from amulor import io
 from amulor.errors import CubeError
 from amulor.view import page
+from amulor.view.page import space
 from amulor.view.page.notes import Notes
 
 TOKEN = "a-token-for-tests"
@@ -119,3 +120,21 @@ def test_data_in_memory_have_no_file_of_notes(client: TestClient) -> None:
     answer = client.post(f"/{TOKEN}/notes", json=whole())
     assert answer.status_code == 422
     assert "no data file" in answer.json()["error"]
+
+
+def test_notes_on_a_cloud_have_a_place_and_no_pixel(
+    served: Callable[..., TestClient], tmp_path: Path
+) -> None:
+    path = tmp_path / "points.xyz"
+    path.write_text("0 0 1\n1 0 1\n0 1 1.5\n")
+    note = {"name": "bolt", "text": "", "place": [0.0, 1.0, 1.5]}
+    view = {key: VIEW[key] for key in ("name", "limits", "camera")}
+    view |= {"layer": "height", "up": "z", "hidden": ["a1"]}
+    client = served(space.opened(path))
+    request = {"revision": 0, "annotations": [note], "views": [view]}
+    assert client.post(f"/{TOKEN}/notes", json=request).json() == {"revision": 1}
+    content = client.get(f"/{TOKEN}/notes").json()
+    assert content == {**request, "revision": 1, "file": "points.xyz.notes.json"}
+    answer = client.post(f"/{TOKEN}/notes", json=whole(revision=1))
+    assert answer.status_code == 422
+    assert "place" in answer.json()["error"]

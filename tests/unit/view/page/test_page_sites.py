@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -52,6 +53,23 @@ def test_scans_have_a_visit_a_color_and_a_pose(shown: Space) -> None:
     assert scans[0]["position_uncertainty"] == 0
     assert all(scan["position_uncertainty"] >= 0 for scan in scans)
     assert shown.up == "z"
+
+
+def test_residuals_of_pairs_are_those_of_the_registration(
+    shown: Space, site: Path
+) -> None:
+    content = json.loads(site.with_name("poses.json").read_text(encoding="utf-8"))
+    pairs = shown.describe()["pairs"]
+    assert len(pairs) == len(content["pairs"]) > 3
+    by_name = {(pair["source"], pair["target"]): pair for pair in content["pairs"]}
+    for pair in pairs:
+        written = by_name[pair["source"], pair["target"]]
+        assert pair["distance"] == written["median_distance_m"]
+        assert pair["misfit"] == written["misfit"]
+        assert pair["points"] == written["points"]
+        assert pair["directions"] == 6 - len(written["loose"])
+    misfits = [pair["misfit"] for pair in pairs]
+    assert misfits == sorted(misfits, reverse=True)
 
 
 def test_the_bump_is_the_change_that_is_significant(shown: Space) -> None:

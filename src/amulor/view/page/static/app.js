@@ -75,7 +75,7 @@ const clip = new ClipBox(() => page.redraw());
 const notes = new Notes(state.source, {
   view: presentView,
   show: (view) => showView(view).catch(failed),
-  pixel: () => {
+  place: () => {
     const [row, column] = state.cursor ?? [];
     return row === undefined ? null : { channel: state.scene.channel, row, column };
   },

@@ -271,7 +271,8 @@ export class CloudView {
     this.clip.draw(ctx, (point) => this.#spot(point), ratio, colours);
     this.#rectangles(state, colours, ratio);
     chains(ctx, state, spotOf, ratio, colours);
-    annotated(ctx, state.annotations, spotOf, ratio, colours);
+    const noted = ({ row, column }) => spotOf([row, column]);
+    annotated(ctx, state.annotations, noted, ratio, colours);
     axes(ctx, camera, AXES, ratio, colours);
     if (camera.orthographic)
       this.bar = scaleBar(ctx, ctx.canvas.height / camera.span(), ratio, colours);

@@ -234,7 +234,7 @@ export class MapView {
       const strong = kept === state.chosen;
       this.#shape(scene, { ...kept, strong, text: state.texts?.(kept) }, colours, ratio);
     }
-    const spotOf = (pixel) => this.spot(scene, pixel);
+    const spotOf = ({ row, column }) => this.spot(scene, [row, column]);
     annotated(ctx, state.annotations, spotOf, ratio, colours);
     const { tool: kind, picks, region } = state;
     if (picks.length || region) {

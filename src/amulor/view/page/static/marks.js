@@ -90,13 +90,13 @@ export function chains(ctx, state, spotOf, ratio, colours) {
   }
 }
 
-/** Draw the names of annotations at their pixels. */
+/** Draw the names of annotations at their places. */
 export function annotated(ctx, annotations, spotOf, ratio, colours) {
-  for (const { name, row, column } of annotations) {
-    const spot = spotOf([row, column]);
+  for (const note of annotations) {
+    const spot = spotOf(note);
     if (!spot) continue;
     dot(ctx, spot, 3.5 * ratio, colours);
-    tag(ctx, name, [spot[0] + 8 * ratio, spot[1] + 12 * ratio], ratio, colours);
+    tag(ctx, note.name, [spot[0] + 8 * ratio, spot[1] + 12 * ratio], ratio, colours);
   }
 }
 

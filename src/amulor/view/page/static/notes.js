@@ -2,7 +2,10 @@
 
 import { $, made } from "./dom.js";
 
-/** @typedef {{name: string, text: string, channel: string, row: number, column: number}} Annotation */
+/**
+ * Text at a pixel of a scan, or at a place of a cloud [m].
+ * @typedef {{name: string, text: string, channel?: string, row?: number, column?: number, place?: number[]}} Annotation
+ */
 /** @typedef {{revision: number, annotations: Annotation[], views: any[], file: string | null}} Content */
 
 /** Letters of a name and of a text. */
@@ -33,7 +36,7 @@ export class Notes {
   #on;
   #writing = Promise.resolve();
 
-  /** `on.view` returns the present view, `on.show` shows one, `on.go` marks a pixel. */
+  /** `on.view` returns the present view, `on.show` shows one, `on.go` marks the place of an annotation. */
   constructor(source, on) {
     this.#source = source;
     this.#on = on;
@@ -62,9 +65,9 @@ export class Notes {
     this.#focus(".view:last-of-type .name");
   }
 
-  /** Write a text at the marked pixel. */
+  /** Write a text at the marked place. */
   annotate() {
-    const at = this.#on.pixel();
+    const at = this.#on.place();
     if (!at) return;
     const { annotations } = this.content;
     const note = { name: `note ${annotations.length + 1}`, text: "", ...at };

@@ -213,6 +213,14 @@ export class SpaceSource {
   page(measurements, limits) {
     return this.#served.page(measurements, limits);
   }
+
+  async notes() {
+    return this.saved ? { ...this.content.notes, file: null } : this.#served.notes();
+  }
+
+  keepNotes(content) {
+    return this.#served.keepNotes(content);
+  }
 }
 
 /** Return the source of this page. */

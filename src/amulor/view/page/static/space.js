@@ -3,8 +3,10 @@
 import { Camera, extent, multiplied, projected } from "./camera.js";
 import { flagRanks, flagTable } from "./colour.js";
 import { $, inkOf, made, over, ratioOf, spotOn } from "./dom.js";
+import { limitsKey } from "./limits.js";
 import { clearedOver, fitted } from "./map.js";
-import { axes, chains, dot, halo, scaleBar } from "./marks.js";
+import { annotated, axes, chains, dot, halo, scaleBar } from "./marks.js";
+import { Notes } from "./notes.js";
 import { Page } from "./page.js";
 import { failed, say, showLegend, showReadout } from "./panel.js";
 import { distanceOf, lengthAlong, numberAt, seen } from "./picking.js";
@@ -12,7 +14,7 @@ import { drawHistogram } from "./plots.js";
 import { PointRenderer } from "./points.js";
 import { sampled } from "./scene.js";
 import { SpaceSource } from "./source.js";
-import { listScans } from "./scans.js";
+import { listScans, tableOf } from "./scans.js";
 import { short, withUnit } from "./text.js";
 import { Motion, turnable } from "./turning.js";
 
@@ -61,11 +63,67 @@ const page = new Page(state, {
   said,
   tools: TOOLS,
 });
+const notes = new Notes(state.source, {
+  view: presentView,
+  show: showView,
+  place: () =>
+    state.cursor && { place: state.cursor.place.map((part, k) => part + state.scene.centre[k]) },
+  go: ({ place }) => goTo(place),
+  changed: () => page.redraw(),
+});
 const motion = new Motion(() => page.redraw());
 let renderer;
 let context;
 let pointer;
-let by = null;
+let by = "height";
+/** Names of the scans of a site that are hidden, and a function that hides scans by name. */
+let without = /** @type {string[]} */ ([]);
+/** @type {(names: string[]) => void} */
+let hide = () => {};
+
+/** Return a place of the file as the page has it, relative to the center of all points. */
+function relative(place) {
+  return place.map((part, k) => part - state.scene.centre[k]);
+}
+
+/** Return colors, limits, camera and hidden scans, to be saved. */
+function presentView() {
+  const { turn, rise, distance, target, orthographic } = camera;
+  return {
+    layer: by,
+    limits: state.ownLimits.get(limitsKey(by)) ?? null,
+    camera: { turn, rise, distance, target: [...target], orthographic },
+    up: state.up,
+    hidden: without,
+  };
+}
+
+/** Show a saved view. */
+function showView({ layer, limits, camera: pose, up, hidden: names }) {
+  upwards(up);
+  if (layer === "colour" ? state.scene.colour : state.scene.maps.has(layer)) show(layer);
+  if (by !== "colour") page.limit(by, limits);
+  hide(names);
+  Object.assign(camera, pose, { target: [...pose.target] });
+  $("ortho").setAttribute("aria-pressed", String(pose.orthographic));
+  page.redraw();
+}
+
+/** Mark the point nearest to a place of the file, and move it into the middle of the view. */
+function goTo(place) {
+  const { whole } = state.scene;
+  const at = relative(place);
+  let [best, least] = [0, Infinity];
+  for (let k = 0; k < whole.length; k += 3) {
+    const away =
+      (whole[k] - at[0]) ** 2 + (whole[k + 1] - at[1]) ** 2 + (whole[k + 2] - at[2]) ** 2;
+    if (away < least) [best, least] = [k / 3, away];
+  }
+  state.cursor = { place: at, corners: [best], weights: [1] };
+  camera.target = turned(at);
+  readout();
+  page.redraw();
+}
 
 /**
  * Return a point of the file in camera axes.
@@ -161,6 +219,8 @@ function marks({ matrix }, canvas, ratio) {
   const { colours } = page;
   const spotOf = (pick) => projected(matrix, pick.place, canvas.width, canvas.height);
   chains(context, state, spotOf, ratio, colours);
+  const noted = ({ place }) => spotOf({ place: relative(place) });
+  annotated(context, notes.content.annotations, noted, ratio, colours);
   if (document.activeElement === canvas && canvas.matches(":focus-visible")) cross(canvas, ratio);
   axes(
     context,
@@ -431,6 +491,8 @@ const KEYS = {
   a: () => page.limit(state.layerName),
   f: () => from(camera.straight),
   t: () => from(camera.above),
+  c: () => notes.saveView(),
+  n: () => notes.annotate(),
   d: () => page.otherTheme(),
   s: () => page.save(),
   p: () => picture().catch(failed),
@@ -503,12 +565,19 @@ function wired() {
   for (const name of ["focus", "blur"]) $("space").addEventListener(name, redraw);
   for (const id of ["dot", "edges"]) $(id).addEventListener("input", redraw);
   $("up").addEventListener("input", (event) => {
-    state.up = event.target.value;
-    state.scene.maps.set("height", heights());
-    home();
+    upwards(event.target.value);
     show(by);
   });
   new ResizeObserver(redraw).observe(/** @type {Element} */ (document.querySelector("main")));
+}
+
+/** Set the vertical axis of the file. */
+function upwards(axis) {
+  if (axis === state.up) return;
+  state.up = axis;
+  $("up").value = axis;
+  state.scene.maps.set("height", heights());
+  home();
 }
 
 /** Load all arrays of the file. */
@@ -564,6 +633,7 @@ function hidden(numbers) {
   const { scene } = state;
   const { whole } = scene;
   const { scan } = scene.numbers;
+  without = [...numbers].map((number) => scene.scans[number].name);
   scene.position = numbers.size
     ? whole.map((value, at) => (numbers.has(scan[Math.floor(at / 3)]) ? NaN : value))
     : whole;
@@ -577,7 +647,8 @@ async function opened() {
   const subtitle = [scene.name, amount(scene), size, scene.simulated && "simulated"];
   page.titled(scene, subtitle.filter(Boolean).join(" · "));
   $("colours").replaceChildren(...buttons(scene));
-  if (scene.scans.length) listScans(scene.scans, hidden);
+  if (scene.scans.length) hide = listScans(scene.scans, hidden);
+  tableOf(scene.pairs);
   $("space").setAttribute(
     "aria-label",
     `${amount(scene)} in space, ${size}. Arrow keys turn, Enter picks what is in the middle.`,
@@ -599,6 +670,8 @@ async function main() {
   wired();
   await opened();
   state.record.open(state.scene.name);
+  await notes.open(state.scene.name).catch(failed);
+  page.redraw();
   document.documentElement.dataset.complete = "yes";
 }
 
