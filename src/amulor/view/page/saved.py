@@ -26,12 +26,13 @@ TYPES = {
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
+    ".woff2": "font/woff2",
 }
 #: Largest number of spectra in a saved page [1].
 _MOST_SPECTRA = 4_000_000
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; "
-    "img-src data: blob:; base-uri 'none'; form-action 'none'"
+    "img-src data: blob:; font-src data:; base-uri 'none'; form-action 'none'"
 )
 
 
@@ -143,7 +144,7 @@ def _assembled(
 ) -> str:
     """HTML text of a page in which all of its files are embedded."""
     text = files[f"{page}.html"].decode()
-    style = files["page.css"].decode()
+    style = _with_fonts(files["page.css"].decode(), files)
     modules = {
         name: _bare(content.decode())
         for name, content in files.items()
@@ -179,6 +180,17 @@ def _assembled(
             )
         text = text.replace(old, new)
     return text
+
+
+def _with_fonts(style: str, files: Mapping[str, bytes]) -> str:
+    """Style sheet with its fonts embedded."""
+    for name, content in files.items():
+        if name.endswith(".woff2"):
+            data = base64.b64encode(content).decode()
+            style = style.replace(
+                f'url("{name}")', f"url(data:font/woff2;base64,{data})"
+            )
+    return style
 
 
 def _modules(files: Mapping[str, bytes], starts: str) -> set[str]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import drawn_sites
@@ -55,21 +55,38 @@ def test_scans_have_a_visit_a_color_and_a_pose(shown: Space) -> None:
     assert shown.up == "z"
 
 
-def test_residuals_of_pairs_are_those_of_the_registration(
-    shown: Space, site: Path
-) -> None:
-    content = json.loads(site.with_name("poses.json").read_text(encoding="utf-8"))
-    pairs = shown.describe()["pairs"]
-    assert len(pairs) == len(content["pairs"]) > 3
-    by_name = {(pair["source"], pair["target"]): pair for pair in content["pairs"]}
-    for pair in pairs:
-        written = by_name[pair["source"], pair["target"]]
-        assert pair["distance"] == written["median_distance_m"]
-        assert pair["misfit"] == written["misfit"]
-        assert pair["points"] == written["points"]
-        assert pair["directions"] == 6 - len(written["loose"])
-    misfits = [pair["misfit"] for pair in pairs]
-    assert misfits == sorted(misfits, reverse=True)
+def test_residuals_come_from_the_registration_the_worst_pair_first(site: Path) -> None:
+    merged = opened(site, site.with_name("poses.json"))
+    quiet, wide = (
+        {
+            "source": source,
+            "target": "a1",
+            "points": 1200,
+            "moved_points": moved,
+            "misfit": misfit,
+            "median_distance_m": distance,
+            "trust": 1.0,
+            "loose": [[0.0] * 6] * loose,
+            "moved_pixels": [],
+        }
+        for source, moved, misfit, distance, loose in (
+            ("a2", 0, 0.98, 4e-4, 0),
+            ("a3", 17, 1.9, 2.5e-3, 3),
+        )
+    )
+    registration = replace(merged.registration, pairs=(quiet, wide))
+    first, second = site_space(merged.cloud, registration).describe()["pairs"]
+    assert first == {
+        "source": "a3",
+        "target": "a1",
+        "points": 1200,
+        "distance": 2.5e-3,
+        "misfit": 1.9,
+        "moved": 17,
+        "directions": 3,
+        "trust": 1.0,
+    }
+    assert (second["source"], second["directions"]) == ("a2", 6)
 
 
 def test_the_bump_is_the_change_that_is_significant(shown: Space) -> None:

@@ -318,6 +318,7 @@ async function main() {
   }
   wired();
   controls();
+  await document.fonts.load("14px Inter");
   legend();
   await reset();
   document.documentElement.dataset.complete = "yes";

@@ -72,6 +72,8 @@ export class Page {
   /** Apply the colors of the first theme. */
   theme() {
     this.#themed(themed(firstTheme()));
+    // Drawings do not wait for the font of the page; they are drawn again with it.
+    document.fonts.load("14px Inter").then(() => this.redraw());
   }
 
   otherTheme() {

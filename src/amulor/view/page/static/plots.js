@@ -527,7 +527,7 @@ function drawPhasors({ ctx, width, height }, spectrum, parts, colours) {
     return [x0 + scale * amplitude * Math.cos(phase), y0 - scale * amplitude * Math.sin(phase)];
   };
   rings(ctx, x0, y0, size, colours.line);
-  ctx.font = `11.5px ${colours.font}`;
+  ctx.font = `12px ${colours.font}`;
   ctx.textAlign = "left";
   ctx.textBaseline = "middle";
   const left = x0 + size + 10;
