@@ -5,16 +5,13 @@ import { inkOf, over, ratioOf, spotOn } from "./dom.js";
 import { dots, nodesIn, triangles } from "./geometry.js";
 import { clearedOver } from "./map.js";
 import { annotated, axes, chain, chains, dot, halo, polyline, scaleBar } from "./marks.js";
-import { Motion, turnable } from "./turning.js";
+import { Motion, Pace, turnable } from "./turning.js";
 
 /** Number of pixels drawn at rest, and smallest number while the view moves. */
 const RESTING = 2000000;
 const FEWEST = 20000;
 /** Largest number of pixels at which the point under the pointer is searched. */
 const HOVERED = 250000;
-/** Frame times in motion above which fewer pixels are drawn, below which more [ms]. */
-const SLOW = 70;
-const FAST = 25;
 const AXES = [
   ["right", [1, 0, 0]],
   ["down", [0, 1, 0]],
@@ -36,9 +33,8 @@ export class CloudView {
     /** Matrix of the last drawing. */
     this.matrix = /** @type {any} */ (null);
     this.motion = new Motion(changed);
-    /** Number of pixels drawn while the view moves; adapted to the frame time. */
-    this.moving = 250000;
-    this.pacing = false;
+    /** Number of pixels drawn while the view moves. */
+    this.pace = new Pace(250000, { fewest: FEWEST, most: RESTING });
     this.points = false;
     this.clip = clip;
     const spotOf = (point) => this.#spot(point);
@@ -189,25 +185,12 @@ export class CloudView {
     const { renderer } = state;
     this.state = state;
     const { busy } = this.motion;
-    const parts = this.#parts(state, busy ? this.moving : RESTING);
+    const parts = this.#parts(state, busy ? this.pace.count : RESTING);
     renderer.drawCloud(this.context, { ...parts, parts: this.points ? parts.all : parts.surface });
-    if (busy && !this.pacing) {
-      this.pacing = true;
-      // The GPU draws later than its commands are given.
-      renderer.finished((time) => {
-        this.pacing = false;
-        this.#paced(time);
-      });
-    }
+    if (busy) this.pace.measure(renderer.gl);
     this.matrix = parts.matrix;
     this.#marks(state, colours);
     this.point(state, colours);
-  }
-
-  /** Draw fewer pixels in motion after a slow frame, more after a fast one. */
-  #paced(time) {
-    if (time > SLOW) this.moving = Math.max(this.moving * (SLOW / time), FEWEST);
-    else if (time < FAST) this.moving = Math.min(this.moving * 1.5, RESTING);
   }
 
   /** Return the pixel whose point is at a screen position; null if there is none. */

@@ -216,22 +216,6 @@ export class Renderer {
     return this.#nearest(pick, height);
   }
 
-  /** Call back with the time until the GPU has drawn all that was given to it [ms]. */
-  finished(done) {
-    const { gl } = this;
-    const began = performance.now();
-    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
-    if (!fence) return done(0);
-    gl.flush();
-    const poll = () => {
-      const pending = gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.UNSIGNALED;
-      if (pending && !gl.isContextLost()) return setTimeout(poll, 4);
-      gl.deleteSync(fence);
-      return done(performance.now() - began);
-    };
-    return setTimeout(poll, 4);
-  }
-
   #nearest({ x, y }, height) {
     const { gl } = this;
     const left = Math.max(x - 6, 0);

@@ -16,10 +16,11 @@ import { sampled } from "./scene.js";
 import { SpaceSource } from "./source.js";
 import { listScans, tableOf } from "./scans.js";
 import { short, withUnit } from "./text.js";
-import { Motion, turnable } from "./turning.js";
+import { Motion, Pace, turnable } from "./turning.js";
 
-/** Number of points that a moving view draws, and that a moving pointer is compared with. */
+/** Number of points that a moving view draws at first. */
 const MOVING = 400000;
+/** Largest number of points with which a moving pointer is compared. */
 const HOVERED = 250000;
 const TOOLS = [
   { kind: "distance", name: "distance", hint: "Pick two points." },
@@ -72,6 +73,7 @@ const notes = new Notes(state.source, {
   changed: () => page.redraw(),
 });
 const motion = new Motion(() => page.redraw());
+const pace = new Pace(MOVING, { fewest: 50000, most: 4000000 });
 let renderer;
 let context;
 let pointer;
@@ -178,12 +180,13 @@ function draw() {
       forward: back(forward),
       step: $("edges").checked ? camera.start.size * 0.02 : 0,
       reach: ratio * 1.4,
-      most: motion.busy ? MOVING : Infinity,
+      most: motion.busy ? Math.round(pace.count) : Infinity,
     });
   } catch (error) {
     failed(error);
     return;
   }
+  if (motion.busy) pace.measure(renderer.gl);
   marks(now, canvas, ratio);
   drawPointer();
   const { layer } = scene.maps.get(state.layerName);

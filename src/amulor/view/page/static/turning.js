@@ -45,6 +45,60 @@ export class Motion {
   }
 }
 
+/** Frame times in motion above which fewer points are drawn, below which more [ms]. */
+const SLOW = 70;
+const FAST = 25;
+
+/** Number of points that a moving view draws, adapted to the time of its frames. */
+export class Pace {
+  #waiting = false;
+  #fewest;
+  #most;
+
+  /**
+   * @param {number} start
+   * @param {{fewest: number, most: number}} limits
+   */
+  constructor(start, { fewest, most }) {
+    this.count = start;
+    this.#fewest = fewest;
+    this.#most = most;
+  }
+
+  /**
+   * Measure the frame that was just given to the graphics card, which draws it later.
+   * @param {WebGL2RenderingContext} gl
+   */
+  measure(gl) {
+    if (this.#waiting) return;
+    const began = performance.now();
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    if (!fence) return;
+    this.#waiting = true;
+    gl.flush();
+    const poll = () => {
+      const pending = gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.UNSIGNALED;
+      if (pending && !gl.isContextLost()) {
+        setTimeout(poll, 4);
+        return;
+      }
+      gl.deleteSync(fence);
+      this.#waiting = false;
+      this.paced(performance.now() - began);
+    };
+    setTimeout(poll, 4);
+  }
+
+  /**
+   * Draw fewer points after a slow frame, more after a fast one.
+   * @param {number} time [ms]
+   */
+  paced(time) {
+    if (time > SLOW) this.count = Math.max(this.count * (SLOW / time), this.#fewest);
+    else if (time < FAST) this.count = Math.min(this.count * 1.5, this.#most);
+  }
+}
+
 /**
  * Connect pointer events on a canvas to a camera; a click without dragging picks.
  * @param {HTMLCanvasElement} canvas
