@@ -11,6 +11,7 @@ from scipy.constants import Planck, speed_of_light
 from amulor.design import TERMS, evaluate
 from amulor.design._kernels import assess, astray
 from amulor.design.axes import AXES, arranged
+from amulor.design.numbers import _repetition
 from amulor.errors import SurveyError
 from amulor.optics import ambiguity
 from amulor.simulation import SmallAngleModel, expectation
@@ -264,3 +265,10 @@ def test_each_axis_has_its_limits_on_both_sides() -> None:
         for value in wrong:
             with pytest.raises(SurveyError, match=f"{name}: found {value:g} "):
                 arranged({name: [value]}, None)
+
+
+def test_ranges_repeat_at_the_smallest_frequency_or_difference() -> None:
+    # c / (2 n f): 1 m at 108.56 MHz in water of group index 1.38.
+    tone = speed_of_light / (2 * 1.38 * 1.0)
+    sets = np.array([[tone, 2 * tone], [np.nan, 2.5 * tone]])
+    assert_allclose(_repetition(sets, 1.38), [1.0, 2.0], rtol=1e-12)

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 from amulor import rejection
-from amulor.rejection.ratios import _weighted_mean
+from amulor.rejection.ratios import _line, _weighted_mean
 
 Make = Callable[..., xr.Dataset]
 TWO = {"VV": (1.0, 1.0), "VH": (0.25, 0.1)}
@@ -63,3 +63,17 @@ def test_leakage_is_in_the_error_of_the_ratio_of_the_water(by_hand: Make) -> Non
     expected = (0.02 + 0.004 + 0.004j) / (0.2 + 0.004 + 0.004j)
     assert found.uncertainty == pytest.approx(abs(expected.imag), rel=0.1)
     assert clean.uncertainty < abs(expected.imag) / 3
+
+
+def test_the_slope_of_a_channel_against_another() -> None:
+    # Along the phase of the first channel 2.5 for 10 with a scatter of 0.01, across it
+    # 0.2: the error is 0.02, and that of the mean of four pixels 0.01 / sqrt(4) / 10.
+    first = np.full(4, 10.0) * np.exp(0.7j)
+    off = np.array([1, -1, 1, -1]) * 0.01
+    for across, error in ((0.2, 0.02), (0.0, 0.01 * np.sqrt(4 / 3) / 2 / 10)):
+        second = (2.5 + off + 1j * across) * np.exp(0.7j)
+        value, uncertainty = _line(first, second)
+        assert value == pytest.approx(0.25, rel=1e-12)
+        assert uncertainty == pytest.approx(
+            np.hypot(error, 0.01 * np.sqrt(4 / 3) / 20 if across else 0), rel=1e-9
+        )

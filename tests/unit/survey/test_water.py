@@ -102,6 +102,11 @@ def test_petzolds_coast_is_that_of_the_textbooks(with_water):
     water = water_properties(with_water(*of_kind("petzold")))
     assert (water.absorption, water.scattering) == (0.179, 0.219)
     assert water.phase_function.backscatter_fraction == pytest.approx(0.0131, abs=8e-4)
+    # A stated coefficient takes the place of the measured one, and only of that.
+    text, wavelength = of_kind("petzold")
+    for name, expected in (("absorption", (0.3, 0.219)), ("scattering", (0.179, 0.3))):
+        other = water_properties(with_water(f'{text}\n{name} = "0.3 1/m"', wavelength))
+        assert (other.absorption, other.scattering) == expected
 
 
 def test_pure_sea_water_has_half_of_its_scattering_backwards(with_water):

@@ -266,6 +266,11 @@ def test_signals_of_different_strength_show_the_gain() -> None:
     # The model is linear in the output; 4 % squared is 0.16 %.
     assert abs(np.mean(pulls)) * gain[1] < 2e-3
     assert 0.6 < np.std(pulls) < 1.4
+    # A dark or missing signal counts for nothing.
+    for dark in (0.0, np.nan):
+        with_dark = np.column_stack([amplitude, np.full(5, dark)])
+        result = measured_filters(density, with_dark, np.full(with_dark.shape, 5e-6))
+        assert result == (filters, gain)
     # One signal, or signals of one strength, cannot tell gain from transmission.
     assert measured_filters(density, amplitude[:, :1], error[:, :1])[1] is None
     assert measured_filters(density, amplitude[:, :3], error[:, :3])[1] is None
