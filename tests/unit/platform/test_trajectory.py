@@ -4,7 +4,13 @@ import moving_pass
 import numpy as np
 import pytest
 
-from amulor.platform import Mounting, Trajectory, instrument_poses, rotation_of
+from amulor.platform import (
+    Mounting,
+    Trajectory,
+    instrument_poses,
+    mean_instrument_poses,
+    rotation_of,
+)
 
 TIME = np.linspace(0.0, 20.0, 201)
 
@@ -160,3 +166,56 @@ def test_beams_of_a_vehicle_that_heads_east_and_looks_down() -> None:
     np.testing.assert_allclose(beams, [[0, 0, -1], [0, -1, 0]], atol=1e-12)
     places = poses.place([[0, 0, 3], [3, 0, 0]])
     np.testing.assert_allclose(places, [[1, 2, -8], [1, -1, -5]], atol=1e-12)
+
+
+def test_errors_of_the_mounting_shift_points_by_lever_arm_angle_and_clock() -> None:
+    # North at 0.2 m/s and turning left by 0.1 rad/s; forward is north at 0.5 s.
+    time = np.linspace(0.0, 1.0, 11)
+    track = Trajectory.of_angles(
+        time=time,
+        position=np.stack([0 * time, 0.2 * time, 0 * time], axis=1),
+        heading=-0.1 * (time - 0.5),
+    )
+    mounting = Mounting(
+        lever_arm_uncertainty="2 mm", boresight_uncertainty="1 mrad",
+        clock_uncertainty="5 ms",
+    )  # fmt: skip
+    poses = instrument_poses(track, mounting, [0.5])
+    point = poses.place([[0, 0, 3]])
+    expected = np.zeros((7, 3))
+    # Right is east, down is down and forward is north.
+    expected[0] = [0.002, 0, 0]
+    expected[1] = [0, 0, -0.002]
+    expected[2] = [0, 0.002, 0]
+    # A turn of 1 mrad moves a point 3 m ahead by 3 mm: up about the axis to the right,
+    # right about the axis that points down, and not about its own.
+    expected[3] = [0, 0, 0.003]
+    expected[4] = [0.003, 0, 0]
+    # The vehicle's way, and the swing of a point 3 m ahead to the left.
+    expected[6] = 0.005 * np.array([-0.1 * 3, 0.2, 0])
+    found = poses.shared_errors(point)
+    assert found.shape == (7, 1, 3)
+    np.testing.assert_allclose(found[:, 0], expected, atol=2e-6)
+    np.testing.assert_allclose(poses.velocity, [[0, 0.2, 0]], atol=1e-4)
+
+
+def test_a_reading_without_time_has_no_share_in_the_mean_pose() -> None:
+    track = Trajectory.of_angles(
+        time=[10.0, 11.0], position=[[0, 0, 0], [0.4, 0, 0]], heading=0.0
+    )
+    mean = mean_instrument_poses(
+        track, Mounting(), [[10.25, np.nan], [10.75, 10.75]], weight=[0.25, 0.75]
+    )
+    np.testing.assert_allclose(mean.position[:, 0], [0.4 * 0.625, 0.4 * 0.75])
+
+
+def test_uncertainties_of_a_level_vehicle_are_those_of_its_axes() -> None:
+    # Heading east: pitch turns about south, roll about east.
+    track = Trajectory.of_angles(
+        time=[0.0, 1.0], position=np.zeros((2, 3)), heading=np.pi / 2,
+        position_uncertainty=[0.01, 0.02, 0.03], heading_uncertainty=3e-3,
+        level_uncertainty=1e-3,
+    )  # fmt: skip
+    for covariance in track.covariance:
+        expected = np.square([0.01, 0.02, 0.03, 1e-3, 1e-3, 3e-3])
+        np.testing.assert_allclose(covariance, np.diag(expected), atol=1e-18)

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from amulor import cube as cubes
 from amulor import imaging, rejection, samples
-from amulor.rejection.reference.before_target import raised_to_median_amplitude
+from amulor.rejection.reference.before_target import (
+    _chi_square,
+    _minimum,
+    _near_minimum,
+    raised_to_median_amplitude,
+)
 from amulor.simulation import simulate
 from amulor.studies.trust.surveys import plate, survey
 
@@ -74,3 +80,45 @@ def test_the_column_is_that_of_the_corrected_distance() -> None:
     image = imaging.range_image(target, polarization="VV", interval=interval)
     off = image["slant_range"].values - image["slant_range_bias"].values - truth
     assert np.sqrt(np.mean(off**2)) < 0.15e-3
+
+
+@pytest.mark.parametrize("lowest", [0.3, 7.4, 24.0, 24.6, 47.8])
+def test_the_minimum_of_a_parabola_is_found_from_three_of_its_values(lowest) -> None:
+    square = 3.0 * (np.arange(49.0) - lowest) ** 2 + 11.0
+    place, value, curvature = _minimum(square)
+    # A parabola through three values is the parabola; its second difference is 6.
+    assert_allclose([place, value, curvature], [lowest, 11, 6], rtol=1e-9)
+
+
+def test_a_minimum_outside_of_the_factors_is_at_their_end() -> None:
+    assert_allclose(_minimum((np.arange(49.0) + 5) ** 2)[0], 0.0)
+    assert _minimum(np.zeros(49)) == (0.0, 0.0, 0.0)
+    # Chi-square is never below zero, however far the parabola goes.
+    assert _minimum(np.array([1.0, 0.01, 0.04, 1.0]))[1] == 0.0
+
+
+@pytest.mark.parametrize("lowest", [0.26, 0.9, 1.0, 3.9])
+def test_few_factors_are_evaluated_and_the_lowest_has_its_neighbours(lowest) -> None:
+    tried = []
+
+    def chi_square(factor: float) -> float:
+        tried.append(factor)
+        return float(np.log(factor / lowest) ** 2)
+
+    values = _near_minimum(chi_square)
+    # 49 factors from a quarter to four, evenly spaced in the logarithm.
+    expected = np.log(0.25 * 16 ** (np.arange(49) / 48) / lowest) ** 2
+    best = int(values.argmin())
+    assert best == np.argmin(expected)
+    around = slice(max(best - 1, 0), best + 2)
+    assert_allclose(values[around], expected[around])
+    assert len(tried) == len(set(tried)) < 25
+
+
+def test_the_strength_of_each_channel_is_fitted_and_not_negative() -> None:
+    model = np.array([1.0, 1j])
+    # The first channel is twice the model and 0.5 off in a direction that no multiple
+    # has; the second one points away from the model.
+    measured = np.stack([2 * model + np.array([0.5j, 0]), -model], axis=1)
+    weight = np.array([[4.0, 1.0], [4.0, 3.0]])
+    assert_allclose(_chi_square(model, measured, weight), 4 * 0.25 + 1 + 3)
