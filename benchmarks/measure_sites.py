@@ -339,7 +339,9 @@ def shares(rows: list[dict[str, str]], key: str) -> str:
     """Shares of errors within 1 and 1.96 stated uncertainties, as two cells."""
     total = sum(int(row["components" if key == "within" else key]) for row in rows)
     inside = [sum(int(row[f"{key}_{limit}"]) for row in rows) for limit in (1, 2)]
-    return " | ".join(f"{count / total:.1%}" if total else "" for count in inside)
+    return " | ".join(
+        f"{100 * count / total:.1f} %" if total else "" for count in inside
+    )
 
 
 def good_of(rows: list[dict[str, str]]) -> list[dict[str, str]]:
@@ -388,6 +390,15 @@ def quantities(rows: list[dict[str, str]]) -> str:
     ):  # fmt: skip
         total = sum(int(row["components" if key == "within" else key]) for row in good)
         lines.append(f"| {words} | {total:,} | {shares(good, key)} |")
+    honest = [
+        row
+        for row in rows
+        if row["spoiler"] in ("quiet", "fish") and float(row["stated"]) == 1
+    ]
+    lines.append(
+        f"\n{len(good_of(honest))} of {len(honest)} quiet sites and sites with a fish, "
+        "with right uncertainties of the start poses, are rated good."
+    )
     return "\n".join(lines)
 
 
