@@ -78,7 +78,11 @@ def without_groups(cube: xr.Dataset, *groups: str) -> xr.Dataset:
     """
     prefixes = tuple(f"{name}_" for name in groups or schema.GROUPS)
     names = [key for key in cube.data_vars if not str(key).startswith(prefixes)]
-    return cube[names]
+    # Selected by names alone, a cube has no coordinates of the dimension `reading`.
+    readings = {
+        name: values for name, values in cube.coords.items() if "reading" in values.dims
+    }
+    return cube[names].assign_coords(readings)
 
 
 def attach(cube: xr.Dataset, part: xr.Dataset, name: str) -> xr.Dataset:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from shared_light import scene_light
 
-from amulor import acquisition, imaging, rejection
+from amulor import acquisition, imaging, io, rejection
 from amulor.acquisition import plan
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import Record
@@ -77,6 +77,18 @@ def test_the_image_has_the_readings_of_its_channel(two, folder):
     assert image["reading_weight"].values.sum() == pytest.approx(1.0)
     # The range follows the higher frequency more closely.
     assert image["reading_weight"].values[1] > image["reading_weight"].values[0]
+
+
+def test_files_of_images_have_the_readings(two, folder, tmp_path):
+    cube, _ = _scan(two, folder)
+    pair = two.instrument.polarizations[1]
+    image = imaging.range_image(
+        rejection.open_water(cube), polarization=pair, interval=(0.5, 4.0)
+    )
+    io.write_cube(image, tmp_path / "range.nc")
+    again = io.read_cube(tmp_path / "range.nc")
+    for name in ("reading_time", "reading_duration", "reading_weight"):
+        np.testing.assert_array_equal(again[name].values, image[name].values)
 
 
 def test_frequencies_at_once_share_their_window(two, folder):
