@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
+import runpy
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,11 +15,17 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import amulor
-from amulor import Survey, imaging, rejection, simulation
-from amulor.io.trajectories import TrajectoryMap, trajectory_from_table
+from amulor import Survey, imaging, io, rejection, simulation
+from amulor.io.trajectories import (
+    TrajectoryMap,
+    read_trajectory,
+    trajectory_from_table,
+)
+from amulor.platform import read_mounting
 from amulor.studies import ladder
 from amulor.studies.ladder import Case
 from amulor.view import figures
+from amulor.view.patch_test import write_patch_test
 from amulor.view.report import png
 from amulor.view.style import COLOURS, new_figure, style
 from amulor.view.trajectory import write_figure
@@ -131,6 +139,19 @@ def vehicle_pass(survey: Survey) -> Figure:
     return drawn
 
 
+def patch_test(script: Path, picture: Path) -> None:
+    """Simulate the lines of the example, and draw their patch test."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        runpy.run_path(str(script), run_name="__main__")
+        names = [f"line-{number}" for number in range(1, 5)]
+        result = imaging.patch_test(
+            [io.read_cube(f"{name}.nc") for name in names],
+            [read_trajectory(f"{name}.csv") for name in names],
+            mounting=read_mounting("rov.toml"),
+        )
+        write_patch_test(picture, result, overwrite=True)
+
+
 def main() -> None:
     """Run the demo with its own seed and draw its figures."""
     FOLDER.mkdir(exist_ok=True)
@@ -153,6 +174,7 @@ def main() -> None:
     write_figure(FOLDER / "vehicle" / "track.png", track, overwrite=True)
     figure = vehicle_pass(Survey.from_toml(example / "amphora.toml"))
     (FOLDER / "vehicle" / "amphora.png").write_bytes(png(figure, dots_per_inch=130))
+    patch_test(example / "make_lines.py", FOLDER / "vehicle" / "patch.png")
 
 
 if __name__ == "__main__":

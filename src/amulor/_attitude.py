@@ -56,3 +56,13 @@ def rotation_of(heading: ArrayLike, pitch: ArrayLike, roll: ArrayLike) -> Floats
     return np.stack(
         [turned(roll, right, -above), -turned(roll, above, right), forward], axis=-1
     )
+
+
+def rotation_by(vector: ArrayLike) -> Floats:
+    """Return the rotation matrix of a rotation vector, shape (3, 3)."""
+    x, y, z = axis = np.asarray(vector, dtype=float)
+    angle = float(np.linalg.norm(axis))
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # sin(a) / a and (1 - cos(a)) / a^2, finite at 0.
+    first, second = np.sinc(angle / np.pi), np.sinc(angle / (2 * np.pi)) ** 2 / 2
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))

@@ -87,6 +87,10 @@ COMMANDS = {
         "calibrate:plate",
         "Measure phase zero with plates at distances; without cubes, print the steps.",
     ),
+    "calibrate platform": (
+        "patch_test:platform",
+        "Estimate the mounting from overlapping lines; without lines, print the steps.",
+    ),
     "import transients": (
         "transients:transients",
         "Convert single-photon histograms to a measurement cube.",
@@ -161,7 +165,7 @@ TOPICS = {
         "calibrate reference", "calibrate temperature", "calibrate plate",
         "acquire", "watch", "recover", "devices simulate",
         "import transients", "import recordings",
-        "import trajectory",
+        "import trajectory", "calibrate platform",
     ),
     "simulate": (
         "survey check", "survey schema", "simulate", "backscatter", "water",
@@ -201,6 +205,11 @@ EXAMPLES = {
         "amulor calibrate temperature run-10.nc run-20.nc run-30.nc "
         "-o temperature.toml",
         "amulor calibrate plate",
+    ),
+    "calibrate platform": (
+        "amulor calibrate platform line-1.nc line-2.nc line-3.nc "
+        "--trajectory track.csv --mounting rov.toml -o calibrated.toml",
+        "amulor export --mounting calibrated.toml",
     ),
     "calibrate plate": (
         'amulor calibrate plate plate.nc --distance "1.5 m" '
@@ -290,7 +299,7 @@ _GROUPS = {
     "survey": "Check survey files, and write those of published instruments.",
     "site": "Register many scans in one frame, and compare visits.",
     "import": "Import data of other instruments.",
-    "calibrate": "Calibrate an instrument at the bench.",
+    "calibrate": "Calibrate an instrument, and its mounting on a vehicle.",
     "devices": "Simulate instruments.",
     "reproduce": "Redraw and check published figures.",
     "water": "Optical constants of pure water, and the fit of measured water.",

@@ -11,6 +11,7 @@ from amulor.imaging.edges import flag_mixed, mixed_pixels
 from amulor.imaging.frame import Axes, Frame, frame_of
 from amulor.imaging.moving import MovingFrame, moving_frame
 from amulor.imaging.outliers import flag_outliers, outlying_pixels
+from amulor.imaging.patch_test import patch_test
 from amulor.imaging.point_cloud import point_cloud
 from amulor.imaging.range_image import range_image
 from amulor.imaging.selection import leave_out
@@ -35,6 +36,7 @@ __all__ = [
     "mixed_pixels",
     "moving_frame",
     "outlying_pixels",
+    "patch_test",
     "point_cloud",
     "products",
     "range_image",

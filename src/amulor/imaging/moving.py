@@ -139,7 +139,7 @@ def moving_frame(
     >>> bool(frame.known.any()), frame.unknown
     (True, ('trajectory', 'lever arm', 'boresight', 'clock offset'))
     """
-    mounting = mounting or _surveyed_mounting(image)
+    mounting = mounting or surveyed_mounting(image)
     times, duration, weight = _readings(image)
     if trajectory.clock == "unix":
         times = times + _start_of(image)
@@ -171,7 +171,7 @@ def moving_frame(
     )
 
 
-def _surveyed_mounting(image: xr.Dataset) -> Mounting:
+def surveyed_mounting(image: xr.Dataset) -> Mounting:
     """Return the mounting from the survey in an image."""
     survey = readable_survey(image)
     if survey is None or survey.platform is None:

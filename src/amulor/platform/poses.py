@@ -7,7 +7,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.errors import SurveyError
 from amulor.platform.attitude import cross_matrix
+from amulor.platform.mounting import deviations, error_factors
 from amulor.platform.trajectory import Poses, Trajectory
 from amulor.survey.course import boresight_of
 from amulor.survey.platform import Mounting
@@ -53,16 +55,8 @@ class InstrumentPoses:
 
     vehicle: Poses
     """Poses of the vehicle."""
-    lever_arm: Floats
-    """Origin of the instrument in vehicle axes, shape (3,) [m]."""
-    boresight: Floats
-    """Rotation from instrument axes to vehicle axes, shape (3, 3) [1]."""
-    lever_arm_uncertainty: float | None
-    """Standard uncertainty of each component of the lever arm; None if unknown [m]."""
-    boresight_uncertainty: float | None
-    """Standard uncertainty of each boresight angle; None if unknown [rad]."""
-    clock_uncertainty: float | None
-    """Standard uncertainty of the clock offset; None if unknown [s]."""
+    mounting: Mounting
+    """Place and attitude of the instrument on the vehicle, and its clock."""
     duration: float = 0.0
     """Integration window of each reading; its time is the middle [s]."""
 
@@ -78,6 +72,16 @@ class InstrumentPoses:
     def known(self) -> NDArray[np.bool_]:
         """Mask of the readings at whose times the trajectory has a pose, shape (n,)."""
         return self.vehicle.known
+
+    @property
+    def lever_arm(self) -> Floats:
+        """Origin of the instrument in vehicle axes, shape (3,) [m]."""
+        return np.array(self.mounting.lever_arm)
+
+    @property
+    def boresight(self) -> Floats:
+        """Rotation from instrument axes to vehicle axes, shape (3, 3) [1]."""
+        return boresight_of(self.mounting)
 
     @property
     def rotation(self) -> Floats:
@@ -190,34 +194,52 @@ class InstrumentPoses:
 
         Returns
         -------
-        ndarray, shape (7, n, 3)
+        ndarray, shape (8, n, 3)
             Shift by one standard uncertainty of the lever arm (right, down, forward),
-            of the boresight (about the instrument's right, down and forward axis) and
-            of the clock offset; 0 for unknown uncertainties, see `unknown` [m].
+            of the boresight (about the instrument's right, down and forward axis), of
+            the clock offset and of the clock drift [m]. With correlated errors, each
+            shift belongs to a combination of them that is independent of the others.
+            Unknown uncertainties count as 0, see `unknown`.
+        """
+        factors = error_factors(self.mounting)
+        return np.asarray(np.einsum("ek,kni->eni", factors, self.derivatives(points)))
+
+    def derivatives(self, points: ArrayLike) -> Floats:
+        """Return derivatives of points by the eight quantities of the mounting.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            One point per reading, in site axes [m].
+
+        Returns
+        -------
+        ndarray, shape (8, n, 3)
+            Derivatives by the lever arm (right, down, forward) [1], the rotation about
+            the instrument's right, down and forward axis [m/rad], the clock offset
+            [m/s] and the clock drift [m].
         """
         at = np.asarray(points, dtype=float)
-        shifts = np.zeros((7, *at.shape))
+        shifts = np.zeros((8, *at.shape))
         turns, away = self.rotation, at - self.position
-        arm, bend = self.lever_arm_uncertainty, self.boresight_uncertainty
         for axis in range(3):
-            shifts[axis] = (arm or 0.0) * self.vehicle.rotation[:, :, axis]
-            shifts[3 + axis] = (bend or 0.0) * np.cross(turns[:, :, axis], away)
-        shifts[6] = (self.clock_uncertainty or 0.0) * self._velocity_of(at)
+            shifts[axis] = self.vehicle.rotation[:, :, axis]
+            shifts[3 + axis] = np.cross(turns[:, :, axis], away)
+        shifts[6] = self._velocity_of(at)
+        elapsed = self.vehicle.time - self.mounting.clock_offset
+        shifts[7] = shifts[6] * (elapsed - reference_time(self.mounting))[:, None]
         return shifts
 
     @property
     def unknown(self) -> tuple[str, ...]:
         """Quantities without a stated uncertainty, by name."""
-        stated = {
-            "lever arm": self.lever_arm_uncertainty,
-            "boresight": self.boresight_uncertainty,
-            "clock offset": self.clock_uncertainty,
-        }
-        missing = [name for name, value in stated.items() if value is None]
+        missing = np.isnan(deviations(self.mounting))
+        parts = {"lever arm": [0, 1, 2], "boresight": [3, 4, 5], "clock offset": [6]}
+        names = [name for name, part in parts.items() if missing[part].any()]
         covariance = self.vehicle.covariance[self.known]
         if not np.isfinite(covariance).all():
-            missing.insert(0, "trajectory")
-        return tuple(missing)
+            names.insert(0, "trajectory")
+        return tuple(names)
 
 
 def mean_instrument_poses(
@@ -276,15 +298,19 @@ def mean_instrument_poses(
     sums: dict[str, Floats] = {}
     for moment, share in zip(instants, weights, strict=True):
         used = np.isfinite(moment)
-        # Without a reading, any time of the trajectory has weight zero.
-        at = np.where(used, moment, trajectory.time[0] - mounting.clock_offset)
-        poses = instrument_poses(trajectory, mounting, at, duration=duration)
+        poses = instrument_poses(trajectory, mounting, moment, duration=duration)
         for entry in fields(Poses):
             values = getattr(poses.vehicle, entry.name)
-            part = share.reshape(-1, *[1] * (values.ndim - 1)) * values
+            factor, there = (
+                array.reshape(-1, *[1] * (values.ndim - 1)) for array in (share, used)
+            )
+            # A missing reading has no pose. Without any reading, the share is NaN.
+            part = np.where(there | np.isnan(factor), factor * values, 0.0)
             sums[entry.name] = part + sums.get(entry.name, 0.0)
         total = total or poses
     assert total is not None
+    if len(instants) == 1:
+        return replace(total, vehicle=Poses(**sums))
     left, _, right = np.linalg.svd(np.nan_to_num(sums["rotation"]))
     missing = ~np.isfinite(sums["rotation"]).all(axis=(1, 2), keepdims=True)
     # Means of adjacent rotations have a positive determinant.
@@ -317,6 +343,11 @@ def instrument_poses(
     InstrumentPoses
         Poses with their errors, NaN where the trajectory has none.
 
+    Raises
+    ------
+    SurveyError
+        If the mounting states a clock drift without a reference of its time.
+
     Examples
     --------
     >>> from amulor.platform import Mounting, Trajectory, instrument_poses
@@ -327,13 +358,33 @@ def instrument_poses(
     >>> poses.position.round(6).tolist()
     [[0.15, 0.0, 0.0]]
     """
-    instants = np.atleast_1d(np.asarray(time, dtype=float)) + mounting.clock_offset
+    _refuse_drift_without_reference(trajectory, mounting)
+    instants = np.atleast_1d(np.asarray(time, dtype=float))
+    drift = mounting.clock_drift * (instants - reference_time(mounting))
     return InstrumentPoses(
-        vehicle=trajectory.at(instants),
-        lever_arm=np.array(mounting.lever_arm),
-        boresight=boresight_of(mounting),
-        lever_arm_uncertainty=mounting.lever_arm_uncertainty,
-        boresight_uncertainty=mounting.boresight_uncertainty,
-        clock_uncertainty=mounting.clock_uncertainty,
+        vehicle=trajectory.at(instants + mounting.clock_offset + drift),
+        mounting=mounting,
         duration=duration,
     )
+
+
+def reference_time(mounting: Mounting) -> float:
+    """Return the time at which the clock offset of a mounting is exact [s]."""
+    reference = mounting.clock_reference
+    return 0.0 if reference is None else reference.timestamp()
+
+
+def _refuse_drift_without_reference(trajectory: Trajectory, mounting: Mounting) -> None:
+    """Raise if a drift counts from a time that the clock does not have."""
+    dated = trajectory.clock == "unix"
+    drifts = bool(mounting.clock_drift or mounting.clock_drift_uncertainty)
+    if drifts and dated and mounting.clock_reference is None:
+        raise SurveyError(
+            "mounting.clock_drift needs mounting.clock_reference, the date and time at "
+            "which clock_offset is exact, as the trajectory has dates"
+        )
+    if mounting.clock_reference is not None and not dated:
+        raise SurveyError(
+            "mounting.clock_reference is a date, but the times of the trajectory have "
+            "no origin; leave it out"
+        )

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 from amulor._attitude import rotation_of
 from amulor.errors import SurveyError
 from amulor.platform import Trajectory
+from amulor.platform.mounting import error_factors
 from amulor.platform.trajectory import usual_gap
-from amulor.survey import Platform, Survey
+from amulor.survey import Mounting, Platform, Survey
 from amulor.survey.course import boresight_of, in_scene, planned, scene_axes
 from amulor.survey.directions import readings_in_turn
 from amulor.survey.scan import Pose
@@ -132,21 +133,25 @@ class VehicleMotion:
         return position + off[:, :3], turn
 
     @cached_property
-    def _mounting(self) -> tuple[Floats, Floats, float]:
-        """True lever arm [m], boresight and clock offset [s]."""
-        stated, rng = self.platform.mounting, self._draws(_MOUNTING)
-        error = rng.standard_normal(7)
-        arm = stated.lever_arm + (stated.lever_arm_uncertainty or 0.0) * error[:3]
-        bend = (stated.boresight_uncertainty or 0.0) * error[3:6]
-        boresight = boresight_of(stated) @ Rotation.from_rotvec(bend).as_matrix()
-        offset = stated.clock_offset + (stated.clock_uncertainty or 0.0) * error[6]
-        return np.asarray(arm), np.asarray(boresight), float(offset)
+    def mounting(self) -> Mounting:
+        """True lever arm, boresight and clock."""
+        stated, draws = self.platform.mounting, self._draws(_MOUNTING)
+        error = draws.standard_normal(8) @ error_factors(stated)
+        turn = Rotation.from_rotvec(stated.boresight) * Rotation.from_rotvec(error[3:6])
+        return stated.model_copy(
+            update={
+                "lever_arm": tuple(stated.lever_arm + error[:3]),
+                "boresight": tuple(turn.as_rotvec()),
+                "clock_offset": stated.clock_offset + error[6],
+                "clock_drift": stated.clock_drift + error[7],
+            }
+        )
 
     def instrument(self, time: ArrayLike) -> tuple[Floats, Floats]:
         """Return true origins and rotations of the instrument in the site."""
         position, turn = self.vehicle(time)
-        arm, boresight, _ = self._mounting
-        return position + turn @ arm, turn @ boresight
+        arm = np.array(self.mounting.lever_arm)
+        return position + turn @ arm, turn @ boresight_of(self.mounting)
 
     def in_scene(self, time: ArrayLike) -> tuple[Floats, Floats]:
         """Return true origins and rotations of the instrument in the targets' axes."""
@@ -190,7 +195,7 @@ class VehicleMotion:
         rotation = Rotation.from_rotvec(error[:, 3:]) * Rotation.from_matrix(turn)
         pose = self.survey.pose or Pose()
         return Trajectory(
-            time=time + self._mounting[2],
+            time=time * (1 + self.mounting.clock_drift) + self.mounting.clock_offset,
             position=position + error[:, :3],
             attitude=rotation.as_quat(),
             covariance=covariance,

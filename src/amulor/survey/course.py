@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor._attitude import rotation_of
+from amulor._attitude import rotation_by, rotation_of
 from amulor.survey.platform import (
     Course,
     HoverCourse,
@@ -73,7 +73,7 @@ def planned_speed(platform: Platform) -> float:
 def boresight_of(mounting: Mounting) -> Floats:
     """Return the rotation from instrument axes to vehicle axes, shape (3, 3) [1]."""
     turn = rotation_of(mounting.heading, mounting.pitch, mounting.roll)
-    return np.asarray(LEVEL.T @ turn)
+    return np.asarray(LEVEL.T @ turn @ rotation_by(mounting.boresight))
 
 
 def scene_axes(survey: Survey) -> tuple[Floats, Floats]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+import numpy as np
+from pydantic import AwareDatetime, Field, model_validator
 
 from amulor.survey.quantity import (
     Angle,
@@ -20,6 +21,11 @@ from amulor.survey.quantity import (
 _Heading = Annotated[Angle, Field(ge=-2 * math.pi, le=2 * math.pi)]
 _Moving = Annotated[Speed, Field(gt=0, le=20)]
 _Drift = Annotated[Speed, Field(ge=-5, le=5)]
+_LengthError = Annotated[Length, Field(ge=0, le=10)]
+_AngleError = Annotated[Angle, Field(ge=0, le=1)]
+_Turn = Annotated[Angle, Field(ge=-math.pi, le=math.pi)]
+_ClockDrift = Annotated[Fraction, Field(ge=-0.01, le=0.01)]
+_Correlation = Annotated[Fraction, Field(ge=-1, le=1)]
 
 
 class Mounting(Description):
@@ -52,17 +58,64 @@ class Mounting(Description):
     roll: Annotated[Angle, Field(ge=-math.pi, le=math.pi)] = 0.0
     """Angle of the instrument's right axis below the horizontal on a level vehicle
     [rad]."""
+    boresight: tuple[_Turn, _Turn, _Turn] = (0.0, 0.0, 0.0)
+    """Rotation of the instrument away from heading, pitch and roll above: rotation
+    vector about its right, down and forward axis [rad]."""
     clock_offset: Time = 0.0
     """Time to add to readings of the instrument's clock to obtain the clock of the
     trajectory [s]."""
-    lever_arm_uncertainty: Annotated[Length, Field(ge=0, le=10)] | None = None
+    clock_drift: _ClockDrift = 0.0
+    """Increase of the clock offset per time [1]."""
+    clock_reference: AwareDatetime | None = None
+    """Date and time at which `clock_offset` is exact; needed for a drift if the
+    trajectory has dates. Otherwise the offset is exact at the start of a scan."""
+    lever_arm_uncertainty: _LengthError | None = None
     """Standard uncertainty of each component of the lever arm; unknown by default
     [m]."""
-    boresight_uncertainty: Annotated[Angle, Field(ge=0, le=1)] | None = None
+    lever_arm_uncertainties: tuple[_LengthError, _LengthError, _LengthError] | None = (
+        None
+    )
+    """Standard uncertainties of the lever arm (right, down, forward), if they differ
+    [m]."""
+    boresight_uncertainty: _AngleError | None = None
     """Standard uncertainty of the rotation about each axis of the instrument; unknown
     by default [rad]."""
+    boresight_uncertainties: tuple[_AngleError, _AngleError, _AngleError] | None = None
+    """Standard uncertainties of the rotation about the right, down and forward axis, if
+    they differ [rad]."""
     clock_uncertainty: Annotated[Time, Field(ge=0, le=60)] | None = None
     """Standard uncertainty of the clock offset; unknown by default [s]."""
+    clock_drift_uncertainty: Annotated[Fraction, Field(ge=0, le=0.01)] = 0.0
+    """Standard uncertainty of the clock drift [1]."""
+    correlation: tuple[tuple[_Correlation, ...], ...] | None = None
+    """Correlation matrix of eight errors: lever arm (right, down, forward), boresight
+    (right, down, forward), clock offset, clock drift. Without it, they are independent
+    [1]."""
+
+    @model_validator(mode="after")
+    def _uncertainties_are_stated_once(self) -> Self:
+        for name in ("lever_arm", "boresight"):
+            both = (f"{name}_uncertainty", f"{name}_uncertainties")
+            if all(getattr(self, field) is not None for field in both):
+                raise ValueError(f"{both[0]} and {both[1]} are both stated; state one")
+        return self
+
+    @model_validator(mode="after")
+    def _is_a_correlation_matrix(self) -> Self:
+        if self.correlation is None:
+            return self
+        if [len(row) for row in self.correlation] != [8] * 8:
+            raise ValueError("correlation needs eight rows of eight numbers")
+        matrix = np.array(self.correlation)
+        if (np.diag(matrix) != 1).any() or (matrix != matrix.T).any():
+            raise ValueError("correlation must be symmetric, with 1 in its diagonal")
+        least = float(np.linalg.eigvalsh(matrix)[0])
+        if least < -1e-5:
+            raise ValueError(
+                f"correlation has the eigenvalue {least:.3g}; the matrix of real "
+                "errors has none below 0"
+            )
+        return self
 
 
 class LineCourse(Description):

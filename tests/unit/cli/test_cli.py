@@ -487,6 +487,7 @@ def test_wrong_use_ends_with_2_and_one_line(
         ["calibrate", "polarizer", "none.nc", "--angles", "0", "-o", "b.toml"],
         ["calibrate", "leakage", "none.nc", "-o", "b.toml"],
         ["calibrate", "reference", "none.nc", "-o", "b.toml"],
+        ["calibrate", "platform", "none.nc", "--trajectory", "t.csv", "-o", "b.toml"],
         ["calibrate", "temperature", "none.nc", "-o", "b.toml"],
         ["calibrate", "plate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
         ["devices", "calibrate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
