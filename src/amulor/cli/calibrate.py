@@ -559,8 +559,8 @@ def _print_phases(calibration: Calibration) -> None:
     gain, of_gain = calibration.gain_change, calibration.gain_change_uncertainty
     if gain is not None and of_gain is not None:
         print(
-            f"gain at the largest amplitude: {100 * gain:+.2g} +- "
-            f"{100 * of_gain:.2g} % (not applied)"
+            f"change of the gain at the largest amplitude: {100 * gain:+.2g} +- "
+            f"{100 * of_gain:.2g} %"
         )
     index, of_index = calibration.group_index, calibration.group_index_uncertainty
     if index is not None:

@@ -82,7 +82,7 @@ class Covariance:
         return np.where(np.isfinite(signal), square, np.nan)
 
 
-def along(signal: Complex, size: float) -> Covariance:
+def along(signal: Complex, size: float | Floats) -> Covariance:
     """Return the covariance due to a random relative amplitude error of a signal."""
     return Covariance(
         (size * signal.real) ** 2,

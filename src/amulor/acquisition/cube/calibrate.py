@@ -582,6 +582,7 @@ def from_plates(
             "filters": filters,
             "gain_change": change,
             "gain_change_uncertainty": of_change,
+            "gain_amplitude": None if gain is None else float(np.nanmax(echo)),
         }
         table = table.model_copy(update=update)
     if first_distance.all():

@@ -19,7 +19,7 @@ from amulor import cube as cubes
 from amulor.cube.error import UNCALIBRATED_SHARE
 from amulor.errors import CubeError, FormatError
 from amulor.optics import detection
-from amulor.rejection.covariance import Covariance
+from amulor.rejection.covariance import Covariance, along
 from amulor.rejection.observation import Observation
 from amulor.survey import toml_file
 from amulor.survey.properties import TEMPERATURE_UNCERTAINTY, quadrature_phase_error
@@ -229,11 +229,14 @@ class Calibration(Description):
     the leakage was measured."""
     filters: tuple[NeutralFilter, ...] = ()
     """Neutral filters with which the phases were measured; not used for scans."""
-    gain_change: float | None = None
-    """Change of the gain from zero to the largest amplitude of the filters; not applied
-    to samples, unknown by default [1]."""
+    gain_change: Annotated[float, Field(gt=-1, le=10)] | None = None
+    """Change of the gain from zero to `gain_amplitude`, for which samples are
+    corrected; unknown by default [1]."""
     gain_change_uncertainty: Annotated[float, Field(ge=0)] | None = None
     """Standard uncertainty of this change [1]."""
+    gain_amplitude: Annotated[Voltage, Field(gt=0)] | None = None
+    """Largest amplitude behind the filters; without it samples are not corrected
+    [V]."""
     leakage: tuple[Leakage, ...] = ()
     """Leakage of each channel, which is subtracted before the phase is corrected."""
     reference: tuple[ReferencePhase, ...] = ()
@@ -486,6 +489,27 @@ def demodulator_uncertainty(
     return quadrature_phase_error(gain, angle), offset
 
 
+def with_constant_gain(
+    calibration: Calibration, signal: Complex, errors: Covariance, *, amplitude: Floats
+) -> tuple[Complex, Covariance]:
+    """Correct the gain that changes with the amplitude; return signal and covariance.
+
+    The logarithm of the gain is proportional to the amplitude. Above the amplitudes of
+    the filters, the gain is that of the largest amplitude.
+    """
+    if calibration.gain_change is None or calibration.gain_amplitude is None:
+        return signal, errors
+    part = np.clip(np.nan_to_num(amplitude) / calibration.gain_amplitude, 0.0, 1.0)
+    factor = (1 + calibration.gain_change) ** -part
+    corrected = factor * signal
+    error = part * (calibration.gain_change_uncertainty or 0.0)
+    return corrected, Covariance(
+        factor**2 * errors.in_phase,
+        factor**2 * errors.quadrature,
+        factor**2 * errors.cross,
+    ) + along(np.nan_to_num(corrected), error)
+
+
 def separated(
     calibration: Calibration, cube: xr.Dataset, signal: Complex, errors: Covariance
 ) -> tuple[Complex, Covariance, dict[str, object]]:
@@ -731,6 +755,9 @@ def calibrated(cube: xr.Dataset, calibration: Calibration) -> xr.Dataset:
         signal = signal * turn
         errors = errors.turned(turn) + Covariance(
             *detection.phase_floor_covariance(np.nan_to_num(signal), phase_floor=beyond)
+        )
+        signal, errors = with_constant_gain(
+            calibration, signal, errors, amplitude=amplitude
         )
         signal, errors, of_channels = separated(calibration, cube, signal, errors)
         values = {

@@ -276,6 +276,40 @@ def test_signals_of_different_strength_show_the_gain() -> None:
     assert measured_filters(density, amplitude[:, :3], error[:, :3])[1] is None
 
 
+def test_samples_are_corrected_for_the_gain_of_the_filters(clear) -> None:
+    cube = simulate(clear, rng=3)
+    light = cube.amulor.signal
+    size = np.abs(light)
+    largest = float(size.max())
+    # The logarithm of the gain falls with the output, by 5 % at an output of 0.95.
+    output = size.copy()
+    for _ in range(30):
+        output = size * 0.95 ** (output / largest)
+    turned = output / size * light
+    bent = cube.assign(in_phase=turned.real, quadrature=turned.imag)
+    calibration = Calibration(
+        leakage=from_shutter(closed(clear, np.zeros((3, 2)), sigma=1e-12)).leakage,
+        gain_change=-0.05,
+        gain_change_uncertainty=0.01,
+        gain_amplitude=largest,
+    )
+    without = calibrated(bent, calibration.model_copy(update={"gain_amplitude": None}))
+    result = calibrated(bent, calibration)
+    off = np.abs(np.abs(result.amulor.signal) / size - 1)
+    assert float(off.max()) < 1e-3
+    assert float(np.abs(np.abs(without.amulor.signal) / size - 1).max()) > 0.04
+    # 1 % of an amplitude at the end of the filters, along the signal.
+    more = (
+        result["in_phase_uncertainty"] ** 2
+        + result["quadrature_uncertainty"] ** 2
+        - without["in_phase_uncertainty"] ** 2
+        - without["quadrature_uncertainty"] ** 2
+    )
+    at = int(np.argmax(size.values))
+    relative = np.sqrt(more.values.ravel()[at]) / largest
+    assert relative == pytest.approx(0.0095, rel=0.05)
+
+
 def test_numbers_that_do_not_fit_are_refused(clear) -> None:
     plate = plate_at(clear, 1.5)
     with pytest.raises(ValueError, match="2 distances for 1 cubes"):
