@@ -66,6 +66,8 @@ def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.f
             survey,
             leakage_measured=measured,
             demodulator_measured="demodulator_calibrated" in channel.attrs,
+            phases_measured=UNCALIBRATED_SHARE in channel.attrs,
+            frequencies=count,
         )
     table = by_frequency(channel, "calibration_phase_uncertainty_rad", 0.0)
     gain = by_frequency(channel, f"phase_error_gain_{_name(channel)}", 1.0)

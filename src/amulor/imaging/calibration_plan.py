@@ -19,6 +19,7 @@ from amulor.survey.properties import (
     group_index_uncertainty,
     phase_uncertainty,
     quadrature_phase_error,
+    uncalibrated_factor,
 )
 from amulor.survey.view import medium_of
 
@@ -126,9 +127,12 @@ def calibration_plan(survey: Survey, *, slant_range: float) -> list[CalibrationL
             by_phase * phase_uncertainty(survey, demodulator_measured=True),
             by_phase
             * phase_uncertainty(
-                survey, leakage_measured=True, demodulator_measured=True
+                survey,
+                leakage_measured=True,
+                demodulator_measured=True,
+                phases_measured=True,
             ),
-            "amulor calibrate leakage",
+            "amulor calibrate leakage, then plate",
         ),
         *_demodulator_line(survey, by_phase),
         *_channel_line(survey, by_delay, by_phase),
@@ -202,6 +206,7 @@ def _demodulator_line(
         by_phase * float(quadrature_phase_error(*errors))
         for errors in (MIXER, _OUTPUTS)
     )
+    now *= uncalibrated_factor(len(instrument.modulation_frequencies))
     how = "amulor calibrate demodulator, to 0.1 % and 0.1 degrees"
     return [("demodulator", now, calibrated, how)]
 

@@ -293,7 +293,9 @@ def _calibration(cube: xr.Dataset) -> InstrumentTest | None:
     ):
         return None
     else:
-        degrees = math.degrees(phase_uncertainty(survey))
+        degrees = math.degrees(
+            phase_uncertainty(survey, frequencies=_frequency(cube).size)
+        )
         result = "the phases of the instrument are not calibrated"
         cause = (
             f"no calibration file and no phase_uncertainty in the survey; {degrees:g} "

@@ -229,9 +229,10 @@ class Instrument(Description):
     """Window between instrument and water; none by default."""
     phase_uncertainty: Annotated[Angle, Field(ge=0, le=0.5)] | None = None
     """Standard uncertainty of the phase at each modulation frequency from leakage,
-    amplitude-dependent phase and harmonics [rad]. The default is 0.5 degrees, as in
-    typical instruments, or 0.4 degrees if the leakage was measured; 0 means an
-    instrument without such errors."""
+    amplitude-dependent phase and harmonics [rad]. The default is 0.5 degrees for
+    calibrated phases, three times as much without calibration, and six times as much
+    without calibration at one frequency. If the leakage was measured, 0.4 degrees
+    replace 0.5. 0 means an instrument without such errors."""
     errors: InstrumentErrors | None = None
     """Instrument errors that simulated samples contain; none by default."""
 

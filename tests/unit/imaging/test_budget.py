@@ -549,13 +549,22 @@ def test_what_a_joint_estimation_counts_of_the_instrument_counts_once(target, te
     )
 
 
-@pytest.mark.parametrize(("stated", "degrees"), [(None, 0.5), ("2 deg", 2.0)])
+@pytest.mark.parametrize(
+    ("stated", "calibrated", "degrees"),
+    # Six times 0.5 degrees at one frequency without calibration.
+    [(None, {}, 3.0), (None, {"uncalibrated_share": 0.0}, 0.5), ("2 deg", {}, 2.0)],
+)
 def test_the_phases_of_an_instrument_are_uncertain(
-    plate_text: str, target: xr.Dataset, stated: str | None, degrees: float
+    plate_text: str,
+    target: xr.Dataset,
+    stated: str | None,
+    calibrated: dict[str, float],
+    degrees: float,
 ) -> None:
     line = "" if stated is None else f'phase_uncertainty = "{stated}"\n'
     text = plate_text.replace('phase_uncertainty = "0 deg"\n', line)
     low = surveyed(target.isel(modulation_frequency=[0]), text)
+    low = low.assign_attrs(calibrated)
     image = imaging.range_image(low, polarization="VV", interval=(1.0, 2.0))
     term = image["slant_range_uncertainty_instrument"].values
     # A range is c / (4 pi n f) times the phase, at 39 MHz in water of 1.38.
