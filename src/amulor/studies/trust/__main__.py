@@ -69,7 +69,8 @@ def main(arguments: list[str] | None = None) -> int:
 def _counted(table: str) -> str:
     """Return the counts of a table of scenes, instrument errors or false alarms."""
     if instrument.HEADER in table:
-        return instrument.counts(instrument.written(table))
+        rows = list(instrument.written(table))
+        return f"{instrument.counts(rows)}\n{instrument.before_and_after(rows)}"
     if false_alarms.HEADER in table:
         return false_alarms.counts(false_alarms.written(table))
     return counts(written(table))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -146,20 +148,44 @@ def test_noise_has_the_size_that_it_states(recorded: Recorded) -> None:
 def test_a_calibration_states_the_phase_error_that_the_echo_has(
     recorded: Recorded,
 ) -> None:
-    turn = np.exp(0.01j)
-    # Water turned as in the shots is taken off: the echo alone is turned.
-    scan = recorded.scan + recorded.truth("target") * (turn - 1)
-    error = instrument.phase_error(recorded, scan, recorded.shots)
-    assert error == pytest.approx(0.01, rel=1e-9)
-    known = instrument.case("phase ripple", 3.0, 2, "calibrated", 1)
-    third = instrument.case("phase ripple", 3.0, 2, "wrong", 1)
+    turned = instrument.phase_ripple(np.degrees(0.01))
+    # 0.01 rad times 1.0 and -1.2, in water as in air.
+    error = instrument.phase_error(recorded, turned)
+    assert error == pytest.approx(0.01 * math.sqrt(1.22), rel=0.02)
+    # A leakage of 1 % turns a plate by its part across the echo, whatever the
+    # references contain; pixels differ by a few percent in amplitude.
+    leaking = instrument.leakage(0.01, delay=2e-9)
+    error = instrument.phase_error(recorded, leaking)
+    assert error == pytest.approx(0.01 / math.sqrt(2), rel=0.1)
+    known = instrument.case("harmonic", 3.0, 1, "calibrated", 1)
+    third = instrument.case("harmonic", 3.0, 1, "wrong", 1)
     stated, wrong = (
         case.samples.amulor.survey.instrument.phase_uncertainty
         for case in (known, third)
     )
-    # 0.9 degrees times 1.0 and -1.2: rms 0.994 degrees; and 0.05 degrees at least.
-    assert np.degrees(stated) == pytest.approx(np.hypot(0.994, 0.05), rel=0.05)
-    assert np.degrees(wrong) == pytest.approx(np.hypot(0.994 / 3, 0.05), rel=0.05)
+    # A third of it, and 0.05 degrees at least.
+    assert stated is not None
+    assert wrong is not None
+    least = np.radians(0.05)
+    assert stated**2 - least**2 == pytest.approx(9 * (wrong**2 - least**2), rel=1e-6)
+    corrected = instrument.case("phase ripple", 3.0, 2, "calibrated", 1)
+    stated = corrected.samples.amulor.survey.instrument.phase_uncertainty
+    # A tenth of 0.9 degrees times 1.0 and -1.2: rms 0.0994 degrees.
+    assert np.degrees(stated) == pytest.approx(np.hypot(0.0994, 0.05), rel=0.05)
+
+
+def test_the_survey_names_an_analog_demodulator_only_if_it_has_one() -> None:
+    kinds = {
+        kind: instrument.case(
+            kind, 1.0, 1, "uncalibrated", 1
+        ).samples.amulor.survey.instrument.lock_in.demodulator
+        for kind in ("quadrature gain", "quadrature angle", "walk")
+    }
+    assert kinds == {
+        "quadrature gain": "analog",
+        "quadrature angle": "analog",
+        "walk": None,
+    }
 
 
 def test_a_case_keeps_its_truth_apart_and_states_its_calibration() -> None:

@@ -54,20 +54,43 @@ def test_rows_are_read_as_they_were_written() -> None:
 
 
 def test_requirements_causes_and_false_alarms_are_counted() -> None:
-    (counted,) = instrument.counts(ROWS, method="auto").splitlines()[2:]
-    assert len(instrument.counts(ROWS).splitlines()) == 2
-    # Inside: 97.5 % of 100 and 40 % of 50 pixels.
-    assert [cell.strip() for cell in counted.split("|")[2:-1]] == [
-        "typical",
+    complete, others = instrument.counts(ROWS).split("\n\n")
+    assert len(complete.splitlines()) == 2
+    (counted,) = others.splitlines()[2:]
+    # Inside: 97.5 % of 100 and 40 % of 50 pixels; far off: 2 % of 50 of 150.
+    assert [cell.strip() for cell in counted.split("|")[1:-1]] == [
+        "`auto`",
+        "2",
+        "a third of it",
         "3",
         "1",
         "1",
         "78.3 %",
         "1",
+        "0.67 %",
+    ]
+    alone = _row(_key(method="open-water"))
+    (line,) = instrument.counts([alone]).splitlines()[2:]
+    assert [cell.strip() for cell in line.split("|")[1:4]] == [
+        "a third of it",
+        "typical",
         "1",
     ]
     assert instrument.suggestions(ROWS) == (1, 2)
     assert instrument.false_alarms(ROWS) == (1, 2)
+
+
+def test_earlier_errors_stand_beside_those_of_the_table() -> None:
+    key = _key("harmonic", state="uncalibrated", count=1)
+    image = _row(key, inside=99.5, mean=3.25, stated=18.9, trusted=97.4)
+    refused = _row(
+        _key("walk", state="uncalibrated"), **REFUSED, trusted=0.0, tests=("refused",)
+    )
+    lines = instrument.before_and_after([image, refused, *ROWS]).splitlines()[2:]
+    assert [[cell.strip() for cell in line.split("|")[2:-1]] for line in lines] == [
+        ["2", "100 %, +0.1 mm", "rejected", "", ""],
+        ["1", "18 %, +3.2 mm", "99.5 %, +3.2 mm", "97 %", "18.9 mm"],
+    ]
 
 
 def test_an_interrupted_run_goes_on(
@@ -111,7 +134,9 @@ def test_the_command_measures_one_case_and_counts_it(
     assert row.cause == "right"
     capsys.readouterr()
     assert main(["--count", str(file)]) == 0
-    assert capsys.readouterr().out == instrument.counts([row])
+    out = capsys.readouterr().out
+    assert out.startswith(instrument.counts([row]))
+    assert out.endswith(instrument.before_and_after([]))
 
 
 def test_the_page_shows_what_the_table_says() -> None:
@@ -119,7 +144,9 @@ def test_the_page_shows_what_the_table_says() -> None:
     table = (folder / "instrument.txt").read_text(encoding="utf-8")
     rows = list(instrument.written(table))
     page = (folder / "README.md").read_text(encoding="utf-8")
-    assert instrument.counts(rows) in page
+    for table in instrument.counts(rows).split("\n\n"):
+        assert table.strip() in page
+    assert instrument.before_and_after(rows) in page
     words = " ".join(page.split())
     errors = [row for row in rows if row.key.method == "open-water"]
     right, suggested = instrument.suggestions(errors)

@@ -7,7 +7,10 @@ code with the `[instrument.errors]` of the simulation: each judges the other.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -61,6 +64,9 @@ class Recorded:
         size: Floats = np.median(np.abs(self.truth("target")[:, :1]), axis=(2, 3))
         return size
 
+
+#: Cases of a table differ by their effect only.
+_recorded = lru_cache(maxsize=1)(Recorded)
 
 #: Outputs of scan, shape (frequency, channel, row, column), and shots, (frequency,
 #: channel, shot), with an effect in them [V].
@@ -330,9 +336,12 @@ class Kind:
     """Whether a phase calibration reveals the error."""
     remaining: float = 1.0
     """Fraction that remains after the correction by a calibration [1]."""
+    demodulator: Literal["analog"] | None = None
+    """Kind of demodulator in the survey; None for a digital one, which cannot have the
+    error of the others."""
 
 
-#: Part of leakage and walk that remains after a calibration subtracts them [1].
+#: Part of an error that remains after a calibration corrects it [1].
 _REST = 0.1
 
 #: Kinds of instrument errors by name; "perfect" has none.
@@ -407,6 +416,7 @@ KINDS: dict[str, Kind] = {
     "cable": Kind(
         title="reflection of 1 % in a cable of 1 m",
         of_size=lambda size: reflection(0.01 * size),
+        remaining=_REST,
         causes=("cable",),
     ),
     "gain ripple": Kind(
@@ -418,11 +428,13 @@ KINDS: dict[str, Kind] = {
     "phase ripple": Kind(
         title="phase that differs by 0.3 degrees between the frequencies",
         of_size=lambda size: phase_ripple(0.3 * size),
+        remaining=_REST,
         causes=("cable",),
     ),
     "channel delay": Kind(
         title="second channel 10 ps late",
         of_size=lambda size: channel_delay(10e-12 * size),
+        remaining=_REST,
         causes=("delay between the channels",),
     ),
     "power loss": Kind(
@@ -434,11 +446,15 @@ KINDS: dict[str, Kind] = {
     "quadrature gain": Kind(
         title="quadrature output 1 % too large",
         of_size=lambda size: quadrature(gain=0.01 * size),
+        remaining=_REST,
+        demodulator="analog",
         causes=("demodulator",),
     ),
     "quadrature angle": Kind(
         title="quadrature output turned by 1 degree",
         of_size=lambda size: quadrature(degrees=size),
+        remaining=_REST,
+        demodulator="analog",
         causes=("demodulator",),
     ),
     "noise": Kind(
@@ -462,16 +478,27 @@ _LEAST_PHASE, _LARGEST_PHASE = np.radians(0.05), 0.5
 _WRONG = 1 / 3
 
 
-def phase_error(recorded: Recorded, scan: Complex, shots: Complex) -> float:
+#: Phases of a plate at different distances, which a calibration averages.
+_PHASES = 8
+
+
+def phase_error(recorded: Recorded, effect: Effect) -> float:
     """Return the rms phase error of the echo in the first channel [rad].
 
-    Pixels and frequencies count alike. A change of the shots is taken for water.
+    Pixels and frequencies count alike. The larger of two errors: of a plate in clear
+    water at several distances, and of the scan after subtraction of the references.
     """
-    added = (scan - recorded.scan)[:, 0]
+    echo = recorded.truth("target")
+    bench = []
+    for phase in 2 * np.pi * np.arange(_PHASES) / _PHASES:
+        plate = copy(recorded)
+        plate.scan = echo * np.exp(1j * phase)
+        bench.append(np.angle(effect(plate)[0] / plate.scan)[:, 0])
+    scan, shots = effect(recorded)
     water = (shots - recorded.shots)[:, 0].mean(axis=-1)
-    echo = recorded.truth("target")[:, 0]
-    turn = np.angle(1 + (added - water[:, None, None]) / echo)
-    return float(np.sqrt(np.mean(turn**2)))
+    added = (scan - recorded.scan)[:, 0] - water[:, None, None]
+    subtracted = np.angle(1 + added / echo[:, 0])
+    return max(float(np.sqrt(np.mean(np.square(e)))) for e in (bench, subtracted))
 
 
 def with_effect(
@@ -484,36 +511,53 @@ def with_effect(
 ) -> Case:
     """Simulate a tilted plate at 2.6 m, with an instrument error in its samples."""
     recorded = Recorded(count, seed)
-    return _case(recorded, *effect(recorded), calibrated, phase_uncertainty)
+    return _case(
+        recorded,
+        *effect(recorded),
+        calibrated=calibrated,
+        phase_uncertainty=phase_uncertainty,
+    )
 
 
 def case(kind: str, size: float, count: int, state: str, seed: int) -> Case:
     """Simulate an instrument error, with a correct, a wrong or no calibration."""
-    recorded, effect = Recorded(count, seed), KINDS[kind]
+    recorded, effect = _recorded(count, seed), KINDS[kind]
     if state == "uncalibrated":
-        return _case(recorded, *effect.of_size(size)(recorded), False, None)
+        return _case(
+            recorded,
+            *effect.of_size(size)(recorded),
+            calibrated=False,
+            demodulator=effect.demodulator,
+        )
     share = 1.0 if state == "calibrated" else _WRONG
     # A wrong calibration leaves more than it states.
     rest = min(1.0, effect.remaining / share)
-    scan, shots = effect.of_size(rest * size)(recorded)
-    error = phase_error(recorded, scan, shots) if effect.is_phase else 0.0
+    left = effect.of_size(rest * size)
+    error = phase_error(recorded, left) if effect.is_phase else 0.0
     stated = min(float(np.hypot(share * error, _LEAST_PHASE)), _LARGEST_PHASE)
-    return _case(recorded, scan, shots, True, stated)
+    return _case(recorded, *left(recorded), phase_uncertainty=stated)
 
 
 def _case(
     recorded: Recorded,
     scan: Complex,
     shots: Complex,
-    calibrated: bool,
-    phase_uncertainty: float | None,
+    *,
+    calibrated: bool = True,
+    phase_uncertainty: float | None = None,
+    demodulator: Literal["analog"] | None = None,
 ) -> Case:
     case = case_of(
         _with(_with(recorded.cube, scan), shots, _SHOTS), interval=around(_DISTANCE)
     )
     believed = case.samples.amulor.survey
     instrument = believed.instrument.model_copy(
-        update={"phase_uncertainty": phase_uncertainty}
+        update={
+            "phase_uncertainty": phase_uncertainty,
+            "lock_in": believed.instrument.lock_in.model_copy(
+                update={"demodulator": demodulator}
+            ),
+        }
     )
     believed = believed.model_copy(update={"instrument": instrument})
     if calibrated:
