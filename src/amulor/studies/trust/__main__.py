@@ -116,6 +116,8 @@ def _run_instrument(chosen: argparse.Namespace) -> None:
             chosen.method
             or ("open-water", "polarization", "combined", "joint", "auto"),
         )
+        # Sizes and statements of no error are one scan.
+        if kind != "perfect" or (size, state) == (1, STATES[0])
     ]
     rows = instrument.run(chosen.output, keys, done=show)
     chosen.output.write_text(instrument.text(rows), encoding="utf-8")
