@@ -126,7 +126,10 @@ def _check_of(text: str, number: int) -> Check:
     expected = quantity_of("--check", length, "length")
     tolerance = quantity_of("--check", position[0], "length") if position else None
     if expected < 0 or (tolerance is not None and not tolerance > 0):
-        raise UsageError(f"--check {text!r}: lengths must be above 0 m")
+        raise UsageError(
+            f"--check {text!r}: needed are a length of 0 m or more and a tolerance "
+            "above 0 m"
+        )
     return Check(
         name=f"check {number + 1}",
         first=(row, column),

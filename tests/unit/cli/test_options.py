@@ -1,0 +1,98 @@
+"""Options of commands become numbers in SI units, or are refused at their limits."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from amulor.cli._arguments import (
+    UsageError,
+    channel_of,
+    check_tile_rows,
+    frequencies_of,
+    interval_of,
+)
+from amulor.cli.calibrate import _numbers
+from amulor.cli.export import line_of, scale_of
+from amulor.cli.report import _check_of
+from amulor.cli.survey import _whereabouts
+
+
+def test_a_check_is_a_length_between_two_pixels() -> None:
+    check = _check_of("20,10 21,60 40mm 1mm", 2)
+    assert (check.name, check.first, check.second) == ("check 3", (20, 10), (21, 60))
+    assert (check.expected, check.tolerance) == (0.04, 0.001)
+    # Two points may be the same.
+    same = _check_of("0,0 0,0 0mm", 0)
+    assert (same.expected, same.tolerance) == (0.0, None)
+    for text, words in (
+        ("1,2 3,4 -1mm", "a length of 0 m or more and a tolerance above 0 m"),
+        ("1,2 3,4 1mm 0mm", "a length of 0 m or more and a tolerance above 0 m"),
+        ("1,2 3,-4 1mm", "a negative number"),
+        ("1,2 3 1mm", "ROW,COLUMN ROW,COLUMN LENGTH"),
+        ("1,2 3,4", "ROW,COLUMN ROW,COLUMN LENGTH"),
+        ("1,2 3,4 1", "a number without a unit; needed is the length"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            _check_of(text, 0)
+
+
+def test_an_interval_begins_at_0_m_or_beyond() -> None:
+    assert interval_of(None, None) is None
+    assert interval_of("0 m", "2 m") == (0.0, 2.0)
+    for ends in (("-1 mm", "2 m"), ("2 m", "2 m"), ("3 m", "2 m")):
+        with pytest.raises(UsageError, match="from at least 0 m to a larger range"):
+            interval_of(*ends)
+
+
+def test_frequencies_are_a_list_or_a_range() -> None:
+    assert frequencies_of("--frequency", "39MHz, 40 MHz") == [39e6, 40e6]
+    assert frequencies_of("--frequency", "0 MHz") == [0.0]
+    with pytest.raises(UsageError, match="at least 0 Hz, got -1 Hz"):
+        frequencies_of("--frequency", "-1 Hz")
+
+
+def test_a_line_has_two_ends() -> None:
+    assert line_of("-6cm, 0m, 6cm,1 mm") == (-0.06, 0.0, 0.06, 0.001)
+    assert line_of("1m,1m,1m,2m") == (1, 1, 1, 2)
+    with pytest.raises(UsageError, match="both ends are the same"):
+        line_of("1m,2m,100cm,2m")
+    with pytest.raises(UsageError, match="state four lengths"):
+        line_of("1m,2m,1m")
+
+
+def test_a_scale_is_a_ratio() -> None:
+    assert scale_of("--scale", "1:20") == 20
+    assert scale_of("--scale", " 1 : 2.5") == 2.5
+    for text in ("20", "1:0", "2:1", "-1:2", "1:x", "1:inf"):
+        with pytest.raises(UsageError, match=f"--scale.*{text}"):
+            scale_of("--scale", text)
+
+
+def test_densities_are_finite_numbers() -> None:
+    assert _numbers("--densities", "0, 0.5,1") == [0.0, 0.5, 1.0]
+    with pytest.raises(UsageError, match="needed are numbers with commas"):
+        _numbers("--densities", "0,")
+
+
+def test_a_tile_has_a_row_and_a_channel_upper_case_letters() -> None:
+    check_tile_rows(None)
+    check_tile_rows(1)
+    with pytest.raises(UsageError, match="0"):
+        check_tile_rows(0)
+    assert channel_of(None) is None
+    assert channel_of("vh") == "VH"
+    assert channel_of("none") == "none"
+
+
+def test_a_target_that_no_beam_meets_is_named_with_its_direction(plate) -> None:
+    # The scan goes to 1.905 degrees on either side; the tangent is 0.03326.
+    assert "another target hides it" in _whereabouts(plate, (0.0332, 0.0, 1.0))
+    aside = _whereabouts(plate, (0.0333, 0.0, 1.0))
+    assert "its center has azimuth 1.91 degrees, the scan -1.91 to 1.91" in aside
+    # Down is a negative elevation; 0.765 degrees are 13.35 mm at 1 m.
+    assert "another target hides it" in _whereabouts(plate, (0.0, 0.0133, 1.0))
+    low = _whereabouts(plate, (0.0, math.tan(math.radians(0.8)), 1.0))
+    assert "its center has elevation -0.8 degrees, the scan -0.765 to 0.765" in low
+    assert "0.5 m behind the instrument" in _whereabouts(plate, (0.0, 0.0, -0.5))
