@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from functools import partial
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from shared_light import scene_light
 
 from amulor import acquisition
 from amulor.acquisition.connect import connect
+from amulor.acquisition.dwell import DwellReader, Settling
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings
@@ -168,3 +174,110 @@ def test_phases_are_settled_after_all_but_a_move(small, folder) -> None:
     # Once for each change of channel, laser or target, never for a direction.
     settled = sum(abs(time - 5 * 10e-3) < 1e-9 for time in slept)
     assert 8 <= settled <= 24
+
+
+def _reader(**fields) -> SimpleNamespace:
+    known = {"_filter_is_known": True, "_records": False, "_constant": 0.5}
+    reader = SimpleNamespace(**{**known, "_dwell": 2.0, "_judge": None, **fields})
+    reader._signal = partial(DwellReader._signal, reader)
+    return reader
+
+
+def test_readings_stand_for_the_time_before_them() -> None:
+    window = DwellReader._window
+    # A known filter gives the input between the readings; an unknown one the mean over
+    # about a time constant before each; a digitizer records the whole dwell.
+    assert window(_reader(), 10.0, 1.0) == (10.0, 1.0)
+    assert window(_reader(_filter_is_known=False), 10.0, 1.0) == (9.5, 1.5)
+    assert window(_reader(_records=True), 10.0, 1.0) == (10.0, 2.0)
+
+
+def test_what_entered_a_known_filter_is_judged_and_not_its_output() -> None:
+    times = 3.0 + np.array([0.0, 0.2, 0.5, 0.9])
+    output = (2 - 1j) + (40 + 9j) * np.exp(-(times - 3.0) / 0.5)
+    judged = []
+
+    def unsettled_parts(entered, mean, spacing):
+        judged.append((entered, mean, spacing))
+        return len(judged)
+
+    reader = _reader(_judge=SimpleNamespace(unsettled_parts=unsettled_parts))
+    signals, skipped, settled = DwellReader._signals(
+        reader, [output, 2 * output], times, [0.1, 0.3]
+    )
+    for (entered, mean, spacing), factor in zip(judged, (1, 2), strict=True):
+        assert_allclose(entered, np.full(3, factor * (2 - 1j)), rtol=1e-9)
+        assert (mean, spacing) == pytest.approx((0.2, 0.3))
+    # The larger number of unsettled intervals counts for all signals.
+    assert (skipped, settled) == (2, True)
+    assert_allclose(signals, [2 - 1j, 4 - 2j], rtol=1e-9)
+    never = SimpleNamespace(unsettled_parts=lambda *_: None)
+    assert DwellReader._signals(_reader(_judge=never), [output], times, [])[1:] == (
+        0,
+        False,
+    )
+
+
+def _judge(**fields) -> Settling:
+    judge = object.__new__(Settling)
+    # 1 V is 100 photoelectrons a second at full modulation; no dark counts.
+    known = {
+        "_constant": 0.5, "_volt": 0.01, "_depth": 1.0, "_dark_rate": 0.0,
+        "_variances": (1e-6, 1e-8), "_excess": 1.0,
+    }  # fmt: skip
+    vars(judge).update({**known, **fields})
+    return judge
+
+
+def test_the_counting_noise_is_that_of_the_light_or_at_least_of_the_signal() -> None:
+    variance = _judge(_depth=0.5, _dark_rate=30.0)._counting_variance
+    # The mean output is 200 counts a second, 30 of them dark; a signal of 0.4 V at half
+    # modulation has 80, and one of 1 V has 200.
+    assert variance(0.4, 2.0) == pytest.approx(1e-6 + 170 * 1e-8)
+    assert variance(1.0j, 2.0) == pytest.approx(1e-6 + 200 * 1e-8)
+    assert variance(0.4, math.nan) == pytest.approx(1e-6 + 80 * 1e-8)
+    # One photoelectron in a reading of two time constants.
+    assert variance(0.0, 0.0) == pytest.approx(1e-6 + 1e-8)
+
+
+def test_a_block_differs_if_chance_makes_it_in_one_of_a_thousand() -> None:
+    # The square of a complex difference over its variance per quadrature exceeds x in a
+    # share exp(-x / 2): 13.8 at 1 in 1000.
+    block, later = np.zeros(4, complex), [np.zeros(8, complex), np.zeros(4, complex)]
+    spread = 2e-6 * (1 / 4 + 1 / 12)
+    for excess in (1.0, 3.0):
+        judge = _judge(_excess=excess)
+        limit = np.sqrt(-2 * np.log(1e-3) * spread * excess)
+        assert judge._agree(block + 0.98 * limit, later, 2e-6)
+        assert not judge._agree(block - 1.02j * limit, later, 2e-6)
+
+
+def test_leading_parts_that_differ_are_unsettled_unless_they_are_most() -> None:
+    # Blocks of one time constant, 0.5 s, are five inputs 0.1 s apart.
+    level = np.full(22, 1.0 + 0j)
+    for parts, expected in ((0, 0), (1, 5), (2, 10)):
+        entered = level.copy()
+        entered[: 5 * parts] += 0.5
+        assert _judge().unsettled_parts(entered, math.nan, 0.1) == expected
+    entered = level.copy()
+    entered[:15] += 0.5
+    assert _judge().unsettled_parts(entered, math.nan, 0.1) is None
+
+
+def test_noise_is_learned_from_settled_readings_and_never_below_counting() -> None:
+    judge = _judge()
+    # White noise of variance v behind the filter: readings a time constant apart differ
+    # by 4 v (1 - 1/e) on average, over both quadratures.
+    variance = judge._counting_variance(1.0, math.nan)
+    step = np.sqrt(21 * 4 * variance * (1 - np.exp(-1)))
+    judge.learn([1.0, 1.0 + step, 1.0], math.nan)
+    first = judge._excess
+    assert 1 < first < 21
+    judge.learn([1.0, 1.0], math.nan)
+    assert judge._excess == first
+    for _ in range(200):
+        judge.learn([1.0 - step / 2, 1.0 + step / 2] * 2, math.nan)
+    assert judge._excess == pytest.approx(21, rel=1e-3)
+    for _ in range(200):
+        judge.learn([1.0, 1.0, 1.0], math.nan)
+    assert judge._excess == 1.0
