@@ -12,6 +12,7 @@ import { eigen, inverted, leastSquares, product, slopes, solved } from "./linear
  * @property {Vector[]} direction displacement per unit of range [1]
  * @property {(i: number, j: number) => number} covariance of ranges [m^2]
  * @property {number[]} noise variance of single pixels [m^2]
+ * @property {Pixel[]} pixels
  */
 /**
  * Shape with its parameters: residuals of points, and values that are stated.
@@ -85,6 +86,7 @@ export function pointsOf(scene, pixels, kind) {
     direction: beams.map((beam) => beam.slice(3, 6)),
     covariance: correlated(scene, taken),
     noise,
+    pixels: taken,
   };
 }
 

@@ -3,36 +3,39 @@
 import { boxFrom, inside } from "./clip.js";
 import { fit } from "./fits.js";
 import { angle, area, distance, height } from "./geometry.js";
+import { volume } from "./volumes.js";
 
 /** @typedef {[number, number]} Pixel row and column of the scan */
 
 /** Largest number of pixels of a rectangle; more are thinned evenly. */
 const MOST_PIXELS = 1500;
+/** Largest number of pixels of a volume. */
+const MOST_OF_VOLUME = 250000;
 const FITS = ["plane", "circle", "sphere", "cylinder"];
 /** Flags of pixels that belong to no surface. */
 const OFF_SURFACE = ["mixed", "outlier"];
 
 /** Return why a tool does not work without a server; empty if it does. */
 export function needsServer(kind) {
-  return ["volume", "profile"].includes(kind)
-    ? "Needs the server: open the file by amulor view"
-    : "";
+  return kind === "profile" ? "Needs the server: open the file by amulor view" : "";
 }
 
 /**
  * Return the drawn pixels of a rectangle, thinned evenly.
  * @param {number[]} region
  * @param {number} stride
+ * @param {number} [most]
  * @returns {Pixel[]}
  */
-export function pixelsIn([top, left, bottom, right], stride) {
+export function pixelsIn(region, stride, most = MOST_PIXELS) {
+  const [top, left, bottom, right] = region;
   const line = (/** @type {number} */ first, /** @type {number} */ last) => {
     const from = Math.ceil(first / stride) * stride;
     const count = Math.max(Math.floor((last - from) / stride) + 1, 0);
     return Array.from({ length: count }, (_, k) => from + k * stride);
   };
   const [rows, columns] = [line(top, bottom), line(left, right)];
-  const step = Math.max(1, Math.ceil(Math.sqrt((rows.length * columns.length) / MOST_PIXELS)));
+  const step = Math.max(1, Math.ceil(Math.sqrt((rows.length * columns.length) / most)));
   /** @type {(all: number[]) => number[]} */
   const thinned = (all) => all.filter((_, k) => k % step === 0);
   return thinned(rows).flatMap((row) =>
@@ -40,28 +43,60 @@ export function pixelsIn([top, left, bottom, right], stride) {
   );
 }
 
-/** Return the pixels on a surface within the clip box. */
-function onSurface(scene, pixels, box) {
+/** Return whether a pixel is on a surface, by its range and flags. */
+function usableIn(scene) {
   const stray = scene.flags
     .filter(({ name }) => OFF_SURFACE.includes(name))
     .reduce((bits, { mask }) => bits | mask, 0);
-  return pixels.filter(([row, column]) => {
+  return (/** @type {Pixel} */ pixel) =>
+    Number.isFinite(scene.value("range", ...pixel)) && !(scene.value("flags", ...pixel) & stray);
+}
+
+/** Return whether the point of a pixel is in the clip box. */
+function clippedBy(scene, clip) {
+  const box = boxFrom(clip);
+  return (/** @type {Pixel} */ [row, column]) => {
     const range = scene.value("range", row, column);
-    if (!Number.isFinite(range) || scene.value("flags", row, column) & stray) return false;
-    return inside(scene.beams.point(row, column, range), box);
+    return !clip || (Number.isFinite(range) && inside(scene.beams.point(row, column, range), box));
+  };
+}
+
+/** Return the volume over a plane fitted to the pixels of another rectangle. */
+function volumeIn(scene, region, base, clip) {
+  const { stride } = scene;
+  let pixels = pixelsIn(region, stride, Infinity);
+  if (pixels.length > MOST_OF_VOLUME)
+    throw new Error("The rectangle has more than 250,000 pixels; take a smaller one.");
+  const within = clippedBy(scene, clip);
+  const kept = pixels.filter(within);
+  if (!kept.length) throw new Error("The rectangle has no pixel in the clip box; enlarge it.");
+  const ends = [0, 1].map((k) => {
+    const line = kept.map((pixel) => pixel[k]);
+    return [line.reduce((a, b) => Math.min(a, b)), line.reduce((a, b) => Math.max(a, b))];
   });
+  pixels = pixelsIn([ends[0][0], ends[1][0], ends[0][1], ends[1][1]], stride, Infinity);
+  const wide = (ends[1][1] - ends[1][0]) / stride + 1;
+  const usable = usableIn(scene);
+  const window = { pixels, wide, usable: pixels.map(usable), inside: pixels.map(within) };
+  return volume(scene, window, pixelsIn(base, stride).filter(usable), stride);
 }
 
 /** Compute a measurement from its picks in the page. */
-export async function measuredHere(scene, tool, { picks, region, clip, reach }) {
+export async function measuredHere(scene, tool, { picks, region, base, clip, reach }) {
   const needed = scene.layers.filter(
     ({ name, kind }) => kind === "hidden" || ["range", "uncertainty", "flags"].includes(name),
   );
   await Promise.all(needed.map(({ name }) => scene.load(name)));
+  if (tool.kind === "volume") return volumeIn(scene, region, base, clip);
   if (tool.axis) return height(scene, picks, tool.axis, reach);
   if (FITS.includes(tool.kind)) {
-    const pixels = onSurface(scene, region ? pixelsIn(region, scene.stride) : picks, boxFrom(clip));
-    return fit(scene, tool.kind, pixels);
+    const pixels = region ? pixelsIn(region, scene.stride) : picks;
+    const [usable, within] = [usableIn(scene), clippedBy(scene, clip)];
+    return fit(
+      scene,
+      tool.kind,
+      pixels.filter((pixel) => usable(pixel) && within(pixel)),
+    );
   }
   return { distance, angle, area }[tool.kind](scene, picks, reach);
 }

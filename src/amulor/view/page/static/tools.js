@@ -104,7 +104,8 @@ function baseOf({ measurements, chosen, scene }) {
 export async function measured(state, tool, { picks, region, box }) {
   const { scene, source } = state;
   if (source.saved) {
-    const how = { picks, region, clip: box, reach: state.average };
+    const base = tool.base ? baseOf(state) : null;
+    const how = { picks, region, base, clip: box, reach: state.average };
     return measuredHere(scene, tool, how);
   }
   /** @type {Record<string, unknown>} */
