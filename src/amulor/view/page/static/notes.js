@@ -62,7 +62,7 @@ export class Notes {
     const { views } = this.content;
     const view = { name: `view ${views.length + 1}`, ...this.#on.view() };
     this.#change({ views: [...views, view] });
-    this.#focus(".view:last-of-type .name");
+    this.#focus(".view .name");
   }
 
   /** Write a text at the marked place. */
@@ -72,11 +72,12 @@ export class Notes {
     const { annotations } = this.content;
     const note = { name: `note ${annotations.length + 1}`, text: "", ...at };
     this.#change({ annotations: [...annotations, note] });
-    this.#focus(".annotation:last-of-type .name");
+    this.#focus(".annotation .name");
   }
 
+  /** Select the last of some fields. */
   #focus(place) {
-    const field = /** @type {HTMLInputElement | null} */ ($("book").querySelector(place));
+    const field = [...$("book").querySelectorAll(place)].at(-1);
     field?.focus();
     field?.select();
   }

@@ -57,7 +57,7 @@ const SCATTERED = 1.5;
  * @param {Pair[]} pairs
  */
 export function tableOf(pairs) {
-  const head = ["scans", "points", "median [mm]", "misfit", "off", "held"];
+  const head = ["scans", "points", "mm", "misfit", "off", "held"];
   const cells = (tag, texts) => texts.map((textContent) => made(tag, { textContent }));
   const rows = pairs.map((pair) => {
     const { source, target, points, distance, misfit, moved, directions } = pair;
@@ -70,7 +70,7 @@ export function tableOf(pairs) {
         (distance * 1e3).toFixed(2),
         misfit.toFixed(2),
         moved.toLocaleString("en"),
-        `${directions} of 6`,
+        `${directions}/6`,
       ]),
     );
     if (misfit > SCATTERED) row.className = "wrong";
