@@ -17,6 +17,7 @@ from amulor.optics import (
     small_angle_diffusion,
     target_echo,
 )
+from amulor.optics.extrema import _vertex
 
 
 @given(st.floats(5e6, 60e6), st.floats(-np.pi, np.pi))
@@ -221,3 +222,10 @@ def test_what_is_no_sweep_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=words):
         extrema.find(frequency, value)
+
+
+def test_the_vertex_of_a_parabola_through_uneven_samples() -> None:
+    frequency = np.array([10e6, 14e6, 15e6, 21e6, 30e6])
+    for vertex, sign in ((14.3e6, 1), (20e6, -1)):
+        values = 5 + sign * 2e-13 * (frequency - vertex) ** 2
+        assert_allclose(_vertex(frequency, values, np.array([1, 2, 3])), vertex)

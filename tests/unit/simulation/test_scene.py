@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from amulor.errors import SurveyError
-from amulor.simulation.scene import Scene, aperture_points, triangles
+from amulor.simulation.scene import Scene, aperture_points, barycentric, triangles
 from amulor.survey import Disc, Mesh, Plate, Staircase
 
 FORWARD = np.array([[0.0, 0.0, 1.0]])
@@ -202,3 +202,18 @@ def test_the_aperture_points_have_the_moments_of_the_gaussian() -> None:
     assert weights @ points[:, 0] ** 2 == pytest.approx(radius**2 / 2)
     assert weights @ points[:, 0] ** 4 == pytest.approx(3 * radius**4 / 4)
     assert weights @ (points[:, 0] * points[:, 1]) == pytest.approx(0, abs=1e-18)
+
+
+def test_a_point_is_the_sum_of_corners_by_their_shares() -> None:
+    rng = np.random.default_rng(5)
+    corners = rng.standard_normal((20, 3, 3))
+    share = rng.dirichlet([1, 1, 1], 20)
+    point = np.einsum("nc,nck->nk", share, corners)
+    assert_allclose(barycentric(corners, point), share, atol=1e-9)
+    # Off the plane nothing changes; outside of an edge a share is 0, and the sum is 1.
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert_allclose(barycentric(corners, point + 0.1 * normal), share, atol=1e-9)
+    right = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
+    assert_allclose(
+        barycentric(right, np.array([[0.5, -0.2, 0]])), [[7 / 12, 5 / 12, 0]]
+    )

@@ -18,7 +18,7 @@ from amulor.site.description import SphereTarget
 from amulor.site.registration.align import Alignment, align
 from amulor.site.registration.centres import centre_of
 from amulor.site.registration.network import KnownPose, Ties
-from amulor.site.registration.pair import compared
+from amulor.site.registration.pair import _bend, compared
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import register
 from amulor.site.registration.surface import ScanSurface, scan_surface, shared_errors
@@ -333,3 +333,27 @@ def test_the_covariance_holds_over_200_draws(kind: str) -> None:
         ]
     )
     inside(pulls, 200)
+
+
+def test_directions_between_pixels_are_bent_to_second_order() -> None:
+    # Exact for a surface of second degree in row and column, also at the rim.
+    row, column = np.meshgrid(np.arange(5.0), np.arange(7.0), indexing="ij")
+    rng = np.random.default_rng(6)
+    first, square, other, mixed = rng.standard_normal((4, 3))
+
+    def direction(r: np.ndarray, c: np.ndarray) -> np.ndarray:
+        r, c = r[..., None], c[..., None]
+        return first * r + square * r**2 + other * c**2 + mixed * r * c
+
+    grid = direction(row, column).reshape(-1, 3)
+    pixel = np.array([8, 17, 26])
+    off = rng.uniform(-0.6, 0.6, (3, 2))
+    expected = (
+        square * off[:, :1] ** 2
+        + other * off[:, 1:] ** 2
+        + mixed * off[:, :1] * off[:, 1:]
+    )
+    np.testing.assert_allclose(_bend(grid, (5, 7), pixel, off), expected, rtol=1e-9)
+    # A corner has the bend of its neighbor.
+    corner = _bend(grid, (5, 7), np.array([0, 34]), off[:2])
+    np.testing.assert_allclose(corner, expected[:2], rtol=1e-9)

@@ -11,7 +11,11 @@ from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
 from amulor import imaging, rejection
-from amulor.rejection.reference.instrument import drift_of_references, without_drift
+from amulor.rejection.reference.instrument import (
+    _halves,
+    drift_of_references,
+    without_drift,
+)
 
 Make = Callable[..., xr.Dataset]
 TWO = {"VV": (1.0, 1.0), "VH": (0.25, 0.1)}
@@ -125,3 +129,26 @@ def test_what_is_left_of_a_drift_is_in_the_range(by_hand: Make) -> None:
     assert "slant_range_uncertainty_instrument" not in steady
     off = image["slant_range"].values - steady["slant_range"].values
     assert abs(np.mean(off)) < 0.1 * expected
+
+
+def test_the_halves_of_references_differ_by_their_change_and_its_error() -> None:
+    # Two groups of 3 + 3 and 2 + 4 references, and a missing one; (frequency, channel).
+    early = np.array([1, 1, 1, 2, 2, 2], complex)
+    late = np.array([1.1, 1.1, 1.1, 2.2, 2.2, 2.2], complex)
+    group = np.array([0, 0, 0, 1, 1, 1, 0, 0, 0, 1, 1, 1])
+    noise = 1j * 1e-3 * np.array([1, -1, 0, 2, -2, 0] * 2)
+    signal = (np.concatenate([early, late]) + noise).reshape(1, 1, 12)
+    change, error = _halves(signal, group)
+    # Over the mean of both levels: 0.1 / 1.05 in each group.
+    assert_allclose(change, 0.1 / 1.05)
+    # Squares of phases: 4 x 1e-6 / 1.05^2 and 4 x 4e-6 / 2.1^2, equal; 8 degrees of
+    # freedom are left, and two groups of 3 x 3 / 6 references.
+    square = 4e-6 / 1.05**2 * 2
+    assert_allclose(error, np.sqrt(square / 8 / 3.0))
+    missing = signal.copy()
+    missing[..., 11] = np.nan
+    assert_allclose(_halves(missing, group)[0], 0.1 / 1.05, rtol=1e-3)
+    # Fewer than four degrees of freedom, no error, or no light tell nothing.
+    assert _halves(signal[..., [0, 1, 2, 6, 7]], group[[0, 1, 2, 6, 7]]) == (None, None)
+    assert _halves(signal.real + 0j, group) == (None, None)
+    assert _halves(0 * signal, group) == (None, None)
