@@ -10,6 +10,7 @@ from amulor import cube as cubes
 from amulor import imaging, rejection, samples
 from amulor.rejection.reference.before_target import (
     _chi_square,
+    _fit,
     _minimum,
     _near_minimum,
     raised_to_median_amplitude,
@@ -122,3 +123,28 @@ def test_the_strength_of_each_channel_is_fitted_and_not_negative() -> None:
     measured = np.stack([2 * model + np.array([0.5j, 0]), -model], axis=1)
     weight = np.array([[4.0, 1.0], [4.0, 3.0]])
     assert_allclose(_chi_square(model, measured, weight), 4 * 0.25 + 1 + 3)
+
+
+def test_change_and_paths_are_those_of_one_least_squares_fit() -> None:
+    # Dense: a column for the change, and one for the path of each of five pixels.
+    rng = np.random.default_rng(8)
+    shape = (3, 2, 5)
+    wavenumber = rng.uniform(1, 3, (3, 1, 1))
+    turn, phase = rng.standard_normal((2, *shape))
+    weight = rng.uniform(0.5, 2, shape)
+    design = np.zeros((30, 6))
+    design[:, 0] = turn.ravel()
+    for pixel in range(5):
+        column = np.zeros(shape)
+        column[..., pixel] = wavenumber[..., 0]
+        design[:, 1 + pixel] = column.ravel()
+    root = np.sqrt(weight.ravel())
+    matrix = np.linalg.pinv(design * root[:, None]) * root
+    expected = matrix @ phase.ravel()
+    fit = _fit(phase, turn, wavenumber, weight)
+    assert_allclose(fit.change, expected[0])
+    assert_allclose(fit.path, expected[1:])
+    assert_allclose(fit.gain.ravel(), matrix[0], atol=1e-12)
+    # Turns that a path explains tell nothing of the change, and no weight nothing.
+    assert _fit(phase, 0 * turn, wavenumber, weight) is None
+    assert _fit(phase, turn, wavenumber, 0 * weight) is None
