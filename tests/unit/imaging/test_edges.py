@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 from amulor import cube as cubes
 from amulor import imaging
-from amulor.imaging.edges import _off_lines, reached, steps
+from amulor.imaging.edges import _along_edge, _off_lines, reached, steps
 
 Make = Callable[..., xr.Dataset]
 #: Of the images of `written` [m].
@@ -217,3 +217,34 @@ def test_four_pixels_that_are_not_straight_are_no_line() -> None:
     two, four = _off_lines(bent, variance, 1, 1)
     assert np.isfinite(two[0, 2])
     assert np.isnan(four[0, 2])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_line_through_five_pixels_is_taken_at_the_pixel_itself(axis: int) -> None:
+    # numpy's line through the five around a pixel, or the last five of the rim.
+    rng = np.random.default_rng(9)
+    distance = 1.5 + 1e-3 * np.arange(9.0) + 1e-4 * rng.normal(size=9)
+    variance = 1e-6 * (1 + rng.random(9))
+    shaped = [
+        np.moveaxis(np.tile(part, (3, 1)), 1, axis) for part in (distance, variance)
+    ]
+    line, spread = (
+        np.moveaxis(part, axis, 1)[1] for part in _along_edge(*shaped, axis)
+    )
+    for pixel in range(9):
+        begin = min(max(pixel - 2, 0), 4)
+        place = np.arange(begin, begin + 5)
+        gain = np.linalg.pinv(np.stack([np.ones(5), place - pixel], axis=1))[0]
+        assert line[pixel] == pytest.approx(gain @ distance[place], rel=1e-12)
+        assert spread[pixel] == pytest.approx(gain**2 @ variance[place], rel=1e-12)
+    assert _along_edge(np.ones((4, 4)), np.ones((4, 4)), axis) is None
+
+
+def test_five_pixels_off_a_line_by_chance_only_are_a_line() -> None:
+    # Off by d in the middle of five: 0.8 d^2 over the variance of 1 mm^2.
+    for off in (1e-3, 2e-2):
+        distance = np.full((5, 5), 1.5)
+        distance[:, 2] += off
+        line, _ = _along_edge(distance, np.full((5, 5), 1e-6), 1)
+        straight = np.isfinite(line)
+        assert straight.all() if off < 2e-3 else not straight.any()

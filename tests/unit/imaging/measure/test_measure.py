@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from amulor.errors import CubeError
 from amulor.imaging import measure
+from amulor.imaging.measure import fits
 
 DRAWS = 200
 FIRST, SECOND, THIRD, FOURTH = (4, 5), (18, 27), (19, 4), (5, 28)
@@ -340,3 +341,22 @@ def test_what_cannot_be_measured_is_explained(
         measure.height(image, (0, 0), (5, 5), axis=(0, 0, 0))
     with pytest.raises(ValueError, match="reach must be at least 0"):
         measure.distance(image, (0, 0), (5, 5), reach=-1)
+
+
+def test_a_fit_is_doubted_beyond_its_limits() -> None:
+    # The limit of the misfit is that of chance, or of all shapes if larger.
+    def doubt(misfit: float, chance: float, error: float, kind: str = "sphere") -> str:
+        return fits._doubt(kind, misfit, chance, {"radius": 0.1}, {"radius": error})
+
+    limit = 1.5
+    for chance in (limit / 2, 2 * limit):
+        at = max(limit, chance)
+        assert doubt(at, chance, 0.0) == ""
+        assert "does not fit this shape" in doubt(1.001 * at, chance, 0.0)
+        assert doubt(1.001 * at, chance, 0.0, kind="circle") == ""
+    sure = 0.1 / 4
+    assert doubt(1.0, 1.0, 0.999 * sure) == ""
+    text = doubt(1.0, 1.0, 1.001 * sure)
+    # The curvature 1 / r is normal: its upper limit at two errors is (1 + 2 s) / r.
+    least = 100 / (1 + 2 * 1.001 / 4)
+    assert f"above {least:.3g} mm" in text
