@@ -13,7 +13,14 @@ from numpy.testing import assert_allclose
 
 from amulor import cube as cubes
 from amulor import imaging
-from amulor.imaging.edges import _along_edge, _off_lines, reached, steps
+from amulor.imaging.edges import (
+    _SIDE,
+    _along_edge,
+    _off_lines,
+    _step_scores,
+    reached,
+    steps,
+)
 
 Make = Callable[..., xr.Dataset]
 #: Of the images of `written` [m].
@@ -248,3 +255,32 @@ def test_five_pixels_off_a_line_by_chance_only_are_a_line() -> None:
         line, _ = _along_edge(distance, np.full((5, 5), 1e-6), 1)
         straight = np.isfinite(line)
         assert straight.all() if off < 2e-3 else not straight.any()
+
+
+def test_a_step_is_that_of_a_weighted_fit_of_two_lines_with_one_slope() -> None:
+    # For each column of the middle row: means of three rows, then a constant, a slope
+    # and a step between the columns before and after, by least squares.
+    rng = np.random.default_rng(10)
+    distance = 1.5 + 1e-3 * rng.standard_normal((3, 12))
+    distance[:, 6:] += 0.01
+    distance[0, 3] = np.nan
+    variance = 1e-6 * (1 + rng.random((3, 12)))
+    valid = np.isfinite(distance)
+    mean = np.nanmean(distance, axis=0)
+    weight = valid.sum(axis=0) ** 2 / np.where(valid, variance, 0).sum(axis=0)
+    scores = _step_scores(distance, variance, 1)[1]
+    for column in range(11):
+        near = np.arange(max(column + 1 - _SIDE, 0), min(column + 1 + _SIDE, 12))
+        place = near - column - 0.5
+        design = np.stack([np.ones(near.size), place, np.sign(place) / 2], axis=1)
+        root = np.sqrt(weight[near])[:, None]
+        inverse = np.linalg.pinv((design * root).T @ (design * root))
+        fit = inverse @ (design * root**2).T @ mean[near]
+        rest = (mean[near] - design @ fit) * root[:, 0]
+        excess = max(rest @ rest / max(near.size - 3, 1), 1.0)
+        if np.linalg.matrix_rank(design) < 3:
+            assert scores[column] == 0
+            continue
+        expected = abs(fit[2]) / np.sqrt(excess * inverse[2, 2])
+        assert scores[column] == pytest.approx(expected, rel=1e-6), column
+    assert scores.argmax() == 5

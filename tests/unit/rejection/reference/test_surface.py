@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.reference import surface
 from amulor.rejection.reference.shots import fit_channel
+from amulor.rejection.reference.surface import relative_fluctuation
 
 
 def _directions(columns: int, rows: int, wide: float, tall: float) -> np.ndarray:
@@ -67,3 +69,32 @@ def test_what_drowns_in_noise_has_no_logarithm() -> None:
     np.testing.assert_allclose(
         strong[1] * np.exp(strong[0]), (shots + 100).reshape(6, 10).mean(axis=1)
     )
+
+
+def test_fluctuations_along_and_across_the_water_signal_are_separated() -> None:
+    rng = np.random.default_rng(3)
+    level = 2.0 * np.exp(1j * rng.uniform(-3, 3, 4000)) * rng.uniform(0.5, 1.5, 4000)
+    true = np.array([[0.04, 0.01], [0.01, 0.02]])
+    radial, tangential = np.linalg.cholesky(true) @ rng.standard_normal((2, 4000))
+    root = 0.1 * rng.standard_normal((2, 2))
+    noise = root @ rng.standard_normal((2, 4000))
+    square = root @ root.T
+    instrument = Covariance(
+        *(np.full(4000, square[i, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
+    )
+    shots = level * (1 + radial + 1j * tangential) + noise[0] + 1j * noise[1]
+    found = relative_fluctuation(shots, level, instrument, freedom=4000)
+    # Variances of 4000 draws have an error of 2 %, that of the noise included.
+    assert_allclose(found, true, atol=5 * 0.022 * 0.04)
+    # Half of the freedom doubles what is observed, before noise is subtracted.
+    again = relative_fluctuation(shots, level, instrument.scaled(0.0), freedom=2000)
+    whole = relative_fluctuation(shots, level, instrument.scaled(0.0), freedom=4000)
+    assert_allclose(again, 2 * whole)
+    # More noise than scatter is no negative variance.
+    none = relative_fluctuation(shots, level, instrument.scaled(1e4), freedom=4000)
+    assert_allclose(none, 0, atol=1e-12)
+    for nothing in (0 * level, level[:0]):
+        part = instrument.part(slice(nothing.size))
+        result = relative_fluctuation(0 * nothing, nothing, part, freedom=1)
+        assert np.all(result == 0)
+    assert np.all(relative_fluctuation(shots, level, instrument, freedom=0) == 0)
