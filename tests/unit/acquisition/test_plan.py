@@ -106,3 +106,52 @@ def test_an_extra_reference_has_keys_of_its_own(small: Survey) -> None:
     assert not planned & {*extra}
     # In each of three breaks: 2 channels of 2 dark readings and 6 shots.
     assert len(extra) == 3 * 2 * (2 + 6)
+
+
+def test_an_extra_reference_goes_on_counting_after_the_planned_ones(small) -> None:
+    # Two blocks of 3 dark readings and 4 rounds of shots come before it.
+    scan = small.scan.model_copy(
+        update={"open_water": OpenWater(rows=2, columns=3, repeats=4)}
+    )
+    survey = small.model_copy(update={"scan": scan})
+    procedure = Procedure(references=2, dark_readings=3)
+    for number in (0, 1):
+        keys = [s.key for s in plan.extra_reference(survey, procedure, number=number)]
+        dark = {key.repeat for key in keys if key.kind == plan.DARK}
+        shots = {key.repeat for key in keys if key.kind == plan.OPEN_WATER}
+        assert dark == {6 + 3 * number + reading for reading in range(3)}
+        assert shots == {4 + number}
+        # Two channels: three dark readings, and a shot in each of six directions.
+        assert len(keys) == 2 * (3 + 6)
+
+
+def test_spoiled_samples_alone_are_taken_again_under_the_next_number(small) -> None:
+    keys = [step.key for step in plan.steps(small, Procedure())]
+    scan = [key for key in keys if key.kind == plan.SCAN]
+    spoiled = [scan[1], scan[4]._replace(repeat=2)]
+    again = [s.key for s in plan.retakes(small, Procedure(), spoiled=spoiled)]
+    assert again == [scan[1]._replace(repeat=1), scan[4]._replace(repeat=3)]
+    step = next(plan.steps(small, Procedure()))
+    assert step.without(set()) == step
+    assert step.without(set(step.keys)) is None
+
+
+def test_a_strip_goes_on_in_one_row_one_channel_and_one_direction(small) -> None:
+    def step(row: int, column: int, pair: str = "VH", kind: str = plan.SCAN):
+        key = plan.Key(kind, row, column, 39e6, pair, 0)
+        return plan.Step(key, 0.0, 0.0)
+
+    def lengths(*steps: plan.Step, longest: int = 9) -> list[int]:
+        return [len(strip) for strip in plan.strips(steps, longest=longest)]
+
+    assert lengths(*(step(0, k) for k in range(5))) == [5]
+    assert lengths(*(step(0, k) for k in range(5)), longest=2) == [2, 2, 1]
+    assert lengths(*(step(0, k) for k in (4, 3, 2))) == [3]
+    # A gap, a turn, the next row, another channel, and references end a strip.
+    assert lengths(*(step(0, k) for k in (0, 1, 3, 4))) == [2, 2]
+    assert lengths(*(step(0, k) for k in (0, 1, 0))) == [2, 1]
+    assert lengths(step(0, 1), step(1, 2)) == [1, 1]
+    assert lengths(step(0, 1), step(0, 2, "VV")) == [1, 1]
+    water = plan.OPEN_WATER
+    assert lengths(step(0, 1, kind=water), step(0, 2, kind=water)) == [1, 1]
+    assert lengths() == []
