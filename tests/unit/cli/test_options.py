@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from amulor.cli._arguments import (
@@ -15,6 +16,7 @@ from amulor.cli._arguments import (
 )
 from amulor.cli.calibrate import _numbers
 from amulor.cli.export import line_of, scale_of
+from amulor.cli.info import _chance, _counted, _print_ranges
 from amulor.cli.report import _check_of
 from amulor.cli.survey import _whereabouts
 
@@ -96,3 +98,18 @@ def test_a_target_that_no_beam_meets_is_named_with_its_direction(plate) -> None:
     low = _whereabouts(plate, (0.0, math.tan(math.radians(0.8)), 1.0))
     assert "its center has elevation -0.8 degrees, the scan -0.765 to 0.765" in low
     assert "0.5 m behind the instrument" in _whereabouts(plate, (0.0, 0.0, -0.5))
+
+
+def test_ranges_are_printed_as_quantiles_of_the_pixels_that_have_one(capsys) -> None:
+    values = np.concatenate([np.linspace(1, 2, 101), [np.nan, np.nan]])
+    _print_ranges(values)
+    assert "median 1.5000 m, 1.0100 to 1.9900 m" in (text := capsys.readouterr().out)
+    assert "101 of 103 hold a range" in text
+    _print_ranges(np.full(4, np.nan))
+    assert capsys.readouterr().out == "  slant range: 0 of 4 hold a range\n"
+
+
+def test_dimensions_are_counted_in_words() -> None:
+    sizes = {"modulation_frequency": 2, "polarization": 2, "row": 3, "shot": 5}
+    assert _counted(sizes) == [("row", 3), ("open-water shot", 5)]
+    assert (_chance(None), _chance(0.04)) == ("", " (chance below 0.04)")
