@@ -448,6 +448,7 @@ def cloud_file(
 ) -> CloudSummary:
     """Write the point cloud of a range image, tile by tile."""
     chosen = selection or Selection()
+    full = os.fspath(output).lower().endswith(".mcap")
     with open_rows(source) as image:
         cubes.checked(image.tile(0, 1), "range_image")
         few = max(1, _PIXELS // image.columns)
@@ -460,7 +461,7 @@ def cloud_file(
                 tell(f"row {begin:,} of {image.rows:,}", 0.2 + 0.8 * begin / image.rows)
                 tile = image.tile(begin, end)
                 tile = without(tile, to_leave_out(tile, **vars(chosen))[0], counts)
-                cloud = imaging.point_cloud(tile, frame=frame)
+                cloud = imaging.point_cloud(tile, frame=frame, covariance=full)
                 row = cloud["row"]
                 yield cloud.assign(row=row.copy(data=row.values + np.int32(begin)))
 

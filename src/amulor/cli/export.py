@@ -36,7 +36,7 @@ Product = Literal[
 ]
 
 #: Endings of clouds.
-_CLOUDS = (".ply", ".xyz", ".csv", ".laz", ".las", ".e57", ".nc")
+_CLOUDS = (".ply", ".xyz", ".csv", ".laz", ".las", ".e57", ".mcap", ".nc")
 
 
 def export(
@@ -84,9 +84,9 @@ def export(
     image
         Range image (netCDF), from `amulor image`.
     output
-        File to write. Its ending selects the format: .ply, .laz, .las, .e57, .xyz, .csv
-        or .nc for a cloud, .tif for heights, .png, .pdf or .svg for an orthoimage, .dxf
-        for lines.
+        File to write. Its ending selects the format: .ply, .laz, .las, .e57, .xyz,
+        .csv, .mcap (ROS 2) or .nc for a cloud, .tif for heights, .png, .pdf or .svg for
+        an orthoimage, .dxf for lines.
     product
         Kind of product, if the ending and the other options allow several. A mesh is a
         .ply file; a section, or the half-profile of a round object such as a pot, is
@@ -238,7 +238,7 @@ def export(
     if isinstance(frame, MovingFrame):
         spread = float(np.nanmax(frame.spread))
         print(f"readings of a point: taken along up to {1e3 * spread:.3g} mm of track")
-    if product == "cloud":
+    if product == "cloud" and output.suffix.lower() != ".mcap":
         print_next(f"amulor view {output}")
 
 
@@ -274,7 +274,8 @@ def _by_rows(
     doubt = f", {summary.doubtful} of them doubtful" if summary.doubtful else ""
     doubt += f": {summary.error_unknown}" if summary.error_unknown else ""
     print(f"{output}: {summary.points} points{doubt}")
-    print_next(f"amulor view {output}")
+    if output.suffix.lower() != ".mcap":
+        print_next(f"amulor view {output}")
 
 
 def scale_of(option: str, text: str) -> float:

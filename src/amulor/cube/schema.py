@@ -539,6 +539,9 @@ LEVELS = {
                 "x_uncertainty": _optional(_POINT, "m", "standard uncertainty of x"),
                 "y_uncertainty": _optional(_POINT, "m", "standard uncertainty of y"),
                 "z_uncertainty": _optional(_POINT, "m", "standard uncertainty of z"),
+                "xy_covariance": _optional(_POINT, "m2", "covariance of x and y"),
+                "xz_covariance": _optional(_POINT, "m2", "covariance of x and z"),
+                "yz_covariance": _optional(_POINT, "m2", "covariance of y and z"),
                 "quality_flag": _optional(
                     _POINT, "1", "reason why a point is doubtful"
                 ),

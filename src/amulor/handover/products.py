@@ -124,7 +124,8 @@ def _cloud(
     slim: bool,
     overwrite: bool,
 ) -> str:
-    cloud = imaging.point_cloud(image, frame=frame)
+    full = path.suffix.lower() == ".mcap"
+    cloud = imaging.point_cloud(image, frame=frame, covariance=full)
     if path.suffix.lower() == ".nc":
         io.write_cube(cloud, path, overwrite=overwrite)
     else:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from amulor.errors import CubeError
 from amulor.imaging.observation import readable_survey
 from amulor.platform import rotation_of
+from amulor.platform.attitude import PAIRS
 from amulor.survey import Pose
 
 Floats = NDArray[np.float64]
@@ -178,6 +179,26 @@ class Frame:
             Variances of the coordinates [m^2].
         """
         return np.asarray((self.shared_errors(points) ** 2).sum(axis=0))
+
+    def cross_covariance(self, points: ArrayLike, along: ArrayLike) -> Floats:
+        """Return covariances of different coordinates due to the pose.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            In this frame [m].
+        along : array_like, shape (n, 3)
+            Unit vectors of the beams, not used by an instrument that stands still [1].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Covariances of x and y, x and z, y and z [m^2].
+        """
+        shifts = self.shared_errors(points)
+        return np.stack(
+            [(shifts[..., i] * shifts[..., j]).sum(axis=0) for i, j in PAIRS], axis=1
+        )
 
     @property
     def unknown(self) -> tuple[str, ...]:

@@ -12,10 +12,14 @@ from amulor.imaging.frame import Frame, frame_of
 from amulor.imaging.moving import MovingFrame
 from amulor.imaging.observation import geometry_of
 from amulor.platform import InstrumentPoses
+from amulor.platform.attitude import PAIRS
 
 
 def point_cloud(
-    image: xr.Dataset, *, frame: Frame | MovingFrame | None = None
+    image: xr.Dataset,
+    *,
+    frame: Frame | MovingFrame | None = None,
+    covariance: bool = False,
 ) -> xr.Dataset:
     r"""Convert the usable pixels of a range image into points in space.
 
@@ -27,6 +31,8 @@ def point_cloud(
         Axes of the points, from `frame_of` or `moving_frame`; by default x right, y
         down, z forward in the axes of the instrument, in which the emitter is at its
         `emitter_position`.
+    covariance : bool
+        Whether the cloud has the covariances of the coordinates of each point.
 
     Returns
     -------
@@ -89,6 +95,7 @@ def point_cloud(
                 f"{axis}_uncertainty": np.sqrt(variance[:, number])
                 for number, axis in enumerate("xyz")
             },
+            **(_covariances(placed, points, along, sigma) if covariance else {}),
             "quality_flag": flag[row, column],
             **_time(placed),
             "row": row.astype(np.int32),
@@ -118,6 +125,22 @@ def point_cloud(
     for axis, meaning in zip("xyz", frame.meanings, strict=True):
         cloud[axis].attrs["long_name"] = meaning
     return cubes.note(cloud, "point cloud")
+
+
+def _covariances(
+    placed: Frame | InstrumentPoses,
+    points: NDArray[np.float64],
+    along: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+) -> dict[str, NDArray[np.float64]]:
+    """Return the covariances of x and y, x and z, y and z of each point [m^2]."""
+    by_pose = placed.cross_covariance(points, along)
+    values = {}
+    for number, (first, second) in enumerate(PAIRS):
+        by_range = along[:, first] * along[:, second] * sigma**2
+        name = f"{'xyz'[first]}{'xyz'[second]}_covariance"
+        values[name] = by_range + by_pose[:, number]
+    return values
 
 
 def _time(placed: Frame | InstrumentPoses) -> dict[str, NDArray[np.float64]]:

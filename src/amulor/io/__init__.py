@@ -18,6 +18,7 @@ from amulor.io.e57 import write_e57, write_e57_parts, write_e57_scans
 from amulor.io.files import check_output, make_folder
 from amulor.io.histograms import Histograms, read_histograms
 from amulor.io.laz import write_laz, write_laz_parts
+from amulor.io.mcap_cloud import write_mcap, write_mcap_parts
 from amulor.io.netcdf import read_cube, row_writer, write_cube
 from amulor.io.ply import write_ply, write_ply_parts
 from amulor.io.shapes import checked_parts
@@ -45,13 +46,14 @@ __all__ = [
     "write_e57",
     "write_e57_scans",
     "write_laz",
+    "write_mcap",
     "write_ply",
     "write_tally",
     "write_text",
 ]
 
 #: Suffixes that `write_cloud` knows.
-CLOUD_SUFFIXES = (".ply", ".laz", ".las", ".e57", ".xyz", ".csv")
+CLOUD_SUFFIXES = (".ply", ".laz", ".las", ".e57", ".mcap", ".xyz", ".csv")
 
 
 def write_cloud(
@@ -107,6 +109,8 @@ def write_cloud(
         write_laz(cloud, path, slim=slim, overwrite=overwrite)
     elif suffix == ".e57":
         write_e57(cloud, path, shape=shape, overwrite=overwrite)
+    elif suffix == ".mcap":
+        write_mcap(cloud, path, overwrite=overwrite)
     elif suffix in (".xyz", ".csv"):
         write_text(cloud, path, overwrite=overwrite)
     else:
@@ -130,6 +134,8 @@ def write_cloud_parts(
             write_laz_parts(parts, count, path, slim=slim, overwrite=overwrite)
         case ".e57":
             write_e57_parts(parts, count, path, shape=shape, overwrite=overwrite)
+        case ".mcap":
+            write_mcap_parts(parts(), count, path, overwrite=overwrite)
         case ".nc":
             name, done = f"the cloud for {path}", 0
             with row_writer(path, count, overwrite=overwrite, over="point") as writer:

@@ -8,6 +8,9 @@ from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float64]
 
+#: Pairs of different coordinates.
+PAIRS = ((0, 1), (0, 2), (1, 2))
+
 
 def turn_between(first: Rotation, second: Rotation) -> Floats:
     """Return the rotation vectors, in site axes, from first to second attitudes."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import SurveyError
-from amulor.platform.attitude import cross_matrix
+from amulor.platform.attitude import PAIRS, cross_matrix
 from amulor.platform.mounting import deviations, error_factors
 from amulor.platform.trajectory import Poses, Trajectory
 from amulor.survey.course import boresight_of
@@ -183,6 +183,35 @@ class InstrumentPoses:
         smear = (rate * self.duration)[:, None] * beams / np.sqrt(12)
         shared = (self.shared_errors(points) ** 2).sum(axis=0)
         return np.asarray(own + shared + smear**2)
+
+    def cross_covariance(self, points: ArrayLike, along: ArrayLike) -> Floats:
+        """Return covariances of different coordinates, with the parts of `variance`.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            One point per reading, in site axes [m].
+        along : array_like, shape (n, 3)
+            Unit vectors of the beams, in site axes [1].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Covariances of east and north, east and up, north and up [m^2].
+        """
+        beams = np.asarray(along, dtype=float)
+        rate = np.einsum("ni,ni->n", self.velocity, beams)
+        smear = (rate * self.duration)[:, None] * beams / np.sqrt(12)
+        by_pose, shared = self.covariance(points), self.shared_errors(points)
+        return np.stack(
+            [
+                by_pose[:, i, j]
+                + (shared[..., i] * shared[..., j]).sum(axis=0)
+                + smear[:, i] * smear[:, j]
+                for i, j in PAIRS
+            ],
+            axis=1,
+        )
 
     def shared_errors(self, points: ArrayLike) -> Floats:
         """Return the shift of points by one sigma of each error common to all readings.

@@ -14,6 +14,7 @@ SIGNATURES = {
     ".laz": b"LASF",
     ".las": b"LASF",
     ".e57": b"ASTM-E57",
+    ".mcap": b"\x89MCAP0\r\n",
     ".xyz": b"# axes: ",
     ".csv": b"# axes: ",
     ".PLY": b"ply\n",
