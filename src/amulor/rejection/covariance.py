@@ -65,6 +65,14 @@ class Covariance:
             self.in_phase[index], self.quadrature[index], self.cross[index]
         )
 
+    def where(self, mask: NDArray[np.bool_], other: Covariance) -> Covariance:
+        """Return the covariance where a mask is set, elsewhere the other one."""
+        return Covariance(
+            np.where(mask, self.in_phase, other.in_phase),
+            np.where(mask, self.quadrature, other.quadrature),
+            np.where(mask, self.cross, other.cross),
+        )
+
     def mahalanobis(self, signal: Complex) -> Floats:
         """Return the squared Mahalanobis distance of a signal from zero [1]."""
         real, imaginary = signal.real, signal.imag

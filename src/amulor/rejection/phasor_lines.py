@@ -19,15 +19,20 @@ from amulor.rejection.build import present_terms, target_cube
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.methods import method
 from amulor.rejection.observation import Observation
+from amulor.rejection.smooth_water import (
+    TERMS,
+    Field,
+    Offsets,
+    SmoothWater,
+    fit_smooth_water,
+    quadratic,
+)
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Largest phase error of a direction: beyond, the reflectance does not vary [rad].
 _LARGEST_ERROR = 0.1
-#: Unknowns of a window: two quadratic surfaces, of the water signal across the line and
-#: of the phase.
-_TERMS = 6
 #: Least number of samples beyond the unknowns of a window.
 _LEAST_FREEDOM = 6
 #: Steps of the fit; the phase of a window converges quadratically.
@@ -45,6 +50,20 @@ _SCALE_TERMS = ((6, 12.0), (3, 4.0), (1, 0.0))
 #: Largest share of a single edge in the variation of the reflectance [1]. It may be the
 #: edge of an object, with a change of the distance.
 _EDGE = 0.6
+#: Quantile of the amplitudes that bounds the expected water signal [1].
+_STRONG = 0.95
+#: Largest share of a single edge in a line from which the water is estimated [1].
+_WATER_EDGE = 0.4
+#: Largest uncertainty of the water signal along the targets, in parts of their median:
+#: beyond, the phase is that of windows [1].
+_SURE_WATER = 0.1
+#: Least share of pixels with so sure a water signal [1].
+_SURE_PIXELS = 0.8
+#: Largest scatter of the lines about this water signal, over their variances [1].
+_LARGEST_MISFIT = 2.0
+#: Difference of the brightness of two sides of a window that is a step, in standard
+#: errors [1].
+_STEP = 5.0
 #: Smallest divisor.
 _TINY = 1e-300
 #: Probability of a scatter below which the errors are enlarged by it [1].
@@ -59,16 +78,14 @@ _LIMITS = (5.0, 4.0, 3.0, 2.5, 2.5, 2.5)
 class NoiseScale:
     """Factor on the stated variances, a smooth function of the direction."""
 
-    middle: Floats
-    """Azimuth and elevation of the middle of the scan [rad]."""
-    half_span: Floats
-    """Half the span of azimuth and elevation [rad]."""
+    field: Field
+    """Directions of the scan."""
     terms: Floats
     """Terms of the logarithm, over (modulation_frequency, polarization, term)."""
 
     def at(self, azimuth: Floats, elevation: Floats) -> Floats:
         """Return the factor, at least 1, over (frequency, channel, row, column)."""
-        terms = _direction_terms(azimuth, elevation, self.middle, self.half_span)
+        terms = self.field.terms(azimuth, elevation)
         logarithm = np.zeros((*self.terms.shape[:2], *azimuth.shape))
         for k in range(self.terms.shape[2]):
             logarithm += self.terms[:, :, k, None, None] * terms[..., k]
@@ -87,6 +104,11 @@ class PhasorLinesFit:
     1, 1) [V^2]."""
     noise_scale: NoiseScale
     """Factor on the sum of both variances."""
+    water: SmoothWater
+    """Water signal that the lines have in common."""
+    by_water: NDArray[np.bool_]
+    """Whether this water signal is subtracted, over (modulation_frequency,
+    polarization, 1, 1). If not, the phase is that of windows."""
     terms: tuple[str, ...]
     """Names of the error terms that are not zero everywhere."""
 
@@ -112,18 +134,24 @@ class _Lines:
     """Degrees of freedom of the misfit [1]."""
     edge: Floats
     """Share of a single edge in the variation of the reflectance [1]."""
+    offset: Floats
+    """Water signal across the line in the middle of the window [V]."""
+    offset_terms: Floats
+    """Terms of the variance of the offset, on the last axis: a polynomial of the water
+    signal along the line."""
+
+    def scale(self, factor: Floats) -> None:
+        """Multiply the variances of the samples by a factor for each window."""
+        self.misfit[:] /= factor
+        self.covariance[:] *= factor[..., None, None]
+        self.offset_terms[:] *= factor[..., None]
 
 
 def _surface(window: int) -> Floats:
     """Return the terms of a quadratic surface at the samples of a window."""
     line = np.linspace(-1.0, 1.0, window)
     y, x = (part.ravel() for part in np.meshgrid(line, line, indexing="ij"))
-    return _quadratic(x, y)
-
-
-def _quadratic(x: Floats, y: Floats) -> Floats:
-    """Return the terms of a quadratic function of two coordinates, on the last axis."""
-    return np.stack([np.ones_like(x), x, y, x**2, x * y, y**2], axis=-1)
+    return quadratic(x, y)
 
 
 @functools.cache
@@ -164,12 +192,12 @@ def _fit_lines(
     Contrasts are the signals without their smooth part.
     """
     surface = _surface(window)
-    freedom = usable.sum(axis=1) - 2.0 * _TERMS
+    freedom = usable.sum(axis=1) - 2.0 * TERMS
     enough = freedom >= _LEAST_FREEDOM
     usable = usable & enough[:, None]
     usable[~enough] = True  # arbitrary results, which are discarded below
     contrast = _contrast(signal, errors, usable, surface)
-    phase = np.zeros((len(signal), _TERMS))
+    phase = np.zeros((len(signal), TERMS))
     phase[:, 0] = np.angle((contrast**2).sum(axis=1)) / 2
     for _ in range(_STEPS):
         fit = _normal(signal, errors, usable, phase, surface)
@@ -186,6 +214,8 @@ def _fit_lines(
         misfit=fit.misfit,
         freedom=freedom,
         edge=edge,
+        offset=fit.offset,
+        offset_terms=fit.offset_terms,
     )
     return lines, contrast
 
@@ -212,6 +242,10 @@ class _Normal:
     """Covariance of these terms, infinite without contrast [rad^2]."""
     misfit: Floats
     """Chi-square of the distances from the line [1]."""
+    offset: Floats
+    """Water signal across the line in the middle of the window [V]."""
+    offset_terms: Floats
+    """Terms of the variance of the offset, as in `_Lines`."""
 
 
 def _normal(
@@ -229,8 +263,8 @@ def _normal(
     turn = np.exp(-1j * (phase @ surface.T))
     turned, variance = signal * turn, errors.turned(turn)
     weight = usable / variance.quadrature
-    along, across = turned.real, turned.imag
-    along = along - np.average(along, weights=weight, axis=1)[:, None]
+    whole, across = turned.real, turned.imag
+    along = whole - np.average(whole, weights=weight, axis=1)[:, None]
     of_phase = along[:, :, None] * surface
     weighted = weight[:, :, None] * surface
     of_water = np.ascontiguousarray(weighted.swapaxes(1, 2))
@@ -243,20 +277,40 @@ def _normal(
     left_weighted = np.ascontiguousarray((weight[:, :, None] * left).swapaxes(1, 2))
     information = left_weighted @ left
     slope = (left_weighted @ rest[:, :, None])[:, :, 0]
-    squares = (surface[:, :, None] * surface[:, None, :]).reshape(-1, _TERMS**2)
-    noise = ((share * variance.in_phase) @ squares).reshape(-1, _TERMS, _TERMS)
+    squares = (surface[:, :, None] * surface[:, None, :]).reshape(-1, TERMS**2)
+    noise = ((share * variance.in_phase) @ squares).reshape(-1, TERMS, TERMS)
     slope = slope - (share * variance.cross) @ surface
     without_noise = information - noise
     positive = np.linalg.eigvalsh(without_noise)[:, 0] > 0
     power = (weight * np.abs(signal) ** 2).sum(axis=1)
     positive &= without_noise[:, 0, 0] > _LEAST_CONTRAST**2 * power
-    without_noise[~positive] = np.eye(_TERMS)
+    without_noise[~positive] = np.eye(TERMS)
     inverse = np.linalg.inv(without_noise)
     covariance = inverse @ information @ inverse
-    covariance[~positive] = np.inf
     change = (inverse @ slope[:, :, None])[:, :, 0]
     change[~positive] = 0.0
-    return _Normal(change, covariance, (weight * rest**2).sum(axis=1))
+    middle = solved[:, 0]
+    # A turn of the line moves the offset by the amplitude of the target. That is the
+    # signal along the line, less the water signal.
+    lever = (middle * whole) @ surface
+    with_lever = (covariance @ lever[:, :, None])[:, :, 0]
+    noise_part = (middle**2 * variance.quadrature).sum(axis=1)
+    terms = np.stack(
+        [
+            noise_part + (lever * with_lever).sum(axis=1),
+            -2 * with_lever[:, 0],
+            covariance[:, 0, 0],
+        ],
+        axis=1,
+    )
+    covariance[~positive] = np.inf
+    return _Normal(
+        change=change,
+        covariance=covariance,
+        misfit=(weight * rest**2).sum(axis=1),
+        offset=(middle * across).sum(axis=1),
+        offset_terms=terms,
+    )
 
 
 def _fit_windows(scan: Observation, errors: Covariance, window: int) -> _Lines:
@@ -315,6 +369,8 @@ def _fit_block(views: list[NDArray[Any]], window: int) -> _Lines:
     opposite = (sense < 0) != backward
     for line, where in zip(lines, opposite, strict=True):
         line.phase[where, 0] += np.pi
+        line.offset[where] *= -1
+        line.offset_terms[where, 1] *= -1
     return _Lines(
         **{
             field.name: values.reshape(*shape, *values.shape[2:])
@@ -360,12 +416,12 @@ def _directions(lines: _Lines, frequency: Floats, window: int) -> _Directions:
         i, j = divmod(k, window)
         here = (slice(i, rows - window + 1 + i), slice(j, columns - window + 1 + j))
         error = np.zeros(lines.misfit.shape)
-        for a, b in np.ndindex(_TERMS, _TERMS):
+        for a, b in np.ndindex(TERMS, TERMS):
             error += covariance[..., a, b] * place[a] * place[b]
         error *= birge
         error[~known] = np.inf
         value = np.zeros(lines.misfit.shape)
-        for a in range(_TERMS):
+        for a in range(TERMS):
             value += lines.phase[..., a] * place[a]
         score = (weight / error).sum(axis=(0, 1))
         # A window that contradicts a line counts only where there is no other.
@@ -378,13 +434,41 @@ def _directions(lines: _Lines, frequency: Floats, window: int) -> _Directions:
     return _Directions(phase=phase, variance=variance, doubtful=doubtful)
 
 
-def _direction_terms(
-    azimuth: Floats, elevation: Floats, middle: Floats, half_span: Floats
-) -> Floats:
-    """Return the terms of a quadratic function of the direction, on the last axis."""
-    x = (azimuth - middle[0]) / half_span[0]
-    y = (elevation - middle[1]) / half_span[1]
-    return _quadratic(x, y)
+def _brightness_steps(scan: Observation, window: int) -> NDArray[np.bool_]:
+    """Return the mask of samples near a step of the brightness.
+
+    Two sides of a window differ by more than the pattern on each side. The step may be
+    the edge of an object.
+    """
+    surface = _surface(window)
+    x, y = surface[:, 1], surface[:, 2]
+    values, use = (
+        np.lib.stride_tricks.sliding_window_view(part, (window, window), axis=(2, 3))
+        for part in (np.where(scan.usable, np.abs(scan.signal), 0.0), scan.usable)
+    )
+    steps = np.zeros(values.shape[:4], dtype=bool)
+    for across in (x, y, (x + y), (x - y)):
+        means, squares, counts = [], [], []
+        for side in (across > _TINY, across < -_TINY):
+            weight = use * side.reshape(window, window)
+            count = np.maximum(weight.sum(axis=(4, 5)), 1)
+            mean = (values * weight).sum(axis=(4, 5)) / count
+            rest = (values - mean[..., None, None]) * weight
+            means.append(mean)
+            squares.append((rest**2).sum(axis=(4, 5)))
+            counts.append(count)
+        freedom = np.maximum(counts[0] + counts[1] - 2, 1)
+        variance = (squares[0] + squares[1]) / freedom
+        variance *= 1 / counts[0] + 1 / counts[1]
+        steps |= (means[0] - means[1]) ** 2 > _STEP**2 * variance
+    half = window // 2
+    whole = np.pad(steps, ((0, 0), (0, 0), (half, half), (half, half)), mode="edge")
+    rows, columns = scan.signal.shape[2:]
+    near = np.pad(whole, ((0, 0), (0, 0), (1, 1), (1, 1)), mode="edge")
+    shifted = [
+        near[:, :, i : i + rows, j : j + columns] for i in range(3) for j in range(3)
+    ]
+    return np.asarray(np.any(shifted, axis=0))
 
 
 def _noise_scale(
@@ -394,11 +478,9 @@ def _noise_scale(
 
     Windows across the edge of an object fit no line, and are left out step by step.
     """
-    spans = [(float(part.min()), float(part.max())) for part in (azimuth, elevation)]
-    middle = np.array([(low + high) / 2 for low, high in spans])
-    half = np.array([max((high - low) / 2, 1e-12) for low, high in spans])
-    design = _direction_terms(azimuth, elevation, middle, half)
-    terms = np.zeros((*lines.misfit.shape[:2], _TERMS))
+    field = Field.of(azimuth, elevation)
+    design = field.terms(azimuth, elevation)
+    terms = np.zeros((*lines.misfit.shape[:2], TERMS))
     for plane in np.ndindex(lines.misfit.shape[:2]):
         good = np.isfinite(lines.covariance[plane][..., 0, 0])
         good &= lines.misfit[plane] > 0
@@ -414,20 +496,77 @@ def _noise_scale(
             fitted = np.linalg.lstsq(columns[use], logarithm[use], rcond=None)[0]
             use = np.abs(logarithm - columns @ fitted) < limit * deviation
             terms[plane][:count] = fitted
-    return NoiseScale(middle=middle, half_span=half, terms=terms)
+    return NoiseScale(field=field, terms=terms)
 
 
-def _fit_noise(scan: Observation, window: int) -> PhasorLinesFit:
-    """Fit the noise to the scatter of the samples about their lines."""
+def _fit_water(scan: Observation, lines: _Lines, window: int) -> SmoothWater:
+    """Fit a smooth water signal to the offsets of lines without sign of an edge."""
+    azimuth, elevation = _centers(scan, window)
+    probability = chdtrc(np.maximum(lines.freedom, 1.0), lines.misfit)
+    offsets, sizes = [], []
+    for plane in np.ndindex(lines.misfit.shape[:2]):
+        good = np.isfinite(lines.covariance[plane][..., 0, 0])
+        good &= (probability[plane] > _RARE) & (lines.edge[plane] < _WATER_EDGE)
+        offsets.append(
+            Offsets(
+                phase=lines.phase[plane][..., 0],
+                offset=lines.offset[plane],
+                terms=lines.offset_terms[plane],
+                good=good,
+            )
+        )
+        bright = np.abs(scan.signal[plane][scan.usable[plane]])
+        strong = np.quantile(bright, _STRONG) if bright.size else 1.0
+        sizes.append(float(strong))
+    return fit_smooth_water(
+        offsets,
+        sizes,
+        azimuth=azimuth,
+        elevation=elevation,
+        planes=lines.misfit.shape[:2],
+        window=window,
+    )
+
+
+def _fit_scan(scan: Observation, window: int) -> PhasorLinesFit:
+    """Fit noise and water to the lines of a scan."""
     errors, usable = scan.covariance, scan.usable
     weight = np.where(usable, 2 / (errors.in_phase + errors.quadrature), 0.0)
     count = np.maximum(usable.sum(axis=(2, 3), keepdims=True), 1)
     stated = count / np.maximum(weight.sum(axis=(2, 3), keepdims=True), _TINY)
     centers = _centers(scan, window)
-    scale = _noise_scale(_fit_windows(scan, errors, window), *centers, window)
-    fit = PhasorLinesFit(fluctuation=scale, stated=stated, noise_scale=scale, terms=())
+    lines = _fit_windows(scan, errors, window)
+    scale = _noise_scale(lines, *centers, window)
+    fit = PhasorLinesFit(
+        fluctuation=scale,
+        stated=stated,
+        noise_scale=scale,
+        water=_fit_water(scan, lines, window),
+        by_water=np.zeros(stated.shape, dtype=bool),
+        terms=(),
+    )
     lines = _fit_windows(scan, fit.errors_of(scan), window)
-    return replace(fit, noise_scale=_noise_scale(lines, *centers, window))
+    fit = replace(fit, noise_scale=_noise_scale(lines, *centers, window))
+    lines.scale(fit.noise_scale.at(*centers))
+    if not (lines.covariance[..., 0, 0] < _LARGEST_ERROR**2).any():
+        raise CubeError(
+            f"the reflectance does not vary within {window} x {window} pixels, or by "
+            "less than noise hides, so that no line gives the phase of the target; "
+            "record open water (--method open-water), or use --method joint"
+        )
+    water = _fit_water(scan, lines, window)
+    signal, unsure = water.before(scan.signal, scan.azimuth, scan.elevation)
+    target = scan.signal - signal
+    along = unsure.turned(np.exp(-1j * np.angle(target))).in_phase
+    by_water = np.zeros(stated.shape, dtype=bool)
+    for plane in np.ndindex(stated.shape[:2]):
+        amplitude = np.abs(target[plane][usable[plane]])
+        if amplitude.size:
+            error = np.sqrt(along[plane][usable[plane]])
+            sure = error < _SURE_WATER * np.median(amplitude)
+            by_water[plane] = sure.mean() > _SURE_PIXELS
+            by_water[plane] &= water.misfit[plane] < _LARGEST_MISFIT
+    return replace(fit, water=water, by_water=by_water)
 
 
 def _centers(scan: Observation, window: int) -> tuple[Floats, Floats]:
@@ -441,49 +580,59 @@ def _follow(
 ) -> tuple[xr.Dataset, PhasorLinesFit]:
     """Follow the lines of a scan or, with `fit`, of rows; return also the fit."""
     scan = Observation(cube=cubes.checked(cube, "samples"))
-    noise = _fit_noise(scan, window) if fit is None else fit
-    errors = noise.errors_of(scan)
-    lines = _fit_windows(scan, errors, window)
-    factor = noise.noise_scale.at(*_centers(scan, window))
-    lines.misfit[:] /= factor
-    lines.covariance[:] *= factor[..., None, None]
-    found = _directions(lines, scan.frequency, window)
-    sure = found.variance < _LARGEST_ERROR**2
-    if fit is None and not sure.any():
-        raise CubeError(
-            f"the reflectance does not vary within {window} x {window} pixels, or by "
-            "less than noise hides, so that no line gives the phase of the target; "
-            "record open water (--method open-water), or use --method joint"
-        )
-    turn = np.exp(1j * found.phase)
-    amplitude = np.abs(scan.signal)
-    total = errors.scaled(noise.noise_scale.at(scan.azimuth, scan.elevation))
-    across = amplitude**2 * np.where(sure, found.variance, 1.0)
-    along = total.turned(turn.conj()).in_phase
-    uncertainty = Covariance(along, across, 0 * along).turned(turn)
+    selected = None if fit is None else fit.terms
+    fit = fit or _fit_scan(scan, window)
+    errors = fit.errors_of(scan)
+    total = errors.scaled(fit.noise_scale.at(scan.azimuth, scan.elevation))
+    water, common = fit.water.before(scan.signal, scan.azimuth, scan.elevation)
+    target = scan.signal - water
+    turn = np.exp(1j * np.angle(target))
+    # The amplitude that divides the noise across the target is uncertain, too.
+    unsure = common.turned(turn.conj()).in_phase
+    unsure /= np.maximum(np.abs(target) ** 2, _TINY)
+    noise = total.scaled(1 + 3 * np.minimum(unsure, 1.0))
+    doubtful = np.zeros(scan.signal.shape, dtype=np.int8)
+    if not fit.by_water.all():
+        lines = _fit_windows(scan, errors, window)
+        lines.scale(fit.noise_scale.at(*_centers(scan, window)))
+        windows = _directions(lines, scan.frequency, window)
+        line = np.exp(1j * windows.phase)
+        sure = windows.variance < _LARGEST_ERROR**2
+        across = np.abs(scan.signal) ** 2 * np.where(sure, windows.variance, 1.0)
+        along = total.turned(line.conj()).in_phase
+        of_line = Covariance(along, across, 0 * along).turned(line)
+        target = np.where(fit.by_water, target, np.abs(scan.signal) * line)
+        turn = np.where(fit.by_water, turn, line)
+        noise = noise.where(fit.by_water, of_line)
+        common = common.where(fit.by_water, common.scaled(0.0))
+        misfit = windows.doubtful | _brightness_steps(scan, window)
+        misfit &= ~fit.by_water
+        doubtful = np.where(misfit, WaterResidualCause.MODEL_MISFIT, 0).astype(np.int8)
     counting = scan.covariance.turned(turn.conj()).quadrature
     counting = counting / total.turned(turn.conj()).quadrature
     terms = present_terms(
         {
-            "counting": uncertainty.scaled(counting),
-            "fluctuation": uncertainty.scaled(1 - counting),
+            "counting": noise.scaled(counting),
+            "fluctuation": noise.scaled(1 - counting),
+            "reference": common,
         },
-        None if fit is None else fit.terms,
+        selected,
     )
-    target = np.where(np.isfinite(scan.signal), amplitude * turn, np.nan)
+    target = np.where(np.isfinite(scan.signal), target, np.nan)
+    windowed = {} if fit.by_water.all() else {"phasor_line_window": np.int32(window)}
     result = target_cube(
         scan.cube,
         target,
-        uncertainty,
+        noise + common,
+        common=common,
         water_signal=scan.signal - target,
         terms=terms,
         step=f"reject, phasor lines in windows of {window} x {window} pixels",
         frequencies_share_errors=np.int32(0),
-        phasor_line_window=np.int32(window),
+        **windowed,
     )
-    doubtful = np.where(found.doubtful, WaterResidualCause.MODEL_MISFIT, 0)
-    result = quality.add_water_residual(result, doubtful.astype(np.int8))
-    return result, replace(noise, terms=tuple(terms))
+    result = quality.add_water_residual(result, doubtful)
+    return result, replace(fit, terms=tuple(terms))
 
 
 def _checked_window(window: float, rows: int, columns: int) -> int:
@@ -535,14 +684,16 @@ def phasor_lines(cube: xr.Dataset, *, window: int = 5) -> xr.Dataset:
     xarray.Dataset
         Level `target_signal`:
 
-        - Phase of the target signal: direction of the line in the best window that
-          contains the pixel. Neighbors share windows, so the errors of pixels less than
-          two windows apart are correlated (`phasor_line_window`).
-        - Amplitude: that of the sample. The part of the water signal that is in phase
-          with the target is not separated.
-        - `NO_TARGET`: no window with this pixel has enough contrast.
-        - `WATER_RESIDUAL` with the cause `MODEL_MISFIT`: the samples of all windows
-          with this pixel contradict a line, as at the edge of an object.
+        - If the targets of the scan have different phases, the lines give the water
+          signal. It is subtracted from each pixel. Its error is common to all pixels.
+        - Otherwise the phase is the direction of the line in the best window that
+          contains the pixel, and the amplitude is that of the sample. Neighbors share
+          windows, so their errors are correlated (`phasor_line_window`).
+        - `NO_TARGET`: the signal is not significant, or no window with this pixel has
+          enough contrast.
+        - `WATER_RESIDUAL` with the cause `MODEL_MISFIT`, for phases of windows: the
+          samples of all windows with this pixel contradict a line, or the brightness
+          has a step near the pixel, as at the edge of an object.
 
     Raises
     ------
@@ -567,9 +718,11 @@ def phasor_lines(cube: xr.Dataset, *, window: int = 5) -> xr.Dataset:
     The line has two directions. In the right one, samples become brighter on average.
     This fails if the water signal exceeds that of the target with opposite phase.
 
-    The method assumes that distance and reflectance do not change together. A bright
-    object before a dark background gives a wrong phase at its edge. Several modulation
-    frequencies reveal this, because the wrong phases contradict one distance.
+    All lines of a direction contain the water signal. Lines of different directions
+    intersect in it. The water signal is fitted to them as a polynomial of degree 4 of
+    the direction, with errors of both offset and phase, and with less weight for lines
+    that miss it. Its phase-dependent term is the water next to the target. The water
+    signal is used if its uncertainty is at most a tenth of the target.
 
     References
     ----------

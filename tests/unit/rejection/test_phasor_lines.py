@@ -199,3 +199,55 @@ def test_errors_of_means_contain_the_shared_windows() -> None:
     # Ten draws: the deviation of a standard normal to 22 %. With independent pixels it
     # would be 3 or more.
     assert 0.3 < np.sqrt(np.mean(np.square(scores))) < 1.6
+
+
+def round_object(step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances and reflectances of a bright disc before a dark wall."""
+    disc = np.hypot(ROWS - 6.5, COLUMNS - 7.5) < 4.5
+    spots = np.where(np.random.default_rng(8).random(disc.shape) < 0.5, 1.0, 0.7)
+    return 1.5 - step * disc, np.where(disc, 0.3, 0.1) * spots
+
+
+def edge_errors(cube: xr.Dataset, distance: np.ndarray) -> np.ndarray:
+    """Return errors of the trusted samples near the disc, in standard errors."""
+    target = rejection.phasor_lines(cube)
+    error, stated = phase_errors(target, phasors(distance))
+    near = np.abs(np.hypot(ROWS - 6.5, COLUMNS - 7.5) - 4.5) < 1.5
+    trusted = (target["quality_flag"].values == 0) & near
+    return (error / stated)[trusted]
+
+
+def test_the_round_edge_of_an_object_is_flagged_or_right() -> None:
+    # The directions of the beam leave the water signal open: phases of windows.
+    for step in (0.01, 0.05, 0.2):
+        distance, reflectance = round_object(step)
+        cube = cube_of(reflectance * phasors(distance) + 0.05 - 0.02j, noise=5e-4)
+        wrong = np.abs(edge_errors(cube, distance)) > 3
+        # 2 x 96 samples are near the edge; without flags 20 and more are wrong.
+        assert wrong.sum() < 8
+
+
+def test_lines_of_different_phases_give_the_water_of_each_pixel() -> None:
+    # A fixed beam, moved sideways along an oblique wall: one water signal. Four pixels,
+    # fewer than a window, are 0.2 m nearer.
+    small = (np.abs(ROWS - 6.5) < 1) & (np.abs(COLUMNS - 7.5) < 1)
+    distance = 1.5 + 0.05 * COLUMNS - 0.2 * small
+    water = 0.05 - 0.02j
+    errors = []
+    for seed in range(4):
+        signal = pattern(seed) * phasors(distance) + water
+        cube = cube_of(signal, noise=5e-4, seed=seed)
+        cube = cube.assign_coords(
+            {name: cube[name].copy(data=0 * ROWS) for name in ("azimuth", "elevation")}
+        )
+        target = rejection.phasor_lines(cube)
+        assert "phasor_line_window" not in target.attrs
+        removed = target["water_in_phase"] + 1j * target["water_quadrature"]
+        # A tenth of the darkest target.
+        assert np.abs(removed.values - water).max() < 0.01
+        error, deviation = phase_errors(target, phasors(distance))
+        errors.append(error / deviation)
+        assert (target["quality_flag"].values == 0).mean() > 0.95
+    assert 0.92 < (np.abs(errors) < 1.96).mean() < 0.99
+    # Four scans of four pixels and two frequencies.
+    assert (np.abs(np.array(errors)[..., small]) < 1.96).mean() > 0.8
