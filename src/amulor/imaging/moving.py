@@ -71,6 +71,17 @@ class MovingFrame:
         return self.poses.known.reshape(self.shape)
 
     @property
+    def matrix(self) -> Floats:
+        """Pose of the instrument in the middle of the scan, homogeneous, (4, 4)."""
+        index = np.flatnonzero(self.poses.known)
+        order = np.argsort(self.poses.vehicle.time[index])
+        middle = index[order[len(order) // 2]]
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.poses.rotation[middle]
+        matrix[:3, 3] = self.poses.position[middle]
+        return matrix
+
+    @property
     def spread(self) -> Floats:
         """Distance moved during the readings of each pixel, (row, column) [m]."""
         speed = np.linalg.norm(self.poses.velocity, axis=-1)

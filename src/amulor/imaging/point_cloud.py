@@ -41,8 +41,9 @@ def point_cloud(
         attribute `scan_shape` is the number of rows and columns of the scan. The
         attribute `frame_matrix` (16 numbers, row by row) transforms from the
         instrument's axes to those of the points; a moving instrument has none. It has
-        `reading_spread` instead, the largest distance that it moves during the readings
-        of a point [m]. Points lie on the beam as refracted by the window.
+        `middle_pose` instead, the same matrix for the middle of the scan, and
+        `reading_spread`, the largest distance that it moves during the readings of a
+        point [m]. Points lie on the beam as refracted by the window.
 
     Notes
     -----
@@ -115,6 +116,7 @@ def point_cloud(
                 else {
                     "reading_spread": _spread(frame, row, column),
                     "trajectory_clock": frame.clock,
+                    "middle_pose": frame.matrix.ravel(),
                 }
             ),
             "crs": frame.crs,

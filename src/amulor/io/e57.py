@@ -89,8 +89,8 @@ def write_e57(
     pixel without a point has zeros and `cartesianInvalidState` 2. A pixel with a
     doubtful range has its coordinates and state 1: only the direction is valid. Points
     are stored in the axes of the instrument; `pose` transforms them to the frame of the
-    cloud. The format has no fields for uncertainty and quality flags; use PLY or LAZ
-    for these.
+    cloud. For a scan from a vehicle, these are the axes in the middle of the scan. The
+    format has no fields for uncertainty and quality flags; use PLY or LAZ for these.
 
     Examples
     --------
@@ -455,9 +455,11 @@ def _in_the_instrument(
     cloud: xr.Dataset,
 ) -> tuple[xr.Dataset, NDArray[np.float64] | None]:
     """Cloud in instrument axes, and the matrix to its frame; None without a change."""
-    if cloud.attrs.get("frame", "instrument") in ("instrument", "trajectory"):
+    frame = cloud.attrs.get("frame", "instrument")
+    name = "middle_pose" if frame == "trajectory" else "frame_matrix"
+    if frame == "instrument" or name not in cloud.attrs:
         return cloud, None
-    matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)
+    matrix = np.asarray(cloud.attrs[name], dtype=float).reshape(4, 4)
     away = [cloud[axis].values - matrix[k, 3] for k, axis in enumerate("xyz")]
     # Not as a matrix product, whose rounding depends on the number of points.
     instrument_position = [

@@ -17,6 +17,8 @@ from project_files import project_text
 from amulor import io
 from amulor.cli import main
 from amulor.handover.archive import missing_of
+from amulor.io.trajectories import write_trajectory
+from amulor.platform import Trajectory
 
 pye57 = pytest.importorskip("pye57")
 
@@ -291,3 +293,41 @@ def test_a_single_scan_needs_no_pose_and_has_z_up(source, tmp_path) -> None:
     assert points[:, 1].max() == pytest.approx(1.5, abs=2e-3)
     registration = (folder / "metadata" / "registration.csv").read_text()
     assert "global RMS error [m],single scan" in registration
+
+
+def test_a_scan_from_a_vehicle_is_archived_with_its_trajectory(
+    source, tmp_path, capsys
+) -> None:
+    """A vehicle at 0.1 m/s to the east."""
+    image = io.read_cube(source / "one.nc")
+    time = np.linspace(0.0, 24.0, image["slant_range"].size)
+    time = time.reshape(image["slant_range"].shape)
+    image = image.assign_coords(time=(("row", "column"), time, {"units": "s"}))
+    image["time"].attrs["long_name"] = "time since the start of the scan"
+    io.write_cube(image, tmp_path / "one.nc")
+    (tmp_path / "raw_one.nc").write_bytes(b"raw")
+    stamps = np.arange(-5.0, 30.0)
+    track = Trajectory.of_angles(
+        time=stamps,
+        position=stamps[:, None] * [0.1, 0.0, 0.0] + [10.0, 20.0, -5.0],
+        heading=0.0,
+    )
+    write_trajectory(track, tmp_path / "track.csv")
+    arm = 'lever_arm = ["0 m", "0 m", "1 m"]'
+    (tmp_path / "rov.toml").write_text(f"[mounting]\n{arm}\n")
+    text = project_text({"scan1": ("one.nc", '["raw_one.nc"]', "")})
+    moved = 'trajectory = "track.csv"\nmounting = "rov.toml"\n'
+    (tmp_path / "project.toml").write_text(text + moved)
+    folder = tmp_path / "Moved"
+    assert main(["archive", str(tmp_path / "project.toml"), "-o", str(folder)]) == 0
+    assert main(["archive", "--check", str(folder)]) == 0
+    (row,) = table(folder / "metadata" / "scans.csv")
+    copied = (folder / row["trajectory"]).read_bytes()
+    assert copied == (tmp_path / "track.csv").read_bytes()
+    assert row["matrix applied to registered cloud"].startswith("no")
+    matrix = np.loadtxt(folder / row["matrix"])
+    # Half way, one metre north of the vehicle's reference point.
+    np.testing.assert_allclose(matrix[:3, 3], [11.2, 21.0, -5.0], atol=0.02)
+    (folder / row["trajectory"]).unlink()
+    assert main(["archive", "--check", str(folder)]) == 1
+    assert "its trajectory" in capsys.readouterr().err

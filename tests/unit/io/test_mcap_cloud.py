@@ -91,6 +91,25 @@ def test_points_and_covariances_are_equal_to_the_bit(moving, tmp_path, monkeypat
     assert "x east" in metadata["axes"]
 
 
+def test_e57_has_the_pose_in_the_middle_of_the_scan(moving, tmp_path):
+    pye57 = pytest.importorskip("pye57")
+    cloud, frame, _ = moving
+    io.write_cloud(cloud, tmp_path / "cloud.e57")
+    scan = pye57.E57(str(tmp_path / "cloud.e57"))
+    header = scan.get_header(0)
+    time = np.sort(frame.poses.vehicle.time)
+    vehicle = time[len(time) // 2] * np.array([0.1, 0.2, 0.01]) + [5.0, 7.0, -8.0]
+    # The instrument is 1.06 m from the reference point of the vehicle.
+    arm = np.linalg.norm(header.translation - vehicle)
+    assert arm == pytest.approx(np.linalg.norm(MOUNTING["lever_arm"]), abs=2e-3)
+    raw = scan.read_scan_raw(0)
+    local = np.stack([raw[f"cartesian{axis}"] for axis in "XYZ"], axis=1)
+    local = local[np.asarray(raw["cartesianInvalidState"]) != 2]
+    site = local @ header.rotation_matrix.T + header.translation
+    stored = np.stack([cloud[axis].values for axis in "xyz"], axis=1)
+    np.testing.assert_allclose(site, stored, rtol=0, atol=1e-9)
+
+
 def test_covariances_are_those_of_shifts_by_each_error(moving):
     """Each quantity of the mounting changed by its uncertainty, one after another."""
     cloud, frame, track = moving

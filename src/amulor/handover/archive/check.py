@@ -103,6 +103,11 @@ def _scan_problems(folder: Path, scan: Mapping[str, str]) -> list[str]:
         for text in (part.strip() for part in (scan.get(field) or "").split(";")):
             if text and not _inside(folder, text):
                 problems.append(f"scan {name}: {label} {text} is not in the archive")
+    trajectory = (scan.get("trajectory") or "").strip()
+    if trajectory and not _inside(folder, trajectory):
+        problems.append(
+            f"scan {name}: its trajectory {trajectory} is not in the archive"
+        )
     matrix = (scan.get("matrix") or "").strip()
     if matrix and not _inside(folder, matrix):
         problems.append(f"scan {name}: its matrix {matrix} is not in the archive")

@@ -83,6 +83,16 @@ def cloud_name(project: str, scan: str) -> str:
     return f"registered/{project}_{scan}"
 
 
+def trajectory_name(project: str, scan: str) -> str:
+    """Return the path of a scan's trajectory in the archive."""
+    return f"processed/{project}_{scan}_trajectory.csv"
+
+
+def mounting_name(project: str, scan: str) -> str:
+    """Return the path of the mounting of a scan's instrument in the archive."""
+    return f"processed/{project}_{scan}_mounting.toml"
+
+
 def raw_folder(scan: str) -> str:
     """Return the path of the folder with a scan's raw files."""
     return f"raw/{scan}"
@@ -157,10 +167,24 @@ class ScanFiles(Description):
     """Raw data: samples (netCDF), or the folder of a scan with its journal."""
     pose: Pose | None = None
     """Pose of the instrument; by default the pose in the survey of the scan."""
+    trajectory: Path | None = None
+    """Trajectory of the vehicle that carried the instrument (CSV), instead of a
+    pose."""
+    mounting: Path | None = None
+    """File with the mounting of the instrument on the vehicle; by default the mounting
+    in the survey of the scan."""
     material: str = ""
     """Material of the scanned surface."""
     notes: str = ""
     """Further notes."""
+
+    @model_validator(mode="after")
+    def _has_one_kind_of_pose(self) -> Self:
+        if self.trajectory is not None and self.pose is not None:
+            raise ValueError("pose and trajectory are both stated; state one")
+        if self.mounting is not None and self.trajectory is None:
+            raise ValueError("mounting needs trajectory, the poses of the vehicle")
+        return self
 
 
 class Registration(Description):
@@ -231,13 +255,16 @@ def read_project(path: Path) -> Project:
     for number, scan in enumerate(project.scans):
         files = {"image": path.parent / scan.image}
         files |= {f"raw[{n}]": path.parent / raw for n, raw in enumerate(scan.raw)}
+        parts = {"trajectory": scan.trajectory, "mounting": scan.mounting}
+        beside = {field: path.parent / file for field, file in parts.items() if file}
         wrong += [
             f"{path}: scans[{number}].{field}: {file} does not exist; check the name"
-            for field, file in files.items()
-            if not (file.exists() if field != "image" else file.is_file())
+            for field, file in (files | beside).items()
+            if not (file.exists() if field.startswith("raw") else file.is_file())
         ]
         image, *raw = files.values()
-        scans.append(scan.model_copy(update={"image": image, "raw": tuple(raw)}))
+        update = {"image": image, "raw": tuple(raw), **beside}
+        scans.append(scan.model_copy(update=update))
     if wrong:
         raise SurveyError("\n".join(wrong))
     return project.model_copy(update={"scans": tuple(scans)})

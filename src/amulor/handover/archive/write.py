@@ -24,6 +24,8 @@ from amulor.handover.archive.project import Project, ScanFiles
 from amulor.imaging import products
 from amulor.imaging.observation import readable_survey
 from amulor.io.files import synchronise_folder
+from amulor.io.trajectories import read_trajectory
+from amulor.platform import read_mounting
 
 Row = dict[str, str]
 
@@ -106,22 +108,34 @@ def _fill(project: Project, hidden: Path) -> dict[str, int]:
     return {"scans": len(rows), "points": points}
 
 
-def _frames(project: Project) -> list[imaging.Frame]:
+AnyFrame = imaging.Frame | imaging.MovingFrame
+
+
+def _frames(project: Project) -> list[AnyFrame]:
     """Return the frame of each scan; raise if reference systems or offsets differ."""
-    frames = []
+    frames: list[AnyFrame] = []
     for scan in project.scans:
         image = io.read_cube(scan.image)
         cubes.check(image, "range_image", name=str(scan.image))
         survey = readable_survey(image)
         pose = scan.pose or (None if survey is None else survey.pose)
-        if pose is None and len(project.scans) > 1:
+        if pose is None and scan.trajectory is None and len(project.scans) > 1:
             raise CubeError(
                 f"scan {scan.name}: neither the project nor its survey states its pose,"
                 " so its points are in no frame with those of other scans; add "
                 "[scans.pose], or archive it alone"
             )
         axes: imaging.Axes = "z-up" if pose is None else "pose"
-        frames.append(imaging.frame_of(image, axes=axes, pose=pose))
+        mounting = None if scan.mounting is None else read_mounting(scan.mounting)
+        frames.append(
+            imaging.frame_of(image, axes=axes, pose=pose)
+            if scan.trajectory is None
+            else imaging.moving_frame(
+                image,
+                trajectory=read_trajectory(scan.trajectory),
+                mounting=mounting,
+            )
+        )
         if (frames[-1].crs, frames[-1].crs_offset) != (
             frames[0].crs,
             frames[0].crs_offset,
@@ -161,7 +175,7 @@ def _scan(
     image: xr.Dataset,
     hidden: Path,
     raw: list[str],
-    frame: imaging.Frame,
+    frame: AnyFrame,
 ) -> Row:
     """Write cloud and matrix of a scan, and return its row in the archive's tables."""
     survey = readable_survey(image)
@@ -170,6 +184,12 @@ def _scan(
     for ending in (".xyz", ".laz", ".e57"):
         io.write_cloud(cloud, hidden / f"{stem}{ending}")
     shutil.copyfile(scan.image, hidden / "processed" / f"{name}_{scan.name}.nc")
+    trajectory = ""
+    if scan.trajectory is not None:
+        trajectory = layout.trajectory_name(name, scan.name)
+        shutil.copyfile(scan.trajectory, hidden / trajectory)
+    if scan.mounting is not None:
+        shutil.copyfile(scan.mounting, hidden / layout.mounting_name(name, scan.name))
     matrix = layout.matrix_name(name, scan.name)
     np.savetxt(hidden / matrix, frame.matrix, fmt="%.12f")
     budget = imaging.error_budget(image)
@@ -182,7 +202,11 @@ def _scan(
         "raw files": "; ".join(raw),
         "registered cloud": f"{stem}.xyz; {stem}.laz; {stem}.e57",
         "matrix": matrix,
-        "matrix applied to registered cloud": "yes",
+        "matrix applied to registered cloud": (
+            "no: it is the pose in the middle of the scan; the trajectory has all poses"
+            if trajectory
+            else "yes"
+        ),
         "date": _day(image),
         "rows": str(rows),
         "columns": str(columns),
@@ -207,6 +231,7 @@ def _scan(
         ),
         "uncertainties not known": ", ".join(unknown) or "none",
         "history": " | ".join(str(image.attrs.get("history", "none")).splitlines()),
+        "trajectory": trajectory,
         "material": scan.material,
         "simulated": "yes" if image.attrs.get("simulated") else "no",
         "notes": scan.notes,
@@ -240,7 +265,7 @@ def _project_fields(project: Project, rows: list[Row], points: int) -> Row:
     }
 
 
-def _registration_fields(project: Project, frames: Sequence[imaging.Frame]) -> Row:
+def _registration_fields(project: Project, frames: Sequence[AnyFrame]) -> Row:
     registration = project.registration
     error = registration.rms_error
     return {
@@ -269,11 +294,13 @@ Digital Antiquity) for laser scanning.
 {names}
 
 raw/            what was recorded, as it was recorded
-processed/      the range image of each scan, with its error budget and history
+processed/      the range image of each scan, with its error budget and history; for a
+                scan from a vehicle, also the trajectory and the mounting, if stated
 registered/     the points of each scan in the frame of the project: the same points as
                 text (.xyz), LAZ and E57
 registration/   one matrix a scan, 4 x 4 row by row: it turns the instrument's axes
-                (x right, y down, z forward, meters) into those of the registered points
+                (x right, y down, z forward, meters) into those of the registered
+                points; for a scan from a vehicle, in the middle of the scan
 metadata/       project.csv, scans.csv, registration.csv, files.csv
 manifest-sha256.txt   checksums; sha256sum --check reads it
 
