@@ -7,12 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import xarray as xr
+from exact_scenes import directions, image_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amulor import cube as cubes
 from amulor import imaging
 from amulor.cube import QualityFlag
+from amulor.imaging.outliers import _standing
 
 Make = Callable[..., xr.Dataset]
 #: Of the images of `written` [m].
@@ -149,3 +151,79 @@ def test_the_flag_is_added_to_those_that_are_there(written: Make) -> None:
 def test_an_odd_significance_is_refused(written: Make) -> None:
     with pytest.raises(ValueError, match="above 0"):
         imaging.outlying_pixels(written(np.ones(SHAPE)), significance=0.0)
+
+
+def _continued(values: dict[int, float], errors: dict[int, float]):
+    """Return line and variance at place 0 from the rules of the documentation."""
+    if not np.isnan([values[-1], values[1]]).any():
+        return (values[-1] + values[1]) / 2, (errors[-1] + errors[1]) / 4, True
+    # At a rim the next four pixels, or the next two where one of the four is missing.
+    for side in (-1, 1):
+        near, next_, far = (values[side * step] for step in (1, 2, 4))
+        if not np.isnan([near, next_, far]).any():
+            parts = (1.0, 1), (0.5, 2), (-0.5, 4)
+            break
+    else:
+        for side in (-1, 1):
+            if not np.isnan([values[side], values[2 * side]]).any():
+                parts = (2.0, 1), (-1.0, 2)
+                break
+        else:
+            return np.nan, np.nan, False
+    line = sum(weight * values[side * step] for weight, step in parts)
+    spread = sum(weight**2 * errors[side * step] for weight, step in parts)
+    return line, spread, False
+
+
+def test_a_pixel_is_compared_with_lines_in_four_directions() -> None:
+    rng = np.random.default_rng(12)
+    distance = rng.standard_normal((7, 8))
+    distance[rng.random((7, 8)) < 0.15] = np.nan
+    variance = rng.uniform(0.5, 2, (7, 8))
+    found = _standing(distance, variance, distance)
+    for row, column in np.ndindex(7, 8):
+        deviations, spreads, scores, both = [], [], [], 0
+        for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            values, errors = dict.fromkeys(range(-4, 5), np.nan), {}
+            for step in range(-4, 5):
+                r, c = row + step * down, column + step * right
+                if 0 <= r < 7 and 0 <= c < 8:
+                    values[step], errors[step] = distance[r, c], variance[r, c]
+            line, spread, between = _continued(values, {**values, **errors})
+            both += between
+            if np.isfinite(distance[row, column] - line):
+                deviations.append(distance[row, column] - line)
+                spreads.append(spread)
+                scores.append(
+                    abs(deviations[-1]) / np.sqrt(variance[row, column] + spread)
+                )
+        at = (row, column)
+        assert found.directions[at] == len(deviations)
+        assert found.between[at] == both
+        if not deviations:
+            assert np.isnan(found.average[at])
+            continue
+        sizes = np.abs(deviations)
+        agreed = len({*np.sign(deviations)}) == 1
+        assert found.agreed[at] == agreed
+        middle = np.median(deviations)
+        unlike = np.max(np.abs(deviations - middle) / np.sqrt(spreads))
+        for name, expected in (
+            ("least", sizes.min()), ("average", sizes.mean()), ("middle", abs(middle)),
+            ("spread", np.median(spreads)), ("unlike", unlike),
+            ("score", min(scores) if agreed else 0.0),
+        ):  # fmt: skip
+            assert getattr(found, name)[at] == pytest.approx(expected), (name, at)
+
+
+@pytest.mark.parametrize("significance", [2.7, 3.0])
+def test_a_spike_is_an_outlier_from_the_stated_significance_on(significance) -> None:
+    # The line of two neighbors has half the variance of a pixel.
+    limit = significance * np.sqrt(1.5) * SIGMA
+    for size, flagged in ((0.999 * limit, 0), (1.001 * limit, 1)):
+        distance = np.full(SHAPE, 1.5)
+        distance[5, 8] -= size
+        azimuth, elevation, _ = directions(*SHAPE)
+        image = image_of(distance, azimuth, elevation, own=SIGMA)
+        found = imaging.outlying_pixels(image, significance=significance)
+        assert found.sum() == found[5, 8] == flagged
