@@ -170,7 +170,8 @@ async function unpacked(name, width) {
   const script = element(name);
   if (!script) throw new Error(`This page does not hold ${name}; it is damaged, save it again.`);
   const text = atob(script.textContent.trim());
-  const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+  const bytes = new Uint8Array(text.length);
+  for (let at = 0; at < text.length; at += 1) bytes[at] = text.charCodeAt(at);
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   const sorted = new Uint8Array(await new Response(stream).arrayBuffer());
   const count = sorted.length / width;
