@@ -15,7 +15,7 @@ from amulor.cube import UNUSABLE, error_unknown
 from amulor.errors import AmulorError
 from amulor.imaging.observation import geometry_of
 from amulor.site.description import ScaleBar, Site, SiteScan
-from amulor.site.load import WHAT_TO_DO, check_level
+from amulor.site.load import WHAT_TO_DO, check_level, refuse_vehicle
 from amulor.site.registration.starts import start_findings
 from amulor.survey import Survey
 
@@ -84,6 +84,7 @@ def _scan_findings(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[st
     level = str(cube.attrs.get("level", ""))
     try:
         check_level(level, processed=scan.processing is not None, name=scan.name)
+        refuse_vehicle(cube, name=scan.name)
     except AmulorError as error:
         errors.append(str(error))
     if scan.water is not None:

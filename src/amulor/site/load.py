@@ -9,6 +9,7 @@ import xarray as xr
 from amulor import cube as cubes
 from amulor import io, pipeline
 from amulor.errors import CubeError
+from amulor.imaging.observation import readable_survey
 from amulor.site.description import Processing, SiteScan
 
 #: Remedy for a scan whose error is unknown.
@@ -39,6 +40,17 @@ def check_level(level: str, *, processed: bool, name: str) -> None:
         )
 
 
+def refuse_vehicle(cube: xr.Dataset, *, name: str) -> None:
+    """Raise for a scan from a vehicle, whose pixels have different poses."""
+    survey = readable_survey(cube)
+    if survey is not None and survey.platform is not None:
+        raise CubeError(
+            f"scan {name!r}: its survey has a section [platform], so each pixel has a "
+            "pose of its own, but a site takes scans from a fixed instrument; write "
+            "its cloud with amulor export --trajectory, and leave it out of the site"
+        )
+
+
 def options_of(processing: Processing | None) -> dict[str, Any]:
     """Return method, channel and range interval from the settings of a scan."""
     if processing is None:
@@ -57,6 +69,7 @@ def as_image(
     """Process a scan's cube to a range image; raise if its range errors are unknown."""
     level = str(cube.attrs.get("level", ""))
     check_level(level, processed=processing is not None, name=name)
+    refuse_vehicle(cube, name=name)
     try:
         image = pipeline.run(cube, **options_of(processing))
     except ValueError as error:

@@ -9,9 +9,11 @@ import pytest
 from exact_scenes import plane
 
 from amulor import cli, io
-from amulor.errors import SurveyError
+from amulor.errors import CubeError, SurveyError
 from amulor.site import Site
 from amulor.site.check import check
+from amulor.site.load import range_image_of
+from amulor.survey import Survey
 
 SITE = """
 name = "Two looks at a plate"
@@ -153,6 +155,19 @@ def test_a_cube_that_is_no_image_needs_to_be_told_how(folder: Path) -> None:
     io.write_cube(imaging.point_cloud(cube), folder / "left.nc", overwrite=True)
     found = check(Site.from_toml(folder / "site.toml"))
     assert any("'point_cloud'" in line for line in found.mistakes)
+
+
+def test_a_scan_from_a_vehicle_is_no_scan_of_a_site(folder: Path) -> None:
+    example = Path(__file__).parents[3] / "examples" / "vehicle" / "amphora.toml"
+    survey = Survey.from_toml(example).to_toml()
+    image = io.read_cube(folder / "left.nc").assign_attrs(survey=survey)
+    io.write_cube(image, folder / "left.nc", overwrite=True)
+    site = Site.from_toml(folder / "site.toml")
+    (mistake,) = check(site).mistakes
+    assert "'left'" in mistake
+    assert "amulor export --trajectory" in mistake
+    with pytest.raises(CubeError, match=r"section \[platform\]"):
+        range_image_of(site.scan[0])
 
 
 def test_the_command_prints_a_line_or_says_what_is_wrong(
