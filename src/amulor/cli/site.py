@@ -134,6 +134,7 @@ def register(
                 "network": [
                     vars(group) for group in observation_groups(result.reliability)
                 ],
+                "scale": [vars(test) for test in result.scale],
                 "remarks": result.remarks,
                 "unchecked": [vars(entry) for entry in result.unchecked],
                 "settled": result.settled,
@@ -189,6 +190,8 @@ def _print_poses(result: Registration) -> None:
         print("+: largest shift by a drift or delay of one scan that no test detects")
     if result.fixed:
         print(f"the frame is that of {result.fixed}: nothing ties it to the world")
+    for test in result.scale:
+        print(f"scale by {test.sentence}")
     for line in result.remarks:
         print(f"warning: {line}")
     for entry in result.unchecked:

@@ -372,7 +372,42 @@ def _network(site: Site, registration: Registration) -> list[Part]:
             if group_of(line)[0] == group.group
         ]  # fmt: skip
         parts.append(_observations(site, group, lines))
+    if registration.scale:
+        parts.append(_scale(registration))
     return parts
+
+
+def _scale(registration: Registration) -> Table:
+    """Return the table of the site's scale and group index by scale bars."""
+    rows = []
+    for test in registration.scale:
+        index, stated = "-", "-"
+        if test.stated_index is not None:
+            stated = f"{test.stated_index:.5f} +- {test.stated_index_uncertainty:.5f}"
+        if test.group_index is not None:
+            index = f"{test.group_index:.5f} +- {test.group_index_uncertainty:.5f}"
+        rows.append(
+            [
+                test.bar,
+                f"{test.length * 1e3:.2f} +- {test.length_uncertainty * 1e3:.2f}",
+                f"{test.measured * 1e3:.2f} +- {test.measured_uncertainty * 1e3:.2f}",
+                f"{test.scale:.6f} +- {test.scale_uncertainty:.6f}",
+                f"{'!' if test.chance < 1e-3 else ''}{test.score:+.2f}",
+                index,
+                stated,
+            ]
+        )
+    return Table(
+        [
+            "bar", "stated length [mm]", "by the scans [mm]", "scale", "score",
+            "group index by the bar", "stated group index",
+        ],
+        rows,
+        "Absolute scale: length between both ends of a bar by all other observations, "
+        "over its stated length. The score is the difference over its standard "
+        "uncertainty. The group index by the bar is that for which both lengths agree, "
+        "without the stated group index.",
+    )  # fmt: skip
 
 
 def _observations(

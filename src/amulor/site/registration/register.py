@@ -16,6 +16,7 @@ from amulor.errors import CubeError
 from amulor.site.blocks import averaged, block_of, block_size, pixels_of_scan
 from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import range_image_of
+from amulor.site.registration.absolute import scale_tests, water_indices
 from amulor.site.registration.align import Alignment, align, squared_pull
 from amulor.site.registration.centres import centre_of
 from amulor.site.registration.landmarks import common_relief
@@ -347,7 +348,11 @@ def _result(
         patterns=alignment.patterns,
         undetected=alignment.undetected,
         reliability=reliability,
-    )
+        scale=scale_tests(
+            alignment.state, alignment.covariance, alignment.layout, ties,
+            water_indices(surfaces), inverse=alignment.inverse,
+        ),
+    )  # fmt: skip
     result = replace(
         result,
         pairs=tuple(

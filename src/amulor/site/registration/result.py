@@ -14,6 +14,7 @@ from amulor.cube import provenance
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output
 from amulor.platform.attitude import cross_matrix
+from amulor.site.registration.absolute import ScaleTest
 from amulor.site.registration.patterns import PATTERNS, PatternTest, Undetected
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.reliability import Reliability, observation_groups
@@ -207,6 +208,8 @@ class Registration:
     reliability: tuple[Reliability, ...] = ()
     """Redundancy and minimal detectable error of start poses, targets, control points
     and scale bars."""
+    scale: tuple[ScaleTest, ...] = ()
+    """Scale of the site and group index of its water, tested by each scale bar."""
 
     def covariance_of(self, *names: str) -> Floats:
         """Return the joint covariance of named unknowns; zero for fixed unknowns."""
@@ -304,6 +307,7 @@ def write_registration(
         "patterns": [vars(test) for test in result.patterns],
         "reliability": [vars(line) for line in result.reliability],
         "network": [vars(group) for group in observation_groups(result.reliability)],
+        "scale": [vars(test) for test in result.scale],
         "places": result.places,
         "covariance": result.covariance.tolist(),
     }
@@ -383,4 +387,5 @@ def _registration_of(content: dict[str, Any]) -> Registration:
         },
         patterns=tuple(PatternTest(**test) for test in content["patterns"]),
         reliability=tuple(Reliability(**line) for line in content["reliability"]),
+        scale=tuple(ScaleTest(**test) for test in content.get("scale", ())),
     )

@@ -207,7 +207,7 @@ class ScanSurface:
     """Unit normals towards the instrument, NaN if not smooth, shape (row, column, 3)
     [1]."""
     attributes: dict[str, object]
-    """Attributes of the range image."""
+    """Attributes of the range image, and its group index."""
 
     @property
     def position(self) -> Floats:
@@ -329,7 +329,8 @@ def scan_surface(
         kernels=kernels,
         slope=float(np.sqrt((plain[1] ** 2).sum())),
         normal=_normals(steps, direction, low, reach, smooth),
-        attributes={str(key): value for key, value in image.attrs.items()},
+        attributes={str(key): value for key, value in image.attrs.items()}
+        | {"group_index": float(image["geometry"].attrs["group_index"])},
     )
 
 
