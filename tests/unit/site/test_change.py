@@ -78,6 +78,40 @@ def test_a_volume_has_the_error_of_noise_and_of_what_all_share() -> None:
     assert_allclose(region.mean, 5e-3)
 
 
+def heap(rng: np.random.Generator | None, *, own: float = 4e-4) -> Change:
+    """Return a Gaussian heap of 2 mm on a grid of 41 x 41 places, with noise."""
+    axis = (np.arange(41) - 20) * 0.01
+    x, y = np.meshgrid(axis, axis)
+    values = 2e-3 * np.exp(-(x**2 + y**2) / (2 * 0.05**2)).ravel()
+    if rng is not None:
+        values = values + own * rng.normal(size=values.size)
+    found = flat_change(values, own=own, shared=0.0)
+    return replace(found, radius=0.005, significant=values > 3 * own)
+
+
+#: Volume of the heap: its height times 2 pi times the square of its width [m^3].
+HEAP = 2e-3 * 2 * np.pi * 0.05**2
+
+
+def test_a_volume_includes_tails_below_the_significance() -> None:
+    (region,) = regions(heap(None))
+    # Of the heap, 60 % lie above the limit of 1.2 mm, so 40 % in the tails.
+    inside = heap(None).significant
+    assert (heap(None).area * heap(None).value)[inside].sum() < 0.5 * HEAP
+    assert region.volume == pytest.approx(HEAP, rel=0.02)
+
+
+def test_volumes_of_heaps_have_the_stated_error() -> None:
+    rng = np.random.default_rng(11)
+    scores = []
+    for _ in range(60):
+        region = regions(heap(rng))[0]
+        scores.append((region.volume - HEAP) / region.volume_uncertainty)
+    # The mean of 60 draws has the error 0.13, their scatter 0.09.
+    assert abs(np.mean(scores)) < 0.5
+    assert np.std(scores) == pytest.approx(1, abs=0.3)
+
+
 @pytest.mark.parametrize("radius", [0.015, 0.02, 0.03])
 def test_cylinders_that_overlap_repeat_their_noise(radius: float) -> None:
     # Heights of second-degree fits on the grid, by the pseudo-inverse at each axis.

@@ -520,8 +520,11 @@ _SHAPE_IN_VOLUME, _SHAPE_IN_MEAN = 0.14, 0.42
 _WIDTH = 0.25
 #: Error of interpolated changes over the scatter of their neighbors, and their number.
 _INTERPOLATED, _NEIGHBORS = 0.75, 6
-#: The rim around a region, in radii of the cylinders [1].
-_RIM = 1.5
+#: Width of the rim around a region, in radii of the cylinders, and the largest number
+#: of rings of one radius that extend it [1].
+_RIM, _RINGS = 1.5, 12
+#: A ring belongs to a region if its change exceeds this many standard errors [1].
+_RING_SCORE = 1.0
 #: Largest distance of neighbors in a region, in spacings [1].
 _TOGETHER = 3.0
 
@@ -593,26 +596,16 @@ def region_of(
     """Return area, mean change and volume of a group of comparison points.
 
     At the rim of a region single changes are below their errors, but their sum is not.
-    The volume is therefore summed up to one and a half cylinder radii from the points,
-    or to the middle between them and the points of other regions.
+    The volume is therefore summed over a rim of at least one and a half cylinder radii,
+    up to where the mean change is not significant, or to the middle between the points
+    and those of other regions.
     """
     members = members[np.isfinite(change.value[members])]
     place, area = change.position[members], change.area[members]
     value = change.value[members]
     total = float(area.sum())
     centre = (area[:, None] * place).sum(axis=0) / total
-    tree = cKDTree(place)
-    away, nearest = tree.query(
-        change.position, distance_upper_bound=_RIM * change.radius
-    )
-    if others is not None and len(others):
-        apart = cKDTree(change.position[others]).query(change.position)[0]
-        away = np.where(away <= apart, away, np.inf)
-    around = np.flatnonzero(np.isfinite(away))
-    alike = np.einsum(
-        "ij,ij->i", change.normal[around], change.normal[members[nearest[around]]]
-    )
-    around = around[alike > _ALIKE]
+    around, beyond = _extent(change, members, others)
     compared = np.isfinite(change.value[around])
     lost = float(change.area[around[~compared]].sum())
     volume, spread, shape = _sum_of(change, around[compared])
@@ -634,10 +627,39 @@ def region_of(
         largest=float(value[np.argmax(np.abs(value))]),
         volume=volume + more,
         volume_uncertainty=float(
-            np.linalg.norm([spread, _SHAPE_IN_VOLUME * shape, unsure])
+            np.linalg.norm([spread, _SHAPE_IN_VOLUME * shape, unsure, beyond])
         ),
         lost=lost,
     )
+
+
+def _extent(
+    change: Change, members: NDArray[np.intp], others: NDArray[np.intp] | None
+) -> tuple[NDArray[np.intp], float]:
+    """Return the places of a region with its rim, and the uncertainty beyond [m^3].
+
+    The rim ends with the first ring whose mean change is not significant.
+    """
+    rim, step = _RIM * change.radius, max(change.radius, change.spacing)
+    limit, beyond = rim + _RINGS * step, 0.0
+    away, nearest = cKDTree(change.position[members]).query(
+        change.position, distance_upper_bound=limit
+    )
+    if others is not None and len(others):
+        apart = cKDTree(change.position[others]).query(change.position)[0]
+        away = np.where(away <= apart, away, np.inf)
+    near = np.flatnonzero(np.isfinite(away))
+    alike = np.einsum(
+        "ij,ij->i", change.normal[near], change.normal[members[nearest[near]]]
+    )
+    near = near[alike > _ALIKE]
+    while rim < limit:
+        ring = near[(away[near] > rim) & (away[near] <= rim + step)]
+        volume, beyond, _ = _sum_of(change, ring[np.isfinite(change.value[ring])])
+        rim += step
+        if abs(volume) <= _RING_SCORE * beyond:
+            break
+    return near[away[near] <= rim], beyond
 
 
 def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float, float]:
