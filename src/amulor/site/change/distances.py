@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -55,6 +55,8 @@ _CORRELATION = np.array(
 )  # fmt: skip
 #: Number of cylinders searched at once, which limits memory.
 _AT_ONCE = 500
+#: Number of places compared at once, which limits memory, too.
+_PIECE = 2000
 #: Least cosine of the angle between the normals of points that belong together [1].
 _ALIKE = 0.6
 
@@ -143,33 +145,41 @@ def change(
     spacing = site.comparison.spacing or 2 * pixels
     radius = site.comparison.radius or 1.5 * spacing
     core, normal, area = _cores(cloud, parts[0], spacing, radius)
+    everything = list(
+        dict.fromkeys(
+            name
+            for scan in site.scan
+            if scan.epoch in names
+            for name in unknowns_of(scan.name, surfaces[scan.name])
+        )
+    )
     means = []
     for number, part in enumerate(parts):
         tell(f"means of {names[number]}", 0.1 + 0.4 * number)
         means.append(
             _means(cloud, part, core, normal, radius, site.comparison.reach, surfaces,
-                   registration)
+                   registration, everything)
         )  # fmt: skip
-    if not all(side.names for side in means):
-        raise _nothing_common(names)
     first, second = means
     value = second.value - first.value
     noise = np.hypot(first.own, second.own)
-    everything = list(dict.fromkeys((*first.names, *second.names)))
-    slope = second.onto(everything) - first.onto(everything)
+    shape = np.hypot(first.shape, second.shape)
+    slope = second.slope
+    slope -= first.slope
+    del means, first, second
     prior = registration.covariance_of(*everything)
     energy, axes = np.linalg.eigh(prior)
     root = axes * np.sqrt(np.maximum(energy, 0.0))
     shared = slope @ root
+    del slope
     if not np.isfinite(value).any():
         raise _nothing_common(names)
-    shape = np.hypot(first.shape, second.shape)
     result = Change(
         epochs=names,
         position=core,
         normal=normal,
         value=value,
-        uncertainty=np.hypot(noise, np.sqrt((shared**2).sum(axis=1))),
+        uncertainty=noise,
         own=noise,
         shape=shape,
         shared=shared,
@@ -194,7 +204,9 @@ def change(
 
 def _tested(change: Change) -> Change:
     """Return a comparison with the significance of its distances."""
-    uncertainty = np.sqrt(change.own**2 + (change.shared**2).sum(axis=1))
+    uncertainty = np.sqrt(
+        change.own**2 + np.einsum("ij,ij->i", change.shared, change.shared)
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
         chance = 2 * norm.sf(np.abs(change.value) / uncertainty)
     limit = largest_discovered(chance, share=change.false_alarms)
@@ -221,17 +233,17 @@ def _corrected(change: Change, unchanged: Flags) -> Change:
     The errors are estimated with a weak prior. Their covariance is that of this
     estimate, for shared errors as stated and noise that overlapping cylinders repeat.
     """
-    rows = change.shared / change.own[:, None]
-    values = change.value / change.own
+    at = np.flatnonzero(unchanged)
+    rows = change.shared[at] / change.own[at, None]
+    values = change.value[at] / change.own[at]
     repeated = max(np.pi * change.radius**2 / (4 * change.spacing**2), 1.0)
     weak = np.eye(rows.shape[1]) / _CORRECTED**2
-    used = unchanged
+    used = np.ones(len(at), dtype=bool)
     for _ in range(3):
         matrix = rows[used].T @ rows[used]
         inverse = np.linalg.inv(matrix + weak)
         errors = inverse @ (rows[used].T @ values[used])
-        with np.errstate(invalid="ignore"):
-            used = unchanged & (np.abs(values - rows @ errors) < _OFF)
+        used = np.abs(values - rows @ errors) < _OFF
     spread = inverse @ (_TAILS * repeated * matrix + weak @ weak) @ inverse
     energy, axes = np.linalg.eigh(spread)
     root = axes * np.sqrt(np.maximum(energy, 0.0))
@@ -279,8 +291,14 @@ def _cores(
         return np.stack(sums, axis=1) / count[:, None]
 
     core = mean(place)
-    near = cKDTree(place).query_ball_point(core, radius)
-    normal = np.array([normals[members].mean(axis=0) for members in near])
+    tree = cKDTree(place)
+    normal = np.array(
+        [
+            normals[members].mean(axis=0)
+            for begin in range(0, len(core), _AT_ONCE)
+            for members in tree.query_ball_point(core[begin : begin + _AT_ONCE], radius)
+        ]
+    )
     size = np.linalg.norm(normal, axis=1)
     # Points whose normals have all directions lie on an edge, not on a surface.
     good = (size > 0.8) & (count >= 2)
@@ -297,28 +315,7 @@ class _Means:
     value: Floats
     own: Floats
     shape: Floats
-    names: tuple[str, ...]
     slope: Floats
-    registration: Registration
-
-    def onto(self, names: list[str]) -> Floats:
-        """Return the derivatives of mean heights, in columns ordered by the names."""
-        width = {"pose": 6, "point": 3, "error": 1}
-
-        def size(name: str) -> int:
-            return width[name.partition(" ")[0]]
-
-        starts = np.cumsum([0, *(size(name) for name in names)])
-        place = dict(zip(names, starts[:-1], strict=True))
-        slopes = np.zeros((len(self.slope), starts[-1]))
-        begin = 0
-        for name in self.names:
-            end = begin + size(name)
-            slopes[:, place[name] : place[name] + end - begin] = self.slope[
-                :, begin:end
-            ]
-            begin = end
-        return slopes
 
 
 def _means(
@@ -330,51 +327,46 @@ def _means(
     reach: float,
     surfaces: Mapping[str, ScanSurface],
     registration: Registration,
+    unknowns: Sequence[str],
 ) -> _Means:
-    """Return mean heights along normals, with noise and derivatives."""
-    site = cloud.site
-    owner, index, off, along = _in_cylinders(cloud, at, core, normal, radius, reach)
-    if not len(index):
-        nowhere = np.full(len(core), np.nan)
-        empty = np.zeros((len(core), 0))
-        return _Means(nowhere, nowhere, nowhere, (), empty, registration)
-    facing = np.einsum("ij,ij->i", cloud.beam[at[index]], normal[owner])
-    sigma = np.maximum(np.abs(facing) * cloud.own[at[index]], 1e-6)
-    weight = 1 / sigma**2
-    size = len(core)
-    fitted = _patches(owner, along, off, normal, weight, radius)
-    share = fitted.share
-    value = np.where(fitted.good, fitted.height, np.nan)
-    noise = fitted.own
-    names: list[str] = []
-    columns: list[Floats] = []
-    for number, scan in enumerate(site.scan):
-        mine = cloud.scan[at[index]] == number
-        if not mine.any():
-            continue
-        points = at[index[mine]]
-        surface, pose = surfaces[scan.name], registration.poses[scan.name]
-        slope = by_unknowns(surface, pose, cloud.position[points], cloud.pixel[points])
-        slope = np.einsum("ni,nij->nj", normal[owner[mine]], slope)
-        slope *= share[mine][:, None]
-        sums = np.stack(
-            [
-                np.bincount(owner[mine], weights=slope[:, k], minlength=size)
-                for k in range(slope.shape[1])
-            ],
-            axis=1,
+    """Return mean heights along normals, with noise and derivatives by unknowns."""
+    width = {"pose": 6, "point": 3, "error": 1}
+    sizes = [width[name.partition(" ")[0]] for name in unknowns]
+    ends = np.cumsum(sizes)
+    columns = {
+        name: np.arange(end - size, end)
+        for name, size, end in zip(unknowns, sizes, ends, strict=True)
+    }
+    slope = np.zeros((len(core), int(ends[-1])))
+    value, own, shape = (np.full(len(core), np.nan) for _ in range(3))
+    tree = cKDTree(cloud.position[at])
+    # Pieces limit the memory.
+    for begin in range(0, len(core), _PIECE):
+        some = slice(begin, begin + _PIECE)
+        facing = normal[some]
+        owner, index, off, along = _in_cylinders(
+            cloud, at, core[some], facing, radius, reach, tree=tree
         )
-        names += unknowns_of(scan.name, surface)
-        columns.append(np.asarray(sums, dtype=float))
-    merged = list(dict.fromkeys(names))
-    means = _Means(
-        value, noise, fitted.shape, tuple(names), np.hstack(columns), registration
-    )
-    if len(merged) == len(names):
-        return means
-    # Errors that several scans share appear once.
-    summed = _summed(means, merged)
-    return _Means(value, noise, fitted.shape, tuple(merged), summed, registration)
+        points, size = at[index], len(facing)
+        beams = np.einsum("ij,ij->i", cloud.beam[points], facing[owner])
+        weight = 1 / np.maximum(np.abs(beams) * cloud.own[points], 1e-6) ** 2
+        fitted = _patches(owner, along, off, facing, weight, radius)
+        value[some] = np.where(fitted.good, fitted.height, np.nan)
+        own[some], shape[some] = fitted.own, fitted.shape
+        for number in np.unique(cloud.scan[points]):
+            scan = cloud.site.scan[number].name
+            mine = cloud.scan[points] == number
+            surface, pose = surfaces[scan], registration.poses[scan]
+            by_scan = by_unknowns(
+                surface, pose, cloud.position[points[mine]], cloud.pixel[points[mine]]
+            )
+            by_scan = np.einsum("ni,nij->nj", facing[owner[mine]], by_scan)
+            by_scan *= fitted.share[mine][:, None]
+            names = unknowns_of(scan, surface)
+            into = np.concatenate([columns[name] for name in names])
+            for column, part in zip(into, by_scan.T, strict=True):
+                slope[some, column] += np.bincount(owner[mine], part, minlength=size)
+    return _Means(value, own, shape, slope)
 
 
 def _in_cylinders(
@@ -384,14 +376,16 @@ def _in_cylinders(
     normal: Floats,
     radius: float,
     reach: float,
+    *,
+    tree: cKDTree | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
     """Return cylinder number, point index, offset and axial offset of enclosed points.
 
     Cylinders are searched by slabs along their axes and in groups, because one sphere
     around a cylinder contains many more points.
     """
-    place = cloud.position[at]
-    tree = cKDTree(place)
+    tree = cKDTree(cloud.position[at]) if tree is None else tree
+    place = np.asarray(tree.data)
     slabs = max(math.ceil(reach / radius), 1)
     half = reach / slabs
     ball = 1.000001 * math.hypot(radius, half)
@@ -426,20 +420,6 @@ def _in_cylinders(
     return owner[order], index[order], off[order], along[order]
 
 
-def _summed(means: _Means, names: list[str]) -> Floats:
-    width = {"pose": 6, "point": 3, "error": 1}
-    sizes = [width[name.partition(" ")[0]] for name in names]
-    starts = dict(zip(names, np.cumsum([0, *sizes[:-1]]), strict=True))
-    slopes = np.zeros((len(means.slope), sum(sizes)))
-    begin = 0
-    for name in means.names:
-        size = width[name.partition(" ")[0]]
-        at = starts[name]
-        slopes[:, at : at + size] += means.slope[:, begin : begin + size]
-        begin += size
-    return slopes
-
-
 @dataclass(frozen=True)
 class _Patches:
     height: Floats
@@ -469,9 +449,8 @@ def _patches(
     first = np.cross(normal, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(normal, first)
-    width = float(np.sqrt(np.mean(off**2))) or 1.0
-    u = np.einsum("ij,ij->i", off, first[owner]) / width
-    v = np.einsum("ij,ij->i", off, second[owner]) / width
+    u = np.einsum("ij,ij->i", off, first[owner]) / (radius / 2)
+    v = np.einsum("ij,ij->i", off, second[owner]) / (radius / 2)
     terms = np.stack([np.ones_like(u), u, v, u**2, u * v, v**2], axis=1)
     used = weight.copy()
     for _ in range(3):
