@@ -69,21 +69,34 @@ def test_a_drift_in_short_lines_is_not_determined(tested):
     assert entries["clock drift"].uncertainty > 0.5 * LINES["SPREAD"][7]
 
 
-def test_a_level_vehicle_does_not_determine_the_lever_arm():
+def _rocked_by(monkeypatch, *degrees):
+    """Let the vehicle of further lines oscillate in heading, pitch and roll (rms)."""
+    monkeypatch.setitem(
+        LINES["lines_of"].__globals__, "ROCKING", np.radians([*degrees])
+    )
+
+
+def test_a_level_vehicle_does_not_determine_the_lever_arm(monkeypatch):
     """Lines in one direction: only a vehicle that rolls or pitches moves the arm."""
+    stated = LINES["stated_mounting"]()
+    _rocked_by(monkeypatch, 0.2, 0.2, 0.2)
     chosen = [LINES["LINES"][number] for number in (0, 4)]
-    calm = dict(LINES["lines_of"].__globals__)
-    LINES["lines_of"].__globals__["ROCKING"] = np.radians([0.2, 0.2, 0.2])
-    try:
-        images, tracks, true = LINES["lines_of"](1, lines=chosen, rows=70, columns=30)
-    finally:
-        LINES["lines_of"].__globals__["ROCKING"] = calm["ROCKING"]
-    result = imaging.patch_test(images, tracks, mounting=LINES["stated_mounting"]())
+    images, tracks, true = LINES["lines_of"](1, lines=chosen, rows=70, columns=30)
+    result = imaging.patch_test(images, tracks, mounting=stated)
     entries = {entry.quantity: entry for entry in result.undetermined}
     down = entries["lever arm down"]
     assert down.uncertainty > 0.8 * LINES["SPREAD"][1]
-    assert "rolls" in down.line or "pitches" in down.line
-    assert down.with_line < 0.5 * down.uncertainty
+    assert down.line == "line 1 while the vehicle rolls by 10 degrees every 4 s"
+    assert (np.abs(result.change - true) < 3.5 * result.uncertainty).all()
+    # The suggested line, whose amplitude of 10 degrees is 7.07 degrees rms.
+    _rocked_by(monkeypatch, 0.2, 0.2, 7.07)
+    more = LINES["lines_of"](1, lines=chosen[:1], rows=70, columns=30)
+    result = imaging.patch_test(
+        images + more[0], tracks + more[1], mounting=stated, suggest=False
+    )
+    assert "lever arm down" not in {entry.quantity for entry in result.undetermined}
+    # Periods and phases of the oscillation are random.
+    assert 0.5 < result.uncertainty[1] / down.with_line < 1.5
     assert (np.abs(result.change - true) < 3.5 * result.uncertainty).all()
 
 
