@@ -619,7 +619,9 @@ def _follow(
         selected,
     )
     target = np.where(np.isfinite(scan.signal), target, np.nan)
-    windowed = {} if fit.by_water.all() else {"phasor_line_window": np.int32(window)}
+    windowed: dict[str, Any] = {}
+    if not fit.by_water.all():
+        windowed["phasor_line_window"] = np.int32(window)
     result = target_cube(
         scan.cube,
         target,

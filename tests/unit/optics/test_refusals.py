@@ -172,6 +172,7 @@ SWEEPS = {
     "return_distance", "return_length", "slant_range_of_path", "path_limits",
     "maximum_distance",
     "weights_and_uncertainty",
+    "range_profile", "resolution", "surfaces", "unambiguous_span",
     "mixture",
 }  # fmt: skip
 WORDING = re.compile(
