@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +22,12 @@ from amulor.site.registration.network import (
     Ties,
 )
 from amulor.site.registration.pose import ScanPose
+from amulor.site.registration.result import (
+    Registration,
+    read_registration,
+    write_registration,
+)
+from amulor.view import site_report
 
 KEY = "group_index: water"
 INDEX, RELATIVE = 1.36, 5e-4
@@ -142,3 +151,22 @@ def test_a_bar_between_targets_that_nothing_measures_has_no_test() -> None:
 def test_a_site_without_bars_has_no_test() -> None:
     ties = replace(drawn(np.random.default_rng(6), scale=0.0), bars=())
     assert scale_tests(*adjusted(ties), ties, WATERS) == ()
+
+
+def test_the_scale_is_in_the_file_the_report_and_in_words(tmp_path: Path) -> None:
+    test = scale_by_bar(drawn(np.random.default_rng(7), scale=8e-4))
+    result = Registration(
+        site="dock", poses={}, points={}, errors={}, places={},
+        covariance=np.zeros((0, 0)), pairs=(), disagreements=(), weaknesses=(),
+        contradictions=(), remarks=(), settled=True, scale=(test,),
+    )  # fmt: skip
+    write_registration(result, tmp_path / "poses.json")
+    assert read_registration(tmp_path / "poses.json").scale == (test,)
+    index = f"{test.group_index:.5f} +- {test.group_index_uncertainty:.5f}"
+    scale = f"{test.scale:.6f} +- {test.scale_uncertainty:.6f}"
+    assert index in test.sentence
+    assert scale in test.sentence
+    registration: Any = SimpleNamespace(scale=(test,))
+    (row,) = site_report._scale(registration).rows
+    assert index in row
+    assert scale in row
