@@ -203,9 +203,9 @@ HOLDS = (0.9, 1.1)
 #: Relative difference of light up to which model and photons agree [1].
 LIGHT = 0.1
 #: Late-light correction of imaging over its stated uncertainty: three quarters of the
-#: delay by the phase function, over the root of 15 % of this squared and half the
+#: delay by the phase function, over the root of 5 % of this squared and half the
 #: delay, rectangular, squared; `amulor.imaging.late_light` [1].
-TAKEN_OFF = 0.75 / math.hypot(0.15 * 0.75, 0.5 / math.sqrt(12))
+TAKEN_OFF = 0.75 / math.hypot(0.05 * 0.75, 0.5 / math.sqrt(12))
 #: Share of the required accuracy up to which a shift by late light is ignored.
 SHIFT = 0.25
 

@@ -252,7 +252,7 @@ def late_uncertainty(
     """Return the standard uncertainty of the late-light correction [m].
 
     As in `amulor.imaging.late_light`, it combines a rectangular distribution between
-    the delay of the phase function and half of it, and 15 % of the middle as model
+    the delay of the phase function and half of it, and 5 % of the middle as model
     error. The delay over the squared distance is interpolated in the logarithm of the
     distance. The delay is that at 50 MHz, an upper limit for higher frequencies.
     """

@@ -16,15 +16,15 @@ from amulor.optics import late_echo, ranging
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.survey import Survey, WaterProperties, water_properties
-from amulor.survey.view import view
+from amulor.survey.view import beam_arguments, has_sharp_receiver, view
 from amulor.survey.waters.whole_function import asymmetry_of
 
 Floats = NDArray[np.float64]
 
 #: Directions along each side of the scan, and distances, that are worked out.
 _DIRECTIONS, _DISTANCES = 5, 16
-#: Natural waters are 0.52 to 0.83 times as late as a Henyey-Greenstein function of
-#: their asymmetry, Petzold's eight stations and Fournier-Forand functions [1].
+#: Coasts and harbors are 0.6 to 0.7 times as late as a Henyey-Greenstein function of
+#: their asymmetry, clear ocean down to 0.41 at six attenuation lengths (Petzold) [1].
 _LEAST_PART = 0.5
 #: Relative standard uncertainty of how the delay falls with the frequency [1].
 _DISPERSION_UNCERTAINTY = 0.3
@@ -210,8 +210,11 @@ def _between(
     reached = np.clip(depth, ends[0], ends[1])
     place[..., 2] = np.log(np.where(usable, reached, ends[0]))
     delays = []
+    formula = late_echo.late_echo
+    if has_sharp_receiver(survey):
+        formula = late_echo.sharp_receiver_late_echo
     for function, scattering, split in functions:
-        echo_delay = late_echo.late_echo(
+        echo_delay = formula(
             frequency[:, None, None, None],
             depth=distance,
             scattering=scattering,
@@ -225,6 +228,7 @@ def _between(
             cross_tilt=geometry.cross_tilt[..., None],
             standoff=geometry.standoff[..., None],
             absorption=water.absorption,
+            **beam_arguments(survey, water),
         )
         mean = np.tensordot(np.atleast_2d(weight), echo_delay, axes=1)
         # Over the square of the distance it is nearly even, and so well interpolated.

@@ -72,16 +72,16 @@ def test_the_delay_is_taken_off_and_its_uncertainty_is_a_term(haze: str) -> None
     # Between that of the Henyey-Greenstein function and half of it.
     assert_allclose(taken[usable], 0.75 * late[usable], rtol=1e-2)
     assert_allclose(image["slant_range_late_echo"].values[usable], taken[usable])
-    # 15 % of the formula, and half of the delay as a rectangle.
+    # 5 % of the formula, and half of the delay as a rectangle.
     wide = 0.5 / 0.75 / np.sqrt(12)
     term = image["slant_range_uncertainty_late_echo"].values
-    assert_allclose(term[usable], np.hypot(0.15, wide) * taken[usable], rtol=1e-6)
+    assert_allclose(term[usable], np.hypot(0.05, wide) * taken[usable], rtol=1e-6)
     surer = haze + '[calibration]\nscattering_uncertainty = "40 %"\n'
     cube = cube.assign_attrs(survey=Survey.from_text(surer).to_toml())
     wider = imaging.range_image(cube, polarization="VH")
     assert_allclose(
         wider["slant_range_uncertainty_late_echo"].values[usable],
-        np.sqrt(0.15**2 + wide**2 + 0.4**2) * taken[usable],
+        np.sqrt(0.05**2 + wide**2 + 0.4**2) * taken[usable],
         rtol=1e-6,
     )
 
@@ -98,7 +98,7 @@ def test_moments_alone_leave_a_rectangle_between_natural_waters(
     # The moment of 0.06 rad^2 is that of an asymmetry between the two.
     assert_allclose(taken, (ends[0] + ends[1]) / 2, rtol=0.02)
     width = np.abs(ends[0] - ends[1]) / np.sqrt(12)
-    assert_allclose(term, np.hypot(0.15 * taken, width), rtol=0.02)
+    assert_allclose(term, np.hypot(0.05 * taken, width), rtol=0.02)
 
 
 @pytest.mark.parametrize(
