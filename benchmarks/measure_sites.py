@@ -8,7 +8,8 @@ scan of another place. Each site is a row of `benchmarks/sites.csv`, with a dige
 the code of `amulor.site.registration` that measured it. A
 number of further sites is measured, and the campaign goes on where it ended. `--redo`
 measures rows of other versions again, in random order. Without a number the summary of
-all rows of the present version is printed; `--page` writes it into docs/benchmarks.md.
+all rows of the present version, or of another one (`--of`), is printed. `--page` writes
+it into docs/benchmarks.md.
 
 `--first 1000` draws from that number on.
 """
@@ -423,10 +424,10 @@ def reasons(rows: list[dict[str, str]]) -> str:
     return "\n".join(lines)
 
 
-def write_page(rows: list[dict[str, str]], total: int) -> None:
+def write_page(rows: list[dict[str, str]], total: int, shown: str) -> None:
     """Replace the tables of the page of benchmarks."""
     text = PAGE.read_text("utf-8")
-    count = f"{len(rows):,} of the {total:,} rows are of the present version."
+    count = f"{len(rows):,} of the {total:,} rows are of version `{shown}`."
     for name, content in {
         "random sites": f"{count}\n\n{table(rows)}",
         "quantities of random sites": quantities(rows),
@@ -450,6 +451,7 @@ def main() -> None:
     parser.add_argument("count", type=int, nargs="?", default=0)
     parser.add_argument("--redo", action="store_true")
     parser.add_argument("--page", action="store_true")
+    parser.add_argument("--of", metavar="VERSION")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=1150.0)
     options = parser.parse_args()
@@ -457,10 +459,11 @@ def main() -> None:
     present = version("registration")
     go_on(TABLE, COLUMNS, measured, options, present)
     rows = rows_of(TABLE)
-    of_present = [row for row in rows if row["version"] == present]
+    shown = options.of or present
+    some = [row for row in rows if row["version"] == shown]
     if options.page:
-        write_page(of_present, len(rows))
-    print(table(of_present), quantities(of_present), reasons(of_present), sep="\n\n")
+        write_page(some, len(rows), shown)
+    print(table(some), quantities(some), reasons(some), sep="\n\n")
 
 
 def go_on(
