@@ -174,9 +174,9 @@ def test_target_joined_through_shifted_paths_is_the_same():
 
 
 def test_a_far_target_whose_light_the_run_has_missed_is_flagged():
-    # At 12 attenuation lengths the light of the target comes by paths scattered both
-    # ways, which one run in two of this size does not meet at all: what it has met is
-    # a ten-thousandth of the light, with an error that looks like some percent.
+    # At 16 attenuation lengths the light of the target comes by paths scattered both
+    # ways, which most runs of this size do not meet at all: what they have met is less
+    # than a thousandth of the light, with an error that looks like 25 percent.
     medium = water(0.2, 0.8, henyey_greenstein_function(asymmetry=0.95))
 
     def runs(distance, number):
@@ -189,7 +189,7 @@ def test_a_far_target_whose_light_the_run_has_missed_is_flagged():
             for seed in range(number)
         ]  # fmt: skip
 
-    far = runs(12.0, 16)
+    far = runs(16.0, 16)
     light = np.array([tally.target_signal[0].real for tally in far])
     stated = np.array([tally.relative_error_of("target")[0] for tally in far])
     mean = light.mean()  # of 16 runs: far from exact, but of the right size

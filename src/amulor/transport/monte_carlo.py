@@ -36,6 +36,8 @@ __all__ = ["ErrorGoal", "Progress", "Spread", "Technique", "simulate"]
 NARROW = 0.35
 #: Batches that a run is divided into, and the most histories in one.
 _BATCHES, _LARGEST_BATCH = 128, 65536
+#: Segments of the adjoint paths that are joined with target reflections together.
+_BLOCK_SEGMENTS = 200_000
 
 Array = NDArray[np.float64]
 
@@ -244,6 +246,19 @@ class _Run:
             "record": self.keep_record,
         }
 
+    @property
+    def block(self) -> int:
+        """Number of groups whose target reflections are joined together.
+
+        A path has 1 / (1 - albedo) segments on average.
+        """
+        if self.problem.target is None:
+            return 1
+        technique = self.technique
+        loss = 1.0 - float(self.problem.water.albedo.max())
+        most = int(_BLOCK_SEGMENTS * loss / max(technique.paths, technique.partners))
+        return min(max(most, 1), self.size // technique.paths)
+
     def frame(self) -> Tally:
         """Return a tally of the run without batches."""
         orders = self.technique.scattering_orders
@@ -269,7 +284,7 @@ class _Run:
             seconds=0.0,
             phase_function_integral=integrals_of(self.problem.medium.layers),
             unseen=self.problem.joined_touch
-            / (self.technique.paths * self.technique.partners),
+            / (self.technique.paths * self.technique.partners * self.block),
         )
 
     def __call__(self, number: int) -> Batch:
@@ -290,6 +305,7 @@ class _Run:
         plan = Plan(
             paths=chosen.paths,
             partners=chosen.partners,
+            block=self.block,
             stratified=chosen.stratified,
             balanced=chosen.balanced,
             direct=direct,

@@ -28,11 +28,10 @@ from amulor.transport import (
     simulate,
 )
 from amulor.transport._kernels import batch as _batch_kernels
-from amulor.transport._kernels import contributions as _direct_kernels
-from amulor.transport._kernels import contributions as _join_kernels
-from amulor.transport._kernels import mesh as _geometry_kernels
+from amulor.transport._kernels import contributions as _contribution_kernels
 from amulor.transport._kernels import mesh as _mesh_kernels
 from amulor.transport._kernels import polarization as _polarization_kernels
+from amulor.transport._kernels import reflections as _reflection_kernels
 from amulor.transport._kernels import slab as _slab_kernels
 from amulor.transport._kernels import trace as _trace_kernels
 from amulor.transport._kernels.types import Record as Deposits
@@ -476,8 +475,8 @@ def test_the_uncompiled_batch_gives_the_same_record(milk, monkeypatch, shape):
     )  # fmt: skip
     compiled = run(0)
     as_python(
-        monkeypatch, _batch_kernels, _direct_kernels, _geometry_kernels, _join_kernels,
-        _mesh_kernels, _polarization_kernels, _trace_kernels,
+        monkeypatch, _batch_kernels, _contribution_kernels, _mesh_kernels,
+        _polarization_kernels, _reflection_kernels, _trace_kernels,
     )  # fmt: skip
     plain = run(0)
     assert np.all(np.abs(compiled.signal[0, 0]) > 0)

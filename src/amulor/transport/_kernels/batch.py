@@ -11,11 +11,11 @@ import math
 import numpy as np
 
 from amulor.transport._kernels.contributions import (
+    TARGET,
     direct_from_segments,
     direct_from_touches,
     face_and_acceptance,
     join_segments,
-    join_touches,
 )
 from amulor.transport._kernels.polarization import (
     ADJOINT_COLUMNS,
@@ -23,8 +23,11 @@ from amulor.transport._kernels.polarization import (
     cross,
     returning_frame,
 )
+from amulor.transport._kernels.reflections import join_touches, strips_of
 from amulor.transport._kernels.sampling import exponential, uniform
 from amulor.transport._kernels.trace import (
+    FIRST_SEGMENT,
+    FIRST_TOUCH,
     SEGMENT_COLUMNS,
     TOUCH_COLUMNS,
     USED_SEGMENTS,
@@ -116,7 +119,7 @@ def without_segments(light: Array) -> Paths:
         light,
         np.empty((_ROWS, TOUCH_COLUMNS)),
         np.zeros((_ROWS, light.shape[1])),
-        np.zeros(2, dtype=np.int64),
+        np.zeros(4, dtype=np.int64),
     )
 
 
@@ -140,7 +143,7 @@ def begin_forward(
 
 @step
 def begin_adjoint(
-    state: States, number: int, scene: Scene, plan: Plan, now: Array
+    state: States, number: int, group: int, scene: Scene, plan: Plan, now: Array
 ) -> tuple[float, Ray, Kind]:
     """Draw ray, optical thickness and kind of an adjoint path; set its Mueller matrix.
 
@@ -156,11 +159,11 @@ def begin_adjoint(
     scale = math.pi * largest / (plan.paths * plan.partners)
     for i in range(16):
         now[3 + i] = 1.0 if i % 5 == 0 else 0.0
-    return exponential(state), ray, Kind(True, plan.polarized, radius, scale)
+    return exponential(state), ray, Kind(True, plan.polarized, radius, scale, group)
 
 
 @step
-def join(
+def join_group(
     state: States,
     forward: Paths,
     adjoint: Paths,
@@ -169,15 +172,39 @@ def join(
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join forward and adjoint paths of a group, and record the received light."""
-    water, target = scene.water, scene.target
-    join_segments(state, forward, adjoint, water, target, plan, record, arrival)
+    """Join the segments of a group, make its local estimates, and record the light."""
+    arrival.total[:] = 0.0
+    join_segments(
+        state, forward, adjoint, scene.water, scene.target, plan, record, arrival
+    )
     if plan.direct:
         direct_from_segments(state, forward, scene, plan, record, arrival)
-    if forward.used[USED_TOUCHES] > 0:
-        join_touches(forward, adjoint, target, plan, record, arrival)
-        if plan.direct:
-            direct_from_touches(state, forward, scene, plan, record, arrival)
+        direct_from_touches(state, forward, scene, plan, record, arrival)
+
+
+@allocating
+def join_block(
+    state: States,
+    forward: Paths,
+    adjoint: Paths,
+    scene: Scene,
+    plan: Plan,
+    record: Record,
+    arrival: Arrival,
+    weight: Array,
+) -> None:
+    """Join the target reflections of a block of groups with its adjoint paths.
+
+    weight, one row a group, takes the light. A pair is of two groups: it is added to
+    both, and the mean over the block is taken off.
+    """
+    groups = weight.shape[0]
+    strips = strips_of(forward.touch, forward.used[USED_TOUCHES], scene.face.radius)
+    target = scene.target
+    join_touches(state, forward, adjoint, strips, target, plan, record, arrival, weight)
+    for g in range(groups):
+        for k in range(weight.shape[2]):
+            weight[g, TARGET, k] -= arrival.total[TARGET, k] / groups
 
 
 @entry
@@ -187,7 +214,8 @@ def run_batch(
     """Trace groups of photon histories; record received light in total and by group.
 
     weight has the shape (groups, 2, components): light from water and target. A group
-    is that many forward paths, each joined with all of its adjoint paths.
+    is a number of forward and of adjoint paths, all joined in the water. Reflections
+    of the target are joined with the adjoint paths of a whole block of groups.
     """
     rows = _ROWS if plan.polarized else 1
     forward = without_segments(np.zeros((rows, FORWARD_COLUMNS)))
@@ -198,16 +226,22 @@ def run_batch(
     components = 4 if plan.polarized else 1
     arrival = Arrival(np.zeros(components), direct, np.zeros((2, components)))
     now = np.zeros(ADJOINT_COLUMNS)
-    kind = Kind(False, plan.polarized, 0.0, 0.0)
-    for g in range(weight.shape[0]):
-        forward.used[USED_SEGMENTS] = forward.used[USED_TOUCHES] = 0
-        adjoint.used[USED_SEGMENTS] = 0
-        for k in range(plan.paths):
-            thickness, ray = begin_forward(state, k, scene, plan, now)
-            forward = follow(state, thickness, ray, kind, scene, forward, now)
-        for k in range(plan.partners):
-            thickness, ray, back = begin_adjoint(state, k, scene, plan, now)
-            adjoint = follow(state, thickness, ray, back, scene, adjoint, now)
-        arrival.total[:] = 0.0
-        join(state, forward, adjoint, scene, plan, record, arrival)
-        weight[g] = arrival.total
+    for start in range(0, weight.shape[0], plan.block):
+        block = weight[start : start + plan.block]
+        forward.used[:] = 0
+        adjoint.used[:] = 0
+        for g in range(block.shape[0]):
+            for paths in (forward, adjoint):
+                paths.used[FIRST_SEGMENT] = paths.used[USED_SEGMENTS]
+                paths.used[FIRST_TOUCH] = paths.used[USED_TOUCHES]
+            kind = Kind(False, plan.polarized, 0.0, 0.0, g)
+            for k in range(plan.paths):
+                thickness, ray = begin_forward(state, k, scene, plan, now)
+                forward = follow(state, thickness, ray, kind, scene, forward, now)
+            for k in range(plan.partners):
+                thickness, ray, back = begin_adjoint(state, k, g, scene, plan, now)
+                adjoint = follow(state, thickness, ray, back, scene, adjoint, now)
+            join_group(state, forward, adjoint, scene, plan, record, arrival)
+            block[g] = arrival.total
+        if forward.used[USED_TOUCHES] > 0:
+            join_block(state, forward, adjoint, scene, plan, record, arrival, block)

@@ -21,6 +21,8 @@ from amulor.transport._kernels.sampling import (
 )
 from amulor.transport._kernels.trace import (
     FACE,
+    FIRST_SEGMENT,
+    FIRST_TOUCH,
     FRONT,
     LAYER,
     LENGTH,
@@ -160,30 +162,35 @@ def transform(
                 if mass[p, k, n] != 0.0 or edge[p, k, n] != 0.0:
                     last[p, k] = n + 1
             filled = max(filled, last[p, k])
-    point = np.empty(filled, dtype=np.complex128)
-    ramp = np.empty(filled, dtype=np.complex128)
-    for f in range(wavenumber.size):
-        q = wavenumber[f]
-        per_node = np.exp(q * spacing)
-        inverse = 0.0j if q == 0.0 else 1.0 / q
-        phasor = 1.0 + 0.0j
-        for n in range(filled):
-            length = n * spacing
+    per_node = np.exp(wavenumber * spacing)
+    point = np.empty(wavenumber.size, dtype=np.complex128)
+    ramp = np.empty(wavenumber.size, dtype=np.complex128)
+    # Real and imaginary parts in turn: the loops over them are compiled to vectors.
+    points, ramps, sums = (
+        point.view(np.float64),
+        ramp.view(np.float64),
+        out.view(np.float64),
+    )
+    for n in range(filled):
+        length = n * spacing
+        for f in range(wavenumber.size):
+            q = wavenumber[f]
             if n % 32 == 0:  # so that errors of the products do not grow
-                phasor = np.exp(q * length)
-            point[n] = phasor
-            # -(exp(q L) - 1) / q, for the edges of which the sum is zero.
-            if abs(q) * length < 1e-4:
-                ramp[n] = -length * (1.0 + 0.5 * q * length)
+                point[f] = np.exp(q * length)
             else:
-                ramp[n] = (1.0 - phasor) * inverse
-            phasor *= per_node
+                point[f] *= per_node[f]
+            # -(exp(q L) - 1) / q, for the edges of which the sum is zero.
+            if abs(q.imag) * length < 1e-4:
+                ramp[f] = -length * (1.0 + 0.5 * q * length)
+            else:
+                ramp[f] = (1.0 - point[f]) * (-1j / q.imag)
         for p in range(parts):
             for k in range(components):
-                total = 0.0 + 0.0j
-                for n in range(last[p, k]):
-                    total += mass[p, k, n] * point[n] + edge[p, k, n] * ramp[n]
-                out[p, k, f] += total
+                if n < last[p, k]:
+                    light, step_of_light = mass[p, k, n], edge[p, k, n]
+                    row = sums[p, k]
+                    for x in range(points.size):
+                        row[x] += light * points[x] + step_of_light * ramps[x]
 
 
 @kernel
@@ -249,7 +256,7 @@ def direct_from_segments(
     path_matrix = arrival.path_matrix
     scale = 1.0 / plan.paths
     total = arrival.total
-    for i in range(forward.used[USED_SEGMENTS]):
+    for i in range(forward.used[FIRST_SEGMENT], forward.used[USED_SEGMENTS]):
         layer = int(segment[i, LAYER])
         if segment[i, Z_HIGH] <= 0.0 or albedo[layer] == 0.0:
             continue
@@ -332,7 +339,7 @@ def direct_from_touches(
     has_mesh = mesh.box.shape[0] > 0
     scale = 1.0 / plan.paths
     total = arrival.total
-    for i in range(forward.used[USED_TOUCHES]):
+    for i in range(forward.used[FIRST_TOUCH], forward.used[USED_TOUCHES]):
         place = (touch[i, TOUCH_X], touch[i, TOUCH_Y], touch[i, TOUCH_Z])
         if place[2] <= 0.0:
             continue
@@ -477,10 +484,10 @@ def join_segments(
     value, mesh, out = water.value, target.mesh, arrival.light
     has_mesh = mesh.box.shape[0] > 0
     total = arrival.total
-    for j in range(adjoint.used[USED_SEGMENTS]):
+    for j in range(adjoint.used[FIRST_SEGMENT], adjoint.used[USED_SEGMENTS]):
         if plan.direct and second[j, ORDER] == 0:
             continue
-        for i in range(forward.used[USED_SEGMENTS]):
+        for i in range(forward.used[FIRST_SEGMENT], forward.used[USED_SEGMENTS]):
             z_low, z_high = meeting_depths(first, i, second, j, target)
             if z_low >= z_high:
                 continue
@@ -528,76 +535,4 @@ def join_segments(
                 min(near, far),
                 max(near, far),
                 out,
-            )
-
-
-@inner
-def join_touches(
-    forward: Paths,
-    adjoint: Paths,
-    target: Target,
-    plan: Plan,
-    record: Record,
-    arrival: Arrival,
-) -> None:
-    """Join target reflections with adjoint segments; record the light.
-
-    The light of a pair is Omega (reflectance / pi) cos / |n'_z|, the cosine that
-    between the target's normal and the way to the receiver.
-    """
-    touch, second = forward.touch, adjoint.segment
-    normal, mesh, out = target.normal, target.mesh, arrival.light
-    has_mesh = mesh.box.shape[0] > 0
-    total = arrival.total
-    for i in range(forward.used[USED_TOUCHES]):
-        z = touch[i, TOUCH_Z]
-        for j in range(adjoint.used[USED_SEGMENTS]):
-            if (
-                (plan.direct and second[j, ORDER] == 0)
-                or z <= second[j, Z_LOW]
-                or z > second[j, Z_HIGH]
-            ):
-                continue
-            px = touch[i, TOUCH_X] - second[j, X] - z * second[j, SLOPE_X]
-            py = touch[i, TOUCH_Y] - second[j, Y] - z * second[j, SLOPE_Y]
-            if px * px + py * py > second[j, FACE] * second[j, FACE]:
-                continue
-            m = (-second[j, NX], -second[j, NY], -second[j, NZ])
-            leaving = (
-                touch[i, NORMAL_X] * m[0]
-                + touch[i, NORMAL_Y] * m[1]
-                + touch[i, NORMAL_Z] * m[2]
-            )
-            if leaving <= 0.0:
-                continue
-            if (
-                target.has_plane
-                and second[j, ORDER] > 0
-                and normal[0] * px + normal[1] * py + second[j, FRONT] < target.height
-            ):
-                continue
-            if has_mesh and path_blocked(
-                second, j, (px, py, z), touch[i, TRIANGLE], mesh
-            ):
-                continue
-            factor = (
-                second[j, SCALE] * target.reflectance / math.pi * leaving / abs(m[2])
-            )
-            if plan.polarized:
-                n = (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ])
-                path_matrix = adjoint.light[j]
-                frame = (path_matrix[0], path_matrix[1], path_matrix[2])
-                light = forward.touch_light[i]
-                vector = reflected(n, light, target.mueller, target.right, m, frame)
-                received(path_matrix, vector, out)
-                for k in range(4):
-                    out[k] *= factor
-            else:
-                out[0] = factor
-            add_to(total, TARGET, out)
-            unscattered = touch[i, TOUCH_ORDER] + second[j, ORDER] == 0
-            length = touch[i, TOUCH_LENGTH] + second[j, LENGTH] + z * second[j, PER_Z]
-            direct = unscattered and touch[i, TOUCHES] == 0
-            add_point(
-                record, record.orders if direct else record.orders + 1, length, out
             )

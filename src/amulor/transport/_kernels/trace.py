@@ -44,17 +44,18 @@ from amulor.transport._kernels.types import (
 # Columns of a segment. X, Y and LENGTH are those at z = 0 on its straight line.
 Z_LOW, Z_HIGH, X, Y, SLOPE_X, SLOPE_Y, PER_Z, LENGTH = range(8)
 NX, NY, NZ, PARTITION, ORDER, LAYER, FRONT, FACE, SCALE, START = range(8, 18)
-SEGMENT_COLUMNS = 18  # START is the row of the first segment of the path
+GROUP = 18  # START is the row of the first segment of the path
+SEGMENT_COLUMNS = 19
 
 # Columns of a touch of the target: place, path length, order, direction of the light,
-# normal on its side, and number of the triangle (-1 for a plane).
+# normal on its side, number of the triangle (-1 for a plane), and number of the group.
 TOUCH_X, TOUCH_Y, TOUCH_Z, TOUCH_LENGTH, TOUCH_ORDER, TOUCHES = range(6)
 TOUCH_NX, TOUCH_NY, TOUCH_NZ = range(6, 9)
-NORMAL_X, NORMAL_Y, NORMAL_Z, TRIANGLE = range(9, 13)
-TOUCH_COLUMNS = 13
+NORMAL_X, NORMAL_Y, NORMAL_Z, TRIANGLE, TOUCH_GROUP = range(9, 14)
+TOUCH_COLUMNS = 14
 
-#: Positions of the numbers of used rows.
-USED_SEGMENTS, USED_TOUCHES = range(2)
+#: Positions of the numbers of used rows, and of the first rows of the current group.
+USED_SEGMENTS, USED_TOUCHES, FIRST_SEGMENT, FIRST_TOUCH = range(4)
 
 #: How a flight ends: out of the water, at the target, or at a collision.
 FLYING, OUT, HIT, COLLISION = range(4)
@@ -196,7 +197,7 @@ def fly(
             segment[row, PARTITION], segment[row, ORDER] = past.partition, past.order
             segment[row, LAYER], segment[row, FRONT] = layer, past.front
             segment[row, FACE], segment[row, SCALE] = kind.face, kind.scale
-            segment[row, START] = past.first
+            segment[row, START], segment[row, GROUP] = past.first, kind.group
             if kind.polarized:
                 for k in range(light.shape[1]):
                     light[row, k] = now[k]
@@ -229,6 +230,7 @@ def touch_target(
     touch[row, TOUCH_X], touch[row, TOUCH_Y], touch[row, TOUCH_Z] = ray.place
     touch[row, TOUCH_LENGTH], touch[row, TOUCH_ORDER] = past.length, past.order
     touch[row, TOUCHES], touch[row, TRIANGLE] = past.touches, triangle
+    touch[row, TOUCH_GROUP] = kind.group
     touch[row, TOUCH_NX], touch[row, TOUCH_NY], touch[row, TOUCH_NZ] = ray.direction
     touch[row, NORMAL_X], touch[row, NORMAL_Y], touch[row, NORMAL_Z] = normal
     if kind.polarized:

@@ -156,7 +156,9 @@ class Plan(NamedTuple):
     paths: int
     """Number of forward paths in a group."""
     partners: int
-    """Number of adjoint paths joined with each forward path."""
+    """Number of adjoint paths in a group, joined with each of its forward paths."""
+    block: int
+    """Number of groups whose target reflections are joined together."""
     stratified: bool
     """Whether first flights and directions in a group are stratified."""
     balanced: bool
@@ -238,10 +240,12 @@ class Kind(NamedTuple):
     """Radius of the receiver face at the start of an adjoint path [m]."""
     scale: float
     """Weight of a path pair with this adjoint path [sr]."""
+    group: int
+    """Number of the path's group in the batch."""
 
 
 class Paths(NamedTuple):
-    """Segments and target reflections of all paths of one kind in a group."""
+    """Segments and target reflections of all paths of one kind in a block of groups."""
 
     segment: Array
     """Straight segments, with the columns defined in `trace`."""
@@ -252,7 +256,9 @@ class Paths(NamedTuple):
     touch_light: Array
     """Polarization axis and Stokes vector at each target reflection."""
     used: Integers
-    """Number of used rows for segments and for target reflections."""
+    """Number of used rows of segments and target reflections, and the current group's
+    first rows.
+    """
 
 
 class Arrival(NamedTuple):

@@ -1,0 +1,314 @@
+"""Joins of target reflections with adjoint paths, over a block of groups.
+
+Light that is scattered on its way out and back spreads over much more of the target
+than the receiver's face covers, so few of the pairs meet. The reflections of a whole
+block of groups are therefore sorted by place, and each adjoint segment is joined with
+those in its reach. Theory: docs/theory/photon-transport.md, "Reflections are joined by
+place".
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from amulor.transport._kernels.contributions import (
+    TARGET,
+    add_point,
+    add_to,
+    path_blocked,
+)
+from amulor.transport._kernels.polarization import received, reflected
+from amulor.transport._kernels.sampling import uniform
+from amulor.transport._kernels.trace import (
+    FACE,
+    FRONT,
+    GROUP,
+    LENGTH,
+    NORMAL_X,
+    NORMAL_Y,
+    NORMAL_Z,
+    NX,
+    NY,
+    NZ,
+    ORDER,
+    PER_Z,
+    SCALE,
+    SLOPE_X,
+    SLOPE_Y,
+    TOUCH_GROUP,
+    TOUCH_LENGTH,
+    TOUCH_NX,
+    TOUCH_NY,
+    TOUCH_NZ,
+    TOUCH_ORDER,
+    TOUCH_X,
+    TOUCH_Y,
+    TOUCH_Z,
+    TOUCHES,
+    TRIANGLE,
+    USED_SEGMENTS,
+    Z_HIGH,
+    Z_LOW,
+    X,
+    Y,
+)
+from amulor.transport._kernels.types import (
+    Array,
+    Arrival,
+    Integers,
+    Paths,
+    Plan,
+    Record,
+    States,
+    Target,
+    allocating,
+    inner,
+    step,
+)
+
+#: Reflections that an adjoint segment is joined with on average if it reaches more.
+_MOST = 32
+#: Strips that the reflections are divided into at most.
+_STRIPS = 4096
+
+
+class Strips(NamedTuple):
+    """Target reflections, sorted by strips along y and by y inside of a strip."""
+
+    key: Array
+    """Sorted keys: number of the strip times `span`, plus y - `bottom` [m]."""
+    row: Integers
+    """Row of each reflection, in the order of the keys."""
+    left: float
+    """Least x [m]."""
+    bottom: float
+    """Least y [m]."""
+    height: float
+    """Range of y [m]."""
+    near: float
+    """Least z [m]."""
+    far: float
+    """Largest z [m]."""
+    width: float
+    """Width of a strip along x [m]."""
+    span: float
+    """Distance between the keys of one y in two neighboring strips [m]."""
+    last: int
+    """Number of the last strip, from 0."""
+
+
+@allocating
+def strips_of(touch: Array, count: int, radius: float) -> Strips:
+    """Sort target reflections into strips as wide as the receiver's face."""
+    low = touch[0, :3].copy()
+    high = low.copy()
+    for i in range(1, count):
+        for k in range(3):
+            low[k] = min(low[k], touch[i, k])
+            high[k] = max(high[k], touch[i, k])
+    width = max(2.0 * radius, (high[0] - low[0]) / _STRIPS)
+    height = high[1] - low[1]
+    span = 2.0 * height + 1.0
+    key = np.empty(count)
+    for i in range(count):
+        strip = math.floor((touch[i, TOUCH_X] - low[0]) / width)
+        key[i] = strip * span + touch[i, TOUCH_Y] - low[1]
+    row = np.argsort(key)
+    return Strips(
+        key[row],
+        row,
+        low[0],
+        low[1],
+        height,
+        low[2],
+        high[2],
+        width,
+        span,
+        math.floor((high[0] - low[0]) / width),
+    )
+
+
+@step
+def rank(key: Array, value: float) -> int:
+    """Return the number of sorted keys below a value."""
+    low, high = 0, key.size
+    while low < high:
+        middle = (low + high) // 2
+        if key[middle] < value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@step
+def reach(
+    adjoint: Array, j: int, target: Target, near: float, far: float
+) -> tuple[float, float, float, float]:
+    """Return the range of x and y of the reflections that a segment can be joined with.
+
+    The path may be shifted over the receiver's face, and the reflections lie from near
+    to far. A shift p moves the point where the segment meets a plane with the normal N
+    by p + s dz, dz = -N p / (N_z + N s), with the slope s of the segment. The range is
+    empty, with its low above its high end, if the segment does not meet it.
+    """
+    face = adjoint[j, FACE]
+    x, y = adjoint[j, X], adjoint[j, Y]
+    sx, sy = adjoint[j, SLOPE_X], adjoint[j, SLOPE_Y]
+    z_low, z_high = max(near, adjoint[j, Z_LOW]), min(far, adjoint[j, Z_HIGH])
+    if z_low > z_high:
+        return 0.0, -1.0, 0.0, -1.0
+    x_low = x + min(z_low * sx, z_high * sx) - face
+    x_high = x + max(z_low * sx, z_high * sx) + face
+    y_low = y + min(z_low * sy, z_high * sy) - face
+    y_high = y + max(z_low * sy, z_high * sy) + face
+    if target.has_plane:
+        normal = target.normal
+        rise = normal[2] + normal[0] * sx + normal[1] * sy
+        if abs(rise) > 1e-9:
+            z = (target.height - normal[0] * x - normal[1] * y) / rise
+            depth = face * math.hypot(normal[0], normal[1]) / abs(rise)
+            over, up = face + abs(sx) * depth, face + abs(sy) * depth
+            x_low, x_high = (
+                max(x_low, x + z * sx - over),
+                min(x_high, x + z * sx + over),
+            )
+            y_low, y_high = max(y_low, y + z * sy - up), min(y_high, y + z * sy + up)
+    return x_low, x_high, y_low, y_high
+
+
+@step
+def join_touch(
+    forward: Paths,
+    i: int,
+    adjoint: Paths,
+    j: int,
+    share: float,
+    target: Target,
+    plan: Plan,
+    record: Record,
+    arrival: Arrival,
+    weight: Array,
+) -> None:
+    """Join a target reflection with an adjoint segment, if they meet; record the light.
+
+    The light of a pair is Omega (reflectance / pi) cos / |n'_z|, the cosine that
+    between the target's normal and the way to the receiver. share is its part of the
+    weight SCALE.
+    """
+    touch, second, out = forward.touch, adjoint.segment, arrival.light
+    normal, mesh = target.normal, target.mesh
+    z = touch[i, TOUCH_Z]
+    if z <= second[j, Z_LOW] or z > second[j, Z_HIGH]:
+        return
+    px = touch[i, TOUCH_X] - second[j, X] - z * second[j, SLOPE_X]
+    py = touch[i, TOUCH_Y] - second[j, Y] - z * second[j, SLOPE_Y]
+    if px * px + py * py > second[j, FACE] * second[j, FACE]:
+        return
+    m = (-second[j, NX], -second[j, NY], -second[j, NZ])
+    leaving = (
+        touch[i, NORMAL_X] * m[0]
+        + touch[i, NORMAL_Y] * m[1]
+        + touch[i, NORMAL_Z] * m[2]
+    )
+    if leaving <= 0.0:
+        return
+    if (
+        target.has_plane
+        and second[j, ORDER] > 0
+        and normal[0] * px + normal[1] * py + second[j, FRONT] < target.height
+    ):
+        return
+    if mesh.box.shape[0] > 0 and path_blocked(
+        second, j, (px, py, z), touch[i, TRIANGLE], mesh
+    ):
+        return
+    factor = share * second[j, SCALE] * target.reflectance / math.pi
+    factor *= leaving / abs(m[2])
+    if plan.polarized:
+        n = (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ])
+        path_matrix = adjoint.light[j]
+        frame = (path_matrix[0], path_matrix[1], path_matrix[2])
+        light = forward.touch_light[i]
+        vector = reflected(n, light, target.mueller, target.right, m, frame)
+        received(path_matrix, vector, out)
+        for k in range(4):
+            out[k] *= factor
+    else:
+        out[0] = factor
+    add_to(arrival.total, TARGET, out)
+    add_to(weight[int(touch[i, TOUCH_GROUP])], TARGET, out)
+    add_to(weight[int(second[j, GROUP])], TARGET, out)
+    unscattered = touch[i, TOUCH_ORDER] + second[j, ORDER] == 0
+    length = touch[i, TOUCH_LENGTH] + second[j, LENGTH] + z * second[j, PER_Z]
+    direct = unscattered and touch[i, TOUCHES] == 0
+    add_point(record, record.orders if direct else record.orders + 1, length, out)
+
+
+@inner
+def join_touches(
+    state: States,
+    forward: Paths,
+    adjoint: Paths,
+    strips: Strips,
+    target: Target,
+    plan: Plan,
+    record: Record,
+    arrival: Arrival,
+    weight: Array,
+) -> None:
+    """Join the target reflections of a block of groups with its adjoint segments.
+
+    Of more than _MOST reflections in reach of a segment, a systematic sample is joined,
+    each with the inverse of its chance. The light of a pair is added to the group of
+    either path, less the mean of the block: the sum is right, and so is its variance,
+    as groups share paths on both sides.
+    """
+    second, key = adjoint.segment, strips.key
+    total = arrival.total
+    total[:] = 0.0
+    for j in range(adjoint.used[USED_SEGMENTS]):
+        if plan.direct and second[j, ORDER] == 0:
+            continue
+        x_low, x_high, y_low, y_high = reach(second, j, target, strips.near, strips.far)
+        bottom = max(y_low - strips.bottom, 0.0)
+        top = min(y_high - strips.bottom, strips.height)
+        first = max(math.floor((x_low - strips.left) / strips.width), 0)
+        last = min(math.floor((x_high - strips.left) / strips.width), strips.last)
+        if bottom > top or first > last:
+            continue
+        count = 0
+        for strip in range(first, last + 1):
+            begin = rank(key, strip * strips.span + bottom)
+            count += (
+                rank(key, np.nextafter(strip * strips.span + top, math.inf)) - begin
+            )
+        if count == 0:
+            continue
+        stride, chosen = 1.0, 0.0
+        if count > _MOST:
+            stride = count / _MOST
+            chosen = stride * uniform(state)
+        passed = 0
+        for strip in range(first, last + 1):
+            begin = rank(key, strip * strips.span + bottom)
+            end = rank(key, np.nextafter(strip * strips.span + top, math.inf))
+            while chosen < passed + end - begin:
+                i = strips.row[begin + int(chosen) - passed]
+                join_touch(
+                    forward,
+                    i,
+                    adjoint,
+                    j,
+                    stride / weight.shape[0],
+                    target,
+                    plan,
+                    record,
+                    arrival,
+                    weight,
+                )
+                chosen += stride
+            passed += end - begin
