@@ -27,8 +27,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import history
 import numpy as np
@@ -36,6 +37,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "oracles"))
 
 import plain_photon_loops as plain
+from numpy.typing import ArrayLike
 
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.optics.polarization.mueller import rayleigh
@@ -43,8 +45,10 @@ from amulor.transport import (
     DiscReceiver,
     Layer,
     Medium,
+    PlaneTarget,
     ScatteringMatrix,
     Source,
+    Tally,
     Technique,
     reflection_and_transmission,
     simulate,
@@ -106,6 +110,38 @@ class Entry:
         return self.mean**2 / self.variance / self.seconds
 
 
+def run_of(
+    case: plain.Case,
+    histories: int,
+    seed: int,
+    frequencies: ArrayLike,
+    *,
+    polarized: bool = False,
+    **options: Any,
+) -> Tally:
+    """Return a run of this package for a case of the plain loops."""
+    water = Medium.homogeneous(
+        absorption=case.attenuation * (1 - case.albedo),
+        scattering=case.attenuation * case.albedo,
+        phase_function=MATRIX if polarized else PEAK,
+        group_index=case.group_index,
+    )
+    receiver = DiscReceiver(
+        radius=case.radius,
+        acceptance_angle=case.acceptance,
+        position=(case.centre, 0.0, 0.0),
+    )
+    return simulate(
+        water,
+        Source(polarization="H" if polarized else "none"),
+        receiver,
+        frequencies,
+        histories=histories,
+        seed=seed,
+        **options,
+    )
+
+
 def product(
     case: plain.Case,
     histories: int,
@@ -114,27 +150,14 @@ def product(
     technique: Technique | None = None,
 ) -> Callable[[int], tuple[float, float, int]]:
     """Return a run of this package."""
-    water = Medium.homogeneous(
-        absorption=case.attenuation * (1 - case.albedo),
-        scattering=case.attenuation * case.albedo,
-        phase_function=MATRIX if polarized else PEAK,
-        group_index=case.group_index,
-    )
-    source = Source(polarization="H" if polarized else "none")
-    receiver = DiscReceiver(
-        radius=case.radius,
-        acceptance_angle=case.acceptance,
-        position=(case.centre, 0.0, 0.0),
-    )
 
     def run(seed: int) -> tuple[float, float, int]:
-        tally = simulate(
-            water,
-            source,
-            receiver,
+        tally = run_of(
+            case,
+            histories,
+            seed,
             plain.FREQUENCIES,
-            histories=histories,
-            seed=seed,
+            polarized=polarized,
             technique=technique,
         )
         total, square, _ = tally.contribution
@@ -280,6 +303,46 @@ def techniques(clock: Clock) -> None:
         table(title, entries, {})
 
 
+def echo(clock: Clock) -> dict[str, float]:
+    """Print and return the FOM of a plane target's light by optical thickness."""
+    figures = {}
+    print("\n| attenuation lengths to the target | light | FOM | FOM at 200 MHz |")
+    print("| --- | --- | --- | --- |")
+    for distance in (1.5, 3.0, 5.0, 8.0, 12.0):
+        target = PlaneTarget(position=(0, 0, distance), reflectance=0.3)
+        start = clock()
+        tally = run_of(NARROW, 500_000, 1, [0.0, 200e6], target=target)
+        seconds = clock() - start
+        merit = tally.relative_error_of("target") ** -2.0 / seconds
+        light = abs(tally.target_signal[0])
+        error = light * tally.relative_error_of("target")[0]
+        print(
+            f"| {distance:g} | {light:.4g} +- {error:.1g} | {merit[0]:,.3g} "
+            f"| {merit[1]:,.3g} |"
+        )
+        figures[f"target at {distance:g} attenuation lengths, 1/s"] = merit[0]
+    return figures
+
+
+def thick(clock: Clock) -> dict[str, float]:
+    """Print and return the FOM of the water's light by albedo and frequencies."""
+    figures = {}
+    print("\n| albedo | modulation frequencies | us each | FOM |")
+    print("| --- | --- | --- | --- |")
+    cases = [(0.8, 1, 300_000), (0.8, 20, 300_000), (0.8, 200, 300_000)]
+    cases += [(0.95, 1, 100_000), (0.99, 1, 30_000), (0.999, 1, 3000)]
+    for albedo, count, histories in cases:
+        case = replace(NARROW, albedo=albedo)
+        start = clock()
+        tally = run_of(case, histories, 1, np.linspace(0.0, 200e6, count))
+        seconds = clock() - start
+        merit = tally.relative_error[0] ** -2.0 / seconds
+        each = 2e6 * seconds / tally.histories
+        print(f"| {albedo:g} | {count} | {each:.3g} | {merit:,.3g} |")
+        figures[f"albedo {albedo:g}, {count} frequencies, 1/s"] = merit
+    return figures
+
+
 def slab(clock: Clock) -> dict[str, float]:
     """Print and return histories per second through a slab."""
     layer = Layer(
@@ -349,6 +412,8 @@ def main() -> None:
     figures = narrow(clock, options.long)
     figures |= wide(clock, options.long)
     techniques(clock)
+    figures |= echo(clock)
+    figures |= thick(clock)
     figures |= slab(clock)
     figures |= starts(options.cpu)
     history.append("time_transport", figures | {"cpu_time": options.cpu})

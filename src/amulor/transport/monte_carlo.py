@@ -62,7 +62,10 @@ class Technique:
     paths: int = 8
     """Number of forward paths in a group."""
     partners: int = 8
-    """Number of adjoint paths joined with each forward path of a group."""
+    """Number of adjoint paths in a group, joined with each of its forward paths.
+
+    Light of a target is joined over a block of many groups.
+    """
     stratified: bool = True
     """Whether first flights and directions in a group are stratified."""
     balanced: bool = True

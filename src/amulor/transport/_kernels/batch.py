@@ -15,8 +15,8 @@ from amulor.transport._kernels.contributions import (
     direct_from_segments,
     direct_from_touches,
     face_and_acceptance,
-    join_segments,
 )
+from amulor.transport._kernels.joins import join_group, no_cells
 from amulor.transport._kernels.polarization import (
     ADJOINT_COLUMNS,
     FORWARD_COLUMNS,
@@ -162,26 +162,6 @@ def begin_adjoint(
     return exponential(state), ray, Kind(True, plan.polarized, radius, scale, group)
 
 
-@step
-def join_group(
-    state: States,
-    forward: Paths,
-    adjoint: Paths,
-    scene: Scene,
-    plan: Plan,
-    record: Record,
-    arrival: Arrival,
-) -> None:
-    """Join the segments of a group, make its local estimates, and record the light."""
-    arrival.total[:] = 0.0
-    join_segments(
-        state, forward, adjoint, scene.water, scene.target, plan, record, arrival
-    )
-    if plan.direct:
-        direct_from_segments(state, forward, scene, plan, record, arrival)
-        direct_from_touches(state, forward, scene, plan, record, arrival)
-
-
 @allocating
 def join_block(
     state: States,
@@ -226,6 +206,7 @@ def run_batch(
     components = 4 if plan.polarized else 1
     arrival = Arrival(np.zeros(components), direct, np.zeros((2, components)))
     now = np.zeros(ADJOINT_COLUMNS)
+    none = no_cells()
     for start in range(0, weight.shape[0], plan.block):
         block = weight[start : start + plan.block]
         forward.used[:] = 0
@@ -241,7 +222,11 @@ def run_batch(
             for k in range(plan.partners):
                 thickness, ray, back = begin_adjoint(state, k, g, scene, plan, now)
                 adjoint = follow(state, thickness, ray, back, scene, adjoint, now)
-            join_group(state, forward, adjoint, scene, plan, record, arrival)
+            arrival.total[:] = 0.0
+            join_group(state, forward, adjoint, none, scene, plan, record, arrival)
+            if plan.direct:
+                direct_from_segments(state, forward, scene, plan, record, arrival)
+                direct_from_touches(state, forward, scene, plan, record, arrival)
             block[g] = arrival.total
         if forward.used[USED_TOUCHES] > 0:
             join_block(state, forward, adjoint, scene, plan, record, arrival, block)

@@ -18,8 +18,8 @@ from amulor.transport._kernels.contributions import (
     TARGET,
     add_point,
     add_to,
-    path_blocked,
 )
+from amulor.transport._kernels.joins import path_blocked
 from amulor.transport._kernels.polarization import received, reflected
 from amulor.transport._kernels.sampling import uniform
 from amulor.transport._kernels.trace import (
