@@ -32,12 +32,6 @@ __all__ = ["Problem", "digest_of", "integrals_of", "water_tables"]
 Array = NDArray[np.float64]
 
 
-#: Light of an event on a mesh over that of one on a plane: runs of 30,000 histories
-#: that had missed a fourth of the light, at six standard errors, are told from those
-#: that had it at 5 to 11 [1].
-_DEPTHS = 8.0
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
     """Medium, source, receiver and target of a transport problem, checked together."""
@@ -227,18 +221,15 @@ class Problem:
 
     @property
     def joined_touch(self) -> float:
-        """Estimated light of one target reflection joined with adjoint paths [1].
+        """Largest light of a target reflection joined with an adjoint path [1].
 
         Omega times reflectance over pi, for a target that faces the receiver; 0 where
-        no path of light from the target is scattered on its way. Several times as much
-        on a mesh: paths are joined at one of the depths at which they meet, which
-        stands for all of them, and not in the integral over these.
+        no path of light from the target is scattered on its way.
         """
         if self.target is None or not np.any(self.water.albedo > 0):
             return 0.0
         solid = math.sin(self.face.acceptance) ** 2
-        depths = _DEPTHS if isinstance(self.target, MeshTarget) else 1.0
-        return depths * solid * float(self.target.reflectance)
+        return solid * float(self.target.reflectance)
 
     @cached_property
     def scene(self) -> Scene:

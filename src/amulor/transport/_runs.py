@@ -42,6 +42,7 @@ class Batch:
     mass: Array | None
     edge: Array | None
     spacing: float
+    unseen: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,6 +63,7 @@ class Accumulator:
     seconds: float = 0.0
     record: tuple[Array, Array] | None = None
     spacing: float = 0.0
+    unseen: float = 0.0
     next_batch: int = 0
 
     @classmethod
@@ -96,6 +98,7 @@ class Accumulator:
             contributions=resume.contributions,
             groups=resume.groups,
             seconds=resume.seconds,
+            unseen=resume.unseen,
             next_batch=resume.next_batch,
         )
 
@@ -130,6 +133,7 @@ class Accumulator:
             groups=self.groups + len(batch.weight),
             record=self._with_record(batch),
             spacing=batch.spacing,
+            unseen=max(self.unseen, batch.unseen),
             next_batch=batch.number + 1,
         )
 
@@ -156,6 +160,7 @@ class Accumulator:
             contribution=self.contribution,
             contributions=self.contributions if self.groups else None,
             next_batch=self.next_batch,
+            unseen=self.unseen,
             seconds=self.seconds + seconds,
             interrupted=interrupted,
             record=None if self.record is None else self._path_record(*self.record),
@@ -440,7 +445,14 @@ class Record:
         )
 
     def batch(
-        self, number: int, histories: int, units: int, weight: Array, *, keep: bool
+        self,
+        number: int,
+        histories: int,
+        units: int,
+        weight: Array,
+        *,
+        keep: bool,
+        unseen: float = 0.0,
     ) -> Batch:
         """Return the result of the batch, as means per history."""
         _record_kernels.transform(
@@ -454,4 +466,5 @@ class Record:
             mass=self.mass / units if keep else None,
             edge=self.edge / units if keep else None,
             spacing=self.spacing,
+            unseen=unseen,
         )

@@ -36,6 +36,10 @@ __all__ = ["ErrorGoal", "Progress", "Spread", "Technique", "simulate"]
 NARROW = 0.35
 #: Batches that a run is divided into, and the most histories in one.
 _BATCHES, _LARGEST_BATCH = 128, 65536
+#: Light of an unseen adjoint path over that of the densest square of reflections, which
+#: may reach into a second strip. Runs 4 to 7 standard errors off exceed their errors by
+#: 2.0 to 3.6 with it, and runs with all of the light have 0.3 to 0.6 of theirs [1].
+_UNSEEN = 2.0
 #: Segments of the adjoint paths that are joined with target reflections together.
 _BLOCK_SEGMENTS = 200_000
 
@@ -66,6 +70,11 @@ class Technique:
 
     Light of a target is joined over a block of many groups.
     """
+    reflections: int = 32
+    """Number of target reflections that an adjoint segment is joined with at most.
+
+    Of more in its reach, a random sample is joined.
+    """
     stratified: bool = True
     """Whether first flights and directions in a group are stratified."""
     balanced: bool = True
@@ -79,7 +88,7 @@ class Technique:
 
     def __post_init__(self) -> None:
         """Raise a ValueError unless numbers are whole and at least 1."""
-        for name in ("paths", "partners", "scattering_orders"):
+        for name in ("paths", "partners", "reflections", "scattering_orders"):
             value = getattr(self, name)
             if value < 1 or value != int(value):
                 raise ValueError(f"{name} must be a whole number from 1, got {value!r}")
@@ -286,8 +295,6 @@ class _Run:
             problem=self.problem.digest,
             seconds=0.0,
             phase_function_integral=integrals_of(self.problem.medium.layers),
-            unseen=self.problem.joined_touch
-            / (self.technique.paths * self.technique.partners * self.block),
         )
 
     def __call__(self, number: int) -> Batch:
@@ -309,16 +316,25 @@ class _Run:
             paths=chosen.paths,
             partners=chosen.partners,
             block=self.block,
+            reflections=chosen.reflections,
             stratified=chosen.stratified,
             balanced=chosen.balanced,
             direct=direct,
             polarized=frame.polarized,
         )
-        _batch_kernels.run_batch(
+        reached = _batch_kernels.run_batch(
             random_state(self.seed, number),
             self.problem.scene,
             plan,
             record.arrays(chosen.scattering_orders),
             weight,
         )
-        return record.batch(number, self.size, groups, weight, keep=self.keep_record)
+        pairs = chosen.paths * chosen.partners * plan.block
+        return record.batch(
+            number,
+            self.size,
+            groups,
+            weight,
+            keep=self.keep_record,
+            unseen=_UNSEEN * reached * self.problem.joined_touch / pairs,
+        )

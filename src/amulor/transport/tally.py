@@ -240,7 +240,7 @@ class Tally:
     within 0.2 % [1].
     """
     unseen: float = 0.0
-    """Group contribution of a target reflection joined with an adjoint path [1]."""
+    """Light of an adjoint path joined with all reflections in its reach [1]."""
 
     @property
     def histories(self) -> int:
@@ -632,6 +632,7 @@ class Tally:
                 max(mine[2], theirs[2]),
             ),
             seconds=self.seconds + other.seconds,
+            unseen=max(self.unseen, other.unseen),
             interrupted=self.interrupted or other.interrupted,
             merged_seeds=(*self.merged_seeds, *seeds),
             contributions=None

@@ -21,8 +21,8 @@ from amulor.transport._runs import random_state
 GROUPS, FACE, SCALE, REFLECTANCE = 5, 0.3, 0.02, 0.4
 NORMALS = {"across": (0.0, 0.0, -1.0), "tilted": (0.6, 0.0, -0.8), "no plane": None}
 PLAN = Plan(
-    paths=4, partners=4, block=GROUPS, stratified=True, balanced=True, direct=False,
-    polarized=False,
+    paths=4, partners=4, block=GROUPS, reflections=1000, stratified=True, balanced=True,
+    direct=False, polarized=False,
 )  # fmt: skip
 
 
@@ -82,7 +82,7 @@ def paths_of(kind, rng, touches=60, segments=80):
     )  # fmt: skip
 
 
-def joined(kind, forward, adjoint, seed=0):
+def joined(kind, forward, adjoint, plan=PLAN, seed=0):
     """Return total light, light of each group, and the record of a block."""
     record = Record(
         np.zeros((3, 1, 4096)), np.zeros((3, 1, 4096)), np.zeros((3, 1, 1), complex),
@@ -93,7 +93,7 @@ def joined(kind, forward, adjoint, seed=0):
     strips = reflections.strips_of(forward.touch, len(forward.touch), FACE)
     reflections.join_touches(
         random_state(seed, 0), forward, adjoint, strips, target_of(NORMALS[kind]),
-        PLAN, record, arrival, weight,
+        plan, record, arrival, weight,
     )  # fmt: skip
     return arrival.total[1, 0], weight[:, 1, 0], record
 
@@ -128,8 +128,7 @@ def plain(kind, forward, adjoint):
 
 
 @pytest.mark.parametrize("kind", NORMALS)
-def test_all_pairs_that_meet_are_joined_once(kind, monkeypatch):
-    monkeypatch.setattr(reflections, "_MOST", 1000)
+def test_all_pairs_that_meet_are_joined_once(kind):
     for seed in range(2):
         forward, adjoint = paths_of(kind, np.random.default_rng(seed))
         total, weight, record = joined(kind, forward, adjoint)
@@ -147,11 +146,13 @@ def test_all_pairs_that_meet_are_joined_once(kind, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", NORMALS)
-def test_a_sample_of_the_pairs_has_the_mean_of_all(kind, monkeypatch):
-    monkeypatch.setattr(reflections, "_MOST", 3)
+def test_a_sample_of_the_pairs_has_the_mean_of_all(kind):
     forward, adjoint = paths_of(kind, np.random.default_rng(1), 40, 30)
     light = plain(kind, forward, adjoint).sum()
-    totals = np.array([joined(kind, forward, adjoint, seed)[0] for seed in range(80)])
+    plan = PLAN._replace(reflections=3)
+    totals = np.array(
+        [joined(kind, forward, adjoint, plan, seed)[0] for seed in range(80)]
+    )
     error = totals.std(ddof=1) / math.sqrt(len(totals))
     assert error > 0.001 * light  # pairs were left out
     assert abs(totals.mean() - light) < 4 * error

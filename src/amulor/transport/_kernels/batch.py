@@ -172,11 +172,12 @@ def join_block(
     record: Record,
     arrival: Arrival,
     weight: Array,
-) -> None:
+) -> int:
     """Join the target reflections of a block of groups with its adjoint paths.
 
     weight, one row a group, takes the light. A pair is of two groups: it is added to
-    both, and the mean over the block is taken off.
+    both, and the mean over the block is taken off. Returns how many reflections one
+    adjoint path may reach.
     """
     groups = weight.shape[0]
     strips = strips_of(forward.touch, forward.used[USED_TOUCHES], scene.face.radius)
@@ -185,17 +186,19 @@ def join_block(
     for g in range(groups):
         for k in range(weight.shape[2]):
             weight[g, TARGET, k] -= arrival.total[TARGET, k] / groups
+    return strips.densest
 
 
 @entry
 def run_batch(
     state: States, scene: Scene, plan: Plan, record: Record, weight: Array
-) -> None:
+) -> int:
     """Trace groups of photon histories; record received light in total and by group.
 
     weight has the shape (groups, 2, components): light from water and target. A group
     is a number of forward and of adjoint paths, all joined in the water. Reflections
-    of the target are joined with the adjoint paths of a whole block of groups.
+    of the target are joined with the adjoint paths of a whole block of groups. Returns
+    how many reflections one adjoint path may reach.
     """
     rows = _ROWS if plan.polarized else 1
     forward = without_segments(np.zeros((rows, FORWARD_COLUMNS)))
@@ -207,6 +210,7 @@ def run_batch(
     arrival = Arrival(np.zeros(components), direct, np.zeros((2, components)))
     now = np.zeros(ADJOINT_COLUMNS)
     none = no_cells()
+    densest = 1
     for start in range(0, weight.shape[0], plan.block):
         block = weight[start : start + plan.block]
         forward.used[:] = 0
@@ -229,4 +233,8 @@ def run_batch(
                 direct_from_touches(state, forward, scene, plan, record, arrival)
             block[g] = arrival.total
         if forward.used[USED_TOUCHES] > 0:
-            join_block(state, forward, adjoint, scene, plan, record, arrival, block)
+            reached = join_block(
+                state, forward, adjoint, scene, plan, record, arrival, block
+            )
+            densest = max(densest, reached)
+    return densest

@@ -69,8 +69,6 @@ from amulor.transport._kernels.types import (
     step,
 )
 
-#: Reflections that an adjoint segment is joined with on average if it reaches more.
-_MOST = 32
 #: Strips that the reflections are divided into at most.
 _STRIPS = 4096
 
@@ -98,6 +96,8 @@ class Strips(NamedTuple):
     """Distance between the keys of one y in two neighboring strips [m]."""
     last: int
     """Number of the last strip, from 0."""
+    densest: int
+    """Largest number of reflections in a square as wide as the receiver's face."""
 
 
 @allocating
@@ -111,14 +111,20 @@ def strips_of(touch: Array, count: int, radius: float) -> Strips:
             high[k] = max(high[k], touch[i, k])
     width = max(2.0 * radius, (high[0] - low[0]) / _STRIPS)
     height = high[1] - low[1]
-    span = 2.0 * height + 1.0
+    span = 2.0 * height + 4.0 * radius + 1.0
     key = np.empty(count)
     for i in range(count):
         strip = math.floor((touch[i, TOUCH_X] - low[0]) / width)
         key[i] = strip * span + touch[i, TOUCH_Y] - low[1]
     row = np.argsort(key)
+    key = key[row]
+    densest, end = 0, 0
+    for begin in range(count):
+        while end < count and key[end] <= key[begin] + 2.0 * radius:
+            end += 1
+        densest = max(densest, end - begin)
     return Strips(
-        key[row],
+        key,
         row,
         low[0],
         low[1],
@@ -128,6 +134,7 @@ def strips_of(touch: Array, count: int, radius: float) -> Strips:
         width,
         span,
         math.floor((high[0] - low[0]) / width),
+        densest,
     )
 
 
@@ -262,8 +269,8 @@ def join_touches(
 ) -> None:
     """Join the target reflections of a block of groups with its adjoint segments.
 
-    Of more than _MOST reflections in reach of a segment, a systematic sample is joined,
-    each with the inverse of its chance. The light of a pair is added to the group of
+    Of too many reflections in reach of a segment, a systematic sample is joined, each
+    with the inverse of its chance. The light of a pair is added to the group of
     either path, less the mean of the block: the sum is right, and so is its variance,
     as groups share paths on both sides.
     """
@@ -289,8 +296,8 @@ def join_touches(
         if count == 0:
             continue
         stride, chosen = 1.0, 0.0
-        if count > _MOST:
-            stride = count / _MOST
+        if count > plan.reflections:
+            stride = count / plan.reflections
             chosen = stride * uniform(state)
         passed = 0
         for strip in range(first, last + 1):

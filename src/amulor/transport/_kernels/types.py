@@ -159,6 +159,8 @@ class Plan(NamedTuple):
     """Number of adjoint paths in a group, joined with each of its forward paths."""
     block: int
     """Number of groups whose target reflections are joined together."""
+    reflections: int
+    """Number of reflections that an adjoint segment is joined with at most."""
     stratified: bool
     """Whether first flights and directions in a group are stratified."""
     balanced: bool
