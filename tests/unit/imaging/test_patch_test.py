@@ -2,6 +2,7 @@
 
 import runpy
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -98,6 +99,28 @@ def test_a_level_vehicle_does_not_determine_the_lever_arm(monkeypatch):
     # Periods and phases of the oscillation are random.
     assert 0.5 < result.uncertainty[1] / down.with_line < 1.5
     assert (np.abs(result.change - true) < 3.5 * result.uncertainty).all()
+
+
+def test_lines_half_an_hour_apart_determine_the_drift(rocked):
+    """Dated trajectories, and a clock that gains 20 ms an hour."""
+    images, tracks, true = rocked
+    begin = datetime(2026, 5, 4, 10, 0, tzinfo=UTC)
+    dated = []
+    for number, (image, track) in enumerate(zip(images, tracks, strict=True)):
+        since = 1800.0 * number
+        start = begin + timedelta(seconds=since)
+        image = image.assign_attrs(time_coverage_start=start.isoformat())
+        # The clock of the vehicle at the start of the line, by the true drift.
+        stamps = track.time + start.timestamp() + true[7] * since
+        dated.append((image, replace(track, time=stamps, clock="unix")))
+    mounting = LINES["stated_mounting"]().model_copy(
+        update={"clock_reference": begin.isoformat()}
+    )
+    result = imaging.patch_test(*zip(*dated, strict=True), mounting=mounting)
+    # 0.5 ms between lines that are 1 hour apart.
+    assert result.uncertainty[7] < 2e-7
+    assert (np.abs(result.change - true) < 3.5 * result.uncertainty).all()
+    assert not result.undetermined
 
 
 def test_lines_that_do_not_overlap_are_refused(rocked):
