@@ -112,6 +112,18 @@ def test_volumes_of_heaps_have_the_stated_error() -> None:
     assert np.std(scores) == pytest.approx(1, abs=0.3)
 
 
+@pytest.mark.parametrize(("size", "expected"), [(5.0, 4.0909), (20.0, 6.6667)])
+def test_errors_beyond_the_weak_prior_have_the_stated_one(
+    size: float, expected: float
+) -> None:
+    # The squares of the derivatives add up to 0.5: an error of 5 is estimated as 5
+    # times 0.5 / (0.5 + 1 / 3**2), and one of 20, beyond the prior, as 20 / (1 + 2).
+    slope = np.sqrt(0.5 / 100)
+    found = flat_change(np.full(100, size * slope), own=1.0, shared=slope)
+    corrected = _corrected(found, np.ones(100, dtype=bool))
+    assert_allclose(found.value - corrected.value, expected * slope, rtol=1e-4)
+
+
 @pytest.mark.parametrize("radius", [0.015, 0.02, 0.03])
 def test_cylinders_that_overlap_repeat_their_noise(radius: float) -> None:
     # Heights of second-degree fits on the grid, by the pseudo-inverse at each axis.

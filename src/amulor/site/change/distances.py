@@ -230,20 +230,25 @@ def _unchanged(change: Change) -> Flags:
 def _corrected(change: Change, unchanged: Flags) -> Change:
     """Correct a comparison for the shared errors estimated from unchanged points.
 
-    The errors are estimated with a weak prior. Their covariance is that of this
+    The errors are estimated with a weak prior, or with the stated one if they exceed
+    it. Their covariance is that of this
     estimate, for shared errors as stated and noise that overlapping cylinders repeat.
     """
     at = np.flatnonzero(unchanged)
     rows = change.shared[at] / change.own[at, None]
     values = change.value[at] / change.own[at]
     repeated = max(np.pi * change.radius**2 / (4 * change.spacing**2), 1.0)
-    weak = np.eye(rows.shape[1]) / _CORRECTED**2
-    used = np.ones(len(at), dtype=bool)
-    for _ in range(3):
-        matrix = rows[used].T @ rows[used]
-        inverse = np.linalg.inv(matrix + weak)
-        errors = inverse @ (rows[used].T @ values[used])
-        used = np.abs(values - rows @ errors) < _OFF
+    for size in (_CORRECTED, 1.0):
+        weak = np.eye(rows.shape[1]) / size**2
+        used = np.ones(len(at), dtype=bool)
+        for _ in range(3):
+            matrix = rows[used].T @ rows[used]
+            inverse = np.linalg.inv(matrix + weak)
+            errors = inverse @ (rows[used].T @ values[used])
+            used = np.abs(values - rows @ errors) < _OFF
+        # Larger errors fit the shape of patches, and would change the bump.
+        if np.abs(errors).max(initial=0.0) < _OFF * size:
+            break
     spread = inverse @ (_TAILS * repeated * matrix + weak @ weak) @ inverse
     energy, axes = np.linalg.eigh(spread)
     root = axes * np.sqrt(np.maximum(energy, 0.0))
