@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
+import re
 import typing
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -80,8 +81,17 @@ def defaults() -> list[str]:
 
 def _descriptions() -> list[type]:
     """Return the classes of all tables of TOML files."""
+    import amulor
     from amulor.survey.quantity import Description
 
+    # A class exists once its module is imported.
+    package = Path(amulor.__file__).parent
+    for file in sorted(package.rglob("*.py")):
+        if re.search(r"^class \w+\(", file.read_text("utf-8"), re.MULTILINE):
+            parts = file.relative_to(package.parent).with_suffix("").parts
+            name = ".".join(parts).removesuffix(".__init__")
+            if not name.endswith("__main__"):
+                importlib.import_module(name)
     classes, waiting = [], [Description]
     while waiting:
         subclasses = waiting.pop().__subclasses__()
