@@ -133,7 +133,7 @@ def measured(seed: int) -> dict[str, float]:
     """Run a patch test, and return errors and stated uncertainties."""
     images, tracks, error = lines_of(seed)
     result = imaging.patch_test(
-        images, tracks, mounting=stated_mounting(), suggest=False
+        images, trajectories=tracks, mounting=stated_mounting(), suggest=False
     )
     row: dict[str, float] = {"seed": seed, "misfit": result.misfit}
     row["position_walk"] = result.position_walk

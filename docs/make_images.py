@@ -146,7 +146,7 @@ def patch_test(script: Path, picture: Path) -> None:
         names = [f"line-{number}" for number in range(1, 5)]
         result = imaging.patch_test(
             [io.read_cube(f"{name}.nc") for name in names],
-            [read_trajectory(f"{name}.csv") for name in names],
+            trajectories=[read_trajectory(f"{name}.csv") for name in names],
             mounting=read_mounting("rov.toml"),
         )
         write_patch_test(picture, result, overwrite=True)

@@ -89,7 +89,7 @@ def platform(
         tracks = [read_trajectory(path) for path in trajectory]
         start = None if mounting is None else read_mounting(mounting)
         progress("comparing lines", 0.2)
-        result = imaging.patch_test(images, tracks, mounting=start)
+        result = imaging.patch_test(images, trajectories=tracks, mounting=start)
     files = [f"#   {path.name} {cubes.digest(path)}" for path in inputs]
     text = "\n".join(["# By amulor calibrate platform, from:", *files, ""])
     with atomic_output(output, overwrite=overwrite) as temporary:

@@ -119,8 +119,8 @@ class PatchTest:
 
 def patch_test(
     images: Sequence[xr.Dataset],
-    trajectories: Sequence[Trajectory],
     *,
+    trajectories: Sequence[Trajectory],
     mounting: Mounting | None = None,
     suggest: bool = True,
 ) -> PatchTest:
@@ -174,7 +174,7 @@ def patch_test(
     ...     time=[0.0, 60.0], position=[[0, 0, -8], [0, 6, -8]], heading=0.0
     ... )
     >>> try:
-    ...     imaging.patch_test([image], [track], mounting=Mounting())
+    ...     imaging.patch_test([image], trajectories=[track], mounting=Mounting())
     ... except CubeError as error:
     ...     print(str(error).partition(";")[0])
     1 lines and 1 trajectories

@@ -29,7 +29,9 @@ def rocked():
 @pytest.fixture(scope="module")
 def tested(rocked):
     images, tracks, _ = rocked
-    return imaging.patch_test(images, tracks, mounting=LINES["stated_mounting"]())
+    return imaging.patch_test(
+        images, trajectories=tracks, mounting=LINES["stated_mounting"]()
+    )
 
 
 def test_the_mounting_lies_within_its_uncertainty(rocked, tested):
@@ -83,7 +85,7 @@ def test_a_level_vehicle_does_not_determine_the_lever_arm(monkeypatch):
     _rocked_by(monkeypatch, 0.2, 0.2, 0.2)
     chosen = [LINES["LINES"][number] for number in (0, 4)]
     images, tracks, true = LINES["lines_of"](1, lines=chosen, rows=70, columns=30)
-    result = imaging.patch_test(images, tracks, mounting=stated)
+    result = imaging.patch_test(images, trajectories=tracks, mounting=stated)
     entries = {entry.quantity: entry for entry in result.undetermined}
     down = entries["lever arm down"]
     assert down.uncertainty > 0.8 * LINES["SPREAD"][1]
@@ -93,7 +95,7 @@ def test_a_level_vehicle_does_not_determine_the_lever_arm(monkeypatch):
     _rocked_by(monkeypatch, 0.2, 0.2, 7.07)
     more = LINES["lines_of"](1, lines=chosen[:1], rows=70, columns=30)
     result = imaging.patch_test(
-        images + more[0], tracks + more[1], mounting=stated, suggest=False
+        images + more[0], trajectories=tracks + more[1], mounting=stated, suggest=False
     )
     assert "lever arm down" not in {entry.quantity for entry in result.undetermined}
     # Periods and phases of the oscillation are random.
@@ -116,7 +118,11 @@ def test_lines_half_an_hour_apart_determine_the_drift(rocked):
     mounting = LINES["stated_mounting"]().model_copy(
         update={"clock_reference": begin.isoformat()}
     )
-    result = imaging.patch_test(*zip(*dated, strict=True), mounting=mounting)
+    result = imaging.patch_test(
+        [image for image, _ in dated],
+        trajectories=[track for _, track in dated],
+        mounting=mounting,
+    )
     # 0.5 ms between lines that are 1 hour apart.
     assert result.uncertainty[7] < 2e-7
     assert (np.abs(result.change - true) < 3.5 * result.uncertainty).all()
@@ -127,12 +133,14 @@ def test_lines_that_do_not_overlap_are_refused(rocked):
     images, tracks, _ = rocked
     far = replace(tracks[1], position=tracks[1].position + 50.0)
     with pytest.raises(CubeError, match="overlap in 0 places"):
-        imaging.patch_test(images[:2], [tracks[0], far], mounting=Mounting())
+        imaging.patch_test(
+            images[:2], trajectories=[tracks[0], far], mounting=Mounting()
+        )
     with pytest.raises(CubeError, match="1 lines and 1 trajectories"):
         imaging.patch_test(images[:1], tracks[:1], mounting=Mounting())
     late = Mounting(clock_offset=1000.0)
     with pytest.raises(CubeError, match="no pixel was measured during"):
-        imaging.patch_test(images, tracks, mounting=late)
+        imaging.patch_test(images, trajectories=tracks, mounting=late)
 
 
 def test_correlated_errors_of_the_mounting_move_points_together():

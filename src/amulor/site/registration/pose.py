@@ -80,7 +80,7 @@ def start_pose(start: StartPose) -> ScanPose:
 
 def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
     """Return the covariance of a start pose, from the site file's uncertainties."""
-    covariance = covariance_of(
+    covariance: Floats = covariance_of(
         pose.rotation[None],
         start.position_uncertainty,
         start.heading_uncertainty,

@@ -195,8 +195,8 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
         others = [scan_name for scan_name in starts if scan_name not in scans]
         if named or not others:
             continue
-        share = max(_share(scan_name, others, placed, gates) for scan_name in scans)
-        if share < _NONE:
+        met = max(_share(scan_name, others, placed, gates) for scan_name in scans)
+        if met < _NONE:
             remarks.append(
                 f"visit {name!r} meets no scan of another visit at its start poses"
                 + _height_in_words(scans, others, placed)
