@@ -70,7 +70,7 @@ class Technique:
 
     Light of a target is joined over a block of many groups.
     """
-    reflections: int = 32
+    reflections: int = 16
     """Number of target reflections that an adjoint segment is joined with at most.
 
     Of more in its reach, a random sample is joined.

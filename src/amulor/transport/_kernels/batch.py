@@ -23,7 +23,7 @@ from amulor.transport._kernels.polarization import (
     cross,
     returning_frame,
 )
-from amulor.transport._kernels.reflections import join_touches, strips_of
+from amulor.transport._kernels.reflections import join_touches, keep_crossing, strips_of
 from amulor.transport._kernels.sampling import exponential, uniform
 from amulor.transport._kernels.trace import (
     FIRST_SEGMENT,
@@ -232,6 +232,11 @@ def run_batch(
                 direct_from_segments(state, forward, scene, plan, record, arrival)
                 direct_from_touches(state, forward, scene, plan, record, arrival)
             block[g] = arrival.total
+            # Reflections, and adjoint segments that may reach them, are kept. A mesh
+            # may block any part of a path.
+            forward.used[USED_SEGMENTS] = 0
+            if scene.target.has_plane:
+                keep_crossing(adjoint, scene.target, plan.polarized)
         if forward.used[USED_TOUCHES] > 0:
             reached = join_block(
                 state, forward, adjoint, scene, plan, record, arrival, block

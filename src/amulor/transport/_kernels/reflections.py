@@ -24,6 +24,7 @@ from amulor.transport._kernels.polarization import received, reflected
 from amulor.transport._kernels.sampling import uniform
 from amulor.transport._kernels.trace import (
     FACE,
+    FIRST_SEGMENT,
     FRONT,
     GROUP,
     LENGTH,
@@ -185,6 +186,29 @@ def reach(
             )
             y_low, y_high = max(y_low, y + z * sy - up), min(y_high, y + z * sy + up)
     return x_low, x_high, y_low, y_high
+
+
+@inner
+def keep_crossing(adjoint: Paths, target: Target, polarized: bool) -> None:
+    """Keep those segments of a group that a shift on the face may bring to a plane."""
+    segment, light, normal = adjoint.segment, adjoint.light, target.normal
+    tilt = math.hypot(normal[0], normal[1])
+    row = adjoint.used[FIRST_SEGMENT]
+    for j in range(row, adjoint.used[USED_SEGMENTS]):
+        over = normal[0] * segment[j, X] + normal[1] * segment[j, Y] - target.height
+        rise = normal[0] * segment[j, SLOPE_X] + normal[1] * segment[j, SLOPE_Y]
+        rise += normal[2]
+        low, high = over + rise * segment[j, Z_LOW], over + rise * segment[j, Z_HIGH]
+        margin = tilt * segment[j, FACE] + 1e-9
+        if min(low, high) > margin or max(low, high) < -margin:
+            continue
+        for column in range(segment.shape[1]):
+            segment[row, column] = segment[j, column]
+        if polarized:
+            for column in range(light.shape[1]):
+                light[row, column] = light[j, column]
+        row += 1
+    adjoint.used[USED_SEGMENTS] = row
 
 
 @step
