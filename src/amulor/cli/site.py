@@ -431,7 +431,14 @@ def _region(region: Region, number: int, motions: dict[int, Motion]) -> dict[str
             "centre_m": motion.centre,
             "shift_m": motion.shift,
             "turn_rad": motion.turn,
-            "uncertainty": np.sqrt(motion.covariance.diagonal()),
+            "uncertainty": [
+                None if free else sigma
+                for free, sigma in zip(
+                    motion.undetermined,
+                    np.sqrt(motion.covariance.diagonal()),
+                    strict=True,
+                )
+            ],
             "distance_m": motion.distance,
             "distance_uncertainty_m": motion.distance_uncertainty,
             "angle_rad": motion.angle,
@@ -466,18 +473,19 @@ def _motion_in_words(motion: Motion) -> str:
     """Describe the translation and rotation of an object, with uncertainties."""
     import numpy as np
 
+    from amulor.site.change.moved import free_motions
+
     shift = ", ".join(f"{value * 1e3:+.2f}" for value in motion.shift)
     centre = ", ".join(f"{value:.3f}" for value in motion.centre)
     axis = ", ".join(
         f"{value:+.2f}" for value in motion.turn / max(motion.angle, 1e-12)
     )
-    untold = len(motion.loose)
     return (
         f"its point ({centre}) m moved by {motion.distance * 1e3:.2f} +- "
         f"{motion.distance_uncertainty * 1e3:.2f} mm: ({shift}) mm; turned by "
         f"{np.degrees(motion.angle):.2f} +- "
         f"{np.degrees(motion.angle_uncertainty):.2f} deg about ({axis})"
-        + (f"; its shape does not tell {untold} of 6 directions" if untold else "")
+        + (f"; not known: {free_motions(motion)}" if motion.loose else "")
     )
 
 

@@ -14,7 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse, Rectangle
+from matplotlib.patches import Ellipse, Patch, Rectangle
+from matplotlib.text import Annotation
+from matplotlib.transforms import Bbox
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
@@ -588,8 +590,56 @@ def _contour_lines(axis: Axes, contours: Sequence[Contour], scale: float) -> Non
             _label(axis, line.points, f"{level:.4g}")
 
 
+def separate(axis: Axes, labels: Sequence[Annotation], marks: Sequence[Patch]) -> None:
+    """Move labels of points apart, beside the ellipses; distant ones have a line.
+
+    The labels must be centered at offsets in typographic points. Limits of the axis
+    are final.
+    """
+    figure = axis.get_figure(root=True)
+    if figure is None:
+        return
+    figure.draw_without_rendering()
+    point = figure.dpi / 72
+    ellipses = [mark.get_window_extent() for mark in marks]
+    centers = axis.transData.transform([label.xy for label in labels])
+    taken = [Bbox.from_extents(*(at - 3 * point), *(at + 3 * point)) for at in centers]
+    inside = axis.get_window_extent()
+    for label, at in zip(labels, centers, strict=True):
+        half = np.array(label.get_window_extent().size) / 2
+        best = None
+        for away in (4, 8, 13, 19, 26, 34):
+            for angle in (45, 135, -45, -135, 0, 180, 90, -90):
+                unit = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+                place = at + unit * (half + away * point)
+                box = Bbox.from_extents(*(place - half), *(place + half))
+                cost = (
+                    away
+                    + 90 * sum(_common(box, other) ** 0.5 for other in taken)
+                    + 40 * sum(_common(box, other) ** 0.5 for other in ellipses)
+                    + 50 * (1 - _common(box, inside))
+                )
+                if best is None or cost < best[0]:
+                    best = (cost, place, box, away)
+        if best is not None:
+            _, place, box, away = best
+            label.set_position(tuple((place - at) / point))
+            taken.append(box)
+            if away > 13:
+                ends = axis.transData.inverted().transform([at, place])
+                axis.plot(*ends.T, color="#777777", lw=0.4, zorder=1.5)
+
+
+def _common(box: Bbox, other: Bbox) -> float:
+    """Return the fraction of a box that another one covers."""
+    both = Bbox.intersection(box, other)
+    return 0.0 if both is None else both.width * both.height / (box.width * box.height)
+
+
 def annotate(axis: Axes, annotations: Annotations) -> None:
     """Draw outlines, stations with error ellipses, targets and section lines."""
+    labels, ellipses = [], []
+    centered: Any = {"ha": "center", "va": "center"}
     box = {"facecolor": "#ffffff", "alpha": 0.75, "lw": 0, "pad": 0.4}
     offset: Any = {"textcoords": "offset points", "fontsize": _LETTERS, "bbox": box}
     for colour, polygons in annotations.outlines:
@@ -607,10 +657,16 @@ def annotate(axis: Axes, annotations: Annotations) -> None:
         ellipse.set_gid("error-ellipse")
         axis.add_patch(ellipse)
         x, y = station.position
-        axis.annotate(name, (x, y), xytext=(5, 4), color=station.colour, **offset)
+        ellipses.append(ellipse)
+        labels.append(
+            axis.annotate(
+                name, (x, y), xytext=(9, 8), color=station.colour, **centered, **offset
+            )
+        )
     for name, point in annotations.targets.items():
         axis.plot(*point, "o", color="#000000", ms=4, mfc="none", mew=0.8)
-        axis.annotate(name, (point[0], point[1]), xytext=(4, -9), **offset)
+        at = (point[0], point[1])
+        labels.append(axis.annotate(name, at, xytext=(9, -8), **centered, **offset))
     for detail, (west, east, south, north) in annotations.details.items():
         axis.add_patch(
             Rectangle(
@@ -628,8 +684,9 @@ def annotate(axis: Axes, annotations: Annotations) -> None:
         ):
             axis.annotate(
                 mark, (end[0], end[1]), xytext=tuple(shift), weight="bold",
-                ha="center", va="center", **offset,
+                **centered, **offset,
             )  # fmt: skip
+    separate(axis, labels, ellipses)
 
 
 def _label(axis: Axes, points: Floats, text: str) -> None:

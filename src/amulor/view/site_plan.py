@@ -95,12 +95,14 @@ def plan_figure(
     figure = new_figure(7.0, 6.4)
     axis = figure.add_subplot()
     axis.imshow(relief(raster), extent=extent_of(raster))
+    places = [annotations.stations[name].position for name in annotations.stations]
+    axis.update_datalim([*places, *annotations.targets.values()])
+    axis.autoscale_view()
+    label_plan(axis)
     annotate(axis, annotations)
     for name, colour in visit_colours(site).items():
         axis.plot([], [], "+", color=colour, label=name)
     axis.legend(loc="upper right", frameon=True)
-    axis.autoscale_view()
-    label_plan(axis)
     return figure, annotations.enlarged
 
 

@@ -11,7 +11,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from amulor.site.change.distances import Change, Region
-from amulor.site.change.moved import Motion
+from amulor.site.change.moved import Motion, free_motions
 from amulor.site.description import ScaleBar, Site
 from amulor.site.merging.cloud import Merged
 from amulor.site.merging.plan import PlacedScan
@@ -23,7 +23,7 @@ from amulor.site.registration.reliability import (
 )
 from amulor.site.registration.result import Registration, relative_covariance
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report
-from amulor.view.sheet import error_ellipse
+from amulor.view.sheet import error_ellipse, separate
 from amulor.view.site_plan import label_plan, plan_figure, with_all_digits
 from amulor.view.style import (
     COLOURS,
@@ -110,16 +110,25 @@ def ellipses(site: Site, registration: Registration) -> Figure:
     wide, *spans = high - low
     figure = new_figure(7.0, float(np.clip(6.2 * sum(spans) / wide + 1.3, 3.0, 11.0)))
     panels = figure.subplots(2, 1, height_ratios=spans)
+    names = []
     for axes, height, label, title in zip(
         panels, (1, 2), ("north [m]", "up [m]"), ("Plan", "Profile"), strict=True
     ):
         columns = (0, height)
+        labels, drawn = [], []
         for name, (place, spread, colour) in places.items():
             center = (float(place[0]), float(place[height]))
             axes.plot(*center, ".", color=colour, markersize=3)
-            axes.annotate(name, center, xytext=(4, 4), textcoords="offset points")
+            labels.append(
+                axes.annotate(
+                    name, center, xytext=(8, 8), textcoords="offset points",
+                    ha="center", va="center",
+                )
+            )  # fmt: skip
             section = spread[np.ix_(columns, columns)]
-            axes.add_patch(error_ellipse(center, section, factor=factor, colour=colour))
+            ellipse = error_ellipse(center, section, factor=factor, colour=colour)
+            drawn.append(axes.add_patch(ellipse))
+        names.append((axes, labels, drawn))
         axes.set_aspect("equal")
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[height], high[height])
@@ -138,6 +147,8 @@ def ellipses(site: Site, registration: Registration) -> Figure:
         title=f"Ellipses enlarged {factor:g} times: {size * factor:.3g} m on the axes "
         f"for {size * 1e3:g} mm",
     )
+    for axes, labels, drawn in names:
+        separate(axes, labels, drawn)
     return figure
 
 
@@ -383,15 +394,15 @@ def _scale(registration: Registration) -> Table:
     for test in registration.scale:
         index, stated = "-", "-"
         if test.stated_index is not None:
-            stated = f"{test.stated_index:.5f} +- {test.stated_index_uncertainty:.5f}"
+            stated = f"{test.stated_index:.5f} ± {test.stated_index_uncertainty:.5f}"
         if test.group_index is not None:
-            index = f"{test.group_index:.5f} +- {test.group_index_uncertainty:.5f}"
+            index = f"{test.group_index:.5f} ± {test.group_index_uncertainty:.5f}"
         rows.append(
             [
                 test.bar,
-                f"{test.length * 1e3:.2f} +- {test.length_uncertainty * 1e3:.2f}",
-                f"{test.measured * 1e3:.2f} +- {test.measured_uncertainty * 1e3:.2f}",
-                f"{test.scale:.6f} +- {test.scale_uncertainty:.6f}",
+                f"{test.length * 1e3:.2f} ± {test.length_uncertainty * 1e3:.2f}",
+                f"{test.measured * 1e3:.2f} ± {test.measured_uncertainty * 1e3:.2f}",
+                f"{test.scale:.6f} ± {test.scale_uncertainty:.6f}",
                 f"{'!' if test.chance < 1e-3 else ''}{test.score:+.2f}",
                 index,
                 stated,
@@ -508,7 +519,7 @@ def _changed(
     rows = []
     for number, place in enumerate(places):
         motion = motions.get(number)
-        moved = ["", "", "", ""]
+        moved = ["", "", "", "", ""]
         first = next((k for k in sorted(motions) if motions[k] is motion), number)
         if motion is not None and first != number:
             moved[0] = f"as place {first + 1}"
@@ -521,6 +532,7 @@ def _changed(
                 f"{np.degrees(motion.angle):.2f} ± "
                 f"{np.degrees(motion.angle_uncertainty):.2f}",
                 ", ".join(f"{v:.3f}" for v in motion.centre),
+                free_motions(motion) or "-",
             ]
         rows.append(
             [
@@ -536,10 +548,11 @@ def _changed(
     header = ["place", "at [m]", "area [cm²]", "mean [mm]", "volume [cm³]"]
     header += ["not compared [cm²]"]
     header += ["moved by [mm]", "east, north, up [mm]", "turned by [deg]"]
-    header += ["moved at [m]"]
+    header += ["moved at [m]", "not known"]
     caption = (
         "Means and volumes along the normals. A volume has the rim of its place; what "
         "could not be compared there is interpolated. A motion is the rigid one that "
-        "takes what stands above the ground there from the first visit to the second."
+        "takes what stands above the ground there from the first visit to the second. "
+        "What the shape of an object does not show is not known, and set to zero."
     )
     return [*parts, Table(header, rows, caption)]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from amulor.site.registration import network
 from amulor.site.registration.absolute import ScaleTest, WaterIndex, scale_tests
@@ -28,6 +29,7 @@ from amulor.site.registration.result import (
     write_registration,
 )
 from amulor.view import site_report
+from amulor.view.sheet import error_ellipse, separate
 
 KEY = "group_index: water"
 INDEX, RELATIVE = 1.36, 5e-4
@@ -168,5 +170,28 @@ def test_the_scale_is_in_the_file_the_report_and_in_words(tmp_path: Path) -> Non
     assert scale in test.sentence
     registration: Any = SimpleNamespace(scale=(test,))
     (row,) = site_report._scale(registration).rows
-    assert index in row
-    assert scale in row
+    assert index.replace("+-", "±") in row
+    assert scale.replace("+-", "±") in row
+
+
+def test_labels_of_close_stations_overlap_neither_each_other_nor_ellipses() -> None:
+    figure = Figure(figsize=(4, 4), layout="constrained")
+    axes = figure.subplots()
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    labels, ellipses = [], []
+    for name, place in {"a1": (0.5, 0.5), "b1": (0.52, 0.5), "c1": (0.5, 0.53)}.items():
+        labels.append(
+            axes.annotate(
+                name, place, xytext=(8, 8), textcoords="offset points",
+                ha="center", va="center",
+            )
+        )  # fmt: skip
+        ellipse = error_ellipse(place, np.diag([4e-4, 1e-4]), factor=1, colour="k")
+        ellipses.append(axes.add_patch(ellipse))
+    separate(axes, labels, ellipses)
+    figure.draw_without_rendering()
+    boxes = [label.get_window_extent() for label in labels]
+    others = [ellipse.get_window_extent() for ellipse in ellipses]
+    for number, box in enumerate(boxes):
+        assert box.count_overlaps(boxes[number + 1 :] + others) == 0

@@ -9,6 +9,7 @@ import pytest
 import underwater_sites as oracle
 from drawn_sites import known_registration, two_visits
 
+from amulor.cli.site import _region, region_sentence
 from amulor.site.change import moved
 from amulor.site.change.distances import Region
 from amulor.site.change.moved import motion_of
@@ -83,6 +84,71 @@ def test_errors_of_pairs_that_hold_a_motion_add_in_squares(monkeypatch) -> None:
     pairs = [pair_of(0.2, 1.0, unsure=3e-3), pair_of(1.4, 2.4, unsure=4e-3)]
     moved._held(pairs, MIDDLE)
     assert stated == [pytest.approx(5e-3, rel=1e-12)]
+
+
+def test_a_free_motion_has_the_variance_of_a_motion_as_large_as_the_fitted() -> None:
+    # A turn about x at a distance of 0.2 m counts like a shift of 0.2 m per radian.
+    turn = moved._of_size_one(np.array([0.0, 0, 0, 5.0, 0, 0]), 0.2)
+    slide = moved._of_size_one(np.array([0.0, 3.0, 0, 0.1, 0, 0]), 0.2)
+    np.testing.assert_allclose(turn, [0, 0, 0, 1, 0, 0])
+    np.testing.assert_allclose(slide, [0, 1, 0, 0.1 / 3, 0, 0])
+    # 3 mm, and 20 mrad at 0.2 m are 4 mm: together 5 mm, or 25 mrad.
+    spread = moved._free(
+        (turn,), np.array([0.003, 0, 0]), np.array([0, 0, 0.02]), length=0.2
+    )
+    np.testing.assert_allclose(spread, np.diag([0, 0, 0, 0.025**2, 0, 0]), atol=1e-18)
+
+
+def test_components_along_a_free_axis_are_named_as_not_known() -> None:
+    axis = np.array([0.6, 0.8, 0.0])
+    motion = moved.Motion(
+        centre=np.zeros(3), shift=np.array([0.01, 0, 0]), turn=np.array([0, 0, 0.1]),
+        covariance=np.diag([1e-8] * 3 + [1e-6] * 3),
+        loose=(np.concatenate([np.zeros(3), axis]),), points=100, misfit=1.0,
+    )  # fmt: skip
+    assert list(motion.undetermined) == [False, False, False, True, True, False]
+    assert moved.free_motions(motion) == "turn about (+0.60, +0.80, +0.00)"
+    region = Region(
+        members=np.arange(4), centre=np.zeros(3), reach=0.1, area=0.01,
+        area_uncertainty=0.0, mean=0.0, mean_uncertainty=1.0, largest=0.0, volume=0.0,
+        volume_uncertainty=1.0, lost=0.0,
+    )  # fmt: skip
+    content = _region(region, 0, {0: motion})["motion"]
+    assert content["uncertainty"] == pytest.approx([1e-4] * 3 + [None, None, 1e-3])
+    sentence = region_sentence(0, region, {0: motion})
+    assert sentence.endswith("not known: turn about (+0.60, +0.80, +0.00)")
+
+
+@pytest.mark.slow
+def test_all_components_of_a_rolled_amphora_have_the_errors_stated() -> None:
+    rng = np.random.default_rng([9, 5])
+    ground = oracle.Bed((), (0.02, 0.03))
+    heading = oracle.rotation((0, 0, 1), rng.uniform(0, 6))
+    body = oracle.Amphora((0.0, 0.0, 0.12), heading, 0.4)
+    # A body of revolution does not show its roll.
+    shift, turn = np.array([0.01, -0.012, 0.003]), np.radians([3.0, 4.0, 3.0])
+    drawn = two_visits(
+        oracle.Scene((ground, body)),
+        oracle.Scene((ground, body.moved(shift, turn))),
+        rng,
+        rows=90,
+        noise=oracle.Noise(own=1e-3, delay=1e-5, index=1e-6, reference=1e-5),
+    )
+    motion = motion_of(
+        drawn.site,
+        known_registration(drawn),
+        drawn.surfaces,
+        epochs=("one", "two"),
+        centre=np.array(body.place),
+        reach=0.45,
+    )
+    assert motion is not None
+    assert motion.undetermined[3:].any()
+    angle = float(np.linalg.norm(turn))
+    spin = oracle.rotation(tuple(turn / angle), angle) - np.eye(3)
+    true = np.concatenate([shift + spin @ (motion.centre - body.place), turn])
+    off = np.concatenate([motion.shift, motion.turn]) - true
+    assert np.all(np.abs(off) < 4 * np.sqrt(motion.covariance.diagonal()))
 
 
 @pytest.mark.slow

@@ -26,6 +26,8 @@ _ABOVE = 0.02
 #: Smallest number of points that constrain a motion [1].
 _FEWEST = 60
 _STEPS = 12
+#: Largest component of a free motion of size 1 that is neglected [1].
+_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,14 +44,22 @@ class Motion:
     """Rotation vector about the axes east, north, up [rad]."""
     covariance: Floats
     """Covariance of translation and rotation, including poses and shared errors, shape
-    (6, 6)."""
+    (6, 6). Along `loose` it has the variance of a motion as large as the fitted one."""
     loose: tuple[Floats, ...]
-    """Motions (translation, rotation) that the object's shape does not constrain, such
-    as the rotation of a body about its own axis; they are set to zero."""
+    """Motions (translation, rotation) of the reference point that the object's shape
+    does not constrain, such as the rotation of a body about its own axis; they are set
+    to zero. The larger part, at the object's surface, has the length 1."""
     points: int
     """Number of points that constrain the motion [1]."""
     misfit: float
     """Scatter of the points over their stated noise [1]."""
+
+    @property
+    def undetermined(self) -> Flags:
+        """Mask of the components of translation and rotation that `loose` changes."""
+        if not self.loose:
+            return np.zeros(6, dtype=bool)
+        return np.asarray(np.abs(self.loose).max(axis=0) > _SHARE)
 
     @property
     def distance(self) -> float:
@@ -76,6 +86,16 @@ def _along(vector: Floats, covariance: Floats) -> float:
     """Return the standard uncertainty of a vector along its own direction."""
     unit = vector / max(float(np.linalg.norm(vector)), 1e-12)
     return float(np.sqrt(unit @ covariance @ unit))
+
+
+def free_motions(motion: Motion) -> str:
+    """Describe the motions that the object's shape does not constrain, with axes."""
+    words = []
+    for free in motion.loose:
+        turns = abs(np.linalg.norm(free[3:]) - 1) < 1e-9
+        kind, axis = ("turn about", free[3:]) if turns else ("shift along", free[:3])
+        words.append(f"{kind} ({', '.join(f'{value:+.2f}' for value in axis)})")
+    return "; ".join(words)
 
 
 def bodies(places: Sequence[Region]) -> tuple[tuple[int, ...], ...]:
@@ -320,15 +340,50 @@ def _result(
             away = np.zeros(3)
     carried = np.eye(6)
     carried[:3, 3:] = -cross_matrix(away)
+    fitted = np.concatenate(
+        [shift + (turn - np.eye(3)) @ away, Rotation.from_matrix(turn).as_rotvec()]
+    )
+    lever = np.concatenate([pair.place - middle - away for pair in pairs])
+    length = mean_lever(lever, np.concatenate([pair.weight for pair in pairs]))
+    loose = tuple(_of_size_one(carried @ motion, length) for motion in loose)
+    if loose:
+        # The steps of the fit leave a part of the free motions.
+        scale = np.repeat([1.0, length], 3)
+        free = (np.array(loose) * scale).T
+        fitted -= free @ np.linalg.lstsq(free, scale * fitted, rcond=None)[0] / scale
     return Motion(
         centre=middle + away,
-        shift=shift + (turn - np.eye(3)) @ away,
-        turn=Rotation.from_matrix(turn).as_rotvec(),
-        covariance=carried @ covariance @ carried.T,
+        shift=fitted[:3],
+        turn=fitted[3:],
+        covariance=carried @ covariance @ carried.T
+        + _free(loose, fitted[:3], fitted[3:], length=length),
         loose=loose,
         points=sum(pair.used for pair in pairs),
         misfit=max(pair.misfit for pair in pairs),
     )
+
+
+def _of_size_one(motion: Floats, length: float) -> Floats:
+    """Scale a motion to a translation of 1 m, or a rotation of 1 rad if that is more.
+
+    Rotations are compared with translations at the distance `length` from the center.
+    """
+    shift, turn = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
+    return motion / float(turn if turn * length > shift else shift)
+
+
+def _free(
+    loose: tuple[Floats, ...], shift: Floats, turn: Floats, *, length: float
+) -> Floats:
+    """Return the covariance of free motions that are as large as the fitted motion."""
+    size = np.hypot(np.linalg.norm(shift), length * np.linalg.norm(turn))
+    covariance = np.zeros((6, 6))
+    for motion in loose:
+        at_surface = np.hypot(
+            np.linalg.norm(motion[:3]), length * np.linalg.norm(motion[3:])
+        )
+        covariance += (size / at_surface) ** 2 * np.outer(motion, motion)
+    return covariance
 
 
 def _best_place(covariance: Floats) -> Floats:
