@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import amulor
 from amulor import Survey, imaging, io, rejection, simulation
+from amulor.imaging.beam_profile import beam_profile
 from amulor.io.trajectories import (
     TrajectoryMap,
     read_trajectory,
@@ -25,6 +26,7 @@ from amulor.platform import read_mounting
 from amulor.studies import ladder
 from amulor.studies.ladder import Case
 from amulor.view import figures
+from amulor.view.beam_profile import write_profile
 from amulor.view.patch_test import write_patch_test
 from amulor.view.report import png
 from amulor.view.style import COLOURS, new_figure, style
@@ -33,6 +35,44 @@ from amulor.view.trajectory import write_figure
 FOLDER = Path(__file__).parent / "images"
 #: What the landing page shows: the channel and water that the water signal moves most.
 SHOWN = "VV milk"
+#: Plate of which two simulated scans make a net before a wall.
+NET = """
+name = "Net before a wall"
+[water]
+absorption = "0.1 1/m"
+scattering = "0.8 1/m"
+forward_fraction = 0.98
+second_moment = "0.005 rad^2"
+phase_function_at_180 = "0.003 1/sr"
+refractive_index = 1.34
+group_index = 1.38
+[[targets]]
+kind = "plate"
+position = ["0 m", "0 m", "{distance} m"]
+reflectance = 0.05
+width = "1 m"
+height = "1 m"
+[instrument]
+phase_uncertainty = "0 deg"
+wavelength = "405 nm"
+power = "3 uW"
+modulation_depth = 1.0
+modulation_frequencies = {frequencies}
+polarizations = ["none"]
+[instrument.receiver]
+position = ["3 cm", "0 m", "0 m"]
+radius = "2 cm"
+acceptance = "0.08 rad"
+[scan]
+columns = 3
+rows = 3
+azimuth_span = "2 deg"
+elevation_span = "2 deg"
+dwell = "100 ms"
+[scan.open_water]
+columns = 3
+rows = 3
+"""
 
 
 def before_and_after(
@@ -152,6 +192,24 @@ def patch_test(script: Path, picture: Path) -> None:
         write_patch_test(picture, result, overwrite=True)
 
 
+def range_profile(picture: Path) -> None:
+    """Simulate a net before a wall, and draw the range profile of a pixel."""
+    frequencies = [f"{frequency} MHz" for frequency in range(100, 1001, 20)]
+    scan, net = (
+        amulor.simulate(
+            Survey.from_text(NET.format(distance=distance, frequencies=frequencies)),
+            rng=1,
+        )
+        for distance in (2.0, 1.8)
+    )
+    for part in ("in_phase", "quadrature"):
+        scan[part].values += 0.3 * net[f"truth_target_{part}"].values
+    beam = beam_profile(
+        rejection.open_water(scan), row=1, column=1, interval=(0.5, 3.5)
+    )
+    write_profile(picture, beam, title="target.nc: row 1, column 1", overwrite=True)
+
+
 def main() -> None:
     """Run the demo with its own seed and draw its figures."""
     FOLDER.mkdir(exist_ok=True)
@@ -175,6 +233,7 @@ def main() -> None:
     figure = vehicle_pass(Survey.from_toml(example / "amphora.toml"))
     (FOLDER / "vehicle" / "amphora.png").write_bytes(png(figure, dots_per_inch=130))
     patch_test(example / "make_lines.py", FOLDER / "vehicle" / "patch.png")
+    range_profile(FOLDER / "range-profile.png")
 
 
 if __name__ == "__main__":

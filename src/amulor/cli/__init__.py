@@ -108,6 +108,10 @@ COMMANDS = {
         "explain:explain",
         "Explain a flag, a message, or the flags of one pixel of a file.",
     ),
+    "profile": (
+        "profile:profile",
+        "Find the surfaces along the beam of one pixel, and draw its range profile.",
+    ),
     "reject": ("reject:reject", "Subtract the water signal from a measurement cube."),
     "image": ("image:image", "Compute a range image from a target signal."),
     "export": (
@@ -172,7 +176,7 @@ TOPICS = {
         "water fit",
     ),
     "reject and image": ("reject", "image"),
-    "look": ("view", "info", "explain"),
+    "look": ("view", "profile", "info", "explain"),
     "deliver": ("report", "export", "archive"),
     "design": ("design", "survey presets", "survey preset"),
     "many scans": (
@@ -256,6 +260,7 @@ EXAMPLES = {
     "view": ("amulor view target.nc", "amulor report or amulor export"),
     "info": ("amulor info image.nc", "amulor explain"),
     "explain": ("amulor explain MIXED", ""),
+    "profile": ("amulor profile target.nc --pixel 20,50 -o profile.png", ""),
     "report": ("amulor report image.nc -o report.html", "amulor archive"),
     "export": ("amulor export image.nc -o cloud.laz", "amulor archive"),
     "archive": ("amulor archive project.toml -o archive", ""),

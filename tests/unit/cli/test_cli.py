@@ -509,6 +509,7 @@ def test_wrong_use_ends_with_2_and_one_line(
         ["archive", "--check", "none"],
         ["view", "none.nc"],
         ["watch", "none"],
+        ["profile", "none.nc", "--pixel", "1,1"],
         ["explain", "nonesuch"],
         ["samples", "ladder", "-o", "no/where"],
         ["view", "none", "--save", "b.html"],
