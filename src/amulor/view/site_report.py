@@ -461,7 +461,12 @@ def _observations(
         ],
         rows,
         f"{group.group.capitalize()}: adjusted minus stated value, and reliability. A "
-        "dash marks values that no other observation checks.",
+        "dash marks values that no other observation checks."
+        + (
+            " The unit of each value is its stated standard uncertainty."
+            if unit == "1"
+            else ""
+        ),
     )  # fmt: skip
 
 
