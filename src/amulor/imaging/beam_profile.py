@@ -121,12 +121,12 @@ def beam_profile(
         )
     place = np.linspace(near, far, 2 + int(_POINTS * (far - near) / width))
     half = geometry.optical_path(place[:, None, None]).ravel() / (2 * index)
-    of = {**sweep, "uncertainty": error, "slant_range": half}
+    of = {**sweep, "standard_uncertainty": error, "slant_range": half}
     try:
         profile, noise = range_profile.range_profile(signal, **of)
         estimate = range_profile.surfaces(
             signal,
-            uncertainty=error,
+            standard_uncertainty=error,
             interval=(float(half[0]), float(half[-1])),
             water_signal=water,
             most=most,

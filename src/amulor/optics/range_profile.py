@@ -99,7 +99,7 @@ def unambiguous_span(*, modulation_frequency: ArrayLike, group_index: float) -> 
 def range_profile(
     signal: ArrayLike,
     *,
-    uncertainty: ArrayLike,
+    standard_uncertainty: ArrayLike,
     modulation_frequency: ArrayLike,
     group_index: float,
     slant_range: ArrayLike,
@@ -110,9 +110,9 @@ def range_profile(
     Parameters
     ----------
     signal : array_like of complex, shape (n, ...)
-        Samples at n frequencies [V].
-    uncertainty : array_like, shape (n, ...)
-        Standard uncertainty of each output, in phase and quadrature [V].
+        Samples at n frequencies [any unit].
+    standard_uncertainty : array_like, shape (n, ...)
+        Standard uncertainty of each output, in phase and quadrature [any unit].
     modulation_frequency : array_like, shape (n,)
         At least two frequencies, in any spacing [Hz].
     group_index : float
@@ -126,9 +126,9 @@ def range_profile(
     Returns
     -------
     profile : ndarray of complex, shape (m, ...)
-        Profile. A surface has its amplitude there, with phase zero [V].
+        Profile. A surface has its amplitude there, with phase zero [that unit].
     uncertainty : ndarray, shape (...)
-        Standard uncertainty of the real and of the imaginary part of the profile [V].
+        Standard uncertainty of real and imaginary part of the profile [that unit].
 
     Raises
     ------
@@ -161,7 +161,7 @@ def range_profile(
     >>> signal = np.array([0.2, 1.0]) @ np.exp(1j * phase)
     >>> profile, error = range_profile.range_profile(
     ...     signal,
-    ...     uncertainty=np.full(sweep.size, 0.05),
+    ...     standard_uncertainty=np.full(sweep.size, 0.05),
     ...     modulation_frequency=sweep,
     ...     group_index=1.38,
     ...     slant_range=[1.5, 2.0],
@@ -171,7 +171,7 @@ def range_profile(
     [0.2 1. ] +- 0.0065
     """
     frequency, index = _checked(modulation_frequency, group_index)
-    values, errors = _samples(signal, uncertainty, frequency)
+    values, errors = _samples(signal, standard_uncertainty, frequency)
     weights = np.ones(frequency.size) if weight is None else np.asarray(weight, float)
     if weights.shape != frequency.shape or not weights.sum() > 0:
         raise ValueError(
@@ -230,7 +230,7 @@ class Surfaces:
 def surfaces(
     signal: ArrayLike,
     *,
-    uncertainty: ArrayLike,
+    standard_uncertainty: ArrayLike,
     modulation_frequency: ArrayLike,
     group_index: float,
     interval: tuple[float, float],
@@ -243,9 +243,9 @@ def surfaces(
     Parameters
     ----------
     signal : array_like of complex, shape (n,)
-        Samples at n frequencies [V].
-    uncertainty : array_like, shape (n,)
-        Standard uncertainty of each output, in phase and quadrature [V].
+        Samples at n frequencies [any unit].
+    standard_uncertainty : array_like, shape (n,)
+        Standard uncertainty of each output, in phase and quadrature [any unit].
     modulation_frequency : array_like, shape (n,)
         At least two frequencies, in any spacing [Hz].
     group_index : float
@@ -253,7 +253,7 @@ def surfaces(
     interval : tuple of float
         Nearest and farthest slant range that are possible [m].
     water_signal : array_like of complex, shape (n,), optional
-        Water signal up to a factor, which is estimated [V].
+        Water signal up to a factor, which is estimated [any unit].
     most : int
         Largest number of surfaces.
     error_rate : float
@@ -304,7 +304,7 @@ def surfaces(
     >>> noise = np.random.default_rng(1).normal(0, 0.05, (2, sweep.size))
     >>> estimate = range_profile.surfaces(
     ...     np.array([0.3, 1.0]) @ np.exp(1j * phase) + noise[0] + 1j * noise[1],
-    ...     uncertainty=np.full(sweep.size, 0.05),
+    ...     standard_uncertainty=np.full(sweep.size, 0.05),
     ...     modulation_frequency=sweep,
     ...     group_index=1.38,
     ...     interval=(0.5, 4.0),
@@ -315,7 +315,7 @@ def surfaces(
     1.9998 +- 0.0002 m
     """
     frequency, index = _checked(modulation_frequency, group_index)
-    values, errors = _samples(signal, uncertainty, frequency)
+    values, errors = _samples(signal, standard_uncertainty, frequency)
     nearest, farthest = interval
     if values.ndim != 1 or not 0 <= nearest < farthest < np.inf or most < 1:
         raise ValueError(
@@ -484,14 +484,14 @@ def _checked(
 
 
 def _samples(
-    signal: ArrayLike, uncertainty: ArrayLike, frequency: Floats
+    signal: ArrayLike, standard_uncertainty: ArrayLike, frequency: Floats
 ) -> tuple[Complex, Floats]:
     """Return samples and uncertainties; ValueError if shapes or sizes are wrong."""
     values = np.asarray(signal, dtype=complex)
-    errors = positive(uncertainty, name="uncertainty", unit="V")
+    errors = positive(standard_uncertainty, name="standard_uncertainty", unit="V")
     if values.shape != errors.shape or values.shape[:1] != frequency.shape:
         raise ValueError(
-            "signal and uncertainty must have one row for each of the "
+            "signal and standard_uncertainty must have one row for each of the "
             f"{frequency.size} frequencies, got shapes {values.shape} and "
             f"{errors.shape}"
         )

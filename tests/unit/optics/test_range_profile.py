@@ -27,7 +27,7 @@ def estimate(signal: np.ndarray, noise: float, **options: object):
     """Fit surfaces between 0.5 and 4 m."""
     return range_profile.surfaces(
         signal,
-        uncertainty=np.full(SWEEP.size, noise),
+        standard_uncertainty=np.full(SWEEP.size, noise),
         modulation_frequency=SWEEP,
         group_index=INDEX,
         **{"interval": (0.5, 4.0), **options},
@@ -45,7 +45,7 @@ def test_the_profile_of_one_surface_is_a_dirichlet_kernel() -> None:
     place = np.linspace(1.5, 2.5, 201)
     profile, error = range_profile.range_profile(
         samples([2.0], [0.7], noise=0.0, seed=1),
-        uncertainty=np.full(SWEEP.size, 0.1),
+        standard_uncertainty=np.full(SWEEP.size, 0.1),
         modulation_frequency=SWEEP,
         group_index=INDEX,
         slant_range=place,
@@ -66,7 +66,7 @@ def test_weights_and_irregular_sweeps_keep_the_amplitude() -> None:
     weight, error = np.hanning(42)[1:-1], rng.uniform(0.1, 0.2, (40, 5))
     profile, stated = range_profile.range_profile(
         np.repeat(signal[:, None], 5, axis=1),
-        uncertainty=error,
+        standard_uncertainty=error,
         modulation_frequency=sweep,
         group_index=INDEX,
         slant_range=[1.7],
@@ -139,7 +139,7 @@ def test_wrong_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="positive sum"):
         range_profile.range_profile(
             signal,
-            uncertainty=np.ones(SWEEP.size),
+            standard_uncertainty=np.ones(SWEEP.size),
             modulation_frequency=SWEEP,
             group_index=INDEX,
             slant_range=[2.0],

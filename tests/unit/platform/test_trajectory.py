@@ -182,7 +182,7 @@ def test_errors_of_the_mounting_shift_points_by_lever_arm_angle_and_clock() -> N
     )  # fmt: skip
     poses = instrument_poses(track, mounting, [0.5])
     point = poses.place([[0, 0, 3]])
-    expected = np.zeros((7, 3))
+    expected = np.zeros((8, 3))  # the last for a clock without a drift
     # Right is east, down is down and forward is north.
     expected[0] = [0.002, 0, 0]
     expected[1] = [0, 0, -0.002]
@@ -194,7 +194,7 @@ def test_errors_of_the_mounting_shift_points_by_lever_arm_angle_and_clock() -> N
     # The vehicle's way, and the swing of a point 3 m ahead to the left.
     expected[6] = 0.005 * np.array([-0.1 * 3, 0.2, 0])
     found = poses.shared_errors(point)
-    assert found.shape == (7, 1, 3)
+    assert found.shape == (8, 1, 3)
     np.testing.assert_allclose(found[:, 0], expected, atol=2e-6)
     np.testing.assert_allclose(poses.velocity, [[0, 0.2, 0]], atol=1e-4)
 
