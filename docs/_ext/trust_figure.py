@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
-from sphinx.application import Sphinx
 
 from amulor.studies.trust import instrument
 from amulor.studies.trust.table import TWO, Written, written
 from amulor.view.style import COLOURS, new_figure, style
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 TABLE = "trust/default.txt"
 DRAWN = "trust/intervals.svg"

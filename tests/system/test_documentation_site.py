@@ -129,7 +129,6 @@ def test_an_example_runs(path: Path) -> None:
 
 
 def test_the_trust_figure_shows_each_scene_of_the_table() -> None:
-    pytest.importorskip("sphinx", reason="pip install --group docs")
     from amulor.studies.trust.table import _APART, written
 
     figure = script("docs/_ext/trust_figure.py")
@@ -145,7 +144,6 @@ def test_the_trust_figure_shows_each_scene_of_the_table() -> None:
 
 
 def test_the_trust_figure_shows_each_kind_of_instrument_error() -> None:
-    pytest.importorskip("sphinx", reason="pip install --group docs")
     from amulor.studies.trust import instrument
     from amulor.studies.trust.scenes.instrument import KINDS
 
