@@ -11,7 +11,6 @@ import math
 import numpy as np
 
 from amulor.transport._kernels.contributions import (
-    TARGET,
     direct_from_segments,
     direct_from_touches,
     face_and_acceptance,
@@ -23,7 +22,7 @@ from amulor.transport._kernels.polarization import (
     cross,
     returning_frame,
 )
-from amulor.transport._kernels.reflections import join_touches, keep_crossing, strips_of
+from amulor.transport._kernels.reflections import join_touches, keep_crossing
 from amulor.transport._kernels.sampling import exponential, uniform
 from amulor.transport._kernels.trace import (
     FIRST_SEGMENT,
@@ -162,33 +161,6 @@ def begin_adjoint(
     return exponential(state), ray, Kind(True, plan.polarized, radius, scale, group)
 
 
-@allocating
-def join_block(
-    state: States,
-    forward: Paths,
-    adjoint: Paths,
-    scene: Scene,
-    plan: Plan,
-    record: Record,
-    arrival: Arrival,
-    weight: Array,
-) -> int:
-    """Join the target reflections of a block of groups with its adjoint paths.
-
-    weight, one row a group, takes the light. A pair is of two groups: it is added to
-    both, and the mean over the block is taken off. Returns how many reflections one
-    adjoint path may reach.
-    """
-    groups = weight.shape[0]
-    strips = strips_of(forward.touch, forward.used[USED_TOUCHES], scene.face.radius)
-    target = scene.target
-    join_touches(state, forward, adjoint, strips, target, plan, record, arrival, weight)
-    for g in range(groups):
-        for k in range(weight.shape[2]):
-            weight[g, TARGET, k] -= arrival.total[TARGET, k] / groups
-    return strips.densest
-
-
 @entry
 def run_batch(
     state: States, scene: Scene, plan: Plan, record: Record, weight: Array
@@ -238,7 +210,7 @@ def run_batch(
             if scene.target.has_plane:
                 keep_crossing(adjoint, scene.target, plan.polarized)
         if forward.used[USED_TOUCHES] > 0:
-            reached = join_block(
+            reached = join_touches(
                 state, forward, adjoint, scene, plan, record, arrival, block
             )
             densest = max(densest, reached)

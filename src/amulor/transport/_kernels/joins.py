@@ -54,7 +54,6 @@ from amulor.transport._kernels.types import (
     States,
     Target,
     Vector,
-    Water,
     allocating,
     inner,
     step,
@@ -251,21 +250,20 @@ def meeting_depths(
 def join_pair(
     state: States,
     forward: Paths,
-    i: int,
     adjoint: Paths,
-    j: int,
-    water: Water,
-    target: Target,
+    pair: tuple[int, int],
+    scene: Scene,
     plan: Plan,
     record: Record,
     arrival: Arrival,
 ) -> None:
-    """Join a forward with an adjoint segment, if they meet; record the light.
+    """Join a pair of segments, if they meet, and record the light.
 
     The light of a pair is Omega b p(theta) dz / |n_z n'_z| times its weight w_k. FACE
     of an adjoint segment is the radius R of the face, SCALE is Omega over the number
     of pairs.
     """
+    (i, j), water, target = pair, scene.water, scene.target
     first, second, out = forward.segment, adjoint.segment, arrival.light
     attenuation, albedo, table = water.attenuation, water.albedo, water.table
     value, mesh = water.value, target.mesh
@@ -365,8 +363,7 @@ def join_segments(
     forward: Paths,
     adjoint: Paths,
     cells: Cells,
-    water: Water,
-    target: Target,
+    scene: Scene,
     plan: Plan,
     record: Record,
     arrival: Arrival,
@@ -381,9 +378,7 @@ def join_segments(
             count = segments_near(adjoint.segment, j, cells)
         for number in range(count):
             i = begin + (cells.near[number] if cells.near.size > 0 else number)
-            join_pair(
-                state, forward, i, adjoint, j, water, target, plan, record, arrival
-            )
+            join_pair(state, forward, adjoint, (i, j), scene, plan, record, arrival)
 
 
 @allocating
@@ -412,5 +407,4 @@ def join_group(
     cells = none
     if (end - begin) * partners > _MANY_PAIRS:
         cells = cells_of(forward.segment, begin, end, scene.face.radius)
-    water, target = scene.water, scene.target
-    join_segments(state, forward, adjoint, cells, water, target, plan, record, arrival)
+    join_segments(state, forward, adjoint, cells, scene, plan, record, arrival)

@@ -51,6 +51,7 @@ from amulor.transport._kernels.trace import (
     TOUCHES,
     TRIANGLE,
     USED_SEGMENTS,
+    USED_TOUCHES,
     Z_HIGH,
     Z_LOW,
     X,
@@ -63,6 +64,7 @@ from amulor.transport._kernels.types import (
     Paths,
     Plan,
     Record,
+    Scene,
     States,
     Target,
     allocating,
@@ -214,31 +216,30 @@ def keep_crossing(adjoint: Paths, target: Target, polarized: bool) -> None:
 @step
 def join_touch(
     forward: Paths,
-    i: int,
     adjoint: Paths,
-    j: int,
+    pair: tuple[int, int],
     share: float,
     target: Target,
     plan: Plan,
     record: Record,
     arrival: Arrival,
-    weight: Array,
-) -> None:
-    """Join a target reflection with an adjoint segment, if they meet; record the light.
+) -> bool:
+    """Join a reflection with an adjoint segment; return whether they meet.
 
     The light of a pair is Omega (reflectance / pi) cos / |n'_z|, the cosine that
     between the target's normal and the way to the receiver. share is its part of the
-    weight SCALE.
+    weight SCALE. It is recorded, and left in the work array of the arrival.
     """
+    i, j = pair
     touch, second, out = forward.touch, adjoint.segment, arrival.light
     normal, mesh = target.normal, target.mesh
     z = touch[i, TOUCH_Z]
     if z <= second[j, Z_LOW] or z > second[j, Z_HIGH]:
-        return
+        return False
     px = touch[i, TOUCH_X] - second[j, X] - z * second[j, SLOPE_X]
     py = touch[i, TOUCH_Y] - second[j, Y] - z * second[j, SLOPE_Y]
     if px * px + py * py > second[j, FACE] * second[j, FACE]:
-        return
+        return False
     m = (-second[j, NX], -second[j, NY], -second[j, NZ])
     leaving = (
         touch[i, NORMAL_X] * m[0]
@@ -246,17 +247,17 @@ def join_touch(
         + touch[i, NORMAL_Z] * m[2]
     )
     if leaving <= 0.0:
-        return
+        return False
     if (
         target.has_plane
         and second[j, ORDER] > 0
         and normal[0] * px + normal[1] * py + second[j, FRONT] < target.height
     ):
-        return
+        return False
     if mesh.box.shape[0] > 0 and path_blocked(
         second, j, (px, py, z), touch[i, TRIANGLE], mesh
     ):
-        return
+        return False
     factor = share * second[j, SCALE] * target.reflectance / math.pi
     factor *= leaving / abs(m[2])
     if plan.polarized:
@@ -271,40 +272,43 @@ def join_touch(
     else:
         out[0] = factor
     add_to(arrival.total, TARGET, out)
-    add_to(weight[int(touch[i, TOUCH_GROUP])], TARGET, out)
-    add_to(weight[int(second[j, GROUP])], TARGET, out)
     unscattered = touch[i, TOUCH_ORDER] + second[j, ORDER] == 0
     length = touch[i, TOUCH_LENGTH] + second[j, LENGTH] + z * second[j, PER_Z]
     direct = unscattered and touch[i, TOUCHES] == 0
     add_point(record, record.orders if direct else record.orders + 1, length, out)
+    return True
 
 
-@inner
+@allocating
 def join_touches(
     state: States,
     forward: Paths,
     adjoint: Paths,
-    strips: Strips,
-    target: Target,
+    scene: Scene,
     plan: Plan,
     record: Record,
     arrival: Arrival,
     weight: Array,
-) -> None:
+) -> int:
     """Join the target reflections of a block of groups with its adjoint segments.
 
     Of too many reflections in reach of a segment, a systematic sample is joined, each
-    with the inverse of its chance. The light of a pair is added to the group of
-    either path, less the mean of the block: the sum is right, and so is its variance,
-    as groups share paths on both sides.
+    with the inverse of its chance. weight, one row a group, takes the light. A pair is
+    of two groups: it is added to both, and the mean over the block is taken off. So
+    the sum is right, and its variance. Returns how many reflections one adjoint path
+    may reach.
     """
+    strips = strips_of(forward.touch, forward.used[USED_TOUCHES], scene.face.radius)
+    groups, touch = weight.shape[0], forward.touch
     second, key = adjoint.segment, strips.key
     total = arrival.total
     total[:] = 0.0
     for j in range(adjoint.used[USED_SEGMENTS]):
         if plan.direct and second[j, ORDER] == 0:
             continue
-        x_low, x_high, y_low, y_high = reach(second, j, target, strips.near, strips.far)
+        x_low, x_high, y_low, y_high = reach(
+            second, j, scene.target, strips.near, strips.far
+        )
         bottom = max(y_low - strips.bottom, 0.0)
         top = min(y_high - strips.bottom, strips.height)
         first = max(math.floor((x_low - strips.left) / strips.width), 0)
@@ -329,17 +333,21 @@ def join_touches(
             end = rank(key, np.nextafter(strip * strips.span + top, math.inf))
             while chosen < passed + end - begin:
                 i = strips.row[begin + int(chosen) - passed]
-                join_touch(
+                if join_touch(
                     forward,
-                    i,
                     adjoint,
-                    j,
-                    stride / weight.shape[0],
-                    target,
+                    (i, j),
+                    stride / groups,
+                    scene.target,
                     plan,
                     record,
                     arrival,
-                    weight,
-                )
+                ):
+                    add_to(weight[int(touch[i, TOUCH_GROUP])], TARGET, arrival.light)
+                    add_to(weight[int(second[j, GROUP])], TARGET, arrival.light)
                 chosen += stride
             passed += end - begin
+    for g in range(groups):
+        for k in range(weight.shape[2]):
+            weight[g, TARGET, k] -= total[TARGET, k] / groups
+    return strips.densest
