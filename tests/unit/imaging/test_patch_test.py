@@ -137,7 +137,7 @@ def test_lines_that_do_not_overlap_are_refused(rocked):
             images[:2], trajectories=[tracks[0], far], mounting=Mounting()
         )
     with pytest.raises(CubeError, match="1 lines and 1 trajectories"):
-        imaging.patch_test(images[:1], tracks[:1], mounting=Mounting())
+        imaging.patch_test(images[:1], trajectories=tracks[:1], mounting=Mounting())
     late = Mounting(clock_offset=1000.0)
     with pytest.raises(CubeError, match="no pixel was measured during"):
         imaging.patch_test(images, trajectories=tracks, mounting=late)
