@@ -348,7 +348,7 @@ def test_scattered_photons_of_three_attenuation_lengths_arrive_as_late():
     compare("henyey-greenstein", 3, photons=40_000, rtol=0.02, acceptance_angle=0.08)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("lengths", [1, 3, 6])
 @pytest.mark.parametrize(
