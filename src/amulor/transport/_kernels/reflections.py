@@ -155,6 +155,16 @@ def rank(key: Array, value: float) -> int:
 
 
 @step
+def rows_between(
+    strips: Strips, strip: int, bottom: float, top: float
+) -> tuple[int, int]:
+    """Return the first and the end of a strip's reflections between two heights."""
+    start = strip * strips.span
+    end = rank(strips.key, np.nextafter(start + top, math.inf))
+    return rank(strips.key, start + bottom), end
+
+
+@step
 def reach(
     adjoint: Array, j: int, target: Target, near: float, far: float
 ) -> tuple[float, float, float, float]:
@@ -300,8 +310,7 @@ def join_touches(
     """
     strips = strips_of(forward.touch, forward.used[USED_TOUCHES], scene.face.radius)
     groups, touch = weight.shape[0], forward.touch
-    second, key = adjoint.segment, strips.key
-    total = arrival.total
+    second, total = adjoint.segment, arrival.total
     total[:] = 0.0
     for j in range(adjoint.used[USED_SEGMENTS]):
         if plan.direct and second[j, ORDER] == 0:
@@ -317,10 +326,8 @@ def join_touches(
             continue
         count = 0
         for strip in range(first, last + 1):
-            begin = rank(key, strip * strips.span + bottom)
-            count += (
-                rank(key, np.nextafter(strip * strips.span + top, math.inf)) - begin
-            )
+            begin, end = rows_between(strips, strip, bottom, top)
+            count += end - begin
         if count == 0:
             continue
         stride, chosen = 1.0, 0.0
@@ -329,8 +336,7 @@ def join_touches(
             chosen = stride * uniform(state)
         passed = 0
         for strip in range(first, last + 1):
-            begin = rank(key, strip * strips.span + bottom)
-            end = rank(key, np.nextafter(strip * strips.span + top, math.inf))
+            begin, end = rows_between(strips, strip, bottom, top)
             while chosen < passed + end - begin:
                 i = strips.row[begin + int(chosen) - passed]
                 if join_touch(
