@@ -6,6 +6,7 @@ detects both, and the phase of their sum gives a distance that is too long.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
 
@@ -287,24 +288,30 @@ def sharp_receiver_late_echo(
     )
 
 
+#: Check and unit of each argument that may differ from place to place.
+_PLACES: dict[str, tuple[Callable[..., Array], str]] = {
+    "depth": (positive, "m"),
+    "scattering": (not_negative, "1/m"),
+    "baseline": (not_negative, "m"),
+    "receiver_radius": (positive, "m"),
+    "acceptance_angle": (positive, "rad"),
+    "beam_radius": (not_negative, "m"),
+    "beam_divergence": (not_negative, "rad"),
+    "tilt": (finite, "rad"),
+    "cross_tilt": (finite, "rad"),
+    "standoff": (not_negative, "m"),
+    "absorption": (not_negative, "1/m"),
+}
+
+
 def _late(
     modulation_frequency: ArrayLike,
     *,
     sharp: bool,
     phase_function: PhaseFunction,
-    split_angle: float = np.pi / 2,
+    split_angle: float,
     group_index: ArrayLike,
-    depth: ArrayLike,
-    scattering: ArrayLike,
-    baseline: ArrayLike,
-    receiver_radius: ArrayLike,
-    acceptance_angle: ArrayLike,
-    beam_radius: ArrayLike = 0.0,
-    beam_divergence: ArrayLike = 0.0,
-    tilt: ArrayLike = 0.0,
-    cross_tilt: ArrayLike = 0.0,
-    standoff: ArrayLike = 0.0,
-    absorption: ArrayLike = 0.0,
+    **arguments: ArrayLike,
 ) -> Array:
     """Check arguments, and return the range excess of echoes [m]."""
     frequency = not_negative(
@@ -312,22 +319,9 @@ def _late(
     )
     index = positive(group_index, name="group_index")
     places = {
-        "depth": positive(depth, name="depth", unit="m"),
-        "scattering": not_negative(scattering, name="scattering", unit="1/m"),
-        "baseline": not_negative(baseline, name="baseline", unit="m"),
-        "receiver_radius": positive(receiver_radius, name="receiver_radius", unit="m"),
-        "acceptance_angle": positive(
-            acceptance_angle, name="acceptance_angle", unit="rad"
-        ),
-        "beam_radius": not_negative(beam_radius, name="beam_radius", unit="m"),
-        "beam_divergence": not_negative(
-            beam_divergence, name="beam_divergence", unit="rad"
-        ),
-        "tilt": finite(tilt, name="tilt", unit="rad"),
-        "cross_tilt": finite(cross_tilt, name="cross_tilt", unit="rad"),
-        "standoff": not_negative(standoff, name="standoff", unit="m"),
+        name: check(arguments[name], name=name, unit=unit)
+        for name, (check, unit) in _PLACES.items()
     }
-    places["absorption"] = not_negative(absorption, name="absorption", unit="1/m")
     shape = broadcast(modulation_frequency=frequency, group_index=index, **places)
     flat = {
         name: np.broadcast_to(value, shape).ravel() for name, value in places.items()

@@ -84,10 +84,14 @@ def test_clear_water_leaves_the_delay_of_the_aperture():
     np.testing.assert_allclose(late, expected, rtol=1e-6)
 
 
-def test_delay_to_a_receiver_aside_is_that_of_the_rays_to_its_aperture():
-    """Sums ways from one spot over an aperture, each with its share of the light."""
-    depth, baseline, tilt, radius, acceptance = 2.0, 0.3, 0.12, 0.04, 0.07
-    late = late_echo(
+#: Depth, baseline, tilt, radius and acceptance of a receiver beside the beam.
+ASIDE = 2.0, 0.3, 0.12, 0.04, 0.07
+
+
+def late_aside(formula):
+    """Return the late light of a receiver beside the beam in clear water."""
+    depth, baseline, tilt, radius, acceptance = ASIDE
+    return formula(
         0.0,
         depth=depth,
         scattering=0.0,
@@ -98,6 +102,12 @@ def test_delay_to_a_receiver_aside_is_that_of_the_rays_to_its_aperture():
         acceptance_angle=acceptance,
         tilt=tilt,
     )
+
+
+def test_delay_to_a_receiver_aside_is_that_of_the_rays_to_its_aperture():
+    """Sums ways from one spot over an aperture, each with its share of the light."""
+    depth, baseline, tilt, radius, acceptance = ASIDE
+    late = late_aside(late_echo)
     across = np.linspace(-6, 6, 241) * radius
     x, y = np.meshgrid(across, across)
     angle_x, angle_y = -(baseline + x) / depth + tilt, -y / depth
@@ -177,18 +187,8 @@ def test_a_larger_scene_in_clearer_water_delays_in_proportion(formula, scale) ->
 
 def test_sharp_view_in_clear_water_delays_as_its_rays():
     """Sums ways from the spot over a disc, each if its angle lies in the cone."""
-    depth, baseline, tilt, radius, acceptance = 2.0, 0.3, 0.12, 0.04, 0.07
-    late = sharp_receiver_late_echo(
-        0.0,
-        depth=depth,
-        scattering=0.0,
-        phase_function=FUNCTIONS["petzold"],
-        group_index=1.38,
-        baseline=baseline,
-        receiver_radius=radius,
-        acceptance_angle=acceptance,
-        tilt=tilt,
-    )
+    depth, baseline, tilt, radius, acceptance = ASIDE
+    late = late_aside(sharp_receiver_late_echo)
     across = np.linspace(-1, 1, 2001) * radius
     x, y = np.meshgrid(across, across)
     angle_x, angle_y = -(baseline + x) / depth + tilt, -y / depth
