@@ -112,12 +112,6 @@ class PhasorLinesFit:
     terms: tuple[str, ...]
     """Names of the error terms that are not zero everywhere."""
 
-    def errors_of(self, scan: Observation) -> Covariance:
-        """Return the errors of the samples by stated errors and fluctuation."""
-        ratio = self.fluctuation.at(scan.azimuth, scan.elevation) - 1
-        extra = ratio * self.stated
-        return scan.covariance + Covariance(extra, extra, 0 * extra)
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Lines:
@@ -528,6 +522,15 @@ def _fit_water(scan: Observation, lines: _Lines, window: int) -> SmoothWater:
     )
 
 
+def _errors_of(
+    scan: Observation, fluctuation: NoiseScale, stated: Floats
+) -> Covariance:
+    """Return the errors of the samples by stated errors and fluctuation."""
+    ratio = fluctuation.at(scan.azimuth, scan.elevation) - 1
+    extra = ratio * stated
+    return scan.covariance + Covariance(extra, extra, 0 * extra)
+
+
 def _fit_scan(scan: Observation, window: int) -> PhasorLinesFit:
     """Fit noise and water to the lines of a scan."""
     errors, usable = scan.covariance, scan.usable
@@ -536,18 +539,10 @@ def _fit_scan(scan: Observation, window: int) -> PhasorLinesFit:
     stated = count / np.maximum(weight.sum(axis=(2, 3), keepdims=True), _TINY)
     centers = _centers(scan, window)
     lines = _fit_windows(scan, errors, window)
-    scale = _noise_scale(lines, *centers, window)
-    fit = PhasorLinesFit(
-        fluctuation=scale,
-        stated=stated,
-        noise_scale=scale,
-        water=_fit_water(scan, lines, window),
-        by_water=np.zeros(stated.shape, dtype=bool),
-        terms=(),
-    )
-    lines = _fit_windows(scan, fit.errors_of(scan), window)
-    fit = replace(fit, noise_scale=_noise_scale(lines, *centers, window))
-    lines.scale(fit.noise_scale.at(*centers))
+    fluctuation = _noise_scale(lines, *centers, window)
+    lines = _fit_windows(scan, _errors_of(scan, fluctuation, stated), window)
+    noise_scale = _noise_scale(lines, *centers, window)
+    lines.scale(noise_scale.at(*centers))
     if not (lines.covariance[..., 0, 0] < _LARGEST_ERROR**2).any():
         raise CubeError(
             f"the reflectance does not vary within {window} x {window} pixels, or by "
@@ -566,7 +561,14 @@ def _fit_scan(scan: Observation, window: int) -> PhasorLinesFit:
             sure = error < _SURE_WATER * np.median(amplitude)
             by_water[plane] = sure.mean() > _SURE_PIXELS
             by_water[plane] &= water.misfit[plane] < _LARGEST_MISFIT
-    return replace(fit, water=water, by_water=by_water)
+    return PhasorLinesFit(
+        fluctuation=fluctuation,
+        stated=stated,
+        noise_scale=noise_scale,
+        water=water,
+        by_water=by_water,
+        terms=(),
+    )
 
 
 def _centers(scan: Observation, window: int) -> tuple[Floats, Floats]:
@@ -582,7 +584,7 @@ def _follow(
     scan = Observation(cube=cubes.checked(cube, "samples"))
     selected = None if fit is None else fit.terms
     fit = fit or _fit_scan(scan, window)
-    errors = fit.errors_of(scan)
+    errors = _errors_of(scan, fit.fluctuation, fit.stated)
     total = errors.scaled(fit.noise_scale.at(scan.azimuth, scan.elevation))
     water, common = fit.water.before(scan.signal, scan.azimuth, scan.elevation)
     target = scan.signal - water

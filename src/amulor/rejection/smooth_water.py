@@ -56,17 +56,20 @@ class Field:
             middle=(low + high) / 2, half_span=np.maximum((high - low) / 2, 1e-12)
         )
 
-    def powers(self, azimuth: Floats, elevation: Floats) -> Floats:
-        """Return the terms of a polynomial of the direction, of degree 4."""
+    def coordinates(self, azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats]:
+        """Return the distances from the middle over half the span, from -1 to 1."""
         x = (azimuth - self.middle[0]) / self.half_span[0]
         y = (elevation - self.middle[1]) / self.half_span[1]
+        return x, y
+
+    def powers(self, azimuth: Floats, elevation: Floats) -> Floats:
+        """Return the terms of a polynomial of the direction, of degree 4."""
+        x, y = self.coordinates(azimuth, elevation)
         return np.stack([x**i * y**j for i, j in _POWERS], axis=-1)
 
     def terms(self, azimuth: Floats, elevation: Floats) -> Floats:
         """Return the terms of a quadratic function of the direction."""
-        x = (azimuth - self.middle[0]) / self.half_span[0]
-        y = (elevation - self.middle[1]) / self.half_span[1]
-        return quadratic(x, y)
+        return quadratic(*self.coordinates(azimuth, elevation))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +89,7 @@ class Offsets:
 
 @dataclass(frozen=True, kw_only=True)
 class SmoothWater:
-    """Water signal, a quadratic function of the direction and a function of the range.
+    """Water signal: a polynomial of the direction of degree 4, and a range term.
 
     The light of a layer of water at the target is in phase with the target. Its
     integral over the range is a quarter of a turn off.
