@@ -25,7 +25,6 @@ from amulor.imaging.moving import moving_frame, surveyed_mounting
 from amulor.imaging.observation import geometry_of
 from amulor.platform import InstrumentPoses, Mounting, Poses, Trajectory
 from amulor.platform.mounting import deviations
-from amulor.platform.poses import reference_time
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -781,9 +780,7 @@ class _Estimate:
         away = turned.apply(spot - poses.vehicle.position)
         derivatives = np.stack([turned.apply(part) for part in derivatives])
         derivatives[6] += np.cross(spin, away)
-        elapsed = poses.vehicle.time - self.mounting.clock_offset
-        elapsed = elapsed - reference_time(self.mounting)
-        derivatives[7] = derivatives[6] * elapsed[:, None]
+        derivatives[7] = derivatives[6] * poses.since_reference[:, None]
         along = np.einsum(
             "ni,ni->n", patches.gradient[chosen], turned.apply(points.beam)
         )

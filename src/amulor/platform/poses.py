@@ -233,6 +233,12 @@ class InstrumentPoses:
         factors = error_factors(self.mounting)
         return np.asarray(np.einsum("ek,kni->eni", factors, self.derivatives(points)))
 
+    @property
+    def since_reference(self) -> Floats:
+        """Time of each pose since that at which the clock offset is exact [s]."""
+        elapsed = self.vehicle.time - self.mounting.clock_offset
+        return np.asarray(elapsed - reference_time(self.mounting))
+
     def derivatives(self, points: ArrayLike) -> Floats:
         """Return derivatives of points by the eight quantities of the mounting.
 
@@ -255,8 +261,7 @@ class InstrumentPoses:
             shifts[axis] = self.vehicle.rotation[:, :, axis]
             shifts[3 + axis] = np.cross(turns[:, :, axis], away)
         shifts[6] = self._velocity_of(at)
-        elapsed = self.vehicle.time - self.mounting.clock_offset
-        shifts[7] = shifts[6] * (elapsed - reference_time(self.mounting))[:, None]
+        shifts[7] = shifts[6] * self.since_reference[:, None]
         return shifts
 
     @property
