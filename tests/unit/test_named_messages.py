@@ -1,4 +1,4 @@
-"""Which messages of errors no test names.
+"""Messages of errors that no test names.
 
 A message is named if a test has three of its words in a row, or two of a message that
 has no more. `tests/reference/unnamed_messages.txt` lists the others, of which most only

@@ -9,48 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from scripts import script
 
 from amulor import io, rejection, simulate
 from amulor.cli import main
 from amulor.survey import Survey
 
-SURVEY = """
-name = "Net before a wall"
-[water]
-absorption = "0.1 1/m"
-scattering = "0.8 1/m"
-forward_fraction = 0.98
-second_moment = "0.005 rad^2"
-phase_function_at_180 = "0.003 1/sr"
-refractive_index = 1.34
-group_index = 1.38
-[[targets]]
-kind = "plate"
-position = ["0 m", "0 m", "{distance} m"]
-reflectance = 0.05
-width = "1 m"
-height = "1 m"
-[instrument]
-phase_uncertainty = "0 deg"
-wavelength = "405 nm"
-power = "3 uW"
-modulation_depth = 1.0
-modulation_frequencies = {frequencies}
-polarizations = ["none"]
-[instrument.receiver]
-position = ["3 cm", "0 m", "0 m"]
-radius = "2 cm"
-acceptance = "0.08 rad"
-[scan]
-columns = 3
-rows = 3
-azimuth_span = "2 deg"
-elevation_span = "2 deg"
-dwell = "100 ms"
-[scan.open_water]
-columns = 3
-rows = 3
-"""
+#: The survey of the picture in the how-to.
+SURVEY = script("docs/make_images.py").NET
 FREQUENCIES = [f"{frequency} MHz" for frequency in range(100, 1001, 20)]
 
 

@@ -18,7 +18,7 @@ NOISE = 0.1
 
 
 def _covariance(in_phase: float, quadrature: float, *shape: int) -> Covariance:
-    """Return the same covariance for all samples, without correlation [V2]."""
+    """Return one covariance without correlation for all samples [V2]."""
     return Covariance(
         np.full(shape, in_phase**2), np.full(shape, quadrature**2), np.zeros(shape)
     )
