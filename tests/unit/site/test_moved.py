@@ -13,6 +13,7 @@ from amulor.cli.site import _region, region_sentence
 from amulor.site.change import moved
 from amulor.site.change.distances import Region
 from amulor.site.change.moved import motion_of
+from amulor.site.registration.bodies import held_directions, of_size_one
 from amulor.site.registration.pair import Pair
 
 RADIUS, LENGTH = 0.1, 0.4
@@ -74,7 +75,6 @@ def test_what_single_pairs_do_not_hold_is_no_matter_where_others_do() -> None:
 
 def test_errors_of_pairs_that_hold_a_motion_add_in_squares(monkeypatch) -> None:
     stated: list[float] = []
-    held_directions = moved.held_directions
 
     def noted(matrix: Any, *, unsure: float, length: float) -> Any:
         stated.append(unsure)
@@ -86,10 +86,30 @@ def test_errors_of_pairs_that_hold_a_motion_add_in_squares(monkeypatch) -> None:
     assert stated == [pytest.approx(5e-3, rel=1e-12)]
 
 
+@pytest.mark.parametrize("length", [0.05, 0.4, 3.0])
+def test_free_motions_have_the_length_1_at_the_larger_part(length: float) -> None:
+    # Rows of translation and rotation that an information matrix leaves free: a turn
+    # about x, a shift along y, and screws along z whose turn moves the surface by 0.3
+    # and 2 times the shift.
+    turn = np.array([0.0, 0, 0, 1, 0, 0])
+    shift = np.array([0.0, 1, 0, 0, 0, 0])
+    slow = np.array([0.0, 0, 1, 0, 0, 0.3 / length])
+    fast = np.array([0.0, 0, length / 2, 0, 0, 1.0])
+    for motion in (turn, shift, slow, fast):
+        # Any matrix whose null space is the motion constrains all others.
+        rest = np.linalg.svd(motion[None])[2][1:]
+        held, loose = held_directions(1e6 * rest.T @ rest, unsure=1e-3, length=length)
+        assert len(loose) == 1
+        np.testing.assert_allclose(
+            loose[0] * np.sign(loose[0] @ motion), motion, atol=1e-9
+        )
+        np.testing.assert_allclose(held @ motion, 0.0, atol=1e-6)
+
+
 def test_a_free_motion_has_the_variance_of_a_motion_as_large_as_the_fitted() -> None:
     # A turn about x at a distance of 0.2 m counts like a shift of 0.2 m per radian.
-    turn = moved._of_size_one(np.array([0.0, 0, 0, 5.0, 0, 0]), 0.2)
-    slide = moved._of_size_one(np.array([0.0, 3.0, 0, 0.1, 0, 0]), 0.2)
+    turn = of_size_one(np.array([0.0, 0, 0, 5.0, 0, 0]), 0.2)
+    slide = of_size_one(np.array([0.0, 3.0, 0, 0.1, 0, 0]), 0.2)
     np.testing.assert_allclose(turn, [0, 0, 0, 1, 0, 0])
     np.testing.assert_allclose(slide, [0, 1, 0, 0.1 / 3, 0, 0])
     # 3 mm, and 20 mrad at 0.2 m are 4 mm: together 5 mm, or 25 mrad.

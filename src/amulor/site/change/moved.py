@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from amulor.platform.attitude import cross_matrix
 from amulor.site.change.distances import Region
 from amulor.site.description import Site
-from amulor.site.registration.bodies import held_directions, mean_lever
+from amulor.site.registration.bodies import held_directions, mean_lever, of_size_one
 from amulor.site.registration.pair import Pair, compared, tree_of
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.result import Registration
@@ -345,7 +345,7 @@ def _result(
     )
     lever = np.concatenate([pair.place - middle - away for pair in pairs])
     length = mean_lever(lever, np.concatenate([pair.weight for pair in pairs]))
-    loose = tuple(_of_size_one(carried @ motion, length) for motion in loose)
+    loose = tuple(of_size_one(carried @ motion, length) for motion in loose)
     if loose:
         # The steps of the fit leave a part of the free motions.
         scale = np.repeat([1.0, length], 3)
@@ -361,15 +361,6 @@ def _result(
         points=sum(pair.used for pair in pairs),
         misfit=max(pair.misfit for pair in pairs),
     )
-
-
-def _of_size_one(motion: Floats, length: float) -> Floats:
-    """Scale a motion to a translation of 1 m, or a rotation of 1 rad if that is more.
-
-    Rotations are compared with translations at the distance `length` from the center.
-    """
-    shift, turn = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
-    return motion / float(turn if turn * length > shift else shift)
 
 
 def _free(

@@ -36,13 +36,18 @@ def held_directions(
     for value, axis in zip(values, axes.T, strict=True):
         if value < HELD * unsure:
             projection -= np.outer(axis, axis)
-            direction = axis / scale
-            size = (
-                np.linalg.norm(axis[:3]) if np.linalg.norm(axis[:3]) > 0.5 else length
-            )
-            loose.append(np.asarray(direction / max(float(size), 1e-12)))
+            loose.append(of_size_one(axis / scale, length))
     # Back from scaled to plain coordinates; rows are multiplied from the right.
     return np.diag(1 / scale) @ projection @ np.diag(scale), tuple(loose)
+
+
+def of_size_one(motion: Floats, length: float) -> Floats:
+    """Scale a motion to a translation of 1 m, or a rotation of 1 rad if that is more.
+
+    Rotations are compared with translations at the distance `length` from the center.
+    """
+    shift, turn = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
+    return motion / float(turn if turn * length > shift else shift)
 
 
 Flags = NDArray[np.bool_]
