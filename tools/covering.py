@@ -1,147 +1,260 @@
-"""Says which tests run a line of the package, from data of coverage.py with contexts.
+"""Tests that run given statements, by a run of the tests on sources with probes.
 
-The data come from a run of the tests with `--cov --cov-context=test`. Compiled code is
-not seen by it, and what a fixture of a file or a cache made is booked on the first test
-that asked for it: so files of tests count as wholes where a fixture ran the line.
+A probe is a call before a statement. It writes the test that runs the statement, also
+in programs that the test starts. Statements of a module or a class run at import, so
+all statements that use their name are probed. Compiled functions have no probes; their
+callers do. A fixture or a cache belongs to the first test that needs it: files of tests
+count as wholes where a fixture ran the statement.
 """
 
 from __future__ import annotations
 
 import ast
-import re
+import functools
+import os
+import subprocess
+import sys
+from collections import defaultdict
 from pathlib import Path
 
-from coverage import CoverageData
+__all__ = ["PROBE", "covering", "parsed", "places", "probed"]
 
-__all__ = ["Covering", "statement_lines"]
+#: The module that probes call; a plug-in of pytest that measures times, too.
+PROBE = '''"""Writes the tests that run the probes."""
+
+import os
+
+_FILE = os.environ.get("AMULOR_PROBES")
+_seen = set()
 
 
-class Covering:
-    """Tests by the lines that they run.
+def _write(*words):
+    if _FILE:
+        line = "\\t".join(map(str, words)) + "\\n"
+        with open(_FILE, "a", encoding="utf-8") as file:
+            file.write(line)
 
-    Parameters
-    ----------
-    data : pathlib.Path
-        What coverage.py wrote.
-    package : pathlib.Path
-        The sources, as they are now. Those of the run may have stood elsewhere.
 
-    Raises
-    ------
-    FileNotFoundError
-        If there are no data.
-    """
+def hit(number):
+    test = os.environ.get("PYTEST_CURRENT_TEST", "")
+    if (number, test) not in _seen:
+        _seen.add((number, test))
+        _write("hit", number, test)
 
-    def __init__(self, data: Path, package: Path) -> None:
-        if not data.is_file():
-            raise FileNotFoundError(
-                f"{data} is missing; make it with pytest --cov --cov-context=test"
-            )
-        self._data = CoverageData(str(data))
-        self._data.read()
-        self._package = package
-        name = f"/{package.name}/"
-        self._measured = {
-            path.rpartition(name)[2]: path for path in self._data.measured_files()
-        }
 
-    def tests(self, file: Path, line: int) -> list[str]:
-        """Return the tests that run a line.
+def pytest_runtest_logreport(report):
+    _write("time", report.nodeid, f"{report.duration:.3f}")
+'''
+_Functions = ast.FunctionDef | ast.AsyncFunctionDef
+#: A file and the first line and column of a statement.
+Place = tuple[Path, int, int]
 
-        Parameters
-        ----------
-        file : pathlib.Path
-            A module of the package.
-        line : int
-            A line of it. For a constant of a module or a class the lines that name it
-            count, in all modules.
 
-        Returns
-        -------
-        list of str
-            Tests, one case of each, and files, as pytest calls them.
-        """
-        tree = ast.parse(file.read_bytes())
-        constant = _constant_at(tree, line)
-        if constant is None:
-            return self._running(file, set(statement_lines(tree, line)))
-        word = re.compile(rf"\b{constant}\b")
-        found: list[str] = []
-        private = constant.startswith("_")
-        for place in [file] if private else sorted(self._package.rglob("*.py")):
-            text = place.read_text("utf-8")
-            if not word.search(text):
-                continue
-            users = ast.parse(text)
-            lines: set[int] = set()
-            for number, row in enumerate(text.splitlines(), start=1):
-                if word.search(row):
-                    lines.update(statement_lines(users, number))
-            found += self._running(place, lines)
-        return list(dict.fromkeys(found))
+class _Module:
+    """Statements of a module, and the function that each of them is in."""
 
-    def _running(self, file: Path, lines: set[int]) -> list[str]:
-        measured = self._measured.get(file.relative_to(self._package).as_posix())
-        if measured is None:
-            return []
-        by_line = self._data.contexts_by_lineno(measured)
-        contexts = {one for line in lines for one in by_line.get(line, [])}
-        whole, single = set(), set()
-        for context in contexts:
-            node, _, phase = context.rpartition("|")
-            if not node.startswith("tests/"):
-                continue
-            path, _, _ = node.partition("::")
-            if phase == "run":
-                single.add(node.partition("[")[0])
-            else:
-                whole.add(path)
-        return sorted(one for one in single if one.partition("::")[0] not in whole) + (
-            sorted(whole)
+    def __init__(self, file: Path) -> None:
+        self.tree = ast.parse(file.read_bytes())
+        self.statements: list[tuple[ast.stmt, list[ast.AST]]] = []
+        self._walk(self.tree, [])
+
+    def _walk(self, node: ast.AST, above: list[ast.AST]) -> None:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.stmt):
+                self.statements.append((child, above))
+            self._walk(child, [*above, child])
+
+    def at(self, line: int) -> tuple[ast.stmt, list[ast.AST]] | None:
+        """Return the innermost statement at a line and the nodes above it."""
+        inside = [
+            (statement, above)
+            for statement, above in self.statements
+            if statement.lineno <= line <= (statement.end_lineno or 0)
+        ]
+        return max(inside, key=lambda pair: len(pair[1]), default=None)
+
+    def is_definition(self, line: int) -> bool:
+        """Return whether a line is of a module, a class or the head of a function."""
+        statement, above = self.at(line) or (None, [])
+        return isinstance(statement, _Functions) or not any(
+            isinstance(node, _Functions) for node in above
         )
 
 
-def statement_lines(tree: ast.Module, line: int) -> range:
-    """Return the lines of the innermost statement at a line.
+@functools.cache
+def parsed(file: Path) -> _Module:
+    """Return the statements of a module; it is parsed once."""
+    return _Module(file)
+
+
+def places(package: Path, file: Path, line: int) -> set[Place]:
+    """Return the statements whose execution uses a line.
 
     Parameters
     ----------
-    tree : ast.Module
-        A source.
+    package : pathlib.Path
+        The sources.
+    file : pathlib.Path
+        A module of them.
     line : int
         A line of it.
 
     Returns
     -------
-    range
-        Of a loop or a condition its head only; of the head of a function, which runs
-        when the module is imported, the whole function.
+    set
+        File, line and column of statements in functions that are not compiled.
     """
-    inside = [
-        node
-        for node in ast.walk(tree)
-        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or 0)
+    found: set[Place] = set()
+    start = parsed(file).at(line)
+    waiting = [(file, *start)] if start else []
+    done: set[tuple[Path, str]] = set()
+    while waiting:
+        path, statement, above = waiting.pop()
+        functions = [node for node in above if isinstance(node, _Functions)]
+        compiled = [node for node in functions if _is_compiled(node)]
+        if functions and not compiled:
+            found.add((path, statement.lineno, statement.col_offset))
+            continue
+        if isinstance(statement, _Functions) and not _is_compiled(statement):
+            first = statement.body[0]
+            found.add((path, first.lineno, first.col_offset))
+            continue
+        for name in _names(compiled[0] if compiled else statement):
+            if (path, name) in done:
+                continue
+            done.add((path, name))
+            users = [path] if name.startswith("_") else sorted(package.rglob("*.py"))
+            for user in users:
+                if user == path or name in user.read_text("utf-8"):
+                    waiting += _uses(user, name)
+    return found
+
+
+def _names(statement: ast.AST) -> list[str]:
+    """Return the names that a statement of a module or a class defines."""
+    match statement:
+        case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+            return [name]
+        case ast.Assign(targets=targets):
+            parts = [part for target in targets for part in ast.walk(target)]
+            return [part.id for part in parts if isinstance(part, ast.Name)]
+        case ast.AnnAssign(target=ast.Name(id=name)):
+            return [name]
+    return []
+
+
+def _uses(file: Path, name: str) -> list[tuple[Path, ast.stmt, list[ast.AST]]]:
+    """Return the statements of a file that use a name."""
+    module, found = parsed(file), {}
+    for node in ast.walk(module.tree):
+        match node:
+            case ast.Name(id=word, ctx=ast.Load()) | ast.Attribute(attr=word):
+                place = module.at(node.lineno) if word == name else None
+                if place is not None:
+                    found[id(place[0])] = (file, *place)
+    return list(found.values())
+
+
+def _is_compiled(function: ast.AST) -> bool:
+    decorators = getattr(function, "decorator_list", [])
+    return any("jit" in ast.unparse(decorator) for decorator in decorators)
+
+
+class _Probes(ast.NodeTransformer):
+    def __init__(self, numbers: dict[tuple[int, int], list[int]]) -> None:
+        self._numbers = numbers
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        super().generic_visit(node)
+        for field in ("body", "orelse", "finalbody"):
+            body = getattr(node, field, None)
+            if isinstance(body, list):
+                setattr(node, field, [new for old in body for new in self._before(old)])
+        return node
+
+    def _before(self, statement: ast.AST) -> list[ast.AST]:
+        key = getattr(statement, "lineno", 0), getattr(statement, "col_offset", 0)
+        if not isinstance(statement, ast.stmt) or key not in self._numbers:
+            return [statement]
+        calls = "\n".join(
+            f"__import__('amulor_probe').hit({number})" for number in self._numbers[key]
+        )
+        probes = ast.parse(calls).body
+        text = isinstance(statement, ast.Expr) and isinstance(
+            statement.value, ast.Constant
+        )
+        return [statement, *probes] if text else [*probes, statement]
+
+
+def probed(file: Path, numbers: dict[tuple[int, int], list[int]]) -> str:
+    """Return a source with probes before statements, by line and column."""
+    return ast.unparse(_Probes(numbers).visit(ast.parse(file.read_bytes())))
+
+
+def covering(
+    copy: Path, package: Path, lines: list[tuple[Path, int]], tests: list[str]
+) -> list[dict[str, float]]:
+    """Run tests on sources with probes.
+
+    Parameters
+    ----------
+    copy : pathlib.Path
+        Copy of the folder that contains the package; probes are written into it.
+    package : pathlib.Path
+        The sources.
+    lines : list
+        Modules and lines of them.
+    tests : list of str
+        Tests, files or folders, and options of pytest.
+
+    Returns
+    -------
+    list of dict
+        For each line, the tests that run it, and files whose fixtures do, with their
+        times [s]. Parameters of a test are left out.
+    """
+    by_file: dict[Path, dict[tuple[int, int], list[int]]] = defaultdict(dict)
+    for number, (file, line) in enumerate(lines):
+        for path, row, column in places(package, file, line):
+            by_file[path].setdefault((row, column), []).append(number)
+    for file, numbers in by_file.items():
+        place = copy / package.name / file.relative_to(package)
+        place.write_text(probed(file, numbers), "utf-8")
+    (copy / "amulor_probe.py").write_text(PROBE, "utf-8")
+    answer = copy / "probes.txt"
+    answer.touch()
+    environment = os.environ | {
+        "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1",
+        "AMULOR_PROBES": str(answer),
+    }  # fmt: skip
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "amulor_probe"]
+    subprocess.run(
+        [*words, "-p", "no:cacheprovider", *tests], env=environment, check=False
+    )
+    return _read(answer.read_text("utf-8"), len(lines))
+
+
+def _read(text: str, count: int) -> list[dict[str, float]]:
+    """Return the tests of each probe and their times, from the lines of the probes."""
+    times: dict[str, float] = defaultdict(float)
+    hits: list[set[str]] = [set() for _ in range(count)]
+    for row in text.splitlines():
+        kind, *words = row.split("\t")
+        if kind == "time" and len(words) == 2:
+            test = words[0].partition("[")[0]
+            times[test] += float(words[1])
+            times[test.partition("::")[0]] += float(words[1])
+        elif kind == "hit" and words[1].startswith("tests/"):
+            test, _, phase = words[1].rpartition(" (")
+            test = test.partition("[")[0]
+            hits[int(words[0])].add(
+                test if phase == "call)" else test.partition("::")[0]
+            )
+    return [
+        {
+            test: times[test]
+            for test in sorted(found)
+            if "::" not in test or test.partition("::")[0] not in found
+        }
+        for found in hits
     ]
-    if not inside:
-        return range(line, line + 1)
-    node = min(inside, key=lambda one: (one.end_lineno or 0) - one.lineno)
-    end = (node.end_lineno or node.lineno) + 1
-    body = getattr(node, "body", None)
-    defines = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
-    if body and not defines:
-        return range(node.lineno, max(body[0].lineno, line + 1))
-    return range(node.lineno, end)
-
-
-def _constant_at(tree: ast.Module, line: int) -> str | None:
-    """Return the name that a module or a class gives to a value at a line, or None."""
-    bodies = [tree.body]
-    bodies += [node.body for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
-    for node in (one for body in bodies for one in body):
-        if not isinstance(node, ast.Assign | ast.AnnAssign):
-            continue
-        if not node.lineno <= line <= (node.end_lineno or 0):
-            continue
-        target = node.targets[0] if isinstance(node, ast.Assign) else node.target
-        return target.id if isinstance(target, ast.Name) else None
-    return None

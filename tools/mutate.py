@@ -9,9 +9,13 @@ change is a line of `tools/mutations.csv`; a second run continues from there. It
 the share that was caught with its interval of 95 %, by folder, and each change that no
 test noticed: close it by a test of behavior, or see that it changes nothing that can be
 observed and write it, with the reason, into `tools/equivalent_mutants.toml`. Changes
-listed there are drawn and counted, but not tried. With `--contexts`, data of
-coverage.py with a context for each test, the tests that run the changed line are run
-after the nearest ones.
+listed there are drawn and counted, but not tried. Neither are sizes of letters and
+lines in figures, places on the bar of progress and sizes of caches.
+
+`--cover tests/unit --covering FILE` runs these tests once, and writes the tests that
+run each change of the sample to a file. A campaign with `--covering FILE` then runs
+those tests, the nearest and the fastest first. A change whose budget ended before all
+of its tests is `survived` by `budget`.
 """
 
 from __future__ import annotations
@@ -45,7 +49,7 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
-from covering import Covering
+from covering import covering, parsed
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[1]
@@ -76,8 +80,17 @@ _LIBRARIES = (
 )
 #: Rooms whose tests take minutes, or need devices; kernels are compiled each time.
 _LEFT_OUT = ("_kernels", "studies", "acquisition/drivers", "view/page/files")
+#: Arguments of figures that only change their appearance.
+_APPEARANCE = re.compile(
+    r"(bottom|left|right|top)|[hw]space|(height|width)_ratios|(fig|font|label|marker)size"
+    r"|alpha|cap(size|thick)|dpi|elev|handle(height|length)|(label)?pad|lw|linewidths?"
+    r"|mew|ms|ncols?|shrink|xytext|zorder"
+)
+#: Functions whose arguments are places on the bar of progress, or sizes of caches.
+_UNSEEN = frozenset({"part", "_progress.part", "lru_cache", "functools.lru_cache"})
 #: Tests that look at all modules.
 _OF_ALL = ("test_messages.py", "test_public_surface.py")
+_LISTINGS = ("tests/unit/test_public_surface.py",)
 #: Tests of `make check` that are not of `make test`.
 _LONGER = "slow and not study"
 _ARITHMETIC: dict[type, type] = {
@@ -107,6 +120,8 @@ class Mutant:
     """The byte after the last one."""
     new: str
     """What comes in its place."""
+    unseen: bool = False
+    """Whether it only changes the appearance of a figure, progress, or a cache."""
 
     @property
     def code(self) -> str:
@@ -144,7 +159,9 @@ def mutants_of(file: Path) -> list[Mutant]:
     for line in raw.splitlines(keepends=True):
         begins.append(begins[-1] + len(line))
     found = []
-    for node, new, said in _changes(ast.parse(raw)):
+    tree = ast.parse(raw)
+    unseen = _unseen(tree)
+    for node, new, said in _changes(tree):
         assert node.end_lineno is not None
         assert node.end_col_offset is not None
         found.append(
@@ -152,6 +169,7 @@ def mutants_of(file: Path) -> list[Mutant]:
                 file=file, line=node.lineno, said=said, new=new,
                 start=begins[node.lineno - 1] + node.col_offset,
                 end=begins[node.end_lineno - 1] + node.end_col_offset,
+                unseen=id(node) in unseen,
             )
         )  # fmt: skip
     return found
@@ -187,6 +205,22 @@ def _changes(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, str, str]]
                 yield node, "return None", f"return {ast.unparse(value)} -> None"
             case ast.Expr(value=ast.Call()) | ast.AugAssign() | ast.Raise():
                 yield node, "pass", f"without {ast.unparse(node)}"
+
+
+def _unseen(tree: ast.Module) -> set[int]:
+    """Return constants that only change the appearance of figures, or speed."""
+    parts: list[ast.AST] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            if ast.unparse(node.func) in _UNSEEN:
+                parts += node.args
+                parts += [word.value for word in node.keywords]
+            parts += [w.value for w in node.keywords if _is_looks(w.arg)]
+    return {id(part) for whole in parts for part in ast.walk(whole)}
+
+
+def _is_looks(argument: str | None) -> bool:
+    return argument is not None and _APPEARANCE.fullmatch(argument) is not None
 
 
 def _parses(source: str) -> bool:
@@ -374,8 +408,9 @@ def weighted(counts: dict[str, tuple[int, int]], sizes: dict[str, int]) -> str:
 class _Watch:
     """Plug-in of pytest: the first failure, and an end when the budget is used."""
 
-    def __init__(self, budget: float) -> None:
+    def __init__(self, budget: float, current: Path) -> None:
         self._budget, self.failed, self.count, self.ended = budget, "", 0, False
+        self._current = current
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         self.count += report.when == "call"
@@ -386,10 +421,11 @@ class _Watch:
         if report.failed:
             self.failed = self.failed or report.nodeid
 
-    def pytest_runtest_setup(self) -> None:
+    def pytest_runtest_setup(self, item: pytest.Item) -> None:
         if _used() > self._budget:
             self.ended = True
             pytest.exit("the budget is used", returncode=5)
+        self._current.write_text(item.nodeid)
 
 
 def _used() -> float:
@@ -403,20 +439,33 @@ class Outcome:
     """Result of the tests of a change."""
 
     failed: str = ""
-    """First test that failed, or "hang"."""
+    """First test that failed, or that did not end."""
     seconds: float = 0.0
     """Processor time [s]."""
     count: int = 0
     """Number of tests that ran."""
+    hangs: bool = False
+    """Whether that test did not end."""
+    ended: bool = False
+    """Whether the budget ended before the tests."""
+
+    @property
+    def by(self) -> str:
+        """Test that noticed the change, "hang", or "budget"."""
+        if self.failed:
+            return "hang" if self.hangs else self.failed
+        return "budget" if self.ended else ""
 
 
 class Worker:
     """Copy of the sources, and tests against it in forked processes."""
 
-    def __init__(self, folder: Path, *, budget: float, contexts: Path | None) -> None:
-        self._copy, self._budget = folder / "src", budget
+    def __init__(
+        self, folder: Path, *, budget: float, tests: dict[str, dict[str, float]]
+    ) -> None:
+        self._copy, self._budget, self._tests = folder / "src", budget, tests
+        # Compiled functions come along.
         shutil.copytree(ROOT / "src", self._copy)
-        self._covering = Covering(contexts, PACKAGE) if contexts else None
         self._sound: set[str] = set()
         self._broken: set[str] = set()
         for name in _LIBRARIES:
@@ -431,7 +480,7 @@ class Worker:
         try:
             while True:
                 outcome = self._tried(mutant, place)
-                if outcome.failed in ("", "hang") or outcome.failed in self._sound:
+                if not outcome.failed or outcome.failed in self._sound:
                     return outcome
                 # A test that fails without the change, too, is left out.
                 place.write_bytes(kept)
@@ -449,23 +498,29 @@ class Worker:
         near = tests_of(mutant.file)
         stem = mutant.file.stem.strip("_")
         first = [file for file in near[0] if stem in Path(file).stem]
-        stages = [first, [file for file in near[0] if file not in first], *near[1:]]
+        running = self._tests.get("\t".join(mutant.key), {})
+        if running:
+            stages = [ordered(running, near)]
+            if parsed(mutant.file).is_definition(mutant.line):
+                stages.append(list(_LISTINGS))
+        else:
+            stages = [first, [file for file in near[0] if file not in first], *near[1:]]
         if ">>>" in place.read_text("utf-8"):
-            stages[0] = [str(place), *stages[0]]
-        running = (
-            self._covering.tests(mutant.file, mutant.line) if self._covering else []
-        )
+            stages.insert(0, [str(place)])
         plan = [(stage, "not slow and not study") for stage in stages]
         plan += [([file for stage in near for file in stage], _LONGER)]
-        plan.insert(1, (running, "not study"))
         total = Outcome()
-        for tests, marks in plan:
+        for number, (tests, marks) in enumerate(plan):
             left = self._budget - total.seconds
             if tests and left > 0:
                 part = self._run(tests, left, marks=marks)
-                total.failed = part.failed
+                total.failed, total.hangs = part.failed, part.hangs
                 total.seconds += part.seconds
                 total.count += part.count
+                # Long tests are more than a budget has room for.
+                total.ended |= part.ended and number < len(plan) - 1
+            else:
+                total.ended |= bool(tests) and number < len(plan) - 1
             if total.failed:
                 break
         return total
@@ -476,36 +531,44 @@ class Worker:
         tests = [test for test in tests if test not in self._broken]
         if not tests:
             return Outcome()
-        with tempfile.NamedTemporaryFile("r", suffix=".json") as answer:
+        with (
+            tempfile.NamedTemporaryFile("r", suffix=".json") as answer,
+            tempfile.NamedTemporaryFile("r", suffix=".txt") as current,
+        ):
             child = os.fork()
             if child == 0:
+                files = Path(answer.name), Path(current.name)
                 try:
-                    self._test(tests, budget, marks, Path(answer.name))
+                    self._test(tests, budget, marks, *files)
                 except BaseException:
-                    Path(answer.name).write_text(traceback.format_exc())
+                    files[0].write_text(traceback.format_exc())
                     os._exit(1)
                 os._exit(0)
-            _, status, usage = _waited(child, 40 * budget + 120)
+            _, status, usage = _waited(child, 6 * self._budget + 60)
             seconds = usage.ru_utime + usage.ru_stime
-            text = answer.read()
+            text, test = answer.read(), current.read()
         if not text:  # ended by a limit of time, or by a crash
-            return Outcome("" if status is None else "hang", seconds)
+            crashed = status is not None and os.WIFEXITED(status)
+            return Outcome(test or tests[0], seconds, hangs=not crashed)
         if status:
             raise RuntimeError(text)
         return Outcome(**{**json.loads(text), "seconds": seconds})
 
-    def _test(self, tests: list[str], budget: float, marks: str, answer: Path) -> None:
+    def _test(
+        self, tests: list[str], budget: float, marks: str, answer: Path, current: Path
+    ) -> None:
         os.setpgid(0, 0)
         null = os.open(os.devnull, os.O_RDWR)
         for number in range(3):
             os.dup2(null, number)
-        limit = math.ceil(2 * budget + 5)
+        # A test that begins at the end of the budget has half of a budget to end.
+        limit = math.ceil(budget + self._budget / 2 + 5)
         resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
         os.chdir(ROOT)
         sys.dont_write_bytecode = True
         sys.path.insert(0, str(self._copy))
         os.environ |= {"PYTHONPATH": str(self._copy), "PYTHONDONTWRITEBYTECODE": "1"}
-        watch = _Watch(budget)
+        watch = _Watch(budget, current)
         options = ["-c", str(ROOT / "pyproject.toml"), "-x", "-q", "-m", marks]
         options += [f"--deselect={test}" for test in self._broken]
         options += ["-p", "no:cacheprovider"]
@@ -519,7 +582,38 @@ class Worker:
             raise RuntimeError(f"pytest ended with {code}: {output.getvalue()}")
         # 5: no test at all; 4: a test that is gone; others are catches.
         failed = watch.failed or ("set-up" if code not in (0, 4, 5) else "")
-        answer.write_text(json.dumps({"failed": failed, "count": watch.count}))
+        found = {"failed": failed, "count": watch.count, "ended": watch.ended}
+        answer.write_text(json.dumps(found))
+
+
+def ordered(tests: dict[str, float], near: list[list[str]]) -> list[str]:
+    """Return tests in the order in which they are tried.
+
+    Parameters
+    ----------
+    tests : dict
+        Time of each test, or file of tests [s].
+    near : list of list of str
+        Files of tests, the nearest first.
+
+    Returns
+    -------
+    list of str
+        Files one after another, as near ones before others, then by their fastest
+        test; of a file the fast ones first.
+    """
+    files = [file for stage in near for file in stage]
+    rank = {file: number // 4 for number, file in enumerate(files)}
+    fastest: dict[str, float] = {}
+    for test, seconds in tests.items():
+        file = test.partition("::")[0]
+        fastest[file] = min(seconds, fastest.get(file, math.inf))
+
+    def key(test: str) -> tuple[float, float, str, float]:
+        file = test.partition("::")[0]
+        return rank.get(file, math.inf), fastest[file], file, tests[test]
+
+    return sorted(tests, key=key)
 
 
 def _waited(
@@ -593,7 +687,7 @@ def results(path: Path) -> dict[tuple[str, str, str], dict[str, str]]:
 
 
 #: Columns of the table of results.
-COLUMNS = ("file", "line", "code", "change", "result", "by", "seconds")
+COLUMNS = ("file", "line", "code", "change", "result", "by", "seconds", "seed")
 
 
 def _chosen(names: list[str]) -> list[Path]:
@@ -613,10 +707,10 @@ def _chosen(names: list[str]) -> list[Path]:
 _worker: Worker
 
 
-def _begin(folder: str, budget: float, contexts: Path | None) -> None:
+def _begin(folder: str, budget: float, tests: dict[str, dict[str, float]]) -> None:
     global _worker
     place = tempfile.mkdtemp(dir=folder)
-    _worker = Worker(Path(place), budget=budget, contexts=contexts)
+    _worker = Worker(Path(place), budget=budget, tests=tests)
 
 
 def _try(mutant: Mutant) -> tuple[Mutant, Outcome]:
@@ -666,9 +760,10 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=25.0, help="of this run")
     parser.add_argument("--jobs", type=int, default=2, help="changes at once")
     parser.add_argument("--least", type=float, default=0.0, help="share to be caught")
-    parser.add_argument("--contexts", type=Path, help="data of coverage.py")
+    parser.add_argument("--covering", type=Path, help="tests of each change (JSON)")
+    parser.add_argument("--cover", nargs="+", help="write that file: tests to run")
     parser.add_argument("--results", type=Path, default=RESULTS, help="table")
-    parser.add_argument("--again", action="store_true", help="survivors once more")
+    parser.add_argument("--again", action="store_true", help="all survivors")
     words = parser.parse_args()
     by_folder: dict[str, list[Mutant]] = {}
     for file in _chosen(words.places):
@@ -676,22 +771,31 @@ def main() -> int:
         by_folder.setdefault(name, []).extend(mutants_of(file))
     sizes = {name: len(found) for name, found in by_folder.items() if found}
     by_folder = {name: by_folder[name] for name in sizes}
-    drawn = sampled(by_folder, words.sample, random.Random(words.seed))
-    drawn = [mutant for mutant in drawn if _parses(mutant.source)]
     known, earlier = equivalents(), results(words.results)
+    drawn = sampled(by_folder, words.sample, random.Random(words.seed))
     if words.again:
-        earlier = {k: row for k, row in earlier.items() if row["result"] == "caught"}
+        left = {key for key, row in earlier.items() if row["result"] == "survived"}
+        every = [mutant for found in by_folder.values() for mutant in found]
+        drawn = list({m.key: m for m in every if m.key in left}.values())
+    drawn = [mutant for mutant in drawn if _parses(mutant.source)]
+    tests: dict[str, dict[str, float]] = {}
+    if words.covering and words.covering.exists():
+        tests = json.loads(words.covering.read_text())
+    if words.cover:
+        _cover(drawn, words.cover, words.covering, tests)
+        return 0
     for mutant in drawn:
-        if mutant.key in known:
-            earlier[mutant.key] = _row(mutant, "equivalent", Outcome())
-    waiting = [mutant for mutant in drawn if mutant.key not in earlier]
+        if mutant.unseen or mutant.key in known:
+            seed = earlier.get(mutant.key, {}).get("seed", str(words.seed))
+            earlier[mutant.key] = _row(mutant, "equivalent", Outcome(), seed)
+    waiting = [m for m in drawn if words.again or m.key not in earlier]
     deadline = time.monotonic() + 60 * words.minutes
     os.environ |= {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (
         tempfile.TemporaryDirectory() as folder,
         ProcessPoolExecutor(
             words.jobs, multiprocessing.get_context("spawn"), _begin,
-            (folder, words.budget, words.contexts),
+            (folder, words.budget, tests),
         ) as pool,
     ):  # fmt: skip
         order = iter(waiting)
@@ -701,7 +805,8 @@ def main() -> int:
             for done in ended:
                 mutant, outcome = done.result()
                 result = "caught" if outcome.failed else "survived"
-                earlier[mutant.key] = _row(mutant, result, outcome)
+                seed = earlier.get(mutant.key, {}).get("seed", str(words.seed))
+                earlier[mutant.key] = _row(mutant, result, outcome, seed)
                 _write(words.results, list(earlier.values()))
                 place = f"{mutant.key[0]}:{mutant.line}: {mutant.said}"
                 print(f"{result} {outcome.seconds:.0f} s {place[:150]}", flush=True)
@@ -719,11 +824,29 @@ def main() -> int:
     return int(found["caught"] < words.least * others)
 
 
-def _row(mutant: Mutant, result: str, outcome: Outcome) -> dict[str, str]:
+def _cover(
+    drawn: list[Mutant],
+    chosen: list[str],
+    output: Path,
+    tests: dict[str, dict[str, float]],
+) -> None:
+    """Add the tests that run each change to a file."""
+    lines = [(mutant.file, mutant.line) for mutant in drawn]
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "src"
+        shutil.copytree(ROOT / "src", copy)
+        found = covering(copy, PACKAGE, lines, chosen)
+    for mutant, running in zip(drawn, found, strict=True):
+        tests.setdefault("\t".join(mutant.key), {}).update(running)
+    output.write_text(json.dumps(tests, indent=1))
+    print(f"{sum(map(bool, found))} of {len(drawn)} changes are run by these tests")
+
+
+def _row(mutant: Mutant, result: str, outcome: Outcome, seed: str) -> dict[str, str]:
     file, code, change = mutant.key
     values = (
-        file, str(mutant.line), code, change, result, outcome.failed,
-        f"{outcome.seconds:.0f}",
+        file, str(mutant.line), code, change, result, outcome.by,
+        f"{outcome.seconds:.0f}", seed,
     )  # fmt: skip
     return dict(zip(COLUMNS, values, strict=True))
 
