@@ -219,3 +219,15 @@ def test_uncertainties_of_a_level_vehicle_are_those_of_its_axes() -> None:
     for covariance in track.covariance:
         expected = np.square([0.01, 0.02, 0.03, 1e-3, 1e-3, 3e-3])
         np.testing.assert_allclose(covariance, np.diag(expected), atol=1e-18)
+
+
+def test_directions_turn_with_the_vehicle_and_the_boresight():
+    # East, with the instrument looking down: its forward is down, its down is west.
+    track = Trajectory.of_angles(
+        time=[0.0, 1.0], position=np.full((2, 3), 7.0), heading=np.pi / 2
+    )
+    poses = instrument_poses(track, Mounting(pitch="-90 deg"), [0.2, 0.5, 0.8])
+    right, down, forward = [0, -1, 0], [-1, 0, 0], [0, 0, -1]
+    np.testing.assert_allclose(
+        poses.turn(np.eye(3)), [right, down, forward], atol=1e-15
+    )

@@ -18,7 +18,11 @@ from amulor.optics.water import case_1, seawater, types
 from amulor.studies.ladder import survey_text
 from amulor.survey import Survey, Water, water_properties
 from amulor.survey.mueller import matrix
-from amulor.survey.properties import by_coefficients, group_index_uncertainty
+from amulor.survey.properties import (
+    by_coefficients,
+    group_index_uncertainty,
+    quadrature_phase_error,
+)
 
 TAP = 'temperature = "20 degC"\nsalinity = 0'
 SEA = 'temperature = "20 degC"\nsalinity = 35'
@@ -436,3 +440,16 @@ def test_water_that_cannot_be_is_refused_in_one_line(
     lines = str(caught.value).splitlines()
     assert any("water" in line and re.search(words, line) for line in lines), lines
     assert len(lines) == 1
+
+
+@pytest.mark.parametrize(("gain", "angle"), [(0.01, 0.0), (0.0, 0.02), (0.03, 0.01)])
+def test_the_error_of_a_quadrature_output_is_that_of_turned_phasors(
+    gain: float, angle: float
+) -> None:
+    phase = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+    # The quadrature output is larger by the gain, and contains a part of the other.
+    output = np.cos(phase) + 1j * ((1 + gain) * np.sin(phase) + angle * np.cos(phase))
+    turned = np.angle(output * np.exp(-1j * phase))
+    expected = np.sqrt(np.mean(turned**2))
+    # The terms of second order of the gain are 3 %.
+    np.testing.assert_allclose(quadrature_phase_error(gain, angle), expected, rtol=0.03)

@@ -11,8 +11,10 @@ from shared_light import scene_light
 
 from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.connect import simulated_bench
+from amulor.acquisition.protocols import Overload
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.bench import LOCK_TIME, SCAN_SPEED, Bench
+from amulor.acquisition.simulated.devices import SimulatedLockIn
 from amulor.acquisition.uncertainty import reading_variance, variance_ratio
 from amulor.simulation import simulate
 from amulor.survey import Survey
@@ -204,3 +206,16 @@ def test_a_new_frequency_is_locked_to_after_a_while(small, clock) -> None:
     assert not found.locked()
     clock.sleep(LOCK_TIME)
     assert found.locked()
+
+
+def test_a_lock_in_has_full_scales_of_100_nv_to_1_v(quiet, clock) -> None:
+    lock_in = SimulatedLockIn(bench(quiet, clock))
+    scales = [lock_in.full_scale()]
+    assert not lock_in.relieve(Overload.OUTPUT)
+    # A finer scale for amplitudes up to a twentieth of the present one.
+    assert not lock_in.sharpen(0.0501)
+    while lock_in.sharpen(0.0499 * scales[-1]):
+        scales.append(lock_in.full_scale())
+    assert_allclose(scales, [1, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7])
+    assert lock_in.relieve(Overload.OUTPUT)
+    assert_allclose(lock_in.full_scale(), 1e-6)
