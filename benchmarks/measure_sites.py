@@ -5,11 +5,11 @@ package: beds, walls, bodies, planes and corners; starts wrong by up to 50 cm an
 degrees, stated as they are or too small; a fish, a scan that nothing explains, a drift
 over the rows, a delay, another height datum, and quiet sites; from number 1000 on a
 scan of another place. Each site is a row of `benchmarks/sites.csv`, with a digest of
-the code of `amulor.site.registration` that measured it. A
-number of further sites is measured, and the campaign goes on where it ended. `--redo`
-measures rows of other versions again, in random order. Without a number the summary of
-all rows of the present version, or of another one (`--of`), is printed. `--page` writes
-it into docs/benchmarks.md.
+the code of `amulor.site.registration` that measured it. A number of further sites is
+measured, and the campaign goes on where it ended. `--redo` measures rows of other
+versions again, in random order, evenly by kind and error. Without a number the summary
+of all rows of the present version, or of another one (`--of`), is printed. `--page`
+writes it into docs/benchmarks.md.
 
 `--first 1000` draws from that number on.
 """
@@ -477,8 +477,7 @@ def go_on(
     rows: dict[int, Any] = {int(row["site"]): row for row in rows_of(path)}
     if options.redo:
         others = [n for n in rows if rows[n].get("version") != present]
-        # In random order: all kinds and errors have the same part of what is measured.
-        numbers = iter(np.random.default_rng(40).permutation(others).tolist())
+        numbers = iter(evenly({n: rows[n] for n in others}))
     else:
         numbers = (n for n in range(options.first, 10**6) if n not in rows)
     begin = time.monotonic()
@@ -490,6 +489,16 @@ def go_on(
             _write(temporary, columns, rows)
     total = sum(row.get("version") == present for row in rows.values())
     print(f"{path.name}: {total} of {len(rows)} rows are of this version ({present})")
+
+
+def evenly(rows: dict[int, Any]) -> list[int]:
+    """Numbers of rows in random order, each kind and error as often as the others."""
+    groups: dict[tuple[Any, Any], list[int]] = {}
+    for number in np.random.default_rng(40).permutation(list(rows)).tolist():
+        row = rows[number]
+        groups.setdefault((row.get("kind"), row.get("spoiler")), []).append(number)
+    turns = itertools.zip_longest(*groups.values())
+    return [number for turn in turns for number in turn if number is not None]
 
 
 def _write(path: Path, columns: tuple[str, ...], rows: dict[int, Any]) -> None:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.special import expit, logit
 from scipy.stats import norm
 
 from amulor.site.registration.network import (
@@ -51,9 +52,9 @@ PATTERNS = {
 _WINDOW = 15
 #: Chance of a false alarm in a site [1].
 _CHANCE = 1e-3
-#: Least score of a suspected error; by chance the strongest of a site is 2.1 on average
-#: over 28 tests [1].
-_SUSPECTED = 2.5
+#: Probability of each error before its test, and the standard deviation of its size
+#: over the standard uncertainty of the test [1].
+_PRIOR, _PRIOR_SIZE = 0.01, 5.0
 #: Least score of a pattern that is named beside the strongest one, over its score [1].
 _ALIKE = 0.85
 #: Least part of excluded points and least misfit, over that of other pairs, in each
@@ -184,18 +185,28 @@ def pattern_tests(
 def _suspected(
     tests: Sequence[PatternTest], changes: Sequence[Floats], count: int
 ) -> Floats:
-    """Return the covariance of all unknowns due to suspected errors.
+    """Return the covariance of all unknowns due to suspected errors, of any scan.
 
-    These are all range errors whose estimated size is large, of any scan: the strongest
-    test may be a consequence of an error of another scan. Each error counts with its
-    estimated size as its standard error.
+    The strongest test may be a consequence of an error of another scan.
     """
     spread = np.zeros((count, count))
     for test, change in zip(tests, changes, strict=True):
-        if abs(test.score) > _SUSPECTED:
-            step = change * test.size / test.detectable
-            spread += np.outer(step, step)
+        step = change * test.uncertainty / test.detectable
+        spread += mean_square(test.score) * np.outer(step, step)
     return spread
+
+
+def mean_square(score: float) -> float:
+    r"""Return the mean square of an error of a scan after its test [1].
+
+    Its unit is the variance of the test. Before the test, the error exists with the
+    probability p, and has the variance :math:`t^2`. With :math:`k = t^2 / (1 + t^2)`, a
+    score z changes the odds of the error by :math:`\sqrt{1 - k} \exp(k z^2 / 2)`. The
+    mean square is :math:`k^2 z^2 + k` times the new probability.
+    """
+    shrunk = _PRIOR_SIZE**2 / (1 + _PRIOR_SIZE**2)
+    odds = logit(_PRIOR) + np.log1p(-shrunk) / 2 + shrunk * score**2 / 2
+    return float(expit(odds) * (shrunk**2 * score**2 + shrunk))
 
 
 def _undetected(
