@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from amulor.site.registration.result import Registration
     from amulor.site.registration.surface import ScanSurface
 
+    #: Motion of the object in each region, or the reason why none is fitted.
+    Motions = dict[int, Motion | str]
+
 
 def check(
     site: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False
@@ -405,12 +408,12 @@ def compare(
     print(f"{output}: {len(change.value)} rows")
 
 
-def _first_of(number: int, motions: dict[int, Motion]) -> int:
+def _first_of(number: int, motions: Motions) -> int:
     """Return the number of the first region that moved like region `number`."""
     return next(k for k in sorted(motions) if motions[k] is motions[number])
 
 
-def _region(region: Region, number: int, motions: dict[int, Motion]) -> dict[str, Any]:
+def _region(region: Region, number: int, motions: Motions) -> dict[str, Any]:
     import numpy as np
 
     content: dict[str, Any] = {
@@ -426,6 +429,8 @@ def _region(region: Region, number: int, motions: dict[int, Motion]) -> dict[str
     motion = motions.get(number)
     if motion is not None and _first_of(number, motions) != number:
         content["same_body_as_region"] = _first_of(number, motions)
+    elif isinstance(motion, str):
+        content["no_motion"] = motion
     elif motion is not None:
         content["motion"] = {
             "centre_m": motion.centre,
@@ -450,7 +455,7 @@ def _region(region: Region, number: int, motions: dict[int, Motion]) -> dict[str
     return content
 
 
-def region_sentence(number: int, region: Region, motions: dict[int, Motion]) -> str:
+def region_sentence(number: int, region: Region, motions: Motions) -> str:
     """Describe a region of change: place, area, mean, volume, motion of a body."""
     place = ", ".join(f"{value:.3f}" for value in region.centre)
     text = (
@@ -466,6 +471,8 @@ def region_sentence(number: int, region: Region, motions: dict[int, Motion]) -> 
     first = _first_of(number, motions)
     if first != number:
         return f"{text}\n   the same body as {first + 1}"
+    if isinstance(motion, str):
+        return f"{text}\n   no motion of an object: {motion}"
     return f"{text}\n   {_motion_in_words(motion)}"
 
 
@@ -522,6 +529,7 @@ def report(
     from amulor.site import Site
     from amulor.site.merging.plan import placed
     from amulor.view import site_report
+    from amulor.view.site_residuals import pair_residuals
 
     io.check_output(output, overwrite=overwrite, inputs=[site, poses])
     check_ending("--output", output, (".html", ".htm"))
@@ -530,7 +538,7 @@ def report(
     epochs = epochs_of(visits, first, second) if compared else None
     change: Change | None = None
     places: tuple[Region, ...] = ()
-    motions: dict[int, Motion] = {}
+    motions: Motions = {}
     with progress_bar() as advance:
         merged = opened(site, poses)
         if epochs is not None:
@@ -547,6 +555,7 @@ def report(
             change=change,
             places=places,
             motions=motions,
+            residuals=pair_residuals(merged.registration, merged.surfaces),
             overwrite=overwrite,
         )
     print(f"{output}: {len(merged.site.scan)} scans, {len(places)} places that changed")
@@ -745,7 +754,7 @@ def epochs_of(site: Site, first: str | None, second: str | None) -> tuple[str, s
 
 def changes_between(
     merged: Opened, epochs: tuple[str, str]
-) -> tuple[Change, tuple[Region, ...], dict[int, Motion]]:
+) -> tuple[Change, tuple[Region, ...], Motions]:
     """Compute the change between two visits, its regions, and their rigid motions."""
     import numpy as np
 
@@ -770,7 +779,7 @@ def changes_between(
             epochs=epochs,
         )
     places = regions(result)
-    motions: dict[int, Motion] = {}
+    motions: Motions = {}
     groups = bodies(places)
     for number, group in enumerate(groups):
         _progress.tell("fitting what moved", 0.8 + 0.1 * number / len(groups))
@@ -783,6 +792,5 @@ def changes_between(
             centre=centre,
             reach=float(np.clip(1.5 * reach, 0.05, 1.0)),
         )
-        if motion is not None:
-            motions |= dict.fromkeys(group, motion)
+        motions |= dict.fromkeys(group, motion)
     return result, places, motions

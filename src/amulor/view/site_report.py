@@ -25,6 +25,12 @@ from amulor.site.registration.result import Registration, relative_covariance
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report
 from amulor.view.sheet import error_ellipse, separate
 from amulor.view.site_plan import label_plan, plan_figure, with_all_digits
+from amulor.view.site_residuals import (
+    MOST_MAPS,
+    PairResiduals,
+    residual_histograms,
+    residual_maps,
+)
 from amulor.view.style import (
     COLOURS,
     DIFFERENCE_MAP,
@@ -48,7 +54,8 @@ def write(
     scans: Sequence[PlacedScan],
     change: Change | None = None,
     places: Sequence[Region] = (),
-    motions: Mapping[int, Motion] | None = None,
+    motions: Mapping[int, Motion | str] | None = None,
+    residuals: Sequence[PairResiduals] = (),
     overwrite: bool = False,
 ) -> None:
     """Write the report on a site as one HTML file."""
@@ -69,7 +76,8 @@ def write(
             _poses(site, registration),
             *_warnings(registration),
             _pairs(registration),
-            *_network(site, registration),
+            *_residuals(residuals),
+            *_network(site, registration, residuals),
             Heading("Points"),
             Picture(
                 errors(cloud),
@@ -331,17 +339,39 @@ def _pairs(registration: Registration) -> Table:
 
 
 #: Factor and name of the unit in which values of a kind are shown.
-_SHOWN_AS = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "1": (1.0, "1")}
+_SHOWN_AS = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "1": (1.0, "u")}
 
 
-def _network(site: Site, registration: Registration) -> list[Part]:
+def _residuals(residuals: Sequence[PairResiduals]) -> list[Part]:
+    """Return the maps of the residuals of scan pairs."""
+    if not residuals:
+        return []
+    which = (
+        "All pairs"
+        if len(residuals) <= MOST_MAPS
+        else f"The {MOST_MAPS} of {len(residuals)} pairs with the largest scatter"
+    )
+    return [
+        Picture(
+            residual_maps(residuals),
+            f"{which}: mean distances over cells of pixels of the first scan. The "
+            "number in a title is the root mean square of the distances over their "
+            "stated noise, which is 1 without other errors. Rows or columns of one "
+            "color show a drift, and a single spot shows another object. Gray cells "
+            "are not compared.",
+        )
+    ]
+
+
+def _network(
+    site: Site, registration: Registration, residuals: Sequence[PairResiduals]
+) -> list[Part]:
     """Return the network report: ellipses, groups and values with their reliability."""
     groups = observation_groups(registration.reliability)
     if not groups:
         return []
     rows = []
     for group in groups:
-        factor, unit = _SHOWN_AS[group.unit]
         mark = "!" if abs(group.largest_score) > group.limit else ""
         rows.append(
             [
@@ -351,7 +381,7 @@ def _network(site: Site, registration: Registration) -> list[Part]:
                 f"{group.redundancy:.2f}",
                 f"{mark}{group.largest_score:+.2f} of {group.limit:.2f}",
                 group.largest_of,
-                _scaled(group.detectable, factor) + (f" {unit}" if unit != "1" else ""),
+                _detectable(group),
                 _scaled(group.external, 1e3),
             ]
         )
@@ -361,6 +391,12 @@ def _network(site: Site, registration: Registration) -> list[Part]:
             ellipses(site, registration),
             "Standard error ellipses (k = 1) in the frame of the site: in plan above, "
             "in the plane of east and up below.",
+        ),
+        Picture(
+            residual_histograms(residuals, registration.reliability),
+            "Residuals over their standard uncertainties: of the points of all scan "
+            "pairs, and of the stated values that other data check. Points in tails "
+            "and a wide histogram show errors that are not stated.",
         ),
         Table(
             [
@@ -426,7 +462,7 @@ def _observations(
 ) -> Table:
     """Return the table of all values of a group, with their residuals."""
     factor, unit = _SHOWN_AS[group.unit]
-    in_unit = f" [{unit}]" if unit != "1" else ""
+    in_unit = f" [{unit}]"
     lengths = {
         f"bar {' '.join(item.ends)}": item.length
         for item in site.target
@@ -463,11 +499,21 @@ def _observations(
         f"{group.group.capitalize()}: adjusted minus stated value, and reliability. A "
         "dash marks values that no other observation checks."
         + (
-            " The unit of each value is its stated standard uncertainty."
-            if unit == "1"
+            " The unit u of each value is its stated standard uncertainty. A shape "
+            "is an error of the open-water reference or the water of this scan: these "
+            "errors vary over the image, and shape 1 is the largest independent part."
+            if group.unit == "1"
             else ""
         ),
     )  # fmt: skip
+
+
+def _detectable(group: ObservationGroup) -> str:
+    """Return the largest minimal detectable error of a group with its unit."""
+    factor, unit = _SHOWN_AS[group.unit]
+    if group.detectable is None:
+        return "-"
+    return f"{_scaled(group.detectable, factor)} {unit}"
 
 
 def _scaled(value: float | None, factor: float) -> str:
@@ -500,7 +546,7 @@ def _scans(site: Site, cloud: Merged) -> Table:
 
 
 def _changed(
-    change: Change, places: Sequence[Region], motions: Mapping[int, Motion]
+    change: Change, places: Sequence[Region], motions: Mapping[int, Motion | str]
 ) -> list[Part]:
     both = np.isfinite(change.value)
     share = change.significant.sum()
@@ -528,6 +574,8 @@ def _changed(
         first = next((k for k in sorted(motions) if motions[k] is motion), number)
         if motion is not None and first != number:
             moved[0] = f"as place {first + 1}"
+        elif isinstance(motion, str):
+            moved = ["-", "", "", "", motion]
         elif motion is not None:
             shift = ", ".join(f"{v * 1e3:+.2f}" for v in motion.shift)
             moved = [

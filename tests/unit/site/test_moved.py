@@ -139,6 +139,29 @@ def test_components_along_a_free_axis_are_named_as_not_known() -> None:
     assert sentence.endswith("not known: turn about (+0.60, +0.80, +0.00)")
 
 
+def test_regions_without_a_motion_state_why() -> None:
+    rng = np.random.default_rng(2)
+    flat = oracle.Scene((oracle.Bed(),))
+    drawn = two_visits(flat, flat, rng, rows=24)
+    reason = motion_of(
+        drawn.site, known_registration(drawn), drawn.surfaces,
+        epochs=("one", "two"), centre=np.zeros(3), reach=0.2,
+    )  # fmt: skip
+    # On a plane nothing is 20 mm above the ground; the first visit is looked at first.
+    assert reason == (
+        "no scan of one has 20 pixels of an object at least 20 mm above the ground "
+        "around it"
+    )
+    region = Region(
+        members=np.arange(4), centre=np.zeros(3), reach=0.1, area=0.01,
+        area_uncertainty=0.0, mean=0.0, mean_uncertainty=1.0, largest=0.0, volume=0.0,
+        volume_uncertainty=1.0, lost=0.0,
+    )  # fmt: skip
+    assert _region(region, 0, {0: reason})["no_motion"] == reason
+    sentence = region_sentence(0, region, {0: reason})
+    assert sentence.endswith(f"no motion of an object: {reason}")
+
+
 @pytest.mark.slow
 def test_all_components_of_a_rolled_amphora_have_the_errors_stated() -> None:
     rng = np.random.default_rng([9, 5])
@@ -162,7 +185,7 @@ def test_all_components_of_a_rolled_amphora_have_the_errors_stated() -> None:
         centre=np.array(body.place),
         reach=0.45,
     )
-    assert motion is not None
+    assert isinstance(motion, moved.Motion)
     assert motion.undetermined[3:].any()
     angle = float(np.linalg.norm(turn))
     spin = oracle.rotation(tuple(turn / angle), angle) - np.eye(3)
@@ -194,7 +217,7 @@ def test_shift_and_turn_of_an_amphora_hold_at_the_point_that_is_named() -> None:
         centre=np.array(body.place),
         reach=0.45,
     )
-    assert motion is not None
+    assert isinstance(motion, moved.Motion)
     # The point is in the object, and the motion is that of this point.
     assert np.linalg.norm(motion.centre - body.place) < 0.15
     spin = oracle.rotation((0, 0, 1), np.radians(5)) - np.eye(3)

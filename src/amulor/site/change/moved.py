@@ -23,8 +23,9 @@ Flags = NDArray[np.bool_]
 
 #: Smallest height of the object above the ground around it [m].
 _ABOVE = 0.02
-#: Smallest number of points that constrain a motion [1].
-_FEWEST = 60
+#: Smallest number of points that constrain a motion, and of pixels of an object in a
+#: scan [1].
+_FEWEST, _FEWEST_PIXELS = 60, 20
 _STEPS = 12
 #: Largest component of a free motion of size 1 that is neglected [1].
 _SHARE = 0.1
@@ -142,8 +143,8 @@ def motion_of(
     epochs: tuple[str, str],
     centre: Floats,
     reach: float,
-) -> Motion | None:
-    """Fit the rigid motion of an object between two visits; None without enough points.
+) -> Motion | str:
+    """Fit the rigid motion of an object between two visits, or return why none is.
 
     The object is everything above the ground, a plane fitted to the surfaces between
     one and one and a half times `reach` from the center. Its points in the second epoch
@@ -154,15 +155,19 @@ def motion_of(
         if scan.epoch not in epochs:
             continue
         on_object = _object(surfaces[scan.name], registration, scan.name, centre, reach)
-        if on_object is not None and int(on_object.sum()) >= 20:
+        if on_object is not None and int(on_object.sum()) >= _FEWEST_PIXELS:
             cut[scan.name] = replace(
                 surfaces[scan.name], smooth=surfaces[scan.name].smooth & on_object
             )
     names = [[s.name for s in site.scans_of(e) if s.name in cut] for e in epochs]
+    for epoch, of_epoch in zip(epochs, names, strict=True):
+        if not of_epoch:
+            return (
+                f"no scan of {epoch} has {_FEWEST_PIXELS} pixels of an object at least "
+                f"{_ABOVE * 1e3:.0f} mm above the ground around it"
+            )
     partners = [(later, earlier) for later in names[1] for earlier in names[0]]
     trees = {name: tree_of(surface) for name, surface in cut.items()}
-    if not partners:
-        return None
     shift, turn = np.zeros(3), np.eye(3)
     # About the center of the visible points, errors of translation and rotation are
     # least correlated.
@@ -191,8 +196,12 @@ def motion_of(
             )
             if pair is not None and pair.used >= 20:
                 pairs.append(pair)
-        if sum(pair.used for pair in pairs) < _FEWEST:
-            return None
+        used = sum(pair.used for pair in pairs)
+        if used < _FEWEST:
+            return (
+                f"{used} points of the object meet its surface in {epochs[0]}, and "
+                f"{_FEWEST} are needed"
+            )
         held, _ = _held(pairs, middle)
         normal, gradient = _sums(pairs, middle, held, steady=gate is not None)
         step = -np.linalg.pinv(normal, rcond=1e-9) @ gradient
