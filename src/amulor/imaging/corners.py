@@ -14,7 +14,7 @@ from amulor.errors import SurveyError
 from amulor.imaging.observation import Observation
 from amulor.optics import target_echo
 from amulor.survey import Survey, WaterProperties, counting, water_properties
-from amulor.survey.view import view
+from amulor.survey.view import angle_of_view, view
 from amulor.survey.waters.whole_function import whole_function_arguments
 
 Floats = NDArray[np.float64]
@@ -112,8 +112,8 @@ def corner_error(
 ) -> tuple[Floats | None, Patches | None]:
     """Range error from doubly reflected light (None if absent), and surface patches.
 
-    None without a survey, and for simulated samples, which have no such light unless
-    the attribute `corner_light` is "present". The reflectance of a patch comes from its
+    None without a survey, and for simulated samples without such light (attribute
+    `corner_light`). The reflectance of a patch comes from its
     amplitude and the survey, and is at most 1.
     """
     channel, survey = observation.channel, observation.survey
@@ -140,7 +140,7 @@ def corner_error(
         return None, fit
     patches = fit
     group_index = float(observation.geometry.medium.group_index)
-    acceptance = _acceptance(survey)
+    acceptance = angle_of_view(survey)
     per_phase = (weight * observation.path_per_phase.ravel())[:, None]
 
     def path_error(position: Floats, normal: Floats) -> Floats:
@@ -208,13 +208,6 @@ def _brightness(
     )
     bright = np.abs(observation.signal[0]) / (volt * np.exp(logarithm))
     return np.asarray(np.where(usable, bright, np.nan))
-
-
-def _acceptance(survey: Survey) -> float:
-    """Field of view about the beam; infinite if the receiver does not scan [rad]."""
-    if survey.scan.moves != "both":
-        return math.inf
-    return float(view(survey, np.zeros(1), np.zeros(1)).acceptance)
 
 
 def _patches(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.simulation.scene import Hits, Scene, aperture_points
+from amulor.simulation.second_reflection import second_reflection
 from amulor.simulation.vehicle import VehicleMotion
 from amulor.survey import Survey, WaterProperties, counting, surface, water_properties
 from amulor.survey.directions import Floats, scan_directions
@@ -94,6 +95,9 @@ class Geometry:
     brightness: Floats
     """Radiance towards the receiver, relative to a Lambertian surface with the target's
     reflectance, from BRDF and texture [1]."""
+    twice: NDArray[np.complex128] | None
+    """Light reflected by two surfaces, over that of a white surface that faces the
+    receiver, shape (frequency, row, column) with 0 Hz first; None if left out [1]."""
 
 
 def trace(
@@ -147,6 +151,16 @@ def trace(
     return_path = np.full(met.size, np.inf)
     return_path[met] = rays.return_distance(hits.point[met], receiver, medium=medium)
     shape = azimuth.shape
+    twice = None
+    if survey.scan.second_reflection:
+        twice = second_reflection(
+            survey,
+            scene,
+            met_in_scene,
+            place.points(receiver),
+            water=setup.water,
+            group_index=medium.group_index,
+        ).reshape(-1, *shape)
     return Geometry(
         azimuth=azimuth,
         elevation=elevation,
@@ -162,6 +176,7 @@ def trace(
         brightness=_brightness(
             survey, scene.texture(met_in_scene), hits, beam, receiver
         ).reshape(shape),
+        twice=twice,
     )
 
 

@@ -94,11 +94,24 @@ def target_light(
     }
     common = _model_arguments(setup, geometry.view)
     frequencies = frequency[:, None, None, None]
-    throughput = fraction * geometry.brightness * geometry.view.transmission
-    if isinstance(model, UncertainModel):
-        response, error = model.echo_with_error(frequencies, surface=surface, **common)
-        return _light(response * throughput, error * throughput)
-    return _light(model.echo(frequencies, surface=surface, **common) * throughput)
+
+    def echo(surface: dict[str, Any], throughput: Any) -> Light:
+        if isinstance(model, UncertainModel):
+            response, error = model.echo_with_error(
+                frequencies, surface=surface, **common
+            )
+            return _light(response * throughput, np.abs(error * throughput))
+        return _light(model.echo(frequencies, surface=surface, **common) * throughput)
+
+    transmission = geometry.view.transmission
+    direct = echo(surface, fraction * geometry.brightness * transmission)
+    if geometry.twice is None:
+        return direct
+    # Two reflections leave no polarization.
+    unpolarized = _fractions(survey, "ideal-depolarizer").reshape(-1, *[1] * met.ndim)
+    facing = {"reflectance": 1.0 * met, "cosine": np.ones(met.shape)}
+    twice = geometry.twice[:, None]
+    return direct + echo(surface | facing, unpolarized * transmission * twice)
 
 
 def water_light(

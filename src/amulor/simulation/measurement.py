@@ -147,6 +147,7 @@ class Setting:
                 source=f"simulation by amulor, {model.title}",
                 simulated=np.int32(1),
                 late_echo=model.late_echo,
+                corner_light="present" if survey.scan.second_reflection else "absent",
                 seed=seed,
                 survey=text,
                 input_digests=f"survey {cube.digest(text)}",

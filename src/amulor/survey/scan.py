@@ -180,6 +180,9 @@ class Scan(Description):
     """Open-water reference measurements; none by default."""
     reference: StandingReference | None = None
     """Standing reference for the phase of the instrument; none by default."""
+    second_reflection: bool | None = None
+    """Whether a simulation includes light that two surfaces of the targets reflect, one
+    after the other, as in concave corners; without it by default."""
     instrument_temperature: Annotated[Temperature, Field(ge=-60, le=100)] | None = None
     """Temperature of the instrument during the scan, for the correction by a
     temperature calibration; not recorded by default [degC]."""

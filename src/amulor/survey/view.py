@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -69,6 +70,16 @@ def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
     )
     index = medium.refractive_index
     return index * reduced, receiver.acceptance / index
+
+
+def angle_of_view(survey: Survey) -> float:
+    """Return the field of view about the beam; infinite if only the beam moves [rad].
+
+    A receiver that does not move sees all surfaces of the scan.
+    """
+    if survey.scan.moves != "both":
+        return math.inf
+    return float(view(survey, np.zeros(1), np.zeros(1)).acceptance)
 
 
 def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:

@@ -1,0 +1,95 @@
+"""Light that two walls reflect in simulated scans, against an independent Monte Carlo.
+
+The edge of the inside corner is vertical, at 2.6 m. Its walls stand at 45 degrees.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from corner_rays import double_over_single
+from numpy.testing import assert_allclose
+
+from amulor import Survey, simulate
+from amulor.simulation import ClosureModel, geometry, lock_in
+from amulor.studies.trust.surveys import survey
+
+EDGE = np.array([0.0, 0.0, 2.6])
+LEFT, RIGHT = np.array([-1.0, 0.0, -1.0]) / 2**0.5, np.array([1.0, 0.0, -1.0]) / 2**0.5
+UP = np.array([0.0, -1.0, 0.0])
+SIDE = 0.3
+
+
+def _corner(
+    reflectance: tuple[float, float] = (0.4, 0.4), *, twice: bool = True
+) -> Survey:
+    walls = [
+        f'[[targets]]\nkind = "plate"\nposition = ["{side * 0.10607} m", "0 m", '
+        f'"2.49393 m"]\nrotation = ["0 deg", "{side * 45} deg", "0 deg"]\n'
+        f'width = "{SIDE} m"\nheight = "{SIDE} m"\nreflectance = {value}'
+        for side, value in zip((-1, 1), reflectance, strict=True)
+    ]
+    scan = {"azimuth": 0.0, "wide": 9, "tall": 4, "columns": 6, "rows": 2}
+    return survey(2, *walls, baseline=1, **scan).with_(
+        {
+            "instrument.receiver.acceptance": "0.3 rad",
+            "scan.second_reflection": twice,
+        }
+    )
+
+
+@pytest.mark.parametrize("reflectance", [(0.4, 0.4), (0.2, 0.7)])
+def test_the_light_is_that_of_traced_rays(reflectance: tuple[float, float]) -> None:
+    stated = _corner(reflectance)
+    setup = geometry.Setup(stated)
+    traced = geometry.trace(setup)
+    receiver = np.asarray(stated.instrument.receiver.position)
+    for row, column in ((0, 0), (1, 3)):
+        wall = int(traced.target[row, column])
+        own, other = (LEFT, RIGHT) if wall == 0 else (RIGHT, LEFT)
+        for number, frequency in enumerate(stated.instrument.modulation_frequencies):
+            expected, error = double_over_single(
+                traced.point[row, column],
+                other,
+                wall_corner=EDGE - SIDE / 2 * UP,
+                wall_sides=(SIDE * other, SIDE * UP),
+                reflectance=reflectance[1 - wall],
+                instrument=receiver,
+                modulation_frequency=frequency,
+                group_index=setup.medium.group_index,
+                attenuation=setup.water.reduced_attenuation,
+                rays=30_000,
+                rng=np.random.default_rng(column),
+            )
+            assert own[2] < 0
+            direct = reflectance[wall] * traced.cosine[row, column]
+            ratio = traced.twice[1 + number, row, column] / direct
+            assert_allclose(ratio, expected, rtol=0.02, atol=4 * error)
+
+
+def test_the_added_light_is_unpolarized() -> None:
+    lights = []
+    for twice in (False, True):
+        setup = geometry.Setup(_corner(twice=twice))
+        light = lock_in.target_light(setup, geometry.trace(setup), model=ClosureModel())
+        lights.append(light)
+    added = lights[1].modulated - lights[0].modulated
+    assert np.all(np.abs(added) > 0.01 * np.abs(lights[0].modulated[:, :1]))
+    assert_allclose(added[:, 0], added[:, 1], rtol=1e-9)
+    assert np.all(lights[1].mean > lights[0].mean)
+
+
+def test_a_single_plate_reflects_light_once() -> None:
+    setup = geometry.Setup(_corner().with_({"targets": [_corner().targets[0]]}))
+    assert not geometry.trace(setup).twice.any()
+
+
+@pytest.mark.slow
+def test_the_samples_state_whether_they_contain_such_light() -> None:
+    words = [
+        simulate(_corner(twice=twice), rng=1, model=ClosureModel()).attrs[
+            "corner_light"
+        ]
+        for twice in (False, True)
+    ]
+    assert words == ["absent", "present"]
