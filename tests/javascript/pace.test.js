@@ -7,9 +7,9 @@ import { Pace } from "../../src/amulor/view/page/static/turning.js";
 
 test("slow frames draw fewer points in proportion, fast ones more", () => {
   const pace = new Pace(100000, { fewest: 20000, most: 200000 });
-  pace.paced(140);
+  pace.paced(80);
   assert.equal(pace.count, 50000);
-  pace.paced(50);
+  pace.paced(30);
   assert.equal(pace.count, 50000);
   pace.paced(10);
   assert.equal(pace.count, 75000);

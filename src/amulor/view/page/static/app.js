@@ -152,19 +152,28 @@ function draw() {
   document.documentElement.dataset.ready = "yes";
 }
 
-/** Whether the view in space has moved, so that it alone is drawn again. */
+/** Whether the view in space has moved, so that it is drawn again. */
 let turned = false;
+/** Pixel of the overlays as they are drawn. */
+let pointed = /** @type {Pixel | null} */ (null);
 
 /** Draw overlays that depend on the pixel under the pointer, and a view that has moved. */
 function drawPointer() {
   if (!state.scene?.maps.has(state.layerName)) return;
-  if (stage.shows("map")) views.map.point(state, page.colours);
-  if (!stage.shows("cloud")) turned = false;
-  else if (turned) {
+  if (stage.shows("cloud")) {
+    if (turned || views.cloud.motion.busy) {
+      fitted(views.cloud.canvas);
+      views.cloud.draw(state, page.colours);
+    } else views.cloud.point(state, page.colours);
+  }
+  // Nothing else follows a view that turns around the same pixel.
+  if (turned && state.cursor === pointed) {
     turned = false;
-    fitted(views.cloud.canvas);
-    views.cloud.draw(state, page.colours);
-  } else views.cloud.point(state, page.colours);
+    return;
+  }
+  turned = false;
+  pointed = state.cursor;
+  if (stage.shows("map")) views.map.point(state, page.colours);
   if (stage.shows("plots")) drawProfile($("profile"), state, page.colours);
 }
 
@@ -370,7 +379,7 @@ function thumbnails() {
       (scene.high - height * step[1]) / 2,
       ...step,
     ];
-    state.renderer.drawMap(inkOf(canvas), parts);
+    state.renderer.drawMap(inkOf(canvas, { plot: true }), parts);
   }
 }
 

@@ -22,7 +22,7 @@ const AXES = [
 export class CloudView {
   constructor(canvas, { hover, pick, changed, clip }) {
     this.canvas = canvas;
-    this.context = inkOf(canvas);
+    this.context = inkOf(canvas, { opaque: true });
     this.over = inkOf(over(canvas));
     this.camera = new Camera();
     /** Points that must be in view. */
@@ -34,7 +34,7 @@ export class CloudView {
     this.matrix = /** @type {any} */ (null);
     this.motion = new Motion(changed);
     /** Number of pixels drawn while the view moves. */
-    this.pace = new Pace(250000, { fewest: FEWEST, most: RESTING });
+    this.pace = new Pace(60000, { fewest: FEWEST, most: RESTING });
     this.points = false;
     this.clip = clip;
     const spotOf = (point) => this.#spot(point);
@@ -212,12 +212,13 @@ export class CloudView {
     return point && projected(this.matrix, point, this.canvas.width, this.canvas.height);
   }
 
-  /** Draw the cursor on a separate layer. */
+  /** Draw the cursor on a separate layer, which a moving view does without. */
   point(state, colours) {
-    const ctx = clearedOver(this.over, this.canvas);
     const { scene, cursor } = state;
     const at = cursor && this.matrix && this.#spot(scene.point(...cursor, shapeOf(state)));
-    if (at) dot(ctx, at, 5 * ratioOf(this.canvas), colours, true);
+    const { busy } = this.motion;
+    const ctx = clearedOver(this.over, this.canvas, at && !busy);
+    if (at) dot(busy ? this.context : ctx, at, 5 * ratioOf(this.canvas), colours, true);
   }
 
   /** Draw the rectangles of measurements on the surface, with gaps where it has gaps. */

@@ -21,11 +21,14 @@ export function made(tag, properties = {}, ...children) {
 }
 
 /**
- * Return the drawing context of a canvas.
+ * Return the drawing context of a canvas. Each canvas is a layer that the browser composes for
+ * every frame: an opaque layer costs less, and a plot, which rarely changes, needs none.
  * @param {HTMLCanvasElement} canvas
+ * @param {{opaque?: boolean, plot?: boolean}} [kind]
  */
-export function inkOf(canvas) {
-  return /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+export function inkOf(canvas, { opaque = false, plot = false } = {}) {
+  const kind = { alpha: !opaque, willReadFrequently: plot };
+  return /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", kind));
 }
 
 /**

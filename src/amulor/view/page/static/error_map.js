@@ -84,7 +84,7 @@ export class ErrorMap {
 
   /** Draw the marker on a separate layer. */
   point({ scene, mark, colours }) {
-    const ctx = clearedOver(this.over, this.canvas);
+    const ctx = clearedOver(this.over, this.canvas, mark);
     if (!mark) return;
     const ratio = ratioOf(this.canvas);
     const { x0, x1, y0, y1 } = this.frame(ratio);

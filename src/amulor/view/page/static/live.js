@@ -197,7 +197,7 @@ export class Live {
     this.drift.hidden = change.length < 2;
     if (this.drift.hidden) return;
     fitted(this.drift);
-    const ctx = inkOf(this.drift);
+    const ctx = inkOf(this.drift, { plot: true });
     const ratio = this.drift.width / this.drift.clientWidth;
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     const [width, height] = [this.drift.clientWidth, this.drift.clientHeight];

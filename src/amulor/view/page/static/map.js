@@ -21,8 +21,10 @@ const MARGIN = { left: 46, top: 7, right: 7, bottom: 34 };
 /** Height for a scale bar below a map [page pixel]. */
 const BAR = 46;
 
-/** Return the overlay of a canvas, cleared and of equal size. */
-export function clearedOver(ctx, canvas) {
+/** Return the overlay of a canvas, cleared and of equal size; hidden if it is not used. */
+export function clearedOver(ctx, canvas, used) {
+  ctx.canvas.hidden = !used;
+  if (!used) return ctx;
   const { width, height } = canvas;
   if (ctx.canvas.width !== width || ctx.canvas.height !== height) {
     Object.assign(ctx.canvas, { width, height });
@@ -35,7 +37,7 @@ export function clearedOver(ctx, canvas) {
 export class MapView {
   constructor(canvas, { hover, pick, drag }) {
     this.canvas = canvas;
-    this.context = inkOf(canvas);
+    this.context = inkOf(canvas, { opaque: true });
     this.over = inkOf(over(canvas));
     this.zoom = 1;
     this.middle = null;
@@ -146,7 +148,7 @@ export class MapView {
 
   /** Draw the cursor on a separate layer, so that nothing else is redrawn. */
   point({ scene, cursor }, colours) {
-    const ctx = clearedOver(this.over, this.canvas);
+    const ctx = clearedOver(this.over, this.canvas, cursor);
     if (!cursor) return;
     const ratio = ratioOf(this.canvas);
     const [x, y] = this.spot(scene, cursor).map((at) => Math.round(at) + 0.5);
@@ -359,7 +361,7 @@ function hair(ctx, x, y, gap, end) {
 export function colourBar(canvas, gradientStops, [low, high], unit, colours, own = 0) {
   // An off-screen canvas states its pixel size itself.
   if (!own) fitted(canvas);
-  const ctx = inkOf(canvas);
+  const ctx = inkOf(canvas, { plot: true });
   const ratio = own || ratioOf(canvas);
   const { width, height } = canvas;
   ctx.clearRect(0, 0, width, height);

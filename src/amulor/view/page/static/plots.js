@@ -10,7 +10,7 @@ import { scaled, ticks } from "./text.js";
 /** Return the drawing context and the size of a canvas, cleared. */
 export function started(canvas) {
   fitted(canvas);
-  const ctx = inkOf(canvas);
+  const ctx = inkOf(canvas, { plot: true });
   const ratio = ratioOf(canvas);
   ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
   ctx.clearRect(0, 0, canvas.width, canvas.height);

@@ -197,7 +197,7 @@ function draw() {
     page.drawBar(layer, unit);
     $("unit").textContent = unit.unit;
   }
-  drawHistogram($("histogram"), state, page.colours);
+  if (!motion.busy) drawHistogram($("histogram"), state, page.colours);
   canvas.dataset.layer = by;
   document.documentElement.dataset.ready = "yes";
 }
@@ -205,10 +205,9 @@ function draw() {
 /** Draw the overlay for the point under the pointer. */
 function drawPointer() {
   const canvas = $("space");
-  const ink = clearedOver(pointer, canvas);
-  if (!state.cursor) return;
   const { matrix } = look(canvas);
-  const at = projected(matrix, state.cursor.place, canvas.width, canvas.height);
+  const at = state.cursor && projected(matrix, state.cursor.place, canvas.width, canvas.height);
+  const ink = clearedOver(pointer, canvas, at);
   if (at) dot(ink, at, 5 * ratioOf(canvas), page.colours, true);
 }
 
@@ -666,7 +665,7 @@ async function opened() {
 async function main() {
   renderer = new PointRenderer();
   renderer.lost = () => say("The GPU was lost; reload the page.");
-  context = inkOf($("space"));
+  context = inkOf($("space"), { opaque: true });
   pointer = inkOf(over($("space")));
   state.tables.hidden = state.tables.range;
   page.theme();

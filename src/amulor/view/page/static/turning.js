@@ -45,9 +45,10 @@ export class Motion {
   }
 }
 
-/** Frame times in motion above which fewer points are drawn, below which more [ms]. */
-const SLOW = 70;
-const FAST = 25;
+/** Drawing times in motion above which fewer points are drawn, below which more [ms]. Without a
+GPU the browser needs about as long again to compose the page. */
+const SLOW = 40;
+const FAST = 18;
 
 /** Number of points that a moving view draws, adapted to the time of its frames. */
 export class Pace {
