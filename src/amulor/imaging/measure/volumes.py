@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +27,13 @@ _OFF_SURFACE = QualityFlag.MIXED | QualityFlag.OUTLIER
 _TRIANGLES = ((0, 1, 2), (1, 3, 2), (0, 1, 3), (0, 3, 2))
 
 
-def volume(image: xr.Dataset, region: ArrayLike, *, base: ArrayLike) -> Measurement:
+def volume(
+    image: xr.Dataset,
+    region: ArrayLike,
+    *,
+    base: ArrayLike,
+    grid: tuple[Sequence[int], Sequence[int]] | None = None,
+) -> Measurement:
     r"""Volume between a region of the surface and a plane fitted to another region.
 
     Parameters
@@ -36,6 +44,9 @@ def volume(image: xr.Dataset, region: ArrayLike, *, base: ArrayLike) -> Measurem
         Pixels on the body and around it.
     base : array_like of bool, shape (row, column)
         Pixels on the plane on which the body stands. They may overlap the region.
+    grid : tuple of two sequences of int, optional
+        Rows and columns of the region's surface, ascending. Fewer of them make a coarse
+        surface; by default every row and column.
 
     Returns
     -------
@@ -81,18 +92,21 @@ def volume(image: xr.Dataset, region: ArrayLike, *, base: ArrayLike) -> Measurem
     row, column = np.nonzero(mask)
     if not len(row):
         raise CubeError("the region has no pixel; enlarge it")
-    window = (
-        slice(int(row.min()), int(row.max()) + 1),
-        slice(int(column.min()), int(column.max()) + 1),
-    )
-    part = image.isel(row=window[0], column=window[1])
+    # The whole lines of the grid between the ends of the region.
+    lines = [
+        np.arange(at.min(), at.max() + 1) if grid is None else _between(grid[axis], at)
+        for axis, at in enumerate((row, column))
+    ]
+    window = np.ix_(*lines)
+    part = image.isel(row=lines[0], column=lines[1])
     surface = _Surface(part, mask[window])
     ground = _Ground(image, np.asarray(base, dtype=bool))
     value, by_point, by_plane = _sum(surface, ground)
     gradient = np.zeros(mask.shape)
     gradient[window] = surface.by_range(by_point)
     gradient += ground.by_range(by_plane)
-    random, shared = _variances(image, gradient)
+    spacing = max(-(-int(np.ptp(line)) // max(len(line) - 1, 1)) for line in lines)
+    random, shared = _variances(image, gradient, spacing=spacing)
     edges = surface.edge_variance(ground.normal)
     return Measurement(
         value=value,
@@ -101,6 +115,12 @@ def volume(image: xr.Dataset, region: ArrayLike, *, base: ArrayLike) -> Measurem
         unit="m3",
         pixels=int(np.count_nonzero(gradient)),
     )
+
+
+def _between(line: Sequence[int], places: Numbers) -> Numbers:
+    """Rows or columns of a grid from the first to the last place."""
+    at = np.asarray(line, dtype=np.intp)
+    return at[(at >= places.min()) & (at <= places.max())]
 
 
 class _Ground:
@@ -273,7 +293,9 @@ def _sum(surface: _Surface, ground: _Ground) -> tuple[float, Floats, Floats]:
     return total, by_point, by_plane
 
 
-def _variances(image: xr.Dataset, gradient: Floats) -> tuple[float, float]:
+def _variances(
+    image: xr.Dataset, gradient: Floats, *, spacing: int
+) -> tuple[float, float]:
     """Variances of the volume due to pixel noise, and due to correlated errors.
 
     Shared errors change slowly over the scan, so a pixel stands for its surroundings.
@@ -282,7 +304,7 @@ def _variances(image: xr.Dataset, gradient: Floats) -> tuple[float, float]:
     row, column = np.nonzero(gradient)
     values = gradient[row, column]
     random = float(values**2 @ noise[row, column])
-    step = int(np.ceil(np.sqrt(len(row) / MOST_PIXELS)))
+    step = spacing * int(np.ceil(np.sqrt(len(row) / MOST_PIXELS)))
     block = (row // step) * gradient.shape[1] + column // step
     _, first, owner = np.unique(block, return_index=True, return_inverse=True)
     lumped = np.bincount(owner.ravel(), weights=values)

@@ -127,20 +127,23 @@ def _figure(
 
 def _volume(picture: Picture, request: dict[str, Any]) -> dict[str, Any]:
     """Volume between the surface in a rectangle and the plane fitted in another."""
-    parts = [
-        _region(picture, request.get("region"), most=_MOST_OF_VOLUME),
-        _region(picture, request.get("base")),
-    ]
+    rows, columns = _lines(picture, request.get("region"), most=_MOST_OF_VOLUME)
+    ground = _region(picture, request.get("base"))
     image = picture.around(
-        sorted({row for part in parts for row, _ in part}),
-        sorted({column for part in parts for _, column in part}),
+        sorted({*rows, *(row for row, _ in ground)}),
+        sorted({*columns, *(column for _, column in ground)}),
     )
-    masks = np.zeros((2, *image["slant_range"].shape), dtype=bool)
-    for mask, part in zip(masks, parts, strict=True):
-        mask[tuple(np.transpose([picture.place(*pixel) for pixel in part]))] = True
-    off = (image["quality_flag"].values & _OFF_SURFACE) != 0
-    body = masks[0] & _inside(image, request.get("clip"))
-    figure = measure.volume(image, body, base=masks[1] & ~off)
+    # The image has rows and columns between those of a thinned surface.
+    grid = (
+        [picture.place(row, columns[0])[0] for row in rows],
+        [picture.place(rows[0], column)[1] for column in columns],
+    )
+    body, base = np.zeros((2, *image["slant_range"].shape), dtype=bool)
+    body[np.ix_(*grid)] = True
+    base[tuple(np.transpose([picture.place(*pixel) for pixel in ground]))] = True
+    body &= _inside(image, request.get("clip"))
+    base &= (image["quality_flag"].values & _OFF_SURFACE) == 0
+    figure = measure.volume(image, body, base=base, grid=grid)
     line = {
         "label": "volume",
         "value": figure.value,
@@ -307,6 +310,14 @@ def _region(
     picture: Picture, corners: Any, *, most: int = 1500
 ) -> list[tuple[int, int]]:
     """Pixels in a rectangle, evenly thinned if they are many."""
+    rows, columns = _lines(picture, corners, most=most)
+    return [(row, column) for row in rows for column in columns]
+
+
+def _lines(
+    picture: Picture, corners: Any, *, most: int
+) -> tuple[list[int], list[int]]:
+    """Rows and columns of a rectangle, evenly thinned if it has many pixels."""
     if not isinstance(corners, list) or len(corners) != 4:
         raise CubeError(
             "a region has a first row and column, and a last row and column"
@@ -318,7 +329,7 @@ def _region(
     rows = np.arange(min(ends[0], ends[2]), max(ends[0], ends[2]) + 1)
     columns = np.arange(min(ends[1], ends[3]), max(ends[1], ends[3]) + 1)
     step = max(1, math.ceil(math.sqrt(rows.size * columns.size / most)))
-    return [(int(r), int(c)) for r in rows[::step] for c in columns[::step]]
+    return rows[::step].tolist(), columns[::step].tolist()
 
 
 def _pixels(picture: Picture, request: Any) -> list[tuple[int, int]]:

@@ -82,6 +82,26 @@ def test_a_box_on_a_plane_has_its_volume() -> None:
     assert abs(found.value - true) < found.uncertainty
 
 
+def test_a_coarse_grid_has_the_volume_of_its_own_cells() -> None:
+    scan = fan()
+    ranges, top = box(scan)
+    image = shapes.image(scan, ranges)
+    rows, columns = np.arange(3, ROWS - 2, 2), np.arange(3, COLUMNS - 2, 3)
+    mask = np.zeros((ROWS, COLUMNS), dtype=bool)
+    mask[np.ix_(rows, columns)] = True
+    found = measure.volume(
+        image, mask, base=away(top), grid=(rows.tolist(), columns.tolist())
+    )
+    # The image of these pixels alone has the same cells; its base is a plane as well.
+    alone = image.isel(row=rows, column=columns)
+    base = away(top)[np.ix_(rows, columns)]
+    expected = measure.volume(alone, np.ones(base.shape, dtype=bool), base=base)
+    assert found.value == pytest.approx(expected.value, rel=1e-6)
+    assert abs(found.value - visible_volume(scan, top)) < 3 * found.uncertainty
+    full = measure.volume(image, everywhere(), base=away(top))
+    assert found.uncertainty > full.uncertainty
+
+
 def test_a_plane_alone_has_no_volume_whatever_its_tilt() -> None:
     scan = fan()
     for normal in ([0.0, 0.0, 1.0], [0.4, -0.3, 0.9]):

@@ -64,21 +64,23 @@ function clippedBy(scene, clip) {
 /** Return the volume over a plane fitted to the pixels of another rectangle. */
 function volumeIn(scene, region, base, clip) {
   const { stride } = scene;
-  let pixels = pixelsIn(region, stride, Infinity);
-  if (pixels.length > MOST_OF_VOLUME)
-    throw new Error("The rectangle has more than 250,000 pixels; take a smaller one.");
+  const all = pixelsIn(region, stride, MOST_OF_VOLUME);
   const within = clippedBy(scene, clip);
-  const kept = pixels.filter(within);
+  const kept = all.filter(within);
   if (!kept.length) throw new Error("The rectangle has no pixel in the clip box; enlarge it.");
   const ends = [0, 1].map((k) => {
     const line = kept.map((pixel) => pixel[k]);
     return [line.reduce((a, b) => Math.min(a, b)), line.reduce((a, b) => Math.max(a, b))];
   });
-  pixels = pixelsIn([ends[0][0], ends[1][0], ends[0][1], ends[1][1]], stride, Infinity);
-  const wide = (ends[1][1] - ends[1][0]) / stride + 1;
+  const pixels = all.filter((pixel) =>
+    ends.every(([low, high], k) => low <= pixel[k] && pixel[k] <= high),
+  );
+  const wide = pixels.filter(([row]) => row === pixels[0][0]).length;
+  const high = pixels.length / wide;
+  const spacing = ends.map(([low, end], k) => (end - low) / Math.max([high, wide][k] - 1, 1));
   const usable = usableIn(scene);
   const window = { pixels, wide, usable: pixels.map(usable), inside: pixels.map(within) };
-  return volume(scene, window, pixelsIn(base, stride).filter(usable), stride);
+  return volume(scene, window, pixelsIn(base, stride).filter(usable), Math.max(...spacing));
 }
 
 /** Compute a measurement from its picks in the page. */
