@@ -7,7 +7,6 @@ import { limitsKey } from "./limits.js";
 import { Live } from "./live.js";
 import { fitted, MapView } from "./map.js";
 import { Notes } from "./notes.js";
-import { needsServer } from "./offline.js";
 import { Page } from "./page.js";
 import { failed, say, showLegend, showReadout, unsay } from "./panel.js";
 import { download } from "./picture.js";
@@ -65,7 +64,6 @@ const page = new Page(state, {
   said,
   themed,
   tools: tools.TOOLS,
-  unable,
   needs: (view) => stage.need(view),
 });
 const views = {};
@@ -844,11 +842,6 @@ function numbered(at) {
   const name = state.tabs?.[at];
   if (name) show(name).catch(failed);
   return Boolean(name);
-}
-
-/** Return why a tool is missing; a saved page has no server. */
-function unable({ kind }) {
-  return state.source.saved ? needsServer(kind) : "";
 }
 
 function wired() {

@@ -47,18 +47,15 @@ const named = (name, vector) =>
   Object.fromEntries(vector.map((part, k) => [`${name}_${"xyz"[k]}`, part]));
 
 /**
- * Return two axes perpendicular to a unit vector.
+ * Return two axes perpendicular to a unit vector, by the reflection that takes it to the first
+ * coordinate, as numpy does.
  * @param {Vector} axis
  */
 export function acrossOf(axis) {
-  const least = axis.map(Math.abs).indexOf(Math.min(...axis.map(Math.abs)));
-  const first = unit(
-    cross(
-      axis,
-      axis.map((_, k) => Number(k === least)),
-    ),
-  );
-  return [first, cross(axis, first)];
+  const end = axis[0] < 0 ? 1 : -1;
+  const mirror = [1, axis[1] / (axis[0] - end), axis[2] / (axis[0] - end)];
+  const share = (end - axis[0]) / end;
+  return [1, 2].map((k) => mirror.map((part, i) => Number(i === k) - share * mirror[k] * part));
 }
 
 /**
@@ -66,14 +63,15 @@ export function acrossOf(axis) {
  * @param {Measured} scene
  * @param {Pixel[]} pixels
  * @param {string} kind
+ * @param {{fewest?: number, most?: number}} [counts]
  * @returns {Points}
  */
-export function pointsOf(scene, pixels, kind) {
-  if (pixels.length < FEWEST[kind])
+export function pointsOf(scene, pixels, kind, { fewest = FEWEST[kind], most = MOST_PIXELS } = {}) {
+  if (pixels.length < fewest)
     throw new Error(
-      `A ${kind} needs at least ${FEWEST[kind]} usable pixels, these are ${pixels.length}.`,
+      `A ${kind} needs at least ${fewest} usable pixels, these are ${pixels.length}.`,
     );
-  const step = Math.ceil(Math.sqrt(pixels.length / MOST_PIXELS));
+  const step = Math.ceil(Math.sqrt(pixels.length / most));
   const taken = pixels.filter(([row, column]) => !(row % step) && !(column % step));
   const noise = taken.map((pixel) => ownVariance(scene, pixel));
   if (!noise.every(Number.isFinite))
@@ -95,7 +93,7 @@ export function pointsOf(scene, pixels, kind) {
  * of the plane through the points.
  * @param {Points} points
  */
-function tangent({ position, direction }) {
+export function tangent({ position, direction }) {
   const middle = mean(position);
   const back = unit(times(mean(direction), -1));
   const across = acrossOf(back);
@@ -366,10 +364,9 @@ function propagated(gain, { covariance, noise }) {
  * Return a least-squares fit of a shape to points, with its uncertainty.
  * @param {string} kind
  * @param {Points} points
+ * @param {Shape} [shape] by default the shape of this kind
  */
-export function fitted(kind, points) {
-  /** @type {Shape} */
-  const shape = SHAPES[kind](points);
+export function fitted(kind, points, shape = SHAPES[kind](points)) {
   const count = points.position.length;
   const spread = points.noise.map((noise, k) => Math.max(noise, 1e-4 * points.covariance(k, k)));
   const sigma = spread.map((value) => Math.max(Math.sqrt(value), 1e-12));

@@ -117,17 +117,33 @@ export function product(a, b) {
 
 /**
  * Return the parameters of least squares (Levenberg and Marquardt), and the sum of squares;
- * null if no minimum is reached.
+ * null if no minimum is reached. Residuals beyond a limit count less (Cauchy).
  * @param {(values: number[]) => Float64Array} residuals
  * @param {number[]} start
+ * @param {{limit?: number, steps?: number, reached?: number}} [options]
  */
-export function leastSquares(residuals, start) {
+export function leastSquares(
+  residuals,
+  start,
+  { limit = Infinity, steps = STEPS, reached = REACHED } = {},
+) {
+  const robust = Number.isFinite(limit);
+  /** @type {(all: Float64Array) => number} */
+  const summed = (all) =>
+    robust
+      ? all.reduce((sum, value) => sum + limit ** 2 * Math.log1p((value / limit) ** 2), 0)
+      : product(all, all);
   let at = start;
   let now = residuals(at);
-  let squares = product(now, now);
+  let squares = summed(now);
   let damping = 1e-3;
-  for (let count = 0; count < STEPS; count += 1) {
+  for (let count = 0; count < steps; count += 1) {
     const columns = slopes(residuals, at);
+    if (robust) {
+      const root = now.map((value) => 1 / Math.hypot(1, value / limit));
+      for (const column of columns) column.forEach((value, k) => (column[k] = value * root[k]));
+      now = now.map((value, k) => value * root[k]);
+    }
     const right = columns.map((column) => -product(column, now));
     const normal = columns.map((one) => columns.map((other) => product(one, other)));
     let better = false;
@@ -139,15 +155,15 @@ export function leastSquares(residuals, start) {
       const size = Math.hypot(...step) / (1e-3 + Math.hypot(...at));
       const next = at.map((value, k) => value + step[k]);
       const then = residuals(next);
-      const sum = product(then, then);
+      const sum = summed(then);
       better = sum <= squares;
       if (better) {
         [at, now, squares] = [next, then, sum];
         damping = Math.max(damping / 10, 1e-12);
       } else damping *= 10;
-      if (size < REACHED) return { at, squares };
+      if (size < reached) return { at, squares };
     }
     if (!better) return { at, squares };
   }
-  return null;
+  return robust ? { at, squares } : null;
 }

@@ -3,6 +3,7 @@
 import { boxFrom, inside } from "./clip.js";
 import { fit } from "./fits.js";
 import { angle, area, distance, height } from "./geometry.js";
+import { halfProfileOf } from "./round_objects.js";
 import { volume } from "./volumes.js";
 
 /** @typedef {[number, number]} Pixel row and column of the scan */
@@ -11,14 +12,11 @@ import { volume } from "./volumes.js";
 const MOST_PIXELS = 1500;
 /** Largest number of pixels of a volume. */
 const MOST_OF_VOLUME = 250000;
+/** Largest number of pixels of a half-profile. */
+const MOST_OF_PROFILE = 3200;
 const FITS = ["plane", "circle", "sphere", "cylinder"];
 /** Flags of pixels that belong to no surface. */
 const OFF_SURFACE = ["mixed", "outlier"];
-
-/** Return why a tool does not work without a server; empty if it does. */
-export function needsServer(kind) {
-  return kind === "profile" ? "Needs the server: open the file by amulor view" : "";
-}
 
 /**
  * Return the drawn pixels of a rectangle, thinned evenly.
@@ -91,14 +89,14 @@ export async function measuredHere(scene, tool, { picks, region, base, clip, rea
   await Promise.all(needed.map(({ name }) => scene.load(name)));
   if (tool.kind === "volume") return volumeIn(scene, region, base, clip);
   if (tool.axis) return height(scene, picks, tool.axis, reach);
-  if (FITS.includes(tool.kind)) {
-    const pixels = region ? pixelsIn(region, scene.stride) : picks;
+  const round = tool.kind === "profile";
+  if (round || FITS.includes(tool.kind)) {
+    const most = round ? MOST_OF_PROFILE : MOST_PIXELS;
     const [usable, within] = [usableIn(scene), clippedBy(scene, clip)];
-    return fit(
-      scene,
-      tool.kind,
-      pixels.filter((pixel) => usable(pixel) && within(pixel)),
+    const pixels = (region ? pixelsIn(region, scene.stride, most) : picks).filter(
+      (pixel) => usable(pixel) && within(pixel),
     );
+    return round ? halfProfileOf(scene, pixels) : fit(scene, tool.kind, pixels);
   }
   return { distance, angle, area }[tool.kind](scene, picks, reach);
 }

@@ -24,7 +24,7 @@ const ARROWS = {
 };
 
 /** A page with its state. Pages differ in `draw`, `point`, `limited`, `idle`, `said` and `tools`,
-some also in `themed`, `unable` and `needs`. */
+some also in `themed` and `needs`. */
 export class Page {
   colours = {};
   /** Number of times that a hint was shown. */
@@ -222,9 +222,7 @@ export class Page {
 
   #button(tool) {
     const { kind, name, hint } = tool;
-    const unable = this.#on.unable?.(tool);
-    const button = made("button", { type: "button", textContent: name, title: unable || hint });
-    button.disabled = Boolean(unable);
+    const button = made("button", { type: "button", textContent: name, title: hint });
     button.dataset.kind = kind;
     button.setAttribute("aria-pressed", "false");
     button.addEventListener("click", () => this.choose(kind));
