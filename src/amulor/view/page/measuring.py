@@ -314,9 +314,7 @@ def _region(
     return [(row, column) for row in rows for column in columns]
 
 
-def _lines(
-    picture: Picture, corners: Any, *, most: int
-) -> tuple[list[int], list[int]]:
+def _lines(picture: Picture, corners: Any, *, most: int) -> tuple[list[int], list[int]]:
     """Rows and columns of a rectangle, evenly thinned if it has many pixels."""
     if not isinstance(corners, list) or len(corners) != 4:
         raise CubeError(

@@ -200,9 +200,7 @@ def test_a_saved_page_measures_as_the_library_does(
     assert opened.errors == []
 
 
-def test_a_plane_is_fitted_by_dragging(
-    tab: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_plane_is_fitted_by_dragging(tab: Callable[..., Any], tmp_path: Path) -> None:
     page.save_page(recording_of(scene(), name="shapes.nc"), tmp_path / "page.html")
     opened = tab()
     shown = opened.open((tmp_path / "page.html").as_uri())
