@@ -191,6 +191,23 @@ def test_places_not_compared_are_interpolated_in_a_volume() -> None:
     )
 
 
+def test_the_area_contains_changes_below_a_larger_error() -> None:
+    # A body moved along x: its flanks rise and fall by 4 mm, where every second place
+    # has too large an error, and 1 mm remains on its top.
+    x, y = np.arange(144) % 12, np.arange(144) // 12
+    values = np.where(x < 4, 4e-3, np.where(x > 7, -4e-3, 1e-3))
+    found = flat_change(values, own=1e-3, shared=0.0)
+    significant = (np.abs(values) > 2e-3) & ((x + y) % 2 == 0)
+    values = np.where(significant, values, 1.25 * values)
+    found = replace(found, value=values)
+    region = region_of(replace(found, radius=0.02), np.flatnonzero(significant))
+    # 8 of 12 columns of 12 cells of 1 cm2.
+    assert region.area == pytest.approx(96e-4)
+    # Of a heap alone, only places of the same sign.
+    heap = np.flatnonzero(significant & (values > 0))
+    assert region_of(replace(found, radius=0.02), heap).area == pytest.approx(48e-4)
+
+
 def test_the_rim_of_a_region_ends_at_the_middle_to_the_next_region() -> None:
     values = np.where(np.arange(100) % 10 < 5, 5e-3, -5e-3)
     found = flat_change(values, own=1e-3, shared=0.0)

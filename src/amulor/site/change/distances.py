@@ -524,7 +524,8 @@ class Region:
     reach: float
     """Largest distance of a point from the center [m]."""
     area: float
-    """Area where the change exceeds the smallest significant one [m^2]."""
+    """Area where the change exceeds the smallest significant one, including
+    interpolated changes [m^2]."""
     area_uncertainty: float
     """Standard uncertainty of the area [m^2]."""
     mean: float
@@ -582,7 +583,9 @@ def region_of(
     At the rim of a region single changes are below their errors, but their sum is not.
     The volume is therefore summed over a rim of at least one and a half cylinder radii,
     up to where the mean change is not significant, or to the middle between the points
-    and those of other regions.
+    and those of other regions. On steep flanks a large change may be below its error.
+    The area therefore contains each place whose change exceeds the smallest significant
+    one.
     """
     members = members[np.isfinite(change.value[members])]
     place, area = change.position[members], change.area[members]
@@ -591,18 +594,26 @@ def region_of(
     centre = (area[:, None] * place).sum(axis=0) / total
     around, beyond = _extent(change, members, others)
     compared = np.isfinite(change.value[around])
-    lost = float(change.area[around[~compared]].sum())
+    at_lost, scatter = _interpolated(change, around[~compared])
+    area_lost = change.area[around[~compared]]
+    lost = float(area_lost.sum())
     volume, spread, shape = _sum_of(change, around[compared])
-    more, unsure = _interpolated(change, around[~compared])
+    more, unsure = float(area_lost @ at_lost), float(area_lost @ scatter)
+    changed = change.value[around].copy()
+    changed[~compared] = at_lost
+    if np.ptp(np.sign(value)) == 0:
+        changed = np.maximum(changed * np.sign(value[0]), 0.0)
+    beside = around[np.abs(changed) > np.abs(value).min()]
+    whole = float(change.area[np.union1d(members, beside)].sum())
     mean, error, bent = _sum_of(change, members)
     wide = _WIDTH * mean / np.sqrt(len(members))
     return Region(
         members=members,
         centre=centre,
         reach=float(np.linalg.norm(place - centre, axis=1).max()),
-        area=total,
+        area=whole,
         area_uncertainty=float(
-            np.hypot(_AREA * change.spacing * np.sqrt(total), _AREA_LOST * lost)
+            np.hypot(_AREA * change.spacing * np.sqrt(whole), _AREA_LOST * lost)
         ),
         mean=mean / total,
         mean_uncertainty=float(
@@ -669,11 +680,9 @@ def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float, fl
     return total, sigma, float((area * shape).sum())
 
 
-def _interpolated(change: Change, lost: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the interpolated volume of places not compared, and its error [m^3]."""
+def _interpolated(change: Change, lost: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Return interpolated changes of places not compared, and their errors [m]."""
     compared = np.flatnonzero(np.isfinite(change.value))
-    if not len(lost):
-        return 0.0, 0.0
     count = min(_NEIGHBORS, len(compared))
     away, near = cKDTree(change.position[compared]).query(
         change.position[lost], k=[*range(1, count + 1)]
@@ -681,9 +690,7 @@ def _interpolated(change: Change, lost: NDArray[np.intp]) -> tuple[float, float]
     weight = 1 / np.maximum(away, 1e-9) ** 2
     values = change.value[compared][near]
     mean = (weight * values).sum(axis=1) / weight.sum(axis=1)
-    area = change.area[lost]
-    scatter = float((area * values.std(axis=1)).sum())
-    return float((area * mean).sum()), _INTERPOLATED * scatter
+    return np.asarray(mean), _INTERPOLATED * np.asarray(values.std(axis=1))
 
 
 def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -> None:
