@@ -17,7 +17,7 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
-__all__ = ["PROBE", "covering", "parsed", "places", "probed"]
+__all__ = ["PROBE", "covering", "is_compiled", "parsed", "places", "probed"]
 
 #: The module that probes call; a plug-in of pytest that measures times, too.
 PROBE = '''"""Writes the tests that run the probes."""
@@ -111,11 +111,11 @@ def places(package: Path, file: Path, line: int) -> set[Place]:
     while waiting:
         path, statement, above = waiting.pop()
         functions = [node for node in above if isinstance(node, _Functions)]
-        compiled = [node for node in functions if _is_compiled(node)]
+        compiled = [node for node in functions if is_compiled(node)]
         if functions and not compiled:
             found.add((path, statement.lineno, statement.col_offset))
             continue
-        if isinstance(statement, _Functions) and not _is_compiled(statement):
+        if isinstance(statement, _Functions) and not is_compiled(statement):
             first = statement.body[0]
             found.add((path, first.lineno, first.col_offset))
             continue
@@ -155,7 +155,8 @@ def _uses(file: Path, name: str) -> list[tuple[Path, ast.stmt, list[ast.AST]]]:
     return list(found.values())
 
 
-def _is_compiled(function: ast.AST) -> bool:
+def is_compiled(function: ast.AST) -> bool:
+    """Return whether a function is compiled by its decorators."""
     decorators = getattr(function, "decorator_list", [])
     return any("jit" in ast.unparse(decorator) for decorator in decorators)
 

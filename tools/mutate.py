@@ -42,7 +42,7 @@ import time
 import tomllib
 import traceback
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from itertools import islice
@@ -51,6 +51,7 @@ from pathlib import Path
 import pytest
 from covering import covering, parsed
 from scipy.stats import binomtest
+from switched import Trial, can_switch, place_of, switched, try_all
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "amulor"
@@ -120,6 +121,8 @@ class Mutant:
     """The byte after the last one."""
     new: str
     """What comes in its place."""
+    place: tuple[int, ...]
+    """Kind, begin and end of what is replaced, in lines and bytes."""
     unseen: bool = False
     """Whether it only changes the appearance of a figure, progress, or a cache."""
 
@@ -169,6 +172,7 @@ def mutants_of(file: Path) -> list[Mutant]:
                 file=file, line=node.lineno, said=said, new=new,
                 start=begins[node.lineno - 1] + node.col_offset,
                 end=begins[node.end_lineno - 1] + node.end_col_offset,
+                place=place_of(node),
                 unseen=id(node) in unseen,
             )
         )  # fmt: skip
@@ -791,6 +795,17 @@ def main() -> int:
     waiting = [m for m in drawn if words.again or m.key not in earlier]
     deadline = time.monotonic() + 60 * words.minutes
     os.environ |= {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    if tests:
+
+        def done(mutant: Mutant, trial: Trial) -> bool:
+            outcome = Outcome(
+                trial.failed, trial.seconds, trial.count, trial.hangs, trial.ended
+            )
+            _record(words, earlier, mutant, outcome)
+            return time.monotonic() < deadline
+
+        _switch(waiting, tests, words.budget, done)
+        waiting = [m for m in waiting if m.key not in earlier or not _switches(m)]
     with (
         tempfile.TemporaryDirectory() as folder,
         ProcessPoolExecutor(
@@ -799,17 +814,12 @@ def main() -> int:
         ) as pool,
     ):  # fmt: skip
         order = iter(waiting)
-        running = {pool.submit(_try, mutant) for mutant in islice(order, words.jobs)}
+        jobs = 0 if tests and time.monotonic() > deadline else words.jobs
+        running = {pool.submit(_try, mutant) for mutant in islice(order, jobs)}
         while running:
             ended, running = wait(running, return_when=FIRST_COMPLETED)
-            for done in ended:
-                mutant, outcome = done.result()
-                result = "caught" if outcome.failed else "survived"
-                seed = earlier.get(mutant.key, {}).get("seed", str(words.seed))
-                earlier[mutant.key] = _row(mutant, result, outcome, seed)
-                _write(words.results, list(earlier.values()))
-                place = f"{mutant.key[0]}:{mutant.line}: {mutant.said}"
-                print(f"{result} {outcome.seconds:.0f} s {place[:150]}", flush=True)
+            for ended_one in ended:
+                _record(words, earlier, *ended_one.result())
                 if time.monotonic() < deadline:
                     running |= {pool.submit(_try, m) for m in islice(order, 1)}
     _write(words.results, list(earlier.values()))
@@ -822,6 +832,58 @@ def main() -> int:
             print(f"  {row['file']}:{row['line']}: {row['change']}")
     others = found["caught"] + found["survived"]
     return int(found["caught"] < words.least * others)
+
+
+def _record(
+    words: argparse.Namespace,
+    earlier: dict[tuple[str, str, str], dict[str, str]],
+    mutant: Mutant,
+    outcome: Outcome,
+) -> None:
+    """Write the result of a change to the table, and print it."""
+    result = "caught" if outcome.failed else "survived"
+    seed = earlier.get(mutant.key, {}).get("seed", str(words.seed))
+    earlier[mutant.key] = _row(mutant, result, outcome, seed)
+    _write(words.results, list(earlier.values()))
+    place = f"{mutant.key[0]}:{mutant.line}: {mutant.said}"
+    print(f"{result} {outcome.seconds:.0f} s {place[:150]}", flush=True)
+
+
+def _switches(mutant: Mutant) -> bool:
+    return can_switch(mutant.file, mutant.line)
+
+
+def _switch(
+    waiting: list[Mutant],
+    tests: dict[str, dict[str, float]],
+    budget: float,
+    done: Callable[[Mutant, Trial], bool],
+) -> None:
+    """Try the changes inside functions, all in one process that forks."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "src"
+        shutil.copytree(ROOT / "src", copy)
+        mutants = dict(enumerate(mutant for mutant in waiting if _switches(mutant)))
+        by_file: dict[Path, list[tuple[int, tuple[int, ...], str]]] = {}
+        trials = []
+        for number, mutant in mutants.items():
+            by_file.setdefault(mutant.file, []).append(
+                (number, mutant.place, mutant.new)
+            )
+            near = tests_of(mutant.file)
+            running = tests.get("\t".join(mutant.key), {})
+            chosen = ordered(running, near) or near[0][:4]
+            place = copy / "amulor" / mutant.file.relative_to(PACKAGE)
+            if ">>>" in mutant.file.read_text("utf-8"):
+                chosen = [str(place), *chosen]
+            trials.append(Trial(number=number, tests=chosen))
+        for file, changes in by_file.items():
+            place = copy / "amulor" / file.relative_to(PACKAGE)
+            place.write_text(switched(file, changes), "utf-8")
+        try_all(
+            copy, trials, root=ROOT, budget=budget,
+            done=lambda trial: done(mutants[trial.number], trial),
+        )  # fmt: skip
 
 
 def _cover(

@@ -63,6 +63,33 @@ def test_declarations_are_left_to_the_type_checker(
     }  # fmt: skip
 
 
+def test_appearance_progress_and_caches_are_not_tried(
+    tool: ModuleType, source: Path
+) -> None:
+    source.write_text(
+        "@lru_cache(maxsize=1)\ndef drawn(x):\n    with part(0.5, 1.0):\n"
+        "        axis.plot(x, lw=2, labelpad=-3)\n    return bar(x, width=4)\n"
+    )
+    mutants = tool.mutants_of(source)
+    assert {one.said for one in mutants if one.unseen} == {
+        "1 -> 2", "0.5 -> 0.55", "1.0 -> 1.1", "2 -> 3", "3 -> 4", "-3 -> 3"
+    }  # fmt: skip
+    assert "4 -> 5" in {one.said for one in mutants}
+
+
+def test_near_and_fast_tests_come_first(tool: ModuleType) -> None:
+    tests = {
+        "tests/far.py::test_a": 0.1, "tests/near.py::test_slow": 3.0,
+        "tests/near.py::test_fast": 0.2, "tests/other.py": 0.05,
+    }  # fmt: skip
+    assert tool.ordered(tests, [["tests/near.py"]]) == [
+        "tests/near.py::test_fast",
+        "tests/near.py::test_slow",
+        "tests/other.py",
+        "tests/far.py::test_a",
+    ]
+
+
 def test_each_equivalent_change_is_one_that_the_tool_makes(tool: ModuleType) -> None:
     for (name, code, change), reason in tool.equivalents().items():
         found = {one.key for one in tool.mutants_of(tool.PACKAGE / name)}
@@ -153,7 +180,7 @@ def test_broken():
 def test_a_campaign_finds_what_tests_notice_and_continues(tmp_path: Path) -> None:
     for folder in ("tools", "src/amulor", "tests/unit"):
         (tmp_path / folder).mkdir(parents=True)
-    for name in ("mutate.py", "covering.py"):
+    for name in ("mutate.py", "covering.py", "switched.py"):
         shutil.copy(TOOL.with_name(name), tmp_path / "tools")
     (tmp_path / "tools" / "equivalent_mutants.toml").write_text("mutant = []\n")
     (tmp_path / "pyproject.toml").write_text(
@@ -185,6 +212,15 @@ def test_a_campaign_finds_what_tests_notice_and_continues(tmp_path: Path) -> Non
     assert (tmp_path / "src" / "amulor" / "part.py").read_text() == PART
     again = subprocess.run(words, capture_output=True, text=True, check=True)
     assert again.stdout.splitlines()[1:] == done.stdout.splitlines()[len(rows) + 1 :]
+    # With the tests of each change, and all changes behind switches, it is the same.
+    words += ["--covering", str(tmp_path / "tests.json")]
+    subprocess.run([*words, "--cover", "tests"], cwd=tmp_path, check=True)
+    words += ["--results", str(tmp_path / "covered.csv")]
+    subprocess.run(words, capture_output=True, check=True)
+    with (tmp_path / "covered.csv").open(newline="") as file:
+        covered = {row["change"]: row for row in csv.DictReader(file)}
+    assert {change: row["result"] for change, row in covered.items()} == found
+    assert {change: row["by"] for change, row in covered.items()} == by
 
 
 def test_the_nearest_tests_come_first_and_none_comes_twice(tool: ModuleType) -> None:
