@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 #: Version of the file format.
 _VERSION = "1"
 _DIMENSIONS = ("batch", "part", "component", "modulation_frequency")
+_DERIVATIVE = ("batch", "derivative", "component", "modulation_frequency")
 _PER_LIGHT = {"units": "1", "long_name": "light per launched light"}
 
 
@@ -123,6 +124,16 @@ def write_tally(
             {"units": "1", "long_name": "sum, sum of squares and largest of groups"},
         )
         attributes["unseen_contribution"] = np.float64(tally.unseen)
+    if tally.derivatives:
+        names = [f"{name}, {k}" for name in tally.derivatives for k in LIGHT[1:]]
+        coordinates["derivative"] = ("derivative", np.array(names, dtype=object))
+        slope = {"long_name": "derivative of the light, per unit of the parameter"}
+        for name, part in (("in_phase", np.real), ("quadrature", np.imag)):
+            variables[f"derivative_{name}"] = (
+                _DERIVATIVE,
+                part(tally.derivative_batches),
+                slope,
+            )
     record = tally.record
     if record is not None:
         length = {"units": "m", "long_name": "length of the path"}
@@ -237,8 +248,12 @@ def _tally(dataset: xr.Dataset, path: Path) -> Tally:
     def whole(name: str) -> int:
         return int(dataset.attrs[name])
 
-    batches = np.empty(dataset["in_phase"].shape, dtype=np.complex128)
-    batches.real, batches.imag = real("in_phase"), real("quadrature")
+    def paired(in_phase: str, quadrature: str) -> NDArray[np.complex128]:
+        values = np.empty(dataset[in_phase].shape, dtype=np.complex128)
+        values.real, values.imag = real(in_phase), real(quadrature)
+        return values
+
+    batches = paired("in_phase", "quadrature")
     histories_of = np.array(dataset["histories"].values, dtype=np.int64)
     if dataset["in_phase"].dims != _DIMENSIONS or batches.shape[2] not in (1, 4):
         raise FormatError(
@@ -248,6 +263,12 @@ def _tally(dataset: xr.Dataset, path: Path) -> Tally:
     if histories_of.size == 0 or np.any(histories_of < 1):
         raise FormatError(f"{path} has a batch without histories; make it again")
     seed, *merged = (int(word) for word in str(dataset.attrs["seeds"]).split())
+    derivatives: tuple[str, ...] = ()
+    derivative_batches = None
+    if "derivative" in dataset:
+        rows = [str(name) for name in dataset["derivative"].values]
+        derivatives = tuple(name.rpartition(", ")[0] for name in rows[::2])
+        derivative_batches = paired("derivative_in_phase", "derivative_quadrature")
     record = None
     if "path_length" in dataset:
         record = PathRecord(
@@ -281,4 +302,6 @@ def _tally(dataset: xr.Dataset, path: Path) -> Tally:
         ),
         contributions=real("contributions") if "contributions" in dataset else None,
         unseen=number("unseen_contribution") if "contributions" in dataset else 0.0,
+        derivatives=derivatives,
+        derivative_batches=derivative_batches,
     )

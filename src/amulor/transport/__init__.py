@@ -1,5 +1,6 @@
 """Photon transport by Monte Carlo: multiple scattering, polarization, modulation."""
 
+from amulor.transport._derivatives import PhaseFunctionChange
 from amulor.transport.medium import Layer, Medium
 from amulor.transport.mesh import MeshTarget
 from amulor.transport.monte_carlo import ErrorGoal, Progress, Technique, simulate
@@ -21,6 +22,7 @@ __all__ = [
     "Medium",
     "MeshTarget",
     "PathRecord",
+    "PhaseFunctionChange",
     "PlaneTarget",
     "Progress",
     "ScatteringMatrix",

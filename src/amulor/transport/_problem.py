@@ -26,7 +26,7 @@ from amulor.transport.receiver import (
 )
 from amulor.transport.scattering import AngleCells, ScatteringMatrix
 
-__all__ = ["Problem", "digest_of", "integrals_of", "water_tables"]
+__all__ = ["Problem", "cells_of", "digest_of", "integrals_of", "water_tables"]
 
 
 Array = NDArray[np.float64]
@@ -242,7 +242,7 @@ class Problem:
     def digest(self) -> str:
         """SHA-256 digest of the numbers that define the problem."""
         return digest_of(
-            *self.water,
+            *self.water[:7],
             *self.beam[:5],
             *self.face,
             *self.surface[:6],
@@ -295,11 +295,12 @@ def water_tables(layers: tuple[Layer, ...], edges: Array) -> Water:
         urn=urn,
         value=value,
         element=element,
+        score=np.zeros((0, attenuation.size, _cells.SIZE)),
     )
 
 
 @lru_cache(maxsize=8)
-def _cells_of(function: Any) -> AngleCells:
+def cells_of(function: Any) -> AngleCells:
     """Return the angle cells of a phase function or scattering matrix; cached."""
     matrix = isinstance(function, ScatteringMatrix)
     return AngleCells(function.phase_function if matrix else function)
@@ -308,7 +309,7 @@ def _cells_of(function: Any) -> AngleCells:
 @lru_cache(maxsize=8)
 def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
     """Return alias table, phase function and matrix elements by angle cell."""
-    cells = _cells_of(function)
+    cells = cells_of(function)
     element = np.zeros((_cells.SIZE, 5))
     if isinstance(function, ScatteringMatrix):
         element[:] = cells.elements(function)
@@ -317,4 +318,4 @@ def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
 
 def integrals_of(layers: tuple[Layer, ...]) -> tuple[float, ...]:
     """Return each layer's phase-function integral, before normalization [1]."""
-    return tuple(_cells_of(layer.phase_function).integral for layer in layers)
+    return tuple(cells_of(layer.phase_function).integral for layer in layers)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
+from amulor.transport._derivatives import Derivatives
 from amulor.transport._kernels import contributions as _record_kernels
 from amulor.transport._kernels.types import Record as Deposits
 from amulor.transport.tally import (
@@ -72,7 +73,9 @@ class Accumulator:
         if resume is None:
             return cls(frame=frame, full=frame.batch_size)
         if resume.problem != frame.problem or resume.parts != frame.parts:
-            raise ValueError("resume must be a run of the same problem")
+            raise ValueError(
+                "resume must be a run of the same problem, with the same derivatives"
+            )
         if not np.array_equal(resume.modulation_frequency, frame.modulation_frequency):
             raise ValueError("resume must be a run at the same frequencies")
         if resume.seed != frame.seed:
@@ -92,7 +95,7 @@ class Accumulator:
         counts = tuple(int(count) for count in resume.histories_of)
         return cls(
             frame=frame,
-            values=tuple(resume.batches),
+            values=tuple(resume.rows),
             counts=counts,
             full=max([frame.batch_size, *counts]),
             contributions=resume.contributions,
@@ -153,8 +156,7 @@ class Accumulator:
     def tally(self, seconds: float, interrupted: bool) -> Tally:
         """Return the tally of the batches accumulated so far."""
         return replace(
-            self.frame,
-            batches=np.array(self.values),
+            self.frame.with_rows(np.array(self.values)),
             histories_of=np.array(self.counts, dtype=np.int64),
             groups=self.groups,
             contribution=self.contribution,
@@ -413,24 +415,38 @@ class Record:
     beyond: Complex
     wavenumber: Complex
     spacing: float
+    parts: int
 
     @classmethod
     def empty(
-        cls, attenuation: Array, group_index: float, frequency: Array, frame: Tally
+        cls,
+        attenuation: Array,
+        group_index: float,
+        frequency: Array,
+        frame: Tally,
+        *,
+        scores: int = 0,
+        lengths: bool = False,
     ) -> Self:
-        """Return an empty record, with a row for each part of a tally's light."""
+        """Return an empty record, with a row for each part of a tally's light.
+
+        Two rows follow for each score, and two of `beyond` for light times path length.
+        """
         wavenumber = 2j * np.pi * frequency * group_index / speed_of_light
         steepest = max(float(np.abs(wavenumber).max()), float(attenuation.max()))
         spacing = _STEP / steepest
         node_count = 30 / float(attenuation[attenuation > 0].min()) / spacing
         nodes = int(min(max(node_count, _FEWEST_NODES), _MOST_NODES))
-        shape = (len(frame.parts), frame.batches.shape[2])
+        rows, components = len(frame.parts) + 2 * scores, frame.batches.shape[2]
         return cls(
-            mass=np.zeros((*shape, nodes)),
-            edge=np.zeros((*shape, nodes)),
-            beyond=np.zeros((*shape, frequency.size), dtype=np.complex128),
+            mass=np.zeros((rows, components, nodes)),
+            edge=np.zeros((rows, components, nodes)),
+            beyond=np.zeros(
+                (rows + 2 * lengths, components, frequency.size), dtype=np.complex128
+            ),
             wavenumber=wavenumber,
             spacing=spacing,
+            parts=len(frame.parts),
         )
 
     def arrays(self, orders: int) -> Deposits:
@@ -453,18 +469,57 @@ class Record:
         *,
         keep: bool,
         unseen: float = 0.0,
+        derivatives: Derivatives | None = None,
     ) -> Batch:
         """Return the result of the batch, as means per history."""
+        rows, parts = self.mass.shape[0], self.parts
         _record_kernels.transform(
-            self.mass, self.edge, self.wavenumber, self.spacing, self.beyond
+            self.mass, self.edge, self.wavenumber, self.spacing, self.beyond[:rows]
         )
+        signal = self.beyond[:parts]
+        if derivatives is not None:
+            length = (
+                self._lengths()
+                if derivatives.lengths
+                else np.zeros_like(self.beyond[:2])
+            )
+            scored = derivatives.rows(self.beyond[parts:rows], length)
+            signal = np.concatenate([signal, scored])
         return Batch(
             number=number,
             histories=histories,
-            signal=self.beyond / units,
+            signal=signal / units,
             weight=weight,
-            mass=self.mass / units if keep else None,
-            edge=self.edge / units if keep else None,
+            mass=self.mass[:parts] / units if keep else None,
+            edge=self.edge[:parts] / units if keep else None,
             spacing=self.spacing,
             unseen=unseen,
         )
+
+    def _lengths(self) -> Complex:
+        """Return light times path length of water and target, by frequency [m].
+
+        Light m exp(q L) of a node gives L m exp(q L), the derivative to q. A step e of
+        light per length has e R, R = (1 - exp(q L)) / q, of which the derivative is
+        e (L R - (L + R) / q), and -e L^2 / 2 at q = 0.
+        """
+        starts = (0, self.parts - 2)  # the last two parts are those of the target
+        mass, edge = (
+            np.add.reduceat(array[: self.parts], starts, axis=0)
+            for array in (self.mass, self.edge)
+        )
+        length = self.spacing * np.arange(mass.shape[-1], dtype=np.float64)
+        result = self.beyond[len(self.mass) :].copy()
+        ramp = np.zeros_like(result)
+        q = self.wavenumber
+        for light, step, out in (
+            (mass * length, edge * length, result),
+            (np.zeros_like(mass), edge, ramp),
+        ):
+            _record_kernels.transform(light, step, q, self.spacing, out)
+        moment = (edge @ length)[..., np.newaxis]
+        square = (edge @ length**2)[..., np.newaxis]
+        still = q == 0
+        lag = np.divide(moment + ramp, q, out=np.zeros_like(ramp), where=~still)
+        total: Complex = result - lag + np.where(still, 0.5 * square, 0.0)
+        return total

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.transport._derivatives import Derivatives, PhaseFunctionChange
 from amulor.transport._kernels import batch as _batch_kernels
 from amulor.transport._kernels.types import Plan
 from amulor.transport._problem import Problem, integrals_of
@@ -111,6 +112,7 @@ def simulate(
     keep_record: bool = False,
     progress: Callable[[Progress], None] | None = None,
     spread: Spread | None = None,
+    derivatives: Sequence[str | PhaseFunctionChange] = (),
 ) -> Tally:
     r"""Simulate the received light of a modulated laser beam in water.
 
@@ -157,6 +159,10 @@ def simulate(
         used. It takes a function and two numbers, and yields the function's results for
         the numbers from the first up to the second, in order. It does not change the
         result.
+    derivatives : sequence of str or PhaseFunctionChange
+        Parameters to which `Tally.derivative` gives the derivatives of the light:
+        "absorption" and "scattering" (of all layers at once, at a constant value of
+        the other), "reflectance", and changes of the phase function.
 
     Returns
     -------
@@ -224,6 +230,7 @@ def simulate(
         seed=checked_seed(seed),
         size=size,
         keep_record=keep_record,
+        derivatives=Derivatives.of(derivatives, problem),
     )
     return conduct(run, run.frame(), limits, resume)
 
@@ -245,12 +252,13 @@ class _Run:
     seed: int
     size: int
     keep_record: bool
+    derivatives: Derivatives = field(default_factory=Derivatives)
 
     @property
     def stated(self) -> dict[str, Any]:
         """Settings that determine the results of the batches, by name."""
         return {
-            "problem": self.problem.digest,
+            "problem": self.problem.digest + self.derivatives.digest,
             "technique": asdict(self.technique),
             "modulation_frequency": self.frequency.tolist(),
             "seed": self.seed,
@@ -292,8 +300,9 @@ class _Run:
             seed=self.seed,
             next_batch=0,
             batch_size=self.size,
-            problem=self.problem.digest,
+            problem=self.problem.digest + self.derivatives.digest,
             seconds=0.0,
+            derivatives=self.derivatives.names,
             phase_function_integral=integrals_of(self.problem.medium.layers),
         )
 
@@ -305,7 +314,11 @@ class _Run:
             self.problem.medium.group_index,
             self.frequency,
             frame,
+            scores=len(self.derivatives.scores),
+            lengths=self.derivatives.lengths,
         )
+        scene = self.problem.scene
+        water = scene.water._replace(score=self.derivatives.score)
         chosen = self.technique
         direct = chosen.direct
         if direct is None:
@@ -324,7 +337,7 @@ class _Run:
         )
         reached = _batch_kernels.run_batch(
             random_state(self.seed, number),
-            self.problem.scene,
+            scene._replace(water=water),
             plan,
             record.arrays(chosen.scattering_orders),
             weight,
@@ -337,4 +350,5 @@ class _Run:
             weight,
             keep=self.keep_record,
             unseen=_UNSEEN * reached * self.problem.joined_touch / pairs,
+            derivatives=self.derivatives,
         )

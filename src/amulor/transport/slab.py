@@ -194,7 +194,7 @@ class _Run:
             next_batch=0,
             batch_size=self.size,
             problem=digest_of(
-                *self.water,
+                *self.water[:7],
                 self.medium.group_index,
                 self.medium.polarized,
                 self.incidence,

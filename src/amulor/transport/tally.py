@@ -241,6 +241,12 @@ class Tally:
     """
     unseen: float = 0.0
     """Light of an adjoint path joined with all reflections in its reach [1]."""
+    derivatives: tuple[str, ...] = ()
+    """Names of the parameters of the derivatives, if requested."""
+    derivative_batches: Complex | None = None
+    """Mean derivatives of each batch, of water and target in turn for each parameter,
+    shape (batches, 2 x parameters, components, n).
+    """
 
     @property
     def histories(self) -> int:
@@ -251,6 +257,22 @@ class Tally:
     def polarized(self) -> bool:
         """Whether Stokes vectors were computed."""
         return bool(self.batches.shape[2] == 4)
+
+    @property
+    def rows(self) -> Complex:
+        """Mean light and derivatives of each batch, parts and derivatives together."""
+        if self.derivative_batches is None:
+            return self.batches
+        return np.concatenate([self.batches, self.derivative_batches], axis=1)
+
+    def with_rows(self, rows: Complex) -> Tally:
+        """Return the tally with the light and derivatives of other batches."""
+        parts = len(self.parts)
+        return replace(
+            self,
+            batches=rows[:, :parts],
+            derivative_batches=rows[:, parts:] if self.derivatives else None,
+        )
 
     def _select(self, which: str) -> Complex:
         """Return batch means of a kind of light, (batch, component, frequency)."""
@@ -435,6 +457,10 @@ class Tally:
         else:
             names = ", ".join(repr(name) for name in (*LIGHT, *self.parts))
             raise ValueError(f"light must be one of {names}; got {light!r}")
+        return self._analysed(values, analyser)
+
+    def _analysed(self, values: Complex, analyser: str) -> Complex:
+        """Return Stokes vectors of batches behind an ideal analyzer."""
         if analyser == "none":
             return values[:, 0]
         if not self.polarized:
@@ -443,6 +469,69 @@ class Tally:
             )
         passed: Complex = np.einsum("k,bkn->bn", analyser_vector(analyser), values)
         return passed
+
+    def derivative(
+        self, name: str, light: str = "all", *, analyser: str = "none"
+    ) -> tuple[Complex, Array]:
+        r"""Return the derivative of the light to a parameter, and its covariance.
+
+        Parameters
+        ----------
+        name : str
+            One of `derivatives`.
+        light : str
+            "all", "water" or "target".
+        analyser : str
+            Name of a state, as for `detected`.
+
+        Returns
+        -------
+        derivative : ndarray
+            Derivative of the complex light, per unit of the parameter, shape (n,).
+        covariance : ndarray
+            Of its real and imaginary part, shape (n, 2, 2).
+
+        Raises
+        ------
+        ValueError
+            If the run has no such derivative, or there is no such light or state.
+
+        Notes
+        -----
+        A path x contributes the light f(x), and to the derivative
+        :math:`f \, \partial \ln f / \partial q`. With N scatterings, the path length L
+        and K reflections this factor is -L for the absorption, :math:`N / b - L` for
+        the scattering and K over reflectance for the reflectance. For a parameter of
+        the phase function it is the sum of :math:`\partial \ln p / \partial q` over
+        the scatterings.
+
+        Examples
+        --------
+        >>> from amulor.optics.phase_functions.models import isotropic
+        >>> from amulor.transport import DiscReceiver, Medium, Source, simulate
+        >>> water = Medium.homogeneous(
+        ...     absorption=0.9, scattering=0.1, phase_function=isotropic(),
+        ...     group_index=1.33,
+        ... )
+        >>> tally = simulate(
+        ...     water, Source(), DiscReceiver(radius=0.05, acceptance_angle=0.1), [0.0],
+        ...     histories=20_000, seed=1, derivatives=("absorption",),
+        ... )
+        >>> slope, covariance = tally.derivative("absorption")
+        >>> mean_path = -slope[0].real / tally.signal[0].real
+        >>> print(f"{mean_path:.1f} m")
+        0.4 m
+        """
+        if self.derivative_batches is None or name not in self.derivatives:
+            names = ", ".join(repr(known) for known in self.derivatives) or "none"
+            raise ValueError(f"the derivatives are {names}; got {name!r}")
+        if light not in LIGHT:
+            raise ValueError(f"light must be one of {', '.join(LIGHT)}; got {light!r}")
+        first = 2 * self.derivatives.index(name)
+        both = self.derivative_batches[:, first : first + 2]
+        values = both.sum(axis=1) if light == "all" else both[:, LIGHT.index(light) - 1]
+        values = self._analysed(values, analyser)
+        return self._mean(values), self.covariance_of(values)
 
     def relative_error_of(self, light: str = "all", *, analyser: str = "none") -> Array:
         """Return the relative standard error of a kind of light, by frequency.
@@ -579,8 +668,7 @@ class Tally:
         """
         wave = 2j * np.pi * self.modulation_frequency * group_index / speed_of_light
         return replace(
-            self,
-            batches=self.batches * np.exp(wave * path),
+            self.with_rows(self.rows * np.exp(wave * path)),
             problem=f"{self.problem} delayed by {path!r} m of index {group_index!r}",
             next_batch=-1,
             record=None,
@@ -617,13 +705,12 @@ class Tally:
                 f"both runs have the seed {min(common)}, so they are not independent"
             )
         mine, theirs = self.contribution, other.contribution
-        batches = np.concatenate([self.batches, other.batches])
+        rows = np.concatenate([self.rows, other.rows])
         histories_of = np.concatenate([self.histories_of, other.histories_of])
         while histories_of.size > MOST_BATCHES:
-            batches, histories_of = paired(batches, histories_of)
+            rows, histories_of = paired(rows, histories_of)
         return replace(
-            self,
-            batches=batches,
+            self.with_rows(rows),
             histories_of=histories_of,
             groups=self.groups + other.groups,
             contribution=(

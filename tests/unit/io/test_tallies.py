@@ -89,6 +89,12 @@ def test_stokes_vectors_and_a_record_come_back(path):
     np.testing.assert_array_equal(found.detected("H")[1], kept.detected("H")[1])
 
 
+def test_derivatives_come_back(path):
+    kept = run(derivatives=("scattering", "absorption"))
+    write_tally(kept, path)
+    assert_identical(read_tally(path), kept)
+
+
 numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
 

@@ -111,12 +111,12 @@ def look(state: States, fraction: float, largest: float) -> Ray:
 
 
 @allocating
-def without_segments(light: Array) -> Paths:
+def without_segments(light: Array, scores: int) -> Paths:
     """Allocate empty path arrays; segments use the given array for their light."""
     return Paths(
-        np.empty((_ROWS, SEGMENT_COLUMNS)),
+        np.empty((_ROWS, SEGMENT_COLUMNS + scores)),
         light,
-        np.empty((_ROWS, TOUCH_COLUMNS)),
+        np.empty((_ROWS, TOUCH_COLUMNS + scores)),
         np.zeros((_ROWS, light.shape[1])),
         np.zeros(4, dtype=np.int64),
     )
@@ -173,14 +173,21 @@ def run_batch(
     how many reflections one adjoint path may reach.
     """
     rows = _ROWS if plan.polarized else 1
-    forward = without_segments(np.zeros((rows, FORWARD_COLUMNS)))
-    adjoint = without_segments(np.zeros((rows, ADJOINT_COLUMNS)))
+    events = scene.water.score.shape[0]
+    forward = without_segments(np.zeros((rows, FORWARD_COLUMNS)), events)
+    adjoint = without_segments(np.zeros((rows, ADJOINT_COLUMNS)), events)
     direct = np.zeros(ADJOINT_COLUMNS)
     for k in range(4):
         direct[3 + 5 * k] = 1.0
     components = 4 if plan.polarized else 1
-    arrival = Arrival(np.zeros(components), direct, np.zeros((2, components)))
-    now = np.zeros(ADJOINT_COLUMNS)
+    arrival = Arrival(
+        np.zeros(components),
+        direct,
+        np.zeros((2, components)),
+        np.zeros((record.mass.shape[0] - record.orders - 2) // 2),
+        np.zeros(components),
+    )
+    now = np.zeros(ADJOINT_COLUMNS + events)
     none = no_cells()
     densest = 1
     for start in range(0, weight.shape[0], plan.block):
@@ -199,6 +206,7 @@ def run_batch(
                 thickness, ray, back = begin_adjoint(state, k, g, scene, plan, now)
                 adjoint = follow(state, thickness, ray, back, scene, adjoint, now)
             arrival.total[:] = 0.0
+            arrival.score[:] = 0.0
             join_group(state, forward, adjoint, none, scene, plan, record, arrival)
             if plan.direct:
                 direct_from_segments(state, forward, scene, plan, record, arrival)

@@ -33,8 +33,10 @@ from amulor.transport._kernels.trace import (
     ORDER,
     PARTITION,
     PER_Z,
+    SEGMENT_COLUMNS,
     SLOPE_X,
     SLOPE_Y,
+    TOUCH_COLUMNS,
     TOUCH_LENGTH,
     TOUCH_NX,
     TOUCH_NY,
@@ -102,14 +104,21 @@ def add_beyond(
 ) -> None:
     """Record light with path lengths beyond the last node, as Fourier integrals."""
     beyond, wavenumber = record.beyond, record.wavenumber
+    parts, middle, half = record.mass.shape[0], 0.5 * (low + high), 0.5 * (high - low)
+    lengths = beyond.shape[0] > parts and part < record.orders + 2
     for f in range(wavenumber.size):
         q = wavenumber[f]
-        span = q * (high - low)
-        factor = np.exp(0.5 * q * (low + high))
-        if abs(span) > 1e-6:
-            factor *= 2.0 * np.sinh(0.5 * span) / span
+        span = q * half
+        mean, slope = 1.0 + 0.0j, span * half / 3.0
+        if abs(span) > 1e-4:
+            mean = np.sinh(span) / span
+            slope = (np.cosh(span) - mean) / q
+        wave = np.exp(q * middle)
         for k in range(beyond.shape[1]):
-            beyond[part, k, f] += light[k] * factor
+            beyond[part, k, f] += light[k] * wave * mean
+            if lengths:  # the mean of L exp(q L)
+                row = parts + (WATER if part < record.orders else TARGET)
+                beyond[row, k, f] += light[k] * wave * (middle * mean + slope)
 
 
 @kernel
@@ -139,6 +148,27 @@ def add_range(record: Record, part: int, low: float, high: float, light: Array) 
             add_at(edge, part, scaled_high, k, -light[k] * per_length)
     else:
         add_beyond(record, part, low, high, light)
+
+
+@inner
+def add_scores(
+    record: Record, kind: int, low: float, high: float, arrival: Arrival
+) -> None:
+    """Record the light of a path times its scores, in the rows of water or target.
+
+    The derivative of the light is the mean of the light times the derivative of its
+    logarithm, the score, while the density of the drawn paths is fixed.
+    """
+    scaled = arrival.scaled
+    for k in range(arrival.score.size):
+        if arrival.score[k] != 0.0:
+            for i in range(scaled.size):
+                scaled[i] = arrival.light[i] * arrival.score[k]
+            part = record.orders + 2 + 2 * k + kind
+            if high > low:
+                add_range(record, part, low, high, scaled)
+            else:
+                add_point(record, part, low, scaled)
 
 
 @entry
@@ -311,6 +341,24 @@ def direct_from_segments(
         add_to(total, WATER, out)
         length = segment[i, LENGTH] + z * segment[i, PER_Z] + distance
         add_point(record, min(int(segment[i, ORDER]), record.orders - 1), length, out)
+        for k in range(water.score.shape[0]):
+            arrival.score[k] = segment[i, SEGMENT_COLUMNS + k]
+            arrival.score[k] += water.score[k, layer, cell]
+        add_scores(record, WATER, length, length, arrival)
+
+
+@step
+def touch_scores(touch: Array, i: int, reflectance: float, arrival: Arrival) -> None:
+    """Set the scores of light that a reflection sends to the receiver.
+
+    The last is that of the reflectance: number of reflections over reflectance.
+    """
+    events = touch.shape[1] - TOUCH_COLUMNS
+    for k in range(arrival.score.size):
+        if k < events:
+            arrival.score[k] = touch[i, TOUCH_COLUMNS + k]
+        else:
+            arrival.score[k] = (touch[i, TOUCHES] + 1.0) / reflectance
 
 
 @inner
@@ -378,3 +426,5 @@ def direct_from_touches(
         direct = touch[i, TOUCH_ORDER] == 0 and touch[i, TOUCHES] == 0
         length = touch[i, TOUCH_LENGTH] + distance
         add_point(record, record.orders if direct else record.orders + 1, length, out)
+        touch_scores(touch, i, target.reflectance, arrival)
+        add_scores(record, TARGET, length, length, arrival)

@@ -15,6 +15,7 @@ import numpy as np
 from amulor.transport._kernels.contributions import (
     WATER,
     add_range,
+    add_scores,
     add_to,
 )
 from amulor.transport._kernels.mesh import blocked
@@ -33,6 +34,7 @@ from amulor.transport._kernels.trace import (
     PARTITION,
     PER_Z,
     SCALE,
+    SEGMENT_COLUMNS,
     SLOPE_X,
     SLOPE_Y,
     START,
@@ -307,14 +309,13 @@ def join_pair(
     start = first[i, LENGTH] + second[j, LENGTH]
     slope = first[i, PER_Z] + second[j, PER_Z]
     near, far = start + slope * z_low, start + slope * z_high
-    part = min(order, record.orders - 1)
-    add_range(
-        record,
-        part,
-        min(near, far),
-        max(near, far),
-        out,
-    )
+    low, high = min(near, far), max(near, far)
+    add_range(record, min(order, record.orders - 1), low, high, out)
+    for k in range(water.score.shape[0]):
+        column = SEGMENT_COLUMNS + k
+        arrival.score[k] = first[i, column] + second[j, column]
+        arrival.score[k] += water.score[k, layer, cell]
+    add_scores(record, WATER, low, high, arrival)
 
 
 @step

@@ -17,7 +17,9 @@ import numpy as np
 from amulor.transport._kernels.contributions import (
     TARGET,
     add_point,
+    add_scores,
     add_to,
+    touch_scores,
 )
 from amulor.transport._kernels.joins import path_blocked
 from amulor.transport._kernels.polarization import received, reflected
@@ -37,8 +39,10 @@ from amulor.transport._kernels.trace import (
     ORDER,
     PER_Z,
     SCALE,
+    SEGMENT_COLUMNS,
     SLOPE_X,
     SLOPE_Y,
+    TOUCH_COLUMNS,
     TOUCH_GROUP,
     TOUCH_LENGTH,
     TOUCH_NX,
@@ -286,6 +290,10 @@ def join_touch(
     length = touch[i, TOUCH_LENGTH] + second[j, LENGTH] + z * second[j, PER_Z]
     direct = unscattered and touch[i, TOUCHES] == 0
     add_point(record, record.orders if direct else record.orders + 1, length, out)
+    touch_scores(touch, i, target.reflectance, arrival)
+    for k in range(touch.shape[1] - TOUCH_COLUMNS):
+        arrival.score[k] += second[j, SEGMENT_COLUMNS + k]
+    add_scores(record, TARGET, length, length, arrival)
     return True
 
 

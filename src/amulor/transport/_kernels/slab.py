@@ -310,6 +310,9 @@ def run_slab(
     for k in range(4):
         path_matrix[3 + 5 * k] = 1.0
     components = 4 if light.polarized else 1
-    arrival = Arrival(np.zeros(components), path_matrix, np.zeros((2, components)))
+    none = np.zeros(0)
+    arrival = Arrival(
+        np.zeros(components), path_matrix, np.zeros((2, components)), none, none
+    )
     now = np.zeros(7)
     follow_photons(state, histories, light, water, record, arrival, now)

@@ -16,6 +16,7 @@ import numpy as np
 
 from amulor.transport._kernels.mesh import facing_normal, first_hit
 from amulor.transport._kernels.polarization import (
+    ADJOINT_COLUMNS,
     any_frame,
     cross,
     deflected,
@@ -45,14 +46,14 @@ from amulor.transport._kernels.types import (
 Z_LOW, Z_HIGH, X, Y, SLOPE_X, SLOPE_Y, PER_Z, LENGTH = range(8)
 NX, NY, NZ, PARTITION, ORDER, LAYER, FRONT, FACE, SCALE, START = range(8, 18)
 GROUP = 18  # START is the row of the first segment of the path
-SEGMENT_COLUMNS = 19
+SEGMENT_COLUMNS = 19  # followed by the path's sum of each score
 
 # Columns of a touch of the target: place, path length, order, direction of the light,
 # normal on its side, number of the triangle (-1 for a plane), and number of the group.
 TOUCH_X, TOUCH_Y, TOUCH_Z, TOUCH_LENGTH, TOUCH_ORDER, TOUCHES = range(6)
 TOUCH_NX, TOUCH_NY, TOUCH_NZ = range(6, 9)
 NORMAL_X, NORMAL_Y, NORMAL_Z, TRIANGLE, TOUCH_GROUP = range(9, 14)
-TOUCH_COLUMNS = 14
+TOUCH_COLUMNS = 14  # followed by the path's sum of each score
 
 #: Positions of the numbers of used rows, and of the first rows of the current group.
 USED_SEGMENTS, USED_TOUCHES, FIRST_SEGMENT, FIRST_TOUCH = range(4)
@@ -198,6 +199,8 @@ def fly(
             segment[row, LAYER], segment[row, FRONT] = layer, past.front
             segment[row, FACE], segment[row, SCALE] = kind.face, kind.scale
             segment[row, START], segment[row, GROUP] = past.first, kind.group
+            for k in range(water.score.shape[0]):
+                segment[row, SEGMENT_COLUMNS + k] = now[ADJOINT_COLUMNS + k]
             if kind.polarized:
                 for k in range(light.shape[1]):
                     light[row, k] = now[k]
@@ -233,6 +236,8 @@ def touch_target(
     touch[row, TOUCH_GROUP] = kind.group
     touch[row, TOUCH_NX], touch[row, TOUCH_NY], touch[row, TOUCH_NZ] = ray.direction
     touch[row, NORMAL_X], touch[row, NORMAL_Y], touch[row, NORMAL_Z] = normal
+    for k in range(touch.shape[1] - TOUCH_COLUMNS):
+        touch[row, TOUCH_COLUMNS + k] = now[ADJOINT_COLUMNS + k]
     if kind.polarized:
         for k in range(touch_light.shape[1]):
             touch_light[row, k] = now[k]
@@ -277,10 +282,13 @@ def scatter(
 
     The angle is drawn from the phase function p, and |n_z m_z| / (b p) is added, the
     denominator of the weight w_k. The frame in now and the Stokes vector, or the
-    Mueller matrix of an adjoint path, become those after the scattering.
+    Mueller matrix of an adjoint path, become those after the scattering; its scores
+    are added to those of the path.
     """
     table = water.table[layer]
     drawn, cell = draw_height(state, water.urn, table)
+    for k in range(water.score.shape[0]):
+        now[ADJOINT_COLUMNS + k] += water.score[k, layer, cell]
     azimuth = 2.0 * math.pi * uniform(state)
     turn = (math.cos(azimuth), math.sin(azimuth))
     axis = ray.axis
@@ -380,6 +388,7 @@ def follow(
     first = paths.used[USED_SEGMENTS]
     past = Past(first, layer, 0.0, 0.0, math.inf, 0.0, 0.0)
     now[0], now[1], now[2] = ray.axis
+    now[ADJOINT_COLUMNS:] = 0.0
     walk = Walk(ray, past, thickness, -1.0)
     while True:
         ended, walk = trace(state, walk, kind, scene.water, scene.target, paths, now)

@@ -79,6 +79,8 @@ class Water(NamedTuple):
     """Phase function p in each angle cell, shape (tables, cells) [1/sr]."""
     element: Array
     """Elements m12, m22, m33, m34, m44, shape (tables, angle cells, 5) [1]."""
+    score: Array
+    """Derivative of ln(b p) to each parameter, shape (parameters, layers, cells)."""
 
 
 class Mesh(NamedTuple):
@@ -172,14 +174,20 @@ class Plan(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Received light by path length, and by scattering order or target part."""
+    """Received light by path length, and by scattering order or target part.
+
+    Two more parts, water and target, follow for each score of the derivatives.
+    """
 
     mass: Array
     """Light with single path lengths, shape (parts, components, nodes) [1]."""
     edge: Array
     """Steps of light per path length, shape (parts, components, nodes) [1/m]."""
     beyond: Complex
-    """Light beyond the last node, shape (parts, components, frequencies) [1]."""
+    """Light beyond the last node, shape (parts, components, frequencies) [1].
+
+    With derivatives, light of water and target times its path length follows [m].
+    """
     wavenumber: Complex
     """Imaginary wavenumber i omega / v of each frequency [1/m]."""
     spacing: float
@@ -272,3 +280,7 @@ class Arrival(NamedTuple):
     """Polarization axis and identity matrix, for direct light to the receiver."""
     total: Array
     """Sum of a group's light from water and target, shape (2, components)."""
+    score: Array
+    """Scores of a pair of paths: derivatives of the logarithm of its light."""
+    scaled: Array
+    """Received light times a score."""

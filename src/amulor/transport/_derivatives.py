@@ -1,0 +1,165 @@
+"""Parameters to which a transport run computes derivatives, and their scores."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.optics.phase_functions.phase_function import PhaseFunction
+from amulor.transport._problem import Problem, cells_of, digest_of
+
+__all__ = ["Derivatives", "PhaseFunctionChange"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Parameters that have no phase function.
+_PARAMETERS = ("absorption", "scattering", "reflectance")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PhaseFunctionChange:
+    """Change of the phase function with a parameter, for derivatives of the light.
+
+    Raises
+    ------
+    ValueError
+        If the step is not finite or is zero, or the name is that of another parameter.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> from amulor.transport import PhaseFunctionChange
+    >>> change = PhaseFunctionChange(
+    ...     name="asymmetry",
+    ...     lower=henyey_greenstein_function(asymmetry=0.949),
+    ...     upper=henyey_greenstein_function(asymmetry=0.951),
+    ...     step=0.002,
+    ... )
+    >>> change.name, change.step
+    ('asymmetry', 0.002)
+    """
+
+    name: str
+    """Name of the parameter."""
+    lower: PhaseFunction
+    """Phase function half a step below the value of the parameter."""
+    upper: PhaseFunction
+    """Phase function half a step above the value."""
+    step: float
+    """Difference of the parameter between both phase functions."""
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError for an invalid step or name."""
+        if not (math.isfinite(self.step) and self.step != 0):
+            raise ValueError(
+                f"step must be a finite number other than 0, got {self.step!r}"
+            )
+        if self.name in _PARAMETERS:
+            raise ValueError(
+                f"name must not be one of {', '.join(_PARAMETERS)}, got {self.name!r}"
+            )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Derivatives:
+    """Parameters of the derivatives of a run, and the scores of its scatterings."""
+
+    names: tuple[str, ...] = ()
+    """Names of the parameters."""
+    events: tuple[str, ...] = ()
+    """Names of those with a score at each scattering."""
+    score: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))
+    """Derivative of ln(b p), shape (events, layers, angle cells)."""
+
+    @classmethod
+    def of(
+        cls, parameters: Sequence[str | PhaseFunctionChange], problem: Problem
+    ) -> Derivatives:
+        """Return the scores of parameters; ValueError if the problem has none."""
+        names = tuple(p if isinstance(p, str) else p.name for p in parameters)
+        if len(set(names)) < len(names):
+            raise ValueError(f"derivatives must have different names, got {names}")
+        water = problem.water
+        events, scores = [], []
+        for name, parameter in zip(names, parameters, strict=True):
+            if isinstance(parameter, PhaseFunctionChange):
+                if len(water.value) > 1:
+                    raise ValueError(
+                        "the derivative to a phase function needs the same phase "
+                        f"function in all layers, got {len(water.value)}"
+                    )
+                events.append(name)
+                scores.append(_phase_score(parameter, water.value[0], problem))
+            elif name == "scattering":
+                scattering = water.albedo * water.attenuation
+                if not np.all(scattering > 0):
+                    raise ValueError(
+                        "the derivative to scattering needs layers that all scatter, "
+                        "got a layer with a scattering of 0 1/m"
+                    )
+                events.append(name)
+                scores.append(
+                    np.repeat(1 / scattering[:, np.newaxis], water.value.shape[1], 1)
+                )
+            elif name == "reflectance":
+                if not problem.surface.reflectance > 0:
+                    raise ValueError(
+                        "the derivative to reflectance needs a target with a "
+                        "reflectance above 0"
+                    )
+            elif name != "absorption":
+                raise ValueError(
+                    f"derivatives must be {', '.join(_PARAMETERS)} or a "
+                    f"PhaseFunctionChange, got {name!r}"
+                )
+        shape = (len(events), *water.albedo.shape, water.value.shape[1])
+        return cls(
+            names=names,
+            events=tuple(events),
+            score=np.array(scores, dtype=np.float64).reshape(shape),
+        )
+
+    @property
+    def scores(self) -> tuple[str, ...]:
+        """Names of the scores that a run records, in the order of their rows."""
+        last = ("reflectance",) if "reflectance" in self.names else ()
+        return (*self.events, *last)
+
+    @property
+    def lengths(self) -> bool:
+        """Whether light times path length is recorded."""
+        return "absorption" in self.names or "scattering" in self.names
+
+    @property
+    def digest(self) -> str:
+        """Text that tells runs with different derivatives apart."""
+        return f" {self.names} {digest_of(self.score)}" if self.names else ""
+
+    def rows(self, scored: Complex, length: Complex) -> Complex:
+        """Return the derivatives of water and target, two rows for each parameter.
+
+        scored has two rows for each score, length is light times path length.
+        """
+        rows = []
+        for name in self.names:
+            row = np.zeros_like(length)
+            if name in self.scores:
+                first = 2 * self.scores.index(name)
+                row = scored[first : first + 2]
+            if name in ("absorption", "scattering"):
+                row = row - length
+            rows.append(row)
+        return np.concatenate([*rows, length[:0]])
+
+
+def _phase_score(change: PhaseFunctionChange, value: Array, problem: Problem) -> Array:
+    """Return the derivative of ln p by layer and angle cell."""
+    lower, upper = cells_of(change.lower).value, cells_of(change.upper).value
+    slope = (upper - lower) / change.step
+    score = np.divide(slope, value, out=np.zeros_like(slope), where=value > 0)
+    return np.repeat(score[np.newaxis], problem.water.albedo.size, 0)
