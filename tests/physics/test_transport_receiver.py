@@ -89,6 +89,27 @@ def single_scattering(phase_function, attenuation, scattering):
     return total
 
 
+@pytest.mark.study
+def test_long_paths_that_end_by_roulette_leave_the_light():
+    medium = water(0.02, 0.98, henyey_greenstein_function(asymmetry=0.7))
+    receiver = DiscReceiver(radius=0.2, acceptance_angle=0.7, position=(0.1, 0, 0))
+    target = PlaneTarget(position=(0, 0, 2.0), reflectance=0.5)
+    one, other = (
+        simulate(
+            medium, Source(), receiver, FREQUENCY, histories=histories, seed=seed,
+            target=target, technique=Technique(roulette=roulette),
+        )
+        for histories, seed, roulette in ((20_000, 1, 4), (8000, 2, 100_000))
+    )  # fmt: skip
+    assert_agree(one, other)
+    for name in ("water, order 6", "water, order 10 and above", "target, scattered"):
+        light, covariance = one.part(name)
+        expected, error = other.part(name)
+        assert np.sqrt(covariance[0, 0, 0, 0]) < 0.2 * abs(light[0, 0])
+        distance = sigmas(light[0], covariance[0] + error[0], expected[0])
+        assert np.all(distance <= SIGMAS), (name, distance)
+
+
 @pytest.mark.parametrize("direct", [True, False])
 def test_first_order_is_the_closed_form(direct):
     function = henyey_greenstein_function(asymmetry=0.8)

@@ -124,7 +124,7 @@ def write_tally(
             {"units": "1", "long_name": "sum, sum of squares and largest of groups"},
         )
         attributes["unseen_contribution"] = np.float64(tally.unseen)
-    if tally.derivatives:
+    if tally.derivative_batches is not None:
         names = [f"{name}, {k}" for name in tally.derivatives for k in LIGHT[1:]]
         coordinates["derivative"] = ("derivative", np.array(names, dtype=object))
         slope = {"long_name": "derivative of the light, per unit of the parameter"}

@@ -41,6 +41,9 @@ _BATCHES, _LARGEST_BATCH = 128, 65536
 #: may reach into a second strip. Runs 4 to 7 standard errors off exceed their errors by
 #: 2.0 to 3.6 with it, and runs with all of the light have 0.3 to 0.6 of theirs [1].
 _UNSEEN = 2.0
+#: Albedo above which paths of more than 16 scatterings end at random, and a number of
+#: scatterings that no path has.
+_BRIGHT, _ENDLESS = 0.95, 1 << 40
 #: Segments of the adjoint paths that are joined with target reflections together.
 _BLOCK_SEGMENTS = 200_000
 
@@ -76,6 +79,12 @@ class Technique:
 
     Of more in its reach, a random sample is joined.
     """
+    roulette: int | None = None
+    """Number of scatterings beyond which paths end at random.
+
+    After n scatterings, the light of the remaining paths counts n / `roulette`. By
+    default 16 in water with an albedo above 0.95, otherwise unlimited.
+    """
     stratified: bool = True
     """Whether first flights and directions in a group are stratified."""
     balanced: bool = True
@@ -89,8 +98,11 @@ class Technique:
 
     def __post_init__(self) -> None:
         """Raise a ValueError unless numbers are whole and at least 1."""
-        for name in ("paths", "partners", "reflections", "scattering_orders"):
+        names = ("paths", "partners", "reflections", "roulette", "scattering_orders")
+        for name in names:
             value = getattr(self, name)
+            if name == "roulette" and value is None:
+                continue
             if value < 1 or value != int(value):
                 raise ValueError(f"{name} must be a whole number from 1, got {value!r}")
 
@@ -267,16 +279,27 @@ class _Run:
         }
 
     @property
+    def roulette(self) -> int:
+        """Number of scatterings beyond which paths end at random."""
+        if self.technique.roulette is not None:
+            return self.technique.roulette
+        return 16 if self.problem.water.albedo.max() > _BRIGHT else _ENDLESS
+
+    @property
     def block(self) -> int:
         """Number of groups whose target reflections are joined together.
 
-        A path has 1 / (1 - albedo) segments on average.
+        A path gets to n scatterings with the n-th power of the albedo, and beyond the
+        first `roulette` with the probability roulette / n.
         """
         if self.problem.target is None:
             return 1
         technique = self.technique
-        loss = 1.0 - float(self.problem.water.albedo.max())
-        most = int(_BLOCK_SEGMENTS * loss / max(technique.paths, technique.partners))
+        order = np.arange(_BLOCK_SEGMENTS, dtype=np.float64)
+        survival = float(self.problem.water.albedo.max()) ** order
+        survival /= np.maximum(order / self.roulette, 1.0)
+        segments = max(technique.paths, technique.partners) * survival.sum()
+        most = int(_BLOCK_SEGMENTS / segments)
         return min(max(most, 1), self.size // technique.paths)
 
     def frame(self) -> Tally:
@@ -330,6 +353,7 @@ class _Run:
             partners=chosen.partners,
             block=self.block,
             reflections=chosen.reflections,
+            roulette=self.roulette,
             stratified=chosen.stratified,
             balanced=chosen.balanced,
             direct=direct,

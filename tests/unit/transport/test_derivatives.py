@@ -20,7 +20,7 @@ from amulor.transport import (
     Source,
     simulate,
 )
-from amulor.transport._kernels import contributions
+from amulor.transport._kernels import contributions, trace
 from amulor.transport._runs import Record
 
 INDEX = 1.33
@@ -175,6 +175,15 @@ def test_derivatives_leave_the_light_as_it_is():
         )
 
 
+def test_the_weight_of_a_long_path_is_the_inverse_of_its_survival():
+    survival = 1.0
+    for order in range(200):
+        weight = trace.order_weight.py_func(float(order), 16)
+        assert weight == pytest.approx(1 / survival)
+        if order >= 16:  # as a path goes on from this scattering to the next
+            survival *= order / (order + 1)
+
+
 def test_derivatives_are_resumed_merged_and_delayed_with_the_light():
     function = henyey_greenstein_function(asymmetry=0.8)
     names = ("scattering", "reflectance")
@@ -206,7 +215,7 @@ def test_derivatives_are_resumed_merged_and_delayed_with_the_light():
     ("options", "message"),
     [
         ({"derivatives": ("albedo",)}, "or a PhaseFunctionChange, got 'albedo'"),
-        ({"derivatives": ("absorption",) * 2}, "different names"),
+        ({"derivatives": ("absorption",) * 2}, "derivatives must have different names"),
         ({"derivatives": ("reflectance",)}, "needs a target"),
         ({"derivatives": ("scattering",), "scattering": 0.0}, "layers that all"),
     ],

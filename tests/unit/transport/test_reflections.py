@@ -24,7 +24,7 @@ GROUPS, FACE, SCALE, REFLECTANCE = 5, 0.3, 0.02, 0.4
 NORMALS = {"across": (0.0, 0.0, -1.0), "tilted": (0.6, 0.0, -0.8), "no plane": None}
 PLAN = Plan(
     paths=4, partners=4, block=GROUPS, reflections=1000, stratified=True, balanced=True,
-    direct=False, polarized=False,
+    roulette=16, direct=False, polarized=False,
 )  # fmt: skip
 
 

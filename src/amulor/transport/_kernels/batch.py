@@ -158,7 +158,8 @@ def begin_adjoint(
     scale = math.pi * largest / (plan.paths * plan.partners)
     for i in range(16):
         now[3 + i] = 1.0 if i % 5 == 0 else 0.0
-    return exponential(state), ray, Kind(True, plan.polarized, radius, scale, group)
+    kind = Kind(True, plan.polarized, radius, scale, group, plan.roulette)
+    return exponential(state), ray, kind
 
 
 @entry
@@ -198,7 +199,7 @@ def run_batch(
             for paths in (forward, adjoint):
                 paths.used[FIRST_SEGMENT] = paths.used[USED_SEGMENTS]
                 paths.used[FIRST_TOUCH] = paths.used[USED_TOUCHES]
-            kind = Kind(False, plan.polarized, 0.0, 0.0, g)
+            kind = Kind(False, plan.polarized, 0.0, 0.0, g, plan.roulette)
             for k in range(plan.paths):
                 thickness, ray = begin_forward(state, k, scene, plan, now)
                 forward = follow(state, thickness, ray, kind, scene, forward, now)

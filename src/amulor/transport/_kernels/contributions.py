@@ -53,6 +53,7 @@ from amulor.transport._kernels.trace import (
     Z_LOW,
     X,
     Y,
+    order_weight,
 )
 from amulor.transport._kernels.types import (
     Array,
@@ -322,6 +323,7 @@ def direct_from_segments(
         depth = transmission_depth(z, 0.0, distance, water.edge, attenuation)
         factor = (
             scale
+            * order_weight(segment[i, ORDER], plan.roulette)
             * weight
             * kernel
             * (z_high - z_low)
@@ -403,6 +405,7 @@ def direct_from_touches(
         )
         factor = (
             scale
+            * order_weight(touch[i, TOUCH_ORDER], plan.roulette)
             * target.reflectance
             / math.pi
             * leaving

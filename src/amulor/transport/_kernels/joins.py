@@ -43,6 +43,7 @@ from amulor.transport._kernels.trace import (
     Z_LOW,
     X,
     Y,
+    order_weight,
 )
 from amulor.transport._kernels.types import (
     Array,
@@ -289,6 +290,8 @@ def join_pair(
     else:
         factor = second[j, SCALE] * kernel / (level * (order + 1))
     factor *= z_high - z_low
+    factor *= order_weight(first[i, ORDER], plan.roulette)
+    factor *= order_weight(second[j, ORDER], plan.roulette)
     if mesh.box.shape[0] > 0:
         z_low += (z_high - z_low) * uniform(state)
         z_high = z_low

@@ -60,6 +60,7 @@ from amulor.transport._kernels.trace import (
     Z_LOW,
     X,
     Y,
+    order_weight,
 )
 from amulor.transport._kernels.types import (
     Array,
@@ -274,6 +275,8 @@ def join_touch(
         return False
     factor = share * second[j, SCALE] * target.reflectance / math.pi
     factor *= leaving / abs(m[2])
+    factor *= order_weight(touch[i, TOUCH_ORDER], plan.roulette)
+    factor *= order_weight(second[j, ORDER], plan.roulette)
     if plan.polarized:
         n = (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ])
         path_matrix = adjoint.light[j]

@@ -2,10 +2,11 @@
 
 A path is traced forward from the source, or against the light from the receiver (an
 adjoint path). The axis z is that of the receiver, which looks along +z from z = 0.
-Layers lie across z. Absorption ends a path by chance, so no weight is carried.
-Theory: docs/theory/photon-transport.md, "A path is joined where it is the least
-accidental", and "Polarisation" for the light that is carried along. Compiled, as a run
-follows millions of paths of several corners each.
+Layers lie across z. Absorption ends a path by chance. Long paths also end by roulette;
+their weight follows from the number of scatterings. Theory:
+docs/theory/photon-transport.md, "Forward and adjoint paths are joined", and
+"Polarization" for the light of a path. Compiled, as a run follows millions of paths of
+several corners each.
 """
 
 from __future__ import annotations
@@ -97,6 +98,16 @@ def longer(paths: Paths, layers: int, polarized: bool) -> Paths:
         touch_light,
         paths.used,
     )
+
+
+@kernel
+def order_weight(order: float, roulette: int) -> float:
+    """Return the weight of a path that has survived its roulette.
+
+    Beyond N scatterings a path goes on from n to n + 1 with the probability
+    n / (n + 1). It has survived with N / n, so its light counts n / N.
+    """
+    return max(order / roulette, 1.0)
 
 
 @kernel
@@ -355,7 +366,10 @@ def trace(
             touches += 1.0
         else:
             triangle = -1.0
-            if uniform(state) >= water.albedo[layer]:
+            survival = water.albedo[layer]
+            if order >= kind.roulette:
+                survival *= order / (order + 1.0)
+            if uniform(state) >= survival:
                 return True, walk
             ray, added = scatter(state, ray, layer, kind, water, now)
             partition += added

@@ -163,6 +163,8 @@ class Plan(NamedTuple):
     """Number of groups whose target reflections are joined together."""
     reflections: int
     """Number of reflections that an adjoint segment is joined with at most."""
+    roulette: int
+    """Number of scatterings beyond which paths end at random."""
     stratified: bool
     """Whether first flights and directions in a group are stratified."""
     balanced: bool
@@ -252,6 +254,8 @@ class Kind(NamedTuple):
     """Weight of a path pair with this adjoint path [sr]."""
     group: int
     """Number of the path's group in the batch."""
+    roulette: float
+    """Number of scatterings beyond which the path ends at random."""
 
 
 class Paths(NamedTuple):
