@@ -141,6 +141,13 @@ def turned_body(image: xr.Dataset) -> measure.Revolution:
     return measure.revolution(image, region.reshape(image["slant_range"].shape))
 
 
+def _diameter(value: float, uncertainty: float) -> str:
+    """Diameter with its standard uncertainty as text, both in meters."""
+    if not math.isfinite(uncertainty):
+        return f"{1e3 * value:.1f} mm (error not known)"
+    return f"{1e3 * value:.1f} ± {1e3 * uncertainty:.2g} mm"
+
+
 def profile(
     image: xr.Dataset,
     order: Order,
@@ -154,7 +161,7 @@ def profile(
     height = turned.height - turned.height[0]
     widest = int(np.argmax(turned.radius))
     diameters = {
-        place: f"{2e3 * turned.radius[n]:.1f} ± {2e3 * turned.uncertainty[n]:.2g} mm"
+        place: _diameter(2 * turned.radius[n], 2 * turned.uncertainty[n])
         for place, n in (("upper end", -1), ("widest place", widest), ("lower end", 0))
     }
     said = "; ".join(f"{place} {text}" for place, text in diameters.items())
@@ -162,8 +169,12 @@ def profile(
     statements = [
         f"Diameters with standard uncertainty: {said}",
         f"Surface of revolution through {fit.pixels} pixels; {turned.left_out} others "
-        f"lie off it, such as handles. Scatter {fit.residual * 1e3:.2g} mm (rms), "
-        f"direction of the axis within {1e3 * slope:.2g} mrad",
+        f"lie off it, such as handles. Scatter {fit.residual * 1e3:.2g} mm (rms)"
+        + (
+            f", direction of the axis within {1e3 * slope:.2g} mrad"
+            if math.isfinite(slope)
+            else ""
+        ),
         "Only the outside was measured; the thickness of the wall is unknown",
         *([f"Doubtful: {fit.doubt}"] if fit.doubt else []),
         *remarks[1],

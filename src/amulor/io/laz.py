@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import struct
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +78,8 @@ _LEAPS = ((1_341_100_800, 16), (1_435_708_800, 17), (1_483_228_800, 18))
 
 #: Number of points read at once.
 _PART = 500_000
+#: Number of points of a block whose ends are stored: one chunk of most writers.
+_CHUNK = 50_000
 #: Number of the record that describes compression; layers of a compressed item by its
 #: kind, and the kind of extra bytes, each of which is a layer.
 _LASZIP, _LAYERS, _BYTES = 22204, {10: 9, 11: 1, 12: 2, 13: 1}, 14
@@ -323,6 +325,21 @@ def _lazrs_error() -> Any:
 
 def read_laz(path: Path, *, most: int) -> Shape:
     """Read a LAS or LAZ file in chunks; return at most `most` of its points."""
+    return _opened(path, lambda file: _points_of(file, most, path.name))
+
+
+def read_laz_box(
+    path: Path, thin: Shape, box: NDArray[np.float64], *, most: int
+) -> Shape:
+    """Further points of a thinned cloud in a box, at most a given number.
+
+    Only blocks of the file whose ends meet the box, shape (2, 3) [m], are read.
+    """
+    return _opened(path, lambda file: _points_in(file, thin, box, most))
+
+
+def _opened(path: Path, read: Callable[[Any], Shape]) -> Shape:
+    """Shape that is read from an open LAS or LAZ file; FormatError if damaged."""
     laspy = _laspy("reading")
     # The error describes the damage; its log would repeat it.
     logging.getLogger("laspy").addHandler(logging.NullHandler())
@@ -331,7 +348,7 @@ def read_laz(path: Path, *, most: int) -> Shape:
     try:
         with laspy.open(path) as file:
             _check_layers(path, file.header)
-            return _points_of(file, most, path.name)
+            return read(file)
     except FormatError:
         raise
     # laspy and lazrs raise whatever they meet; panics of lazrs are no `Exception`.
@@ -407,8 +424,13 @@ def _points_of(file: Any, most: int, name: str) -> Shape:
     total = int(file.header.point_count)
     indices = spread(total, most)
     parts: list[dict[str, NDArray[Any]]] = []
+    ends = []
     first = 0
     for part in file.chunk_iterator(_PART):
+        if total > most:
+            ends += [
+                _ends(part[at : at + _CHUNK]) for at in range(0, len(part), _CHUNK)
+            ]
         chosen = indices[(indices >= first) & (indices < first + len(part))] - first
         first += len(part)
         parts.append(_columns_of(part[chosen]))
@@ -417,7 +439,50 @@ def _points_of(file: Any, most: int, name: str) -> Shape:
             f"{name} says that it has {total} points, and has {first}; it is empty or "
             "was not copied whole"
         )
-    columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    shape = _shape_of(
+        {key: np.concatenate([part[key] for part in parts]) for key in parts[0]},
+        _statements_of(file),
+    )
+    return replace(shape, total=total, ends=np.array(ends) if ends else None)
+
+
+def _ends(part: Any) -> NDArray[np.float64]:
+    """Lowest and highest coordinates of points, shape (2, 3) [m]."""
+    axes = [np.asarray(part[axis]) for axis in "xyz"]
+    return np.array([[side(axis) for axis in axes] for side in (np.min, np.max)])
+
+
+def _points_in(file: Any, thin: Shape, box: NDArray[np.float64], most: int) -> Shape:
+    assert thin.ends is not None
+    drawn = spread(thin.total, len(thin.position))
+    meets = (thin.ends[:, 0] <= box[1]) & (thin.ends[:, 1] >= box[0])
+    rng = np.random.default_rng(3)
+    found: dict[str, NDArray[Any]] = {}
+    for block in np.flatnonzero(meets.all(axis=1)):
+        first = int(block) * _CHUNK
+        file.seek(first)
+        part = file.read_points(_CHUNK)
+        place = np.stack([np.asarray(part[axis]) for axis in "xyz"], axis=1)
+        inside = ((place >= box[0]) & (place <= box[1])).all(axis=1)
+        low, high = np.searchsorted(drawn, [first, first + len(part)])
+        inside[drawn[low:high] - first] = False
+        more = _columns_of(part[inside])
+        # The points with the smallest numbers are an even part of all.
+        more["number"] = rng.random(int(inside.sum()))
+        found = {
+            key: np.concatenate([found[key], values]) if found else values
+            for key, values in more.items()
+        }
+        if len(found["number"]) > most:
+            smallest = np.argpartition(found["number"], most)[:most]
+            found = {key: values[smallest] for key, values in found.items()}
+    if not found:
+        found = _columns_of(file.read_points(0))
+    found.pop("number", None)
+    return _shape_of(found, ())
+
+
+def _shape_of(columns: dict[str, NDArray[Any]], statements: Sequence[str]) -> Shape:
     position = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
     colour = None
     if "red" in columns:
@@ -429,19 +494,17 @@ def _points_of(file: Any, most: int, name: str) -> Shape:
         {
             key: values
             for key, values in columns.items()
-            if np.ptp(values) > 0 or key not in _OFTEN_UNUSED
+            if key not in _OFTEN_UNUSED or (values.size and np.ptp(values) > 0)
         }
     )
-    statements = _statements_of(file)
     if unused:
-        statements.append(f"not shown: {', '.join(unused)}")
+        statements = [*statements, f"not shown: {', '.join(unused)}"]
     return Shape(
         position=position,
         scalars=scalars,
         colour=colour if colour is not None and colour.any() else None,
         up=up_of(statements),
         statements=statements,
-        total=total,
     )
 
 

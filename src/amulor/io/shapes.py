@@ -58,6 +58,8 @@ class Shape:
     """Description and provenance lines of the file."""
     total: int = 0
     """Number of points in the file, of which a thinned cloud has only a part."""
+    ends: NDArray[np.float64] | None = None
+    """Lowest and highest coordinates of each block of the file, shape (n, 2, 3) [m]."""
 
 
 def scalars_of(

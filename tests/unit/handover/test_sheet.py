@@ -276,3 +276,10 @@ def test_heights_of_steep_contours_do_not_cover_each_other(tmp_path) -> None:
     ]
     # 9 mm in points of 1/72 inch.
     assert min(apart) > 9 / 25.4 * 72 - 1
+
+
+def test_a_half_profile_without_known_errors_has_no_nan() -> None:
+    from amulor.handover import drawings
+
+    assert drawings._diameter(0.1458, 0.00011) == "145.8 ± 0.11 mm"
+    assert drawings._diameter(0.1458, float("nan")) == "145.8 mm (error not known)"

@@ -88,6 +88,17 @@ async def object_of(request: Request) -> dict[str, Any]:
     return content
 
 
+def box_of(query: dict[str, Any]) -> tuple[list[float], list[float]]:
+    """Low and high corner of a box in a request [m]."""
+    try:
+        corners = np.array([query.get("low"), query.get("high")], dtype=float)
+    except (TypeError, ValueError):
+        corners = np.empty(0)
+    if corners.shape != (2, 3) or not np.isfinite(corners).all():
+        raise CubeError("a box has three finite numbers low and three high [m]")
+    return corners[0].tolist(), corners[1].tolist()
+
+
 def numbers(content: bytes) -> Response:
     """HTTP response with the binary values of a map or of points."""
     return Response(content, media_type="application/octet-stream")
@@ -234,11 +245,19 @@ def space_routes(space: Space) -> list[Any]:
 
         return await explained(answer())
 
+    async def closer(request: Request) -> Response:
+        async def answer() -> Response:
+            low, high = box_of(await object_of(request))
+            return numbers(await run_in_threadpool(space.closer, low, high))
+
+        return await explained(answer())
+
     return [
         Route("/", files.index),
         Route("/static/{name}", files.static),
         Route("/scene", scene),
         Route("/layer/space/{name}", layer),
+        Route("/closer", closer, methods=["POST"]),
         Route("/save", save, methods=["POST"]),
         *notes.routes(),
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from amulor.cube import error_unknown
 from amulor.errors import CubeError, FormatError
 from amulor.io import read_cube
 from amulor.io.e57 import read_e57
-from amulor.io.laz import read_laz
+from amulor.io.laz import read_laz, read_laz_box
 from amulor.io.ply import read_ply
 from amulor.io.shapes import Shape, checked, read_mesh, spread, thinned
 from amulor.io.text_cloud import read_text
@@ -27,6 +27,8 @@ __all__ = ["ENDINGS", "Space", "is_space", "opened"]
 #: Largest number of drawn points, and of drawn triangles [1].
 MOST_POINTS = 4_000_000
 MOST_TRIANGLES = 2_000_000
+#: Largest number of further points of a part that is looked at closely [1].
+MOST_CLOSER = 1_000_000
 _TEXT = (".xyz", ".csv", ".txt", ".asc", ".pts")
 _MESHES = (".stl", ".obj", ".off", ".glb")
 #: Formats that define the unit of length.
@@ -83,6 +85,7 @@ def opened(path: Path, *, unit: float | None = None) -> Space:
         raise FormatError(
             f"{path} cannot be read: {error.strerror or error}"
         ) from error
+    thin = shape
     shape = checked(shape, path.name)
     notes = []
     if shape.faces is not None and len(shape.faces) > MOST_TRIANGLES:
@@ -95,6 +98,8 @@ def opened(path: Path, *, unit: float | None = None) -> Space:
         shape = thinned(shape, spread(len(shape.position), MOST_POINTS))
     space = Space(path.name, shape, notes=notes)
     space.path = path
+    if thin.ends is not None:
+        space.within = lambda box: read_laz_box(path, thin, box, most=MOST_CLOSER)
     return space
 
 
@@ -176,6 +181,9 @@ class Space:
         self.name = name
         #: File of the cloud, or of the site; annotations are kept beside it.
         self.path: Path | None = None
+        #: Function that reads further points in a box, shape (2, 3) [m], of a cloud of
+        #: which only a part is shown; None if the file has none.
+        self.within: Callable[[NDArray[np.float64]], Shape] | None = None
         #: Scans of a site, which the page shows and hides; the number of each point's
         #: scan is in the column "scan".
         self.scans = list(scans)
@@ -195,18 +203,14 @@ class Space:
         self.position = (shape.position[order] - self.centre).astype("<f4")
         self.colour = None if shape.colour is None else shape.colour[order]
         self.scalars = {
-            name: _single(values[order])
-            for name, values in shape.scalars.items()
+            name: values[order]
+            for name, values in _scalars_of(shape).items()
             if np.isfinite(values).any()
         }
         self.up = shape.up
         self._statements = [line for line in shape.statements if line.strip()]
         self._notes = list(notes)
         self._beams = shape.up == "-y"
-        coordinate_errors = {"sigma_x", "sigma_y", "sigma_z"}
-        if "uncertainty" not in self.scalars and coordinate_errors <= set(self.scalars):
-            parts = [self.scalars[name] for name in sorted(coordinate_errors)]
-            self.scalars["uncertainty"] = np.sqrt(sum(p**2 for p in parts))
 
     @property
     def layers(self) -> list[dict[str, str]]:
@@ -237,6 +241,32 @@ class Space:
             return np.ascontiguousarray(self.scalars[name], "<f4").tobytes()
         raise CubeError(f"{self.name} has no numbers {name[:40]!r}")
 
+    def closer(self, low: Sequence[float], high: Sequence[float]) -> bytes:
+        """Further points in a box, from the center of all points [m].
+
+        The bytes are the number of points, their positions, their values in the order
+        of `layers`, and their colors.
+        """
+        if self.within is None:
+            raise CubeError(f"{self.name} is shown whole; it has no further points")
+        box = np.array([low, high]) + self.centre
+        shape = self.within(box)
+        count = len(shape.position)
+        absent = np.full(count, np.nan, dtype="<f4")
+        scalars = _scalars_of(shape)
+        colour = np.zeros((count, 3), "u1") if shape.colour is None else shape.colour
+        return b"".join(
+            [
+                np.uint32(count).astype("<u4").tobytes(),
+                (shape.position - self.centre).astype("<f4").tobytes(),
+                *(
+                    scalars.get(entry["name"], absent).tobytes()
+                    for entry in self.layers
+                ),
+                *([] if self.colour is None else [colour.astype("u1").tobytes()]),
+            ]
+        )
+
     def describe(self) -> dict[str, Any]:
         """Return the description of the cloud, which the page needs before its data."""
         count = len(self.position)
@@ -247,6 +277,7 @@ class Space:
             "mesh": self.faces is not None,
             "points": count,
             "total": self.total,
+            "closer": self.within is not None,
             "triangles": 0 if self.faces is None else len(self.faces),
             "colour": self.colour is not None,
             "centre": self.centre.tolist(),
@@ -275,7 +306,8 @@ class Space:
             notes.insert(
                 0,
                 f"{count:,} of {self.total:,} points are drawn, one of every "
-                f"{math.ceil(self.total / count)}.",
+                f"{math.ceil(self.total / count)}."
+                + (" A closer view loads more points." if self.within else ""),
             )
         unknown = any("error unknown" in line for line in self._statements)
         if "uncertainty" not in self.scalars and not unknown:
@@ -305,6 +337,15 @@ class Space:
         # On a surface, the spacing of a subset grows with the root of the reduction.
         near = float(np.median(away)) * math.sqrt(len(some) / len(points))
         return near or float(np.max(self.size)) / 1000 or 1e-3
+
+
+def _scalars_of(shape: Shape) -> dict[str, NDArray[np.float32]]:
+    """Values of points in 32 bits, the uncertainty of their place among them."""
+    scalars = {name: _single(values) for name, values in shape.scalars.items()}
+    names = ("sigma_x", "sigma_y", "sigma_z")
+    if "uncertainty" not in scalars and set(names) <= set(scalars):
+        scalars["uncertainty"] = np.sqrt(sum(scalars[name] ** 2 for name in names))
+    return scalars
 
 
 def _single(values: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -13,7 +13,8 @@ from starlette.testclient import TestClient
 
 from amulor import imaging, io
 from amulor.cli import main
-from amulor.errors import AmulorError, FormatError
+from amulor.errors import AmulorError, CubeError, FormatError
+from amulor.io import laz
 from amulor.io.shapes import spread
 from amulor.view.page import save_page, space
 
@@ -214,6 +215,100 @@ def test_many_points_are_thinned_evenly_and_the_number_is_said(
     assert_array_equal(np.unique(every // 11), np.arange(92))
     # The same file looks the same again.
     assert_array_equal(space.opened(path).position, shown.position)
+
+
+@pytest.fixture
+def thinned_laz(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """Return 3,000 points along a line with errors, of which 600 are drawn."""
+    import laspy
+
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.full(3, 1e-4)
+    header.add_extra_dim(laspy.ExtraBytesParams(name="uncertainty", type=np.float32))
+    points = laspy.ScaleAwarePointRecord.zeros(3000, header=header)
+    place = np.stack([0.001 * np.arange(3000), np.arange(3000) % 7, np.zeros(3000)], 1)
+    points.x, points.y, points.z = place.T
+    points["uncertainty"] = (1e-3 + 1e-6 * np.arange(3000)).astype(np.float32)
+    with laspy.open(tmp_path / "line.laz", "w", header=header) as file:
+        file.write_points(points)
+    monkeypatch.setattr(space, "MOST_POINTS", 600)
+    monkeypatch.setattr(laz, "_CHUNK", 100)
+    return place
+
+
+def closer(shown: space.Space, low: list[float], high: list[float]) -> np.ndarray:
+    """Return x, y, z and uncertainty of further points in a box of the file."""
+    centre = shown.centre
+    content = shown.closer((np.array(low) - centre), (np.array(high) - centre))
+    count = int(np.frombuffer(content, "<u4", 1)[0])
+    names = [entry["name"] for entry in shown.layers]
+    values = np.frombuffer(content, "<f4", offset=4)
+    assert values.size == count * (3 + len(names))
+    place = values[: 3 * count].reshape(-1, 3) + centre
+    column = values[3 * count :].reshape(len(names), -1)[names.index("uncertainty 2")]
+    return np.column_stack([place, column])
+
+
+def test_a_closer_view_gets_all_further_points_of_its_box(
+    thinned_laz: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = space.opened(tmp_path / "line.laz")
+    assert (len(shown.position), shown.total) == (600, 3000)
+    assert shown.describe()["closer"]
+    assert "closer view loads more" in shown.describe()["notes"][0]
+    drawn = np.round((shown.position + shown.centre)[:, 0] * 1000).astype(int)
+    inside = np.arange(1000, 1251)
+    found = closer(shown, [0.99995, -1, -1], [1.25005, 9, 1])
+    further = np.round(found[:, 0] * 1000).astype(int)
+    assert sorted([*further, *drawn[np.isin(drawn, inside)]]) == inside.tolist()
+    assert_allclose(found[:, 3], 1e-3 + 1e-6 * further, rtol=1e-6)
+    assert_allclose(found[:, 1], further % 7, atol=1e-6)
+    # A budget takes an even part.
+    monkeypatch.setattr(space, "MOST_CLOSER", 300)
+    some = closer(shown, [0, -1, -1], [3, 9, 1])
+    assert len(some) == 300
+    assert abs(np.mean(some[:, 0]) - 1.5) < 4 * (3 / np.sqrt(12)) / np.sqrt(300)
+    assert len(closer(shown, [7, 7, 7], [8, 8, 8])) == 0
+
+
+def test_a_closer_view_reads_only_blocks_of_its_box(
+    thinned_laz: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import laspy
+
+    shown = space.opened(tmp_path / "line.laz")
+    read = []
+    original = laspy.LasReader.read_points
+    monkeypatch.setattr(
+        laspy.LasReader,
+        "read_points",
+        lambda self, count: read.append(count) or original(self, count),
+    )
+    closer(shown, [0.99995, -1, -1], [1.25005, 9, 1])
+    assert read == [100, 100, 100]
+
+
+def test_a_box_that_makes_no_sense_is_answered_in_words(
+    thinned_laz: np.ndarray, tmp_path: Path, served: Callable[..., TestClient]
+) -> None:
+    client = served(space.opened(tmp_path / "line.laz"))
+    for box in ({}, {"low": [0, 0], "high": [1, 1]}, {"low": ["a"], "high": 3},
+                {"low": [0, 0, 0], "high": [1, 1, None]}):  # fmt: skip
+        answer = client.post(f"/{TOKEN}/closer", json=box)
+        assert answer.status_code == 422
+        assert "three finite numbers" in answer.json()["error"]
+    good = {"low": [-9, -9, -9], "high": [9, 9, 9]}
+    content = client.post(f"/{TOKEN}/closer", json=good).content
+    assert int(np.frombuffer(content, "<u4", 1)[0]) == 2400
+
+
+def test_a_cloud_shown_whole_has_no_further_points(
+    written: Callable[[str], Path],
+) -> None:
+    shown = space.opened(written(".laz"))
+    assert not shown.describe()["closer"]
+    with pytest.raises(CubeError, match="shown whole"):
+        shown.closer([0, 0, 0], [1, 1, 1])
 
 
 @pytest.mark.parametrize("some", [100_000, 300], ids=["all", "some"])

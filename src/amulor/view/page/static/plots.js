@@ -408,7 +408,7 @@ export function drawHistogram(canvas, state, colours) {
     view.ctx.fillStyle = colours.soft;
     view.ctx.textAlign = "right";
     view.ctx.textBaseline = "top";
-    view.ctx.fillText(beside, frame.box.right, frame.box.top - 4);
+    view.ctx.fillText(beside, frame.box.right, 0);
   }
 }
 

@@ -52,6 +52,10 @@ class Served {
     return (await this.#post("save", { measurements, limits })).blob();
   }
 
+  async closer(box) {
+    return (await this.#post("closer", box)).arrayBuffer();
+  }
+
   /** Return the saved views and annotations. */
   async notes() {
     return (await this.#answer("notes")).json();
@@ -209,6 +213,14 @@ export class SpaceSource {
       ? (await unpacked(`layer/space/${name}`, Kind.BYTES_PER_ELEMENT)).buffer
       : await this.#served.bytes("space", name);
     return new Kind(buffer);
+  }
+
+  /**
+   * Return further points of the file in a box: bytes of their number, positions and values.
+   * @param {{low: number[], high: number[]}} box
+   */
+  closer(box) {
+    return this.#served.closer(box);
   }
 
   page(measurements, limits) {

@@ -1,6 +1,7 @@
 // Page of a point cloud or mesh: colors, picks, and lengths with error bounds.
 
 import { Camera, extent, multiplied, projected } from "./camera.js";
+import { Closer, unpackedPoints } from "./closer.js";
 import { flagRanks, flagTable } from "./colour.js";
 import { $, inkOf, made, over, ratioOf, spotOn } from "./dom.js";
 import { limitsKey } from "./limits.js";
@@ -22,6 +23,8 @@ import { Motion, Pace, turnable } from "./turning.js";
 const MOVING = 400000;
 /** Largest number of points with which a moving pointer is compared. */
 const HOVERED = 250000;
+/** Depth of the part that gets further points, in distances of the camera. */
+const NEAR = 2;
 const TOOLS = [
   { kind: "distance", name: "distance", hint: "Pick two points." },
   { kind: "height", name: "height", hint: "Pick the lower point, then the upper one." },
@@ -73,6 +76,7 @@ const notes = new Notes(state.source, {
   changed: () => page.redraw(),
 });
 const motion = new Motion(() => page.redraw());
+const closer = new Closer(extended);
 const pace = new Pace(MOVING, { fewest: 50000, most: 4000000 });
 let renderer;
 let context;
@@ -154,7 +158,7 @@ function look(canvas) {
   const focal = shrinks
     ? canvas.height / 2 / Math.tan(Camera.ANGLE / 2)
     : canvas.height / camera.span();
-  const size = state.scene.spacing * 1.5 * 1.13 ** Number($("dot").value);
+  const size = state.scene.spacing * closer.spacing * 1.5 * 1.13 ** Number($("dot").value);
   return { matrix, shrinks, dot: size * focal };
 }
 
@@ -200,6 +204,45 @@ function draw() {
   if (!motion.busy) drawHistogram($("histogram"), state, page.colours);
   canvas.dataset.layer = by;
   document.documentElement.dataset.ready = "yes";
+  if (scene.closer && !state.source.saved && !motion.busy) lookCloser(now.matrix).catch(failed);
+}
+
+/** Request further points of the part in view; the numbers of picked points stay. */
+async function lookCloser(matrix) {
+  const { whole, points } = state.scene;
+  if (state.picks.length) return;
+  // Far behind the middle of the view the drawn points are dense enough.
+  const reach = camera.orthographic ? Infinity : NEAR * camera.distance;
+  if (await closer.look(whole, points, matrix, reach)) page.redraw();
+}
+
+/** Add points of the file in a box to those of the whole cloud; return their number. */
+async function extended(box) {
+  const { scene } = state;
+  const names = scene.layers.map(({ name }) => name);
+  const more = unpackedPoints(await state.source.closer(box), names, scene.colour);
+  const joined = (all, added, parts = 1) => {
+    const few = all.subarray(0, parts * scene.points);
+    const out = new all.constructor(few.length + added.length);
+    out.set(few);
+    out.set(added, few.length);
+    return out;
+  };
+  scene.whole = joined(scene.whole, more.position, 3);
+  scene.position = scene.whole;
+  scene.own = joined(scene.own, more.colour ?? new Uint8Array(3 * more.count), 3);
+  for (const name of names) {
+    scene.numbers[name] = joined(scene.numbers[name], more.numbers[name]);
+    scene.maps.get(name).values = scene.numbers[name];
+  }
+  scene.maps.set("height", heights());
+  renderer.keep(scene.position, null);
+  renderer.own(scene.own);
+  valued(scene.maps.get(state.layerName));
+  // Numbers of added points belong to others now.
+  state.picks = [];
+  if (state.cursor && state.cursor.corners[0] >= scene.points) state.cursor = null;
+  return more.count;
 }
 
 /** Draw the overlay for the point under the pointer. */
@@ -253,9 +296,9 @@ function cross(canvas, ratio) {
 }
 
 function home() {
-  const { whole: position } = state.scene;
+  const { whole: position, points } = state.scene;
   const some = sampled(
-    Array.from({ length: position.length / 3 }, (_, i) => i),
+    Array.from({ length: points }, (_, i) => i),
     6000,
   )
     .map((i) => turned(position.subarray(3 * i, 3 * i + 3)))
@@ -299,6 +342,11 @@ function limitsOf({ layer, values }) {
   return [low - room, high + room];
 }
 
+/** Store the displayed values of all points on the graphics card. */
+function valued({ layer, values }) {
+  renderer.numbers(layer.kind === "flags" ? flagRanks(values, state.scene.flags) : values);
+}
+
 function show(name) {
   const { scene } = state;
   by = name;
@@ -308,7 +356,7 @@ function show(name) {
     state.limits = limitsOf(map);
     const flags = map.layer.kind === "flags";
     renderer.colours(flags ? flagTable(scene.flags, "#2c7f62") : state.tables[map.layer.kind]);
-    renderer.numbers(flags ? flagRanks(map.values, scene.flags) : map.values);
+    valued(map);
     $("legend").hidden = !flags;
     if (flags) showLegend(map.values, scene.flags);
   } else $("legend").hidden = true;
@@ -590,11 +638,10 @@ async function loaded() {
   scene.faces = scene.mesh ? await source.numbers("faces", Uint32Array) : null;
   scene.whole = scene.position;
   renderer.keep(scene.position, scene.faces);
-  renderer.own(
-    scene.colour
-      ? await source.numbers("colour", Uint8Array)
-      : new Uint8Array(scene.position.length),
-  );
+  scene.own = scene.colour
+    ? await source.numbers("colour", Uint8Array)
+    : new Uint8Array(scene.position.length);
+  renderer.own(scene.own);
   state.scene = scene;
   state.up = scene.up;
   $("up").value = scene.up;
