@@ -128,6 +128,8 @@ async def explained(answer: Awaitable[Response]) -> Response:
         return await answer
     except (AmulorError, ValueError) as error:
         return JSONResponse({"error": str(error)}, status_code=422)
+    except asyncio.CancelledError:  # the server ends before the answer is there
+        return JSONResponse({"error": "the server has ended"}, status_code=503)
 
 
 async def follow(live: Live, socket: WebSocket) -> None:
