@@ -182,7 +182,8 @@ def test_the_e57_file_has_all_scans_and_their_poses(
 
 def test_the_report_draws_the_site(folder: Path) -> None:
     text = (folder / "site.html").read_text()
-    assert text.count("data:image/png") == 4
+    # Plan, ellipses, points, change, and the maps and histograms of residuals.
+    assert text.count("data:image/png") == 6
     # Network: nine start poses of six components, and the errors that scans share.
     assert ">start positions</td><td>27</td>" in text
     assert ">start attitudes</td><td>27</td>" in text
