@@ -40,6 +40,7 @@ exclude_patterns = [
     # Parts of other pages.
     "gallery/ricci2010-discussion.md",
     "reference/presets-where.md",
+    "trust/benchmark-tables.md",
 ]
 suppress_warnings = [
     "config.cache",

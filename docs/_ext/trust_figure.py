@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from amulor.studies.benchmark import figure as benchmark_figure
+from amulor.studies.benchmark import scenes as public
+from amulor.studies.benchmark import summary
+from amulor.studies.benchmark import table as benchmark_table
 from amulor.studies.trust import instrument
 from amulor.studies.trust.table import TWO, Written, written
 from amulor.view.style import COLOURS, new_figure, style
@@ -20,6 +24,9 @@ TABLE = "trust/default.txt"
 DRAWN = "trust/intervals.svg"
 INSTRUMENT_TABLE = "trust/instrument.txt"
 INSTRUMENT_DRAWN = "trust/instrument.svg"
+BENCHMARK_TABLE = "trust/benchmark.csv"
+BENCHMARK_DRAWN = "trust/benchmark.svg"
+BENCHMARK_PAGE = "trust/benchmark-tables.md"
 
 #: Kinds of scenes, from top to bottom of the figure.
 KINDS = {
@@ -186,6 +193,11 @@ def draw(app: Sphinx) -> None:
     table = (folder / INSTRUMENT_TABLE).read_text(encoding="utf-8")
     drawn = instrument_figure(instrument.written(table))
     drawn.savefig(folder / INSTRUMENT_DRAWN, metadata={"Date": None})
+    compared = benchmark_table.read(folder / BENCHMARK_TABLE)
+    drawn = benchmark_figure.figure(compared)
+    drawn.savefig(folder / BENCHMARK_DRAWN, metadata={"Date": None})
+    tables = summary.page(compared, public.read(), figure="benchmark.svg")
+    (folder / BENCHMARK_PAGE).write_text(tables, encoding="utf-8")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

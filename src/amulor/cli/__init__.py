@@ -157,6 +157,10 @@ COMMANDS = {
         "Write the archive folder of a project, or check one.",
     ),
     "report": ("report:report", "Write a report of range images in one HTML file."),
+    "benchmark": (
+        "benchmark:benchmark",
+        "Compare the rejection methods on public scenes with known ranges.",
+    ),
     "reproduce ricci2010": (
         "reproduce:ricci2010",
         "Redraw the figures of Ricci et al. 2010 and check their statements.",
@@ -183,7 +187,7 @@ TOPICS = {
         "run", "site check", "site register", "site merge", "site compare",
         "site report", "site drawings", "site schema",
     ),
-    "learn": ("demo", "samples", "reproduce ricci2010", "warm-up"),
+    "learn": ("demo", "samples", "benchmark", "reproduce ricci2010", "warm-up"),
 }  # fmt: skip
 #: An example of each command, and the usual next one.
 EXAMPLES = {
@@ -295,6 +299,7 @@ EXAMPLES = {
     "site schema": ("amulor site schema > site.json", "amulor site check"),
     "demo": ("amulor demo", "amulor samples"),
     "samples": ("amulor samples ladder", "amulor reject"),
+    "benchmark": ("amulor benchmark --quick -o benchmark", ""),
     "reproduce ricci2010": ("amulor reproduce ricci2010 --quick", ""),
     "warm-up": ("amulor warm-up", ""),
 }

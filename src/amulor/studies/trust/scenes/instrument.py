@@ -38,10 +38,13 @@ _SHOTS = "open_water_"
 class Recorded:
     """Simulated samples and open-water references, without instrument errors."""
 
-    def __init__(self, count: int, seed: int) -> None:
+    def __init__(
+        self, count: int, seed: int, *, cube: xr.Dataset | None = None
+    ) -> None:
         self.count, self.seed = count, seed
-        self.survey = survey(count, _TARGET)
-        cube = simulate(self.survey, rng=seed)
+        if cube is None:
+            cube = simulate(survey(count, _TARGET), rng=seed)
+        self.survey = cube.amulor.survey
         # Half of the repeats in each direction are recorded after the scan.
         repeats = self.survey.scan.open_water.repeats  # type: ignore[union-attr]
         order = np.arange(cube.sizes["shot"]).reshape(-1, repeats)
@@ -547,9 +550,7 @@ def _case(
     phase_uncertainty: float | None = None,
     demodulator: Literal["analog"] | None = None,
 ) -> Case:
-    case = case_of(
-        _with(_with(recorded.cube, scan), shots, _SHOTS), interval=around(_DISTANCE)
-    )
+    case = case_of(with_outputs(recorded.cube, scan, shots), interval=around(_DISTANCE))
     believed = case.samples.amulor.survey
     instrument = believed.instrument.model_copy(
         update={
@@ -570,6 +571,11 @@ def _outputs(cube: xr.Dataset, prefix: str = "") -> Complex:
         cube[f"{prefix}in_phase"].values + 1j * cube[f"{prefix}quadrature"].values
     )
     return signal
+
+
+def with_outputs(cube: xr.Dataset, scan: Complex, shots: Complex) -> xr.Dataset:
+    """Return a cube with replaced lock-in outputs of scan and references."""
+    return _with(_with(cube, scan), shots, _SHOTS)
 
 
 def _with(cube: xr.Dataset, signal: Complex, prefix: str = "") -> xr.Dataset:

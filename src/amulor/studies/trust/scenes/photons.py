@@ -124,8 +124,8 @@ def photon_water(
     empty = _light(planned, light.open_water[:, None], chosen, haze, (number,))
     dark = Light(np.zeros_like(empty.modulated), np.zeros_like(empty.mean))
     rng, setup = np.random.default_rng(seed), Setup(planned)
-    samples = _with_samples(frame, "", lock_in.sample(setup, target, water, rng=rng))
-    samples = _with_samples(
+    samples = with_samples(frame, "", lock_in.sample(setup, target, water, rng=rng))
+    samples = with_samples(
         samples, "open_water_", lock_in.sample(setup, dark, empty, rng=rng)
     )
     # Out straight ahead, back to the receiver beside the emitter.
@@ -183,9 +183,7 @@ def _light(
     )
 
 
-def _with_samples(
-    cube: xr.Dataset, prefix: str, samples: lock_in.Samples
-) -> xr.Dataset:
+def with_samples(cube: xr.Dataset, prefix: str, samples: lock_in.Samples) -> xr.Dataset:
     """Return a cube with replaced lock-in outputs and stated errors."""
     values: dict[str, Floats] = {
         "in_phase": samples.signal.real,

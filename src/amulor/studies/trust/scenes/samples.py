@@ -40,9 +40,16 @@ def _true(samples: xr.Dataset, which: str) -> Complex:
     return _measured(samples, f"truth_{which}_")
 
 
-def spikes(count: int, seed: int, *, fraction: float = 0.03) -> Case:
+def spikes(count: int, seed: int) -> Case:
     """Simulate a plate, and add spikes of 5 to 50 standard errors to some samples."""
     samples = simulate(survey(count, _TARGET), rng=seed)
+    return case_of(with_spikes(samples, seed), interval=around(2.6))
+
+
+def with_spikes(
+    samples: xr.Dataset, seed: int, *, fraction: float = 0.03
+) -> xr.Dataset:
+    """Return samples with spikes of 5 to 50 standard errors in a fraction of them."""
     rng = np.random.default_rng(seed + 1000)
     signal = _measured(samples)
     hit = rng.random(signal.shape) < fraction
@@ -52,28 +59,39 @@ def spikes(count: int, seed: int, *, fraction: float = 0.03) -> Case:
     )
     size = noise * rng.uniform(5, 50, signal.shape)
     turn = np.exp(2j * np.pi * rng.random(signal.shape))
-    return case_of(
-        _with(samples, signal + np.where(hit, size * turn, 0)), interval=around(2.6)
-    )
+    return _with(samples, signal + np.where(hit, size * turn, 0))
 
 
-def particles(count: int, seed: int, *, fraction: float = 0.04) -> Case:
-    """Simulate a plate, with a bright particle in front in some samples.
-
-    A particle stands anywhere between 0.8 m and the plate and sends back a tenth to
-    half of what the plate sends; it moves on before the next frequency is measured,
-    and both channels, which are measured one after the other, see another one.
-    """
+def particles(count: int, seed: int) -> Case:
+    """Simulate a plate, with a bright particle in front in some samples."""
     samples = simulate(survey(count, _TARGET), rng=seed)
+    changed = with_particles(samples, seed, nearest=0.8, farthest=2.3)
+    return case_of(changed, interval=around(2.6))
+
+
+def with_particles(
+    samples: xr.Dataset,
+    seed: int,
+    *,
+    nearest: float,
+    farthest: float,
+    fraction: float = 0.04,
+) -> xr.Dataset:
+    """Return samples with a bright particle in front of the target in some of them.
+
+    A particle is between the two distances [m] and sends back a tenth to half of the
+    target's light. It moves on before the next sample, so each frequency and channel
+    has other particles.
+    """
     rng = np.random.default_rng(seed + 2000)
     signal = _measured(samples)
     echo = np.abs(_true(samples, "target"))
-    distance = rng.uniform(0.8, 2.3, signal.shape)
+    distance = rng.uniform(nearest, farthest, signal.shape)
     frequency = samples["modulation_frequency"].values[:, None, None, None]
     turn = np.exp(4j * np.pi * frequency * 1.38 * distance / speed_of_light)
     hit = rng.random(signal.shape) < fraction
     add = echo * rng.uniform(0.1, 0.5, signal.shape) * turn
-    return case_of(_with(samples, signal + np.where(hit, add, 0)), interval=around(2.6))
+    return _with(samples, signal + np.where(hit, add, 0))
 
 
 def mixed(count: int, seed: int, *, gap: float) -> Case:
@@ -115,13 +133,18 @@ def late_instrument(count: int, seed: int, *, delay: float = 1e-10) -> Case:
 def understated_noise(count: int, seed: int, *, factor: float = 2.0) -> Case:
     """Simulate a plate, with all stated errors too small by a factor."""
     samples = simulate(survey(count, _TARGET), rng=seed)
+    return case_of(with_understated_noise(samples, factor), interval=around(2.6))
+
+
+def with_understated_noise(samples: xr.Dataset, factor: float) -> xr.Dataset:
+    """Return samples whose stated errors are too small by a factor."""
     smaller = {}
     for name in samples.data_vars:
         if str(name).endswith("_uncertainty"):
             smaller[name] = samples[name].copy(data=samples[name].values / factor)
         elif str(name).endswith("covariance"):
             smaller[name] = samples[name].copy(data=samples[name].values / factor**2)
-    return case_of(samples.assign(smaller), interval=around(2.6))
+    return samples.assign(smaller)
 
 
 def changed_water(count: int, seed: int, *, change: float = 0.05) -> Case:
@@ -134,9 +157,15 @@ def changed_water(count: int, seed: int, *, change: float = 0.05) -> Case:
 def drift(count: int, seed: int, *, change: float) -> Case:
     """Simulate a plate in water whose signal drifts between open-water references."""
     samples = simulate(survey(count, _TARGET), rng=seed)
+    return case_of(with_drift(samples, change, repeats=10), interval=around(2.6))
+
+
+def with_drift(samples: xr.Dataset, change: float, *, repeats: int) -> xr.Dataset:
+    """Return samples whose water signal grows by a fraction during the scan.
+
+    Half of the repeats of each reference are recorded before the scan, half after it.
+    """
     shots = samples.sizes["shot"]
-    # Half of the repeats in each direction before the scan, half after it.
-    repeats = 10
     order = np.arange(shots).reshape(-1, repeats)
     before, after = order[:, : repeats // 2].ravel(), order[:, repeats // 2 :].ravel()
     samples = samples.isel(shot=np.concatenate([before, after]))
@@ -145,4 +174,4 @@ def drift(count: int, seed: int, *, change: float) -> Case:
     rows, columns = samples.sizes["row"], samples.sizes["column"]
     time = np.linspace(0, 1, rows * columns).reshape(rows, columns)
     signal = _measured(samples) + change * time * _true(samples, "water")
-    return case_of(_with(samples, signal), interval=around(2.6))
+    return _with(samples, signal)

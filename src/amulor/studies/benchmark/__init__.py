@@ -1,0 +1,1 @@
+"""Benchmark of the rejection methods on public scenes with known ranges."""
