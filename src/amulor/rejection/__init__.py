@@ -28,6 +28,7 @@ from amulor.rejection.polarization import (
     stokes_vectors,
     unmix_stokes,
 )
+from amulor.rejection.range_profile import range_profile
 from amulor.rejection.ratios import Ratio, target_ratio, water_ratio
 from amulor.rejection.reference.attach import with_open_water
 
@@ -61,6 +62,7 @@ __all__ = [
     "open_water",
     "phasor_lines",
     "polarization",
+    "range_profile",
     "reject",
     "split_scattering",
     "stokes_vectors",

@@ -1,0 +1,288 @@
+"""Strongest surface of a stepped-frequency range profile, without water and others."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from amulor import cube as cubes
+from amulor.cube import QualityFlag
+from amulor.cube.schema import WaterResidualCause
+from amulor.errors import CubeError
+from amulor.optics import range_profile as profiles
+from amulor.rejection import quality
+from amulor.rejection.build import target_cube
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.methods import method
+from amulor.rejection.observation import Observation
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Frequencies that a profile with water and a surface needs.
+_FEWEST = 5
+#: Departure from the model, over its assumed error, that is a misfit [1].
+_MISFIT = 2.0
+#: Parts of the strongest amplitude: an echo is a second surface beyond it [1].
+_SECOND = 0.05
+
+
+@dataclass(frozen=True)
+class _Beam:
+    """Result of one beam in one channel."""
+
+    target: Complex
+    """Samples without water and other surfaces, shape (frequencies,) [V]."""
+    variance: Floats
+    """Variance of each output, shape (frequencies,) [V^2]."""
+    count: int
+    """Number of surfaces."""
+    misfit: bool
+    """Whether the samples depart from the model by more than its error."""
+
+
+@method("range-profile")
+def range_profile(
+    cube: xr.Dataset,
+    *,
+    interval: tuple[float, float] | None = None,
+    most: int = 3,
+    model_error: float = 0.01,
+) -> xr.Dataset:
+    r"""Separate the strongest surface of each beam by its range profile.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, with five or more modulation frequencies. Open-water shots give
+        the shape of the water signal. Without them the method is right only at
+        frequencies far above the cut-off of the water.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m]. By default the
+        unambiguous span of the frequencies.
+    most : int
+        Largest number of surfaces in a beam.
+    model_error : float
+        Standard uncertainty of the model at each frequency, relative to the sample:
+        gains of the frequencies, and scattering, which weakens high frequencies [1].
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `target_signal`. The signal is that of the strongest surface.
+
+        - `NO_TARGET`: no surface is significant.
+        - `MIXED`: the beam meets several surfaces.
+        - `WATER_RESIDUAL` with the cause `MODEL_MISFIT`: the samples depart from
+          water and surfaces by more than the error of the model.
+
+    Raises
+    ------
+    CubeError
+        If there are fewer than five frequencies, or the interval is longer than the
+        unambiguous span.
+    ValueError
+        If an argument is out of range.
+
+    Notes
+    -----
+    The model of a beam is that of `optics.range_profile.surfaces`,
+
+    .. math:: S(f_k) = \sum_j a_j e^{4 \pi i f_k z_j / v} + c\, W(f_k),
+
+    with the mean open-water signal W, amplitudes :math:`a_j > 0` and a factor c of the
+    beam. The water behind the target is not cut off: a short column and its water are
+    distinguished at frequencies where W is small, as in frequency-domain reflectometry
+    [1]_. The stated variance of the signal is larger than that of the samples, so that
+    its range has the uncertainty of the fit of all parameters.
+
+    References
+    ----------
+    .. [1] D. W. Illig et al., "Statistical backscatter suppression technique for a
+       wideband hybrid lidar-radar ranging system" (2014).
+
+    Examples
+    --------
+    A plate in milky water, measured from 100 MHz to 1 GHz:
+
+    >>> import amulor
+    >>> from amulor import imaging, rejection
+    >>> frequencies = [f"{100 + 50 * k} MHz" for k in range(19)]
+    >>> survey = amulor.Survey.preset("amulor-2010").with_(
+    ...     {
+    ...         "instrument.modulation_frequencies": frequencies,
+    ...         "scan.rows": 1,
+    ...         "scan.columns": 3,
+    ...     }
+    ... )
+    >>> cube = amulor.simulate(survey, rng=1)
+    >>> target = rejection.range_profile(cube, interval=(0.5, 2.4))
+    >>> image = imaging.range_image(target, polarization="VH", interval=(0.5, 2.4))
+    >>> error = image["slant_range"].values - cube.amulor.truth["slant_range"].values
+    >>> bool((abs(error) < 3 * image["slant_range_uncertainty"].values).all())
+    True
+    """
+    if most < 1 or not model_error > 0:
+        raise ValueError(
+            f"most must be 1 or more and model_error above 0, got {most} and "
+            f"{model_error:g}"
+        )
+    scan = Observation(cube=cubes.checked(cube, "samples"))
+    index = float(scan.cube["geometry"].attrs["group_index"])
+    places = _places(scan.frequency, index, interval)
+    water, fluctuation, common = _open_water(scan)
+    shape = scan.signal.shape
+    target = np.full(shape, np.nan, dtype=complex)
+    variance = np.full(shape, np.nan)
+    flag, cause = np.zeros(shape, dtype=np.int16), np.zeros(shape, dtype=np.int8)
+    for channel, row, column in np.ndindex(shape[1:]):
+        at = (slice(None), channel, row, column)
+        if not scan.usable[at].all():
+            continue
+        stated = np.maximum(
+            scan.covariance.in_phase[at], scan.covariance.quadrature[at]
+        )
+        of_model = (model_error * np.abs(scan.signal[at])) ** 2
+        beam = _separated(
+            scan.signal[at],
+            np.sqrt(stated + fluctuation[:, channel] + of_model),
+            None if water is None else water[:, channel],
+            frequency=scan.frequency,
+            group_index=index,
+            interval=places,
+            most=most,
+        )
+        target[at], variance[at] = beam.target, beam.variance
+        if beam.count == 0:
+            flag[at] |= QualityFlag.NO_TARGET
+        if beam.misfit:
+            cause[at] |= WaterResidualCause.MODEL_MISFIT
+    errors = Covariance(variance, variance, np.zeros(shape))
+    shared = None if common is None else _over_pixels(common, shape)
+    result = target_cube(
+        scan.cube,
+        target,
+        errors if shared is None else errors + shared,
+        common=shared,
+        water_signal=scan.signal - target,
+        step=f"reject, range profile with up to {most} surfaces",
+        frequencies_share_errors=np.int32(0),
+    )
+    result = quality.add_water_residual(result, cause)
+    result["quality_flag"] = result["quality_flag"].copy(
+        data=result["quality_flag"].values | flag
+    )
+    return result
+
+
+def _places(
+    frequency: Floats, group_index: float, interval: tuple[float, float] | None
+) -> tuple[float, float]:
+    """Return the searched slant ranges [m]; CubeError if they repeat."""
+    if np.unique(frequency).size < _FEWEST:
+        raise CubeError(
+            f"a range profile needs {_FEWEST} modulation frequencies or more, got "
+            f"{np.unique(frequency).size}; use another method"
+        )
+    span = profiles.unambiguous_span(
+        modulation_frequency=frequency, group_index=group_index
+    )
+    if interval is None:
+        return 0.0, span
+    nearest, farthest = interval
+    if farthest - nearest > span:
+        raise CubeError(
+            f"the interval of {farthest - nearest:.3g} m is longer than the "
+            f"unambiguous span of the frequencies, {span:.3g} m; state a shorter "
+            "interval"
+        )
+    return nearest, farthest
+
+
+def _open_water(
+    scan: Observation,
+) -> tuple[Complex | None, Floats, Covariance | None]:
+    """Return the mean open-water signal, its fluctuation, and the mean's covariance.
+
+    Arrays over (frequency, channel). The fluctuation of the water is a variance of each
+    output: the scatter of the references beyond their stated noise.
+    """
+    nothing = np.zeros(scan.signal.shape[:2])
+    if scan.shots is None:
+        return None, nothing, None
+    signal = scan.shots.signal
+    count = signal.shape[2]
+    mean = signal.mean(axis=2)
+    if count < 2:
+        return mean, nothing, None
+    spread = signal - mean[:, :, None]
+    scale = 1 / (count * (count - 1))
+    common = Covariance(
+        scale * np.sum(spread.real**2, axis=2),
+        scale * np.sum(spread.imag**2, axis=2),
+        scale * np.sum(spread.real * spread.imag, axis=2),
+    )
+    stated = scan.shots.covariance
+    fluctuation = [
+        count * scattered - noise.mean(axis=2)
+        for scattered, noise in (
+            (common.in_phase, stated.in_phase),
+            (common.quadrature, stated.quadrature),
+        )
+    ]
+    return mean, np.maximum(0.0, np.maximum(*fluctuation)), common
+
+
+def _over_pixels(errors: Covariance, shape: tuple[int, ...]) -> Covariance:
+    return Covariance(
+        *(
+            np.broadcast_to(part[:, :, None, None], shape).copy()
+            for part in vars(errors).values()
+        )
+    )
+
+
+def _separated(
+    signal: Complex,
+    error: Floats,
+    water: Complex | None,
+    *,
+    frequency: Floats,
+    group_index: float,
+    interval: tuple[float, float],
+    most: int,
+) -> _Beam:
+    """Return the strongest surface of a beam, without water and other surfaces."""
+    found = profiles.surfaces(
+        signal,
+        standard_uncertainty=error,
+        modulation_frequency=frequency,
+        group_index=group_index,
+        interval=interval,
+        water_signal=water,
+        most=most,
+    )
+    wave = 4 * math.pi * frequency * group_index / speed_of_light
+    echoes = found.amplitude * np.exp(1j * np.outer(wave, found.slant_range))
+    rest = signal - echoes.sum(axis=1)
+    if water is not None:
+        size = np.sum(np.abs(water / error) ** 2)
+        rest = rest - water * float(
+            np.sum((water.conj() * rest).real / error**2) / size
+        )
+    # Echo, its place and the water are fitted.
+    freedom = 2 * frequency.size - 2 * found.amplitude.size - (water is not None)
+    misfit = float(np.sum(np.abs(rest / error) ** 2)) > _MISFIT**2 * max(freedom, 1)
+    if not found.amplitude.size:
+        return _Beam(rest, error**2, 0, misfit)
+    strongest = int(found.amplitude.argmax())
+    target = rest + echoes[:, strongest]
+    alone = np.sum((wave * np.abs(target) / error) ** 2)
+    scale = max(1.0, float(found.covariance[strongest, strongest] * alone))
+    second = found.amplitude > _SECOND * found.amplitude[strongest]
+    return _Beam(target, scale * error**2, int(second.sum()), misfit)
