@@ -340,6 +340,7 @@ def test_a_plan_without_open_water_is_noted(
             ],
             '"warm" into float',
         ),
+        (["benchmark", "--scenes", "nowhere"], "there is no scene 'nowhere'"),
         (["reproduce", "ricci2010", "--figure", "one"], '"one" into int'),
         (
             ["reproduce", "ricci2010", "--figure", "2"],
@@ -509,6 +510,7 @@ def test_wrong_use_ends_with_2_and_one_line(
         ["archive", "--check", "none"],
         ["view", "none.nc"],
         ["watch", "none"],
+        ["benchmark", "--scenes", "none.toml"],
         ["profile", "none.nc", "--pixel", "1,1"],
         ["explain", "nonesuch"],
         ["samples", "ladder", "-o", "no/where"],

@@ -256,6 +256,7 @@ def wrong(cube):
 """
 
 
+@pytest.mark.study
 def test_a_method_of_another_package_is_in_the_same_table(tmp_path: Path) -> None:
     packages = tmp_path / "packages"
     info = packages / "other-1.0.dist-info"
