@@ -354,8 +354,8 @@ class DwellReader:
             return begin, self._dwell
         if self._filter_is_known:
             return begin, duration
-        # A reading is a mean over about one time constant before it.
-        return begin - self._constant, duration + self._constant
+        # The output of one pole is a time constant late: the mean over two.
+        return begin - 2 * self._constant, duration + 2 * self._constant
 
     def _signals(
         self,

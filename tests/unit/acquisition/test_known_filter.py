@@ -186,9 +186,10 @@ def _reader(**fields) -> SimpleNamespace:
 def test_readings_stand_for_the_time_before_them() -> None:
     window = DwellReader._window
     # A known filter gives the input between the readings; an unknown one the mean over
-    # about a time constant before each; a digitizer records the whole dwell.
+    # two time constants before each, as one pole is one late; a digitizer records the
+    # whole dwell.
     assert window(_reader(), 10.0, 1.0) == (10.0, 1.0)
-    assert window(_reader(_filter_is_known=False), 10.0, 1.0) == (9.5, 1.5)
+    assert window(_reader(_filter_is_known=False), 10.0, 1.0) == (9.0, 2.0)
     assert window(_reader(_records=True), 10.0, 1.0) == (10.0, 2.0)
 
 
