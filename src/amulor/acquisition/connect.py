@@ -7,22 +7,31 @@ import json
 from collections.abc import Callable
 from typing import Any, Protocol, cast
 
+from amulor.acquisition import plan
 from amulor.acquisition.clock import Clock, RealClock, VirtualClock
 from amulor.acquisition.devices import Devices
 from amulor.acquisition.drivers import chosen
+from amulor.acquisition.drivers.nmea import NmeaNavigation
 from amulor.acquisition.drivers.ophyd_async import OphydLaser
 from amulor.acquisition.drivers.pi_gcs import PiTargetStage
 from amulor.acquisition.drivers.scpi import ScpiLaser
 from amulor.acquisition.links.exclusive import hold
 from amulor.acquisition.links.lines import linked, open_link
-from amulor.acquisition.protocols import Laser, LockIn, Shutter, TargetStage
+from amulor.acquisition.protocols import (
+    Laser,
+    LockIn,
+    Navigation,
+    Shutter,
+    TargetStage,
+)
 from amulor.acquisition.settings import Settings, ShutterSettings, TargetSettings
 from amulor.acquisition.settings.parts import LaserSettings
-from amulor.acquisition.simulated.bench import Bench
+from amulor.acquisition.simulated.bench import LOCK_TIME, TARGET_SPEED, Bench
 from amulor.acquisition.simulated.devices import (
     SimulatedLaser,
     SimulatedLockIn,
     SimulatedMount,
+    SimulatedNavigation,
     SimulatedScanner,
     SimulatedShutter,
     SimulatedTargetStage,
@@ -194,16 +203,18 @@ def connect(
     *,
     scene: Scene | None = None,
     part: int = 0,
+    elapsed: float = 0.0,
     ask: Callable[[str], None] | None = None,
     shutter_closed: bool = False,
 ) -> Devices:
     """Connect all devices in the settings of a scan, and switch the laser off.
 
-    Simulated devices have a shutter if the settings or the scan need one.
+    Simulated devices have a shutter if the settings or the scan need one. Their vehicle
+    has moved since the scan began a time `elapsed` ago [s].
     """
     _refuse_target(survey, settings, ask)
     if settings.simulated:
-        devices = _simulated(survey, settings, scene, part, shutter_closed)
+        devices = _simulated(survey, settings, scene, part, elapsed, shutter_closed)
     else:
         devices = _real(settings, ask)
     try:
@@ -257,6 +268,18 @@ def _shutter(
     return LockInShutter(cast(Any, lock_in), part, clock)
 
 
+def lead_time(survey: Survey, settings: Settings) -> float:
+    """Estimate the time of simulated references before the first row [s]."""
+    procedure, target = settings.procedure, settings.target
+    dwells = len([*plan.reference_block(survey, procedure, block=0)])
+    dwell = survey.scan.dwell + procedure.settling * (
+        survey.instrument.lock_in.time_constant
+    )
+    way = abs(target.position_out - target.position_in)
+    moves = 0.0 if survey.scan.open_water is None else 2 * way / TARGET_SPEED
+    return dwells * dwell + moves + LOCK_TIME * len(plan.combs(survey, procedure))
+
+
 def simulated_bench(
     survey: Survey, settings: Settings, *, scene: Scene, clock: Clock, part: int = 0
 ) -> Bench:
@@ -269,6 +292,7 @@ def simulated_bench(
         clock=clock,
         launch=settings.launch.angles,
         analyser=settings.analyser.angles,
+        course=(simulation.seed, lead_time(survey, settings)),
     )
 
 
@@ -277,6 +301,7 @@ def _simulated(
     settings: Settings,
     scene: Scene | None,
     part: int,
+    elapsed: float,
     shutter_closed: bool,
 ) -> Devices:
     if scene is None:
@@ -287,6 +312,9 @@ def _simulated(
     speed = settings.simulation.speed
     clock: Clock = VirtualClock() if speed is None else RealClock(speed)
     bench = simulated_bench(survey, settings, scene=scene, clock=clock, part=part)
+    navigation = None
+    if bench.vehicle is not None:
+        navigation = SimulatedNavigation(bench, bench.vehicle, elapsed)
     stated = settings.shutter
     shutter: Shutter | None = None
     if shutter_closed or (stated is not None and stated.driver == "simulated"):
@@ -299,6 +327,7 @@ def _simulated(
         launch=SimulatedMount(bench, "launch"),
         analyser=SimulatedMount(bench, "analyser"),
         target=SimulatedTargetStage(bench),
+        navigation=navigation,
         clock=clock,
     )
 
@@ -327,6 +356,7 @@ def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
             target=_target(settings.target, stages, ask),
             shutter=_shutter(settings, lock_in, clock, ask),
             clock=clock,
+            navigation=_navigation(settings, clock, opened),
             release=locks.close,
         )
         opened.pop_all()
@@ -350,6 +380,8 @@ def _addresses(settings: Settings) -> list[str]:
         for part in parts
         if part.address is not None and part.driver not in ("none", "operator")
     }
+    if settings.navigation is not None and settings.navigation.address is not None:
+        addresses.add(settings.navigation.address)
     # A device without an address is identified by its class and arguments.
     definitions = {
         json.dumps([options.get("class"), options.get("arguments")], sort_keys=True)
@@ -381,6 +413,21 @@ def _laser(settings: Settings, lock_in: LockIn, clock: Clock) -> Laser:
                 "laser.interlock_input out"
             )
     return LockInGate(cast(Any, lock_in), part)
+
+
+def _navigation(
+    settings: Settings, clock: Clock, opened: contextlib.ExitStack
+) -> Navigation | None:
+    part = settings.navigation
+    if part is None:
+        return None
+    source: Navigation
+    if part.driver == "nmea":
+        source = NmeaNavigation(part, clock=clock)
+    else:
+        source = cast(Navigation, chosen.other("navigation", settings, clock))
+    opened.callback(source.close)
+    return source
 
 
 def _target(

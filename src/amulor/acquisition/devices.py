@@ -14,6 +14,7 @@ from amulor.acquisition.protocols import (
     Device,
     Laser,
     LockIn,
+    Navigation,
     RotationMount,
     Scanner,
     Shutter,
@@ -51,6 +52,8 @@ class Devices:
     """Generator that modulates the laser; None if the lock-in modulates it."""
     shutter: Shutter | None = None
     """Shutter in front of the detector; None without one."""
+    navigation: Navigation | None = None
+    """Source of the poses of the vehicle; None without one."""
     release: Callable[[], None] = lambda: None
     """Function that unlocks the devices for other scans, once they are closed."""
 
@@ -65,6 +68,7 @@ class Devices:
             "analyser",
             "shutter",
             "lock_in",
+            "navigation",
         ):
             device = getattr(self, name)
             if device is not None:

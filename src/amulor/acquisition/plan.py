@@ -110,21 +110,31 @@ class Comb(NamedTuple):
 def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
     """Yield all dwells of a scan."""
     count = procedure.references
-    rows = [
-        (comb, row) for comb in combs(survey, procedure) for row in range(_rows(survey))
-    ]
+    rows = _groups(survey, combs(survey, procedure))
     # Block 0 first; block k after the k-th of the equal parts of the scan.
     ends = [round(part * len(rows) / max(count - 1, 1)) for part in range(count)]
     yield from reference_block(survey, procedure, block=0)
     directions = scan_directions(survey)[:2]
     done = 0
     for block, end in enumerate(ends[1:] or [len(rows)], start=1):
-        for comb, row in rows[done:end]:
-            yield from _reference(survey, comb, (row, BEFORE_ROW))
-            yield from _row(survey, directions, comb, row)
+        for group, row in rows[done:end]:
+            for comb in group:
+                yield from _reference(survey, comb, (row, BEFORE_ROW))
+            yield from _row(survey, directions, group, row)
         done = end
         if block < count:
             yield from reference_block(survey, procedure, block=block)
+
+
+def _groups(survey: Survey, every: list[Comb]) -> list[tuple[list[Comb], int]]:
+    """Return the rows of a scan, each with the combs that are measured pixel by pixel.
+
+    A vehicle does not come back: it measures all of them at a pixel before the next.
+    """
+    rows = range(_rows(survey))
+    if survey.platform is not None:
+        return [(every, row) for row in rows]
+    return [([comb], row) for comb in every for row in rows]
 
 
 def strips(steps: Iterable[Step], *, longest: int) -> Iterator[list[Step]]:
@@ -289,7 +299,7 @@ def _rows(survey: Survey) -> int:
 def _row(
     survey: Survey,
     directions: tuple[np.ndarray, ...],
-    comb: Comb,
+    group: list[Comb],
     row: int,
 ) -> Iterator[Step]:
     azimuth, elevation = directions
@@ -297,7 +307,8 @@ def _row(
     backwards = survey.scan.order == "serpentine" and row % 2 == 1
     for column in reversed(columns) if backwards else columns:
         where = (float(azimuth[row, column]), float(elevation[row, column]))
-        yield comb.step(SCAN, (row, column), 0, where)
+        for comb in group:
+            yield comb.step(SCAN, (row, column), 0, where)
 
 
 def _shutter_repeats(procedure: Procedure, block: int) -> range:

@@ -24,6 +24,7 @@ GROUPS = {
     "laser": "amulor.lasers",
     "source": "amulor.sources",
     "digitiser": "amulor.digitisers",
+    "navigation": "amulor.navigation",
 }
 
 
@@ -231,6 +232,12 @@ def _all_of(
     return checked
 
 
+def _message(value: Any) -> str | None:
+    if not isinstance(value, tuple) or len(value) != 2:
+        return f"{_shown(value)}, needed are time of arrival and line of text"
+    return _number(value[0], what="arrival in s") or _text(value[1])
+
+
 def _laser_readings(value: Any) -> str | None:
     if not isinstance(value, Mapping):
         return f"{_shown(value)}, needed is a dict"
@@ -263,6 +270,7 @@ _CHECKS: dict[str, Callable[[Any], str | None]] = {
     "set_output": _voltage,
     "input": _voltage,
     "readings": _laser_readings,
+    "messages": _all_of(_message),
 }
 _EVERY = ("identity", "make_safe", "close")
 _NEEDED = {
@@ -273,4 +281,5 @@ _NEEDED = {
     "laser": (*_EVERY, "on", "off"),
     "source": (*_EVERY, "set_frequency"),
     "digitiser": (*_EVERY, "prepare", "set_range", "set_frequencies", "acquire"),
+    "navigation": (*_EVERY, "begin", "messages"),
 }  # fmt: skip

@@ -246,6 +246,22 @@ class Shutter(Device, Protocol):
         """Open the shutter."""
 
 
+class Navigation(Device, Protocol):
+    """Source of the poses of the vehicle that carries the instrument."""
+
+    def begin(self) -> None:
+        """Start to receive messages."""
+
+    def messages(self) -> list[tuple[float, str]]:
+        """Return the messages since the last call, in the order of their arrival.
+
+        Each has its time of arrival by the clock of the scan [s], and a line of text
+        from `amulor.platform.pose_line`, or a sentence of NMEA 0183. A lost link
+        is no error: the scan goes on, and its readings have no pose until the next
+        message.
+        """
+
+
 class TargetStage(Device, Protocol):
     """Stage that takes the target out of the beam for open-water references."""
 

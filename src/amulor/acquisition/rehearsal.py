@@ -20,6 +20,7 @@ from amulor.acquisition.simulated.stanford import (
     SimulatedSr844,
     SimulatedStanford,
 )
+from amulor.errors import SurveyError
 from amulor.survey import Survey
 
 #: Models of simulated lock-ins.
@@ -57,6 +58,11 @@ def rehearse(
         raise ValueError(
             f"ports must be from 1 to {_LAST_PORT}, or 0 for any free one, got "
             f"{ports[0]} and {ports[1]}"
+        )
+    if survey.platform is not None:
+        raise SurveyError(
+            "platform: simulated devices on the network stand still; leave [platform] "
+            "out, or simulate the devices within amulor acquire"
         )
     base = settings or Settings()
     bench = simulated_bench(survey, base, scene=scene, clock=RealClock(speed))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import datetime
 import itertools
 import json
 import shlex
@@ -25,7 +26,7 @@ from amulor.acquisition.plan import Key, Step
 from amulor.acquisition.sampler import SPOILED, Sampler
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.scene import Scene
-from amulor.errors import AmulorError, InstrumentError
+from amulor.errors import AmulorError, InstrumentError, SurveyError
 from amulor.io.files import atomic_output, make_folder
 from amulor.optics.polarization import stokes
 from amulor.survey import Survey
@@ -57,17 +58,22 @@ class Keeper:
         if self._thread is not None:
             self._thread.shutdown()
 
-    def keep(self, step: Step, records: Sequence[Record]) -> None:
+    def keep(
+        self,
+        step: Step,
+        records: Sequence[Record],
+        messages: Sequence[tuple[float, str]] = (),
+    ) -> None:
         """Write the samples of a dwell, after all earlier dwells are written."""
         samples = [*zip(step.keys, records, strict=True)]
         self.settle()
         if self._at_once or self._took < SLOW:
-            self._commit(samples)
+            self._commit(samples, messages)
             self._notify(step, len(samples))
             return
         if self._thread is None:
             self._thread = ThreadPoolExecutor(1, "journal")
-        future = self._thread.submit(self._commit, samples)
+        future = self._thread.submit(self._commit, samples, messages)
         self._pending = (future, step, len(samples))
 
     def settle(self) -> None:
@@ -83,9 +89,13 @@ class Keeper:
                 self._pending = None
         self._notify(step, count)
 
-    def _commit(self, samples: list[tuple[Key, Record]]) -> None:
+    def _commit(
+        self,
+        samples: list[tuple[Key, Record]],
+        messages: Sequence[tuple[float, str]],
+    ) -> None:
         start = time.perf_counter()
-        self._journal.commit_together(samples)
+        self._journal.commit_together(samples, messages)
         passed = time.perf_counter() - start
         self._took += _WEIGHT * (passed - self._took)
 
@@ -119,6 +129,33 @@ def refuse_beyond_reach(survey: Survey, settings: Settings, devices: Devices) ->
         ask()
 
 
+def refuse_unlike_vehicle(survey: Survey, settings: Settings, *, retake: bool) -> None:
+    """Raise if procedure or devices do not fit the motion of the platform."""
+    platform = survey.platform
+    if platform is None:
+        if settings.navigation is not None:
+            raise SurveyError(
+                "platform: is missing, but the devices file has a part navigation; "
+                "state course and mounting in [platform], or take the part out"
+            )
+        return
+    count = len(plan.combs(survey, settings.procedure))
+    if platform.readings == "at-once" and count > 1:
+        raise SurveyError(
+            f'platform.readings: is "at-once", but {count} readings of a pixel follow '
+            "one another by the devices file; state procedure.frequencies_at_once = "
+            f"{len(survey.instrument.modulation_frequencies)} there and one "
+            'polarization here, or platform.readings = "in-turn"'
+        )
+    if retake:
+        raise SurveyError(
+            "platform: the vehicle has moved on, so that samples cannot be acquired "
+            "again; leave out --retake-flagged"
+        )
+
+
+#: Longest wait for poses after the last sample [s], number of messages, and step.
+_LAST_POSES, _ENOUGH, _STEP = 2.0, 9, 0.05
 #: Longest strip of a row, which a loss of power discards [s]; least number of pixels.
 _LONGEST_ROW, _SHORTEST_ROW = 20.0, 4
 SURVEY_NAME = "survey.toml"
@@ -293,7 +330,9 @@ def acquire(
     (True, [])
     """
     settings = settings or Settings()
-    plan.combs(survey, settings.procedure)  # refused before anything is touched
+    # Refused before anything is touched.
+    plan.combs(survey, settings.procedure)
+    refuse_unlike_vehicle(survey, settings, retake=retake_flagged)
     start = {
         "survey": survey.to_toml(),
         "survey_digest": cube.digest(survey.to_toml()),
@@ -318,12 +357,14 @@ def acquire(
             claim = Journal.claim(folder)
             stack.callback(claim.close)
             part = 0
+        elapsed = journal.last_elapsed() if resume else 0.0
         if devices is None:
             devices = connect(
                 survey,
                 settings,
                 scene=scene,
                 part=part,
+                elapsed=elapsed,
                 ask=ask,
                 shutter_closed=shutter_closed,
             )
@@ -410,8 +451,16 @@ class _Run:
         acknowledged: Callable[[Key], None],
     ) -> Outcome:
         missing = self._missing()
+        navigation, begun = self._devices.navigation, False
         while missing:
+            if not begun:
+                # The segment has the date of this moment.
+                self._clock_start = self._devices.clock.now()
+                self._elapsed = max(self._elapsed, self._passed())
             segment = self._journal.begin_segment()
+            if not begun and navigation is not None:
+                navigation.begin()
+            begun = True
             unsafe = self._part(segment, missing, control, progress, acknowledged)
             self._sampler.forget()
             missing = self._missing()
@@ -518,10 +567,43 @@ class _Run:
             (step,) = strip
             dwells = [self._sampler.take(step, elapsed=elapsed, segment=segment)]
         records = [record for part in dwells for record in part]
-        keeper.keep(plan.together(strip), records)
+        keeper.keep(plan.together(strip), records, self._messages())
         self._flagged += sum(bool(record.flags) for record in records)
         for part in dwells:
             self._sampler.refuse_darkness(kind, part[0].flags)
+
+    def _passed(self) -> float:
+        """Return the time since the start of a resumed scan on a real vehicle [s].
+
+        The clock of its navigation went on during the break.
+        """
+        parts = self._journal.segments()
+        if self._settings.simulated or self._settings.navigation is None or not parts:
+            return 0.0
+        start = datetime.datetime.fromisoformat(parts[0]["started"])
+        return (datetime.datetime.now(datetime.UTC) - start).total_seconds()
+
+    def _messages(self) -> list[tuple[float, str]]:
+        """Return the new messages of the navigation, timed by the scan."""
+        navigation = self._devices.navigation
+        if navigation is None:
+            return []
+        start = self._clock_start - self._elapsed
+        return [(arrival - start, line) for arrival, line in navigation.messages()]
+
+    def _last_messages(self) -> list[tuple[float, str]]:
+        """Wait for the poses after the last sample, and return them."""
+        messages = self._messages()
+        if self._devices.navigation is None:
+            return messages
+        end = self._devices.clock.now() + _LAST_POSES
+        last = self._elapsed + self._devices.clock.now() - self._clock_start
+        while self._devices.clock.now() < end:
+            if sum(arrival > last for arrival, _ in messages) >= _ENOUGH:
+                break
+            self._devices.clock.sleep(_STEP)
+            messages += self._messages()
+        return messages
 
     def _progress(self, step: Step, total: int) -> Progress:
         rate = self._taken / max(time.monotonic() - self._started, 1e-9)
@@ -541,6 +623,12 @@ class _Run:
         unsafe = self._devices.make_safe()
         with contextlib.suppress(AmulorError):
             keeper.settle()
+        with contextlib.suppress(AmulorError):
+            messages = (
+                self._last_messages() if reason == "finished" else self._messages()
+            )
+            if messages:
+                self._journal.commit_together([], messages)
         with contextlib.suppress(AmulorError):
             self._journal.end_segment(segment, "; ".join([reason, *unsafe]))
         return unsafe

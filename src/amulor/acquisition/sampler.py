@@ -85,6 +85,8 @@ class SampleFlag(enum.IntFlag):
     """The laser was on, but the mean detector output was as low as in dark readings."""
     UNSETTLED = 128
     """Readings differed by more than their noise."""
+    NO_POSE = 256
+    """There is no pose of the vehicle at the time of the sample; in the cube only."""
 
 
 #: Samples with one of these flags can be acquired again on request.
@@ -180,8 +182,8 @@ class Sampler:
     ) -> list[list[Record]]:
         """Acquire neighboring pixels of a row while the beam moves along them."""
         assert self._sweeper is not None
-        self._arrange(steps[0])
         start = self._devices.clock.now()
+        self._arrange(steps[0])
         pixels, flags = self._swept(self._sweeper, steps)
         records, brightest = [], 0.0
         for step, pixel in zip(steps, pixels, strict=True):

@@ -63,7 +63,11 @@ def acquire(
         Print the result as JSON.
     """
     from amulor import acquisition, io, simulation
-    from amulor.acquisition.cube.build import CUBE_NAME, shows_no_target
+    from amulor.acquisition.cube.build import (
+        CUBE_NAME,
+        shows_no_target,
+        trajectory_path,
+    )
     from amulor.acquisition.journal.file import FILE_NAME
     from amulor.acquisition.run import DEVICES_NAME, resume_command
     from amulor.cli._arguments import UsageError
@@ -121,6 +125,8 @@ def acquire(
             output, calibration=delays, overwrite=replace, told=_told
         )
         summary["cube"] = str(path)
+        if described.platform is not None and trajectory_path(path).exists():
+            summary["trajectory"] = str(trajectory_path(path))
         cube = io.read_cube(path)
         closed = cube.attrs.get("shutter") == "closed"
         if not closed and shows_no_target(cube):
@@ -137,6 +143,8 @@ def acquire(
             f"{summary['cube']}: {outcome.done} samples, {outcome.flagged} flagged in "
             "this run"
         )
+        if "trajectory" in summary:
+            print(f"{summary['trajectory']}: for amulor export --trajectory")
         print_next(
             f"amulor calibrate leakage {summary['cube']} -o leakage.toml"
             if closed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime, time
 from functools import reduce
@@ -95,6 +96,32 @@ def trajectory_from_nmea(
             f"{path}: cannot be read ({error.strerror or error}); check name and folder"
         ) from None
     return log.trajectory(crs, crs_offset)
+
+
+def trajectory_from_sentences(
+    sentences: Sequence[tuple[int, str]],
+    *,
+    source: Path,
+    crs: str,
+    crs_offset: tuple[float, float, float],
+) -> Trajectory:
+    """Return the trajectory of numbered NMEA sentences, as `trajectory_from_nmea`."""
+    return _log_of(sentences, source).trajectory(crs, crs_offset)
+
+
+def stamps_of_sentences(
+    sentences: Sequence[tuple[int, str]],
+) -> list[tuple[int, float]]:
+    """Return number and Unix time [s] of each sentence with an attitude."""
+    log = _log_of(sentences, Path())
+    return [(n, row[0]) for n, row in zip(log.lines, log.attitudes, strict=True)]
+
+
+def _log_of(sentences: Sequence[tuple[int, str]], source: Path) -> _NmeaLog:
+    log = _NmeaLog(source)
+    for number, sentence in sentences:
+        log.take(number, sentence.encode("ascii", errors="replace"))
+    return log
 
 
 def nmea_sentence(content: str) -> str:

@@ -17,7 +17,7 @@ from amulor.io.files import atomic_output
 from amulor.io.recording_table import ANGLES, Column, Table, TableSettings, read_table
 from amulor.platform import Trajectory, rotation_of
 from amulor.platform.attitude import covariance_of
-from amulor.platform.messages import Messages, trajectory_of
+from amulor.platform.messages import POSE, UPPER, Messages, trajectory_of
 from amulor.survey import toml_file
 from amulor.survey.quantity import Angle, Description, Length, Position, Time
 from amulor.survey.scan import ReferenceSystem, projected_code
@@ -31,9 +31,6 @@ _TO_FLU = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 #: Rotation from (north, east, down) to (east, north, up).
 FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _HEADER = "amulor trajectory, version 1"
-_NAMES = ("time", "east", "north", "up", "qx", "qy", "qz", "qw")
-#: Elements of the covariance of a pose in a file, in the order of the columns.
-_UPPER = np.triu_indices(6)
 
 
 class TrajectoryColumns(Description):
@@ -310,7 +307,7 @@ def write_trajectory(
     1.0
     """
     table = np.column_stack(
-        [track.time, track.position, track.attitude, track.covariance[:, *_UPPER]]
+        [track.time, track.position, track.attitude, track.covariance[:, *UPPER]]
     )
     offset = " ".join(f"{value:.17g}" for value in track.crs_offset)
     lines = [
@@ -321,7 +318,7 @@ def write_trajectory(
         f"crs_offset: {offset} m",
         *(f"remark: {remark}" for remark in track.remarks),
     ]
-    names = [*_NAMES, *(f"c{row}{column}" for row, column in zip(*_UPPER, strict=True))]
+    names = [*POSE, *(f"c{row}{column}" for row, column in zip(*UPPER, strict=True))]
     with (
         atomic_output(path, overwrite=overwrite) as temporary,
         open(temporary, "w", encoding="utf-8") as file,
@@ -378,8 +375,8 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
                 line = file.readline()
             table = np.loadtxt(file, delimiter=",", ndmin=2)
         covariance = np.zeros((len(table), 6, 6))
-        covariance[:, *_UPPER] = table[:, len(_NAMES) :]
-        covariance[:, *_UPPER[::-1]] = table[:, len(_NAMES) :]
+        covariance[:, *UPPER] = table[:, len(POSE) :]
+        covariance[:, *UPPER[::-1]] = table[:, len(POSE) :]
         offset = [float(word) for word in stated["crs_offset"].split()[:3]]
         return Trajectory(
             time=table[:, 0],

@@ -1,6 +1,7 @@
 """Platform of the instrument: its trajectory, and the pose of every reading."""
 
 from amulor._attitude import rotation_of
+from amulor.platform.messages import pose_line
 from amulor.platform.mounting import read_mounting
 from amulor.platform.poses import (
     InstrumentPoses,
@@ -17,6 +18,7 @@ __all__ = [
     "Trajectory",
     "instrument_poses",
     "mean_instrument_poses",
+    "pose_line",
     "read_mounting",
     "rotation_of",
 ]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +17,11 @@ from amulor.platform.attitude import turn_between
 from amulor.platform.trajectory import Trajectory, usual_gap
 
 Floats = NDArray[np.float64]
+
+#: Columns of a pose in a line of text, before those of its covariance.
+POSE = ("time", "east", "north", "up", "qx", "qy", "qz", "qw")
+#: Elements of the covariance of a pose in a line of text.
+UPPER = np.triu_indices(6)
 
 #: Messages in a row that may arrive late; more mean that a clock stepped back.
 _LATE = 20
@@ -29,6 +35,8 @@ _LONG = 1.5
 _NEAR = 11
 #: Departure from neighbors of an outlying position, in median departures [1].
 _JUMPS = 8.0
+#: Departure beyond rounding errors of coordinates [m].
+_LEAST_JUMP = 1e-6
 #: Tolerated deviation of the norm of a quaternion from 1 [1].
 _NORM = 0.02
 
@@ -55,6 +63,76 @@ class Messages:
     """Offset of the positions in the reference system [m]."""
     remarks: tuple[str, ...] = ()
     """Remarks of the reader."""
+
+
+def pose_line(
+    *, time: float, position: ArrayLike, attitude: ArrayLike, covariance: ArrayLike
+) -> str:
+    """Return a pose as a line of text, for a source of poses.
+
+    Parameters
+    ----------
+    time : float
+        Time stamp [s].
+    position : array_like, shape (3,)
+        East, north, up [m].
+    attitude : array_like, shape (4,)
+        Quaternion (x, y, z, w) from vehicle axes (right, down, forward) to (east,
+        north, up) [1].
+    covariance : array_like, shape (6, 6)
+        Covariance of position [m] and rotation about site axes [rad]; NaN if unknown.
+
+    Returns
+    -------
+    str
+        Time, position, quaternion and the upper triangle of the covariance row by row,
+        separated by commas.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor.platform import pose_line
+    >>> line = pose_line(
+    ...     time=0.5,
+    ...     position=[0, 1, -8],
+    ...     attitude=[0, 0, 0, 1],
+    ...     covariance=np.full((6, 6), np.nan),
+    ... )
+    >>> line[:23]
+    '0.5,0,1,-8,0,0,0,1,nan,'
+    """
+    upper = np.asarray(covariance, dtype=float)[UPPER]
+    values = [time, *np.ravel(position), *np.ravel(attitude), *upper]
+    return ",".join([f"{value:.17g}" for value in values])
+
+
+def messages_of(
+    lines: Sequence[str],
+    *,
+    clock: Literal["unix", "relative"],
+    crs: str,
+    crs_offset: tuple[float, float, float],
+) -> Messages:
+    """Return the poses of lines from `pose_line`; a wrong line is a pose of NaN."""
+    count = len(POSE) + len(UPPER[0])
+    table = np.full((len(lines), count), np.nan)
+    for number, line in enumerate(lines):
+        words = line.split(",")
+        with contextlib.suppress(ValueError):
+            if len(words) == count:
+                table[number] = [float(word) for word in words]
+    covariance = np.zeros((len(lines), 6, 6))
+    covariance[:, *UPPER] = table[:, len(POSE) :]
+    covariance[:, *UPPER[::-1]] = table[:, len(POSE) :]
+    return Messages(
+        time=table[:, 0],
+        position=table[:, 1:4],
+        attitude=table[:, 4:8],
+        covariance=covariance,
+        clock=clock,
+        crs=crs,
+        crs_offset=crs_offset,
+    )
 
 
 def trajectory_of(
@@ -241,7 +319,7 @@ def _remarks_on_jumps(
     if not np.isfinite(away).any():
         return []
     sigma = np.sqrt(np.einsum("nii->ni", track.covariance)[:, :3].max(axis=1))
-    limit = _JUMPS * np.nanmedian(away) + 3 * np.nan_to_num(sigma)
+    limit = _LEAST_JUMP + _JUMPS * np.nanmedian(away) + 3 * np.nan_to_num(sigma)
     (jumps,) = np.nonzero(away > limit)
     if not jumps.size:
         return []

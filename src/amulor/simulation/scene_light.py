@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.errors import SurveyError
+from amulor.platform import pose_line
 from amulor.simulation import geometry, lock_in
 from amulor.simulation.lock_in import expected_signal
+from amulor.simulation.measurement import Setting, fit
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel
 from amulor.simulation.vehicle import VehicleMotion
 from amulor.survey import Survey
+from amulor.survey.course import planned_speed
 from amulor.survey.directions import open_water_directions, scan_directions
 from amulor.survey.view import view
 
@@ -46,6 +50,98 @@ class SceneLight:
     """Light in the directions of the scan."""
     open_water: LightByDirection
     """Light in the directions of the open-water shots and of the scan."""
+    vehicle: Callable[[int, float], MovingLight] | None = None
+    """Light from a vehicle, for a seed and the start of its course by the time of the
+    scan [s]; None if the instrument stands still."""
+
+
+#: Largest motion between two times at which light is computed [m], and their largest
+#: distance as a part of the period of oscillations [1].
+_NEXT, _PART = 3e-3, 1 / 200
+#: Rows of directions at a time whose light is remembered.
+_MOST_ROWS = 64
+#: Longest scan over the planned duration [1], and an addition [s].
+_LONGER, _LATER = 4.0, 60.0
+
+
+class MovingLight:
+    """Light and measured poses of a simulated vehicle, by the time of a scan.
+
+    The light is computed at times between which the vehicle moves by 3 mm at most, for
+    a row of directions at once, and interpolated.
+    """
+
+    def __init__(
+        self, survey: Survey, model: SignalModel, seed: int, start: float
+    ) -> None:
+        assert survey.platform is not None
+        motion = VehicleMotion.of(survey, seed)
+        scan = survey.scan
+        self._setup = geometry.Setup(survey, motion)
+        self._model, self._start = model, start
+        self._directions = scan_directions(survey)[:2]
+        self._columns = scan.columns
+        wave = survey.platform.disturbance
+        self._step = min(
+            max(motion.planned_duration / scan.rows, scan.dwell),
+            _NEXT / max(planned_speed(survey.platform), 1e-6),
+            wave.period * _PART,
+        )
+        self._rows: dict[tuple[int, int], NDArray[np.complex128]] = {}
+        duration = _LONGER * motion.planned_duration + _LATER
+        self._track = motion.measured(lead=start, duration=duration)
+        # Arrivals by the clock of the scan, which has neither offset nor drift.
+        mounting = motion.mounting
+        stamps = self._track.time - mounting.clock_offset
+        self._arrivals = stamps / (1 + mounting.clock_drift)
+
+    def light(self, time: float, direction: int) -> LightByDirection:
+        """Return the light in one direction of the scan, with a single place."""
+        row, column = divmod(direction, self._columns)
+        number, share = divmod(time / self._step, 1.0)
+        before, after = (self._row(row, int(number) + step) for step in (0, 1))
+        place = slice(column, column + 1)
+        light = (1 - share) * before[..., place] + share * after[..., place]
+        azimuth, elevation = (angle[row, place] for angle in self._directions)
+        return LightByDirection(
+            azimuth=azimuth,
+            elevation=elevation,
+            target=light[0],
+            water=light[1],
+            target_rate=light[2].real,
+            water_rate=light[3].real,
+        )
+
+    def _row(self, row: int, number: int) -> NDArray[np.complex128]:
+        """Return signals and rates in a row's directions at a multiple of the step."""
+        key = (row, number)
+        if key not in self._rows:
+            while len(self._rows) >= _MOST_ROWS:
+                del self._rows[next(iter(self._rows))]
+            azimuth, elevation = (angle[[row]] for angle in self._directions)
+            time = np.full(azimuth.shape, number * self._step - self._start)
+            light = _with_target(self._setup, self._model, (azimuth, elevation, time))
+            self._rows[key] = np.stack(
+                [light.target, light.water, light.target_rate, light.water_rate]
+            )
+        return self._rows[key]
+
+    def messages(self, begin: float, end: float) -> list[tuple[float, str]]:
+        """Return time and text of the poses from one time until before another."""
+        track = self._track
+        low, high = np.searchsorted(self._arrivals, [begin, end])
+        return [
+            (
+                float(self._arrivals[index]),
+                pose_line(
+                    time=float(track.time[index]),
+                    position=track.position[index],
+                    attitude=track.attitude[index],
+                    covariance=track.covariance[index],
+                ),
+            )
+            for index in range(low, high)
+        ]
 
 
 def scene_light(
@@ -89,20 +185,11 @@ def scene_light(
     >>> light.with_target.target.shape  # frequency, polarization, place
     (1, 1, 6)
     """
-    if survey.platform is not None:
-        raise SurveyError(
-            "platform: simulated devices stand still; simulate the scan of a vehicle "
-            "with amulor simulate, or leave [platform] out"
-        )
     setup = geometry.Setup(survey)
-    scanned = geometry.trace(setup)
-    with_target = _by_direction(
-        setup,
-        (scanned.azimuth, scanned.elevation),
-        lock_in.target_light(setup, scanned, model=model),
-        lock_in.water_light(setup, scanned.view, end=scanned.depth, model=model),
-    )
-    azimuth, elevation = scanned.azimuth.ravel(), scanned.elevation.ravel()
+    azimuth, elevation = (angle.ravel() for angle in scan_directions(survey)[:2])
+    with_target = None
+    if survey.platform is None:
+        with_target = _with_target(setup, model, None)
     if survey.scan.open_water is not None:
         grid = np.unique(np.stack(open_water_directions(survey)), axis=1)
         azimuth = np.concatenate([grid[0], azimuth])
@@ -110,8 +197,35 @@ def scene_light(
     shots = view(survey, azimuth, elevation)
     light = lock_in.water_light(setup, shots, model=model)
     none = lock_in.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
+    water = _by_direction(setup, (azimuth, elevation), none, light)
+    if with_target is not None:
+        return SceneLight(with_target, water)
+    scanned = scan_directions(survey)[:2]
     return SceneLight(
-        with_target, _by_direction(setup, (azimuth, elevation), none, light)
+        # Directions of the scan; the light follows from the time, too.
+        replace(water, azimuth=scanned[0].ravel(), elevation=scanned[1].ravel()),
+        water,
+        functools.partial(MovingLight, survey, _fitted(survey, model)),
+    )
+
+
+def _fitted(survey: Survey, model: SignalModel) -> SignalModel:
+    """Return the model, fitted to the whole course if it supports a fit."""
+    return fit(Setting.of(survey, rng=0, model=model))
+
+
+def _with_target(
+    setup: geometry.Setup,
+    model: SignalModel,
+    directions: tuple[Floats, Floats, Floats] | None,
+) -> LightByDirection:
+    """Return the light of water and targets in directions at their times."""
+    scanned = geometry.trace(setup, directions=directions)
+    return _by_direction(
+        setup,
+        (scanned.azimuth, scanned.elevation),
+        lock_in.target_light(setup, scanned, model=model),
+        lock_in.water_light(setup, scanned.view, end=scanned.depth, model=model),
     )
 
 

@@ -162,12 +162,25 @@ class VehicleMotion:
         origin, axes = scene_axes(self.survey)
         return np.asarray(points @ axes.T + origin)
 
-    def measured(self) -> Trajectory:
-        """Return the measured trajectory; see `measured_trajectory`."""
-        scan, sensors = self.survey.scan, self.platform.navigation
-        length = scan.rows * scan.columns * scan.dwell * readings_in_turn(self.survey)
-        count = 2 * _MARGIN + int(np.ceil(length / sensors.interval)) + 1
-        time = np.arange(-_MARGIN, count - _MARGIN, dtype=np.float64)
+    @property
+    def planned_duration(self) -> float:
+        """Planned time from the first pixel to the end of the last [s]."""
+        scan = self.survey.scan
+        return scan.rows * scan.columns * scan.dwell * readings_in_turn(self.survey)
+
+    def measured(
+        self, *, lead: float = 0.0, duration: float | None = None
+    ) -> Trajectory:
+        """Return the measured trajectory; see `measured_trajectory`.
+
+        The clock counts from a time `lead` before the start of the course; the
+        trajectory lasts for a duration after it, by default the planned one [s].
+        """
+        sensors = self.platform.navigation
+        length = self.planned_duration if duration is None else duration
+        before = _MARGIN + int(np.ceil(lead / sensors.interval))
+        count = before + _MARGIN + int(np.ceil(length / sensors.interval)) + 1
+        time = np.arange(-before, count - before, dtype=np.float64)
         time *= sensors.interval
         position, turn = self.vehicle(time)
         since, away = time - time[0], position - position[0]
@@ -195,7 +208,8 @@ class VehicleMotion:
         rotation = Rotation.from_rotvec(error[:, 3:]) * Rotation.from_matrix(turn)
         pose = self.survey.pose or Pose()
         return Trajectory(
-            time=time * (1 + self.mounting.clock_drift) + self.mounting.clock_offset,
+            time=(time + lead) * (1 + self.mounting.clock_drift)
+            + self.mounting.clock_offset,
             position=position + error[:, :3],
             attitude=rotation.as_quat(),
             covariance=covariance,

@@ -249,8 +249,6 @@ def test_a_generator_without_a_seed_is_refused(plate):
     survey = _survey(plate, _course("line"))
     with pytest.raises(SurveyError, match="needs a seed"):
         simulation.simulate(survey, rng=np.random.default_rng(1), model=MODEL)
-    with pytest.raises(SurveyError, match="simulated devices stand still"):
-        simulation.scene_light(survey, model=MODEL)
 
 
 def test_a_scene_hides_its_parts_from_the_receiver_of_a_moving_instrument(plate):

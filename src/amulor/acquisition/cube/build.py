@@ -26,6 +26,7 @@ from amulor.acquisition.cube.samples import (
     counting_variance,
     dark_output,
     entry,
+    identities_of,
     phase_drift,
     procedure_of,
     read_back_frequencies,
@@ -33,11 +34,13 @@ from amulor.acquisition.cube.samples import (
 from amulor.acquisition.devices import is_simulated
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import EXTRA, QUANTITIES
+from amulor.acquisition.navigation import RecordedTrajectory, recorded_trajectory
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Procedure
 from amulor.cube.phase_drift import PhaseDrift
 from amulor.errors import CubeError, FormatError
 from amulor.io import read_cube, write_cube
+from amulor.io.trajectories import write_trajectory
 from amulor.optics import detection
 from amulor.survey import Survey
 from amulor.survey.counting import photon_noise_volt
@@ -119,13 +122,19 @@ def recover(
     """
     path = folder / CUBE_NAME if output is None else output
     with Journal.read(folder) as journal:
-        cube = build(journal, calibration=calibration)
+        survey = Survey.from_text(
+            entry(journal, "survey"), name="the survey of the journal"
+        )
+        recorded = recorded_trajectory(journal, survey)
+        cube = _built(journal, survey, recorded, calibration)
         lines = journal.damage()
     for line in lines[:_MOST_LINES]:
         (damaged or told)(f"{folder}: {line}")
     if len(lines) > _MOST_LINES:
         more = len(lines) - _MOST_LINES
         (damaged or told)(f"{folder}: and {more} more rows like these")
+    if recorded is not None:
+        _write_trajectory(recorded, cube, trajectory_path(path), told, overwrite)
     write_cube(cube, path, overwrite=overwrite)
     result = read_cube(path)
     for name, variable in cube.variables.items():
@@ -136,6 +145,31 @@ def recover(
                 "--overwrite"
             )
     return path
+
+
+def trajectory_path(path: Path) -> Path:
+    """Return the file of the trajectory beside a cube."""
+    return path.with_suffix(".trajectory.csv")
+
+
+def _write_trajectory(
+    recorded: RecordedTrajectory,
+    cube: xr.Dataset,
+    path: Path,
+    told: Callable[[str], None],
+    overwrite: bool,
+) -> None:
+    """Write the trajectory of a scan, and describe its irregularities."""
+    for line in recorded.lines:
+        told(line)
+    lost = int((cube["user_sample_flag"].values & SampleFlag.NO_POSE != 0).sum())
+    if lost:
+        told(f"navigation: {lost} of {cube['in_phase'].size} samples have no pose")
+    if recorded.trajectory is not None:
+        write_trajectory(recorded.trajectory, path, overwrite=overwrite)
+    elif overwrite:
+        # That of an earlier cube does not belong to this one.
+        path.unlink(missing_ok=True)
 
 
 def _same(first: NDArray[Any], second: NDArray[Any]) -> bool:
@@ -197,10 +231,21 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     >>> cube.sizes["row"], cube.sizes["column"]
     (2, 3)
     """
-    meta = journal.meta()
     survey = Survey.from_text(
         entry(journal, "survey"), name="the survey of the journal"
     )
+    recorded = recorded_trajectory(journal, survey)
+    return _built(journal, survey, recorded, calibration)
+
+
+def _built(
+    journal: Journal,
+    survey: Survey,
+    recorded: RecordedTrajectory | None,
+    calibration: Calibration | None,
+) -> xr.Dataset:
+    """Build the cube of a journal with the trajectory of its vehicle."""
+    meta = journal.meta()
     scan = Samples(survey, survey.scan.rows, survey.scan.columns)
     scan.fill(journal, plan.SCAN)
     if not np.isfinite(scan["signal"]).any():
@@ -247,6 +292,10 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     shots = _open_water(survey, journal, dark, drift, shutter_closed=closed)
     if shots is not None:
         measured = cubes.attach(measured, shots, "open_water")
+    if recorded is not None:
+        middle = scan["begin"] + scan["duration"] / 2
+        lost = np.isfinite(scan["signal"]) & ~recorded.known(middle)
+        scan["flags"][lost] |= int(SampleFlag.NO_POSE)
     measured = measured.assign(_user_variables(scan))
     if closed:
         procedure = procedure_of(journal)
@@ -438,7 +487,7 @@ def _attributes(
     survey: Survey,
     dark: tuple[NDArray[np.complex128], Floats],
 ) -> dict[str, Any]:
-    identities = _identities(journal)
+    identities = identities_of(journal)
     parts = journal.segments()
     return cubes.attributes(
         "samples",
@@ -460,18 +509,6 @@ def _attributes(
         modulation_depth=survey.instrument.modulation_depth,
         photon_noise_volt=photon_noise_volt(survey),
     )
-
-
-def _identities(journal: Journal) -> dict[str, str]:
-    text = entry(journal, "identities")
-    try:
-        identities = json.loads(text)
-        return {str(name): str(identity) for name, identity in identities.items()}
-    except (ValueError, AttributeError) as error:
-        raise FormatError(
-            f"the identities of the devices in the journal of {journal.folder} are "
-            "damaged; take a copy of the folder before anything else"
-        ) from error
 
 
 def _last_end(parts: list[dict[str, Any]]) -> str | None:

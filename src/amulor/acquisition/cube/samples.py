@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import operator
 import tomllib
 from typing import Any
@@ -104,6 +105,19 @@ def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
         if finite.size:
             frequency[number] = np.median(finite)
     return frequency if np.all(np.diff(frequency) > 0) else commanded
+
+
+def identities_of(journal: Journal) -> dict[str, str]:
+    """Return the identities of the devices that a journal records."""
+    text = entry(journal, "identities")
+    try:
+        identities = json.loads(text)
+        return {str(name): str(identity) for name, identity in identities.items()}
+    except (ValueError, AttributeError) as error:
+        raise FormatError(
+            f"the identities of the devices in the journal of {journal.folder} are "
+            "damaged; take a copy of the folder before anything else"
+        ) from error
 
 
 def procedure_of(journal: Journal) -> Procedure:

@@ -19,13 +19,18 @@ from amulor.acquisition.journal.file import (
 from amulor.acquisition.journal.record import EXTRA, Record
 from amulor.acquisition.journal.rows import (
     INSERT,
+    INSERT_MESSAGE,
     KEY_NAMES,
+    NAVIGATION,
     SCHEMA_VERSION,
+    SEARCHED,
     TABLES,
     Rows,
     columns_of,
+    message_row,
     refuse_another,
     row_of,
+    wrong_with_message,
 )
 from amulor.acquisition.plan import Key
 from amulor.errors import FormatError
@@ -274,6 +279,7 @@ class Journal:
         entries = self.meta()
         with explained(self._path):
             self._rows.look_through(entries)
+        self.messages()
         return [*self._damage]
 
     def _damaged(self, line: str) -> None:
@@ -299,33 +305,67 @@ class Journal:
             # Without an open transaction, the statement is its own transaction.
             self._connection.execute(INSERT, row_of(key, record))
 
-    def commit_together(self, samples: Sequence[tuple[Key, Record]]) -> None:
+    def commit_together(
+        self,
+        samples: Sequence[tuple[Key, Record]],
+        messages: Sequence[tuple[float, str]] = (),
+    ) -> None:
         """Write the samples of one dwell in one transaction.
 
         Parameters
         ----------
         samples : sequence of (Key, Record)
             Each key must be new.
+        messages : sequence of (float, str)
+            Messages of the navigation: arrival since the start of the scan [s], line.
 
         Raises
         ------
         FormatError
             As for `commit`; then none of them is in the journal.
         """
-        if len(samples) == 1:
+        if len(samples) == 1 and not messages:
             self.commit(*samples[0])
             return
         rows = [row_of(key, record) for key, record in samples]
+        lines = [message_row(elapsed, line) for elapsed, line in messages]
         with explained(self._path):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 self._connection.executemany(INSERT, rows)
+                self._connection.executemany(INSERT_MESSAGE, lines)
                 self._connection.execute("COMMIT")
             except BaseException:
                 # On a full disk, SQLite may have rolled back already.
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
                 raise
+
+    def messages(self) -> list[tuple[int, float, str]]:
+        """Return number, arrival [s] and line of the undamaged navigation messages.
+
+        Arrivals count from the start of the scan; older journals have no messages.
+        """
+        result, before = [], 0
+        with explained(self._path):
+            tables = self._connection.execute(
+                "SELECT name FROM sqlite_master WHERE name = 'navigation'"
+            )
+            if tables.fetchone() is None:
+                return []
+            rows = self._connection.execute(
+                "SELECT number, elapsed, line, crc FROM navigation ORDER BY number"
+            )
+            for number, elapsed, line, stored in rows:
+                for absent in range(before + 1, min(number, before + SEARCHED)):
+                    self._damaged(f"navigation message {absent}: not there")
+                before = number
+                wrong = wrong_with_message(elapsed, line, stored)
+                if wrong is None:
+                    result.append((number, elapsed, line))
+                else:
+                    self._damaged(f"navigation message {number}: {wrong}")
+        return result
 
     def keys(self) -> set[Key]:
         """Return the keys of all samples."""
@@ -360,8 +400,9 @@ class Journal:
             return [*self._rows.sound(entries, "number > ?", than)]
 
     def _add_columns(self) -> None:
-        """Add the columns that a journal of an older version lacks."""
+        """Add the columns and the table that a journal of an older version lacks."""
         with explained(self._path):
+            self._connection.execute(NAVIGATION)
             columns = columns_of(self._connection)
             for name in EXTRA:
                 if name not in columns:

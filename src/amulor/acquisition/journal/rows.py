@@ -175,6 +175,11 @@ _PLACES = ", ".join("?" * (len(_NAMES) + 1))
 INSERT = (
     f"INSERT INTO samples ({KEY_NAMES}, {_RECORD_NAMES}, {CHECKSUM}) VALUES ({_PLACES})"
 )
+#: Messages of the vehicle's navigation, which older journals lack.
+NAVIGATION = (
+    "CREATE TABLE IF NOT EXISTS navigation (number INTEGER PRIMARY KEY, "
+    f"elapsed REAL NOT NULL, line TEXT NOT NULL, {CHECKSUM} INTEGER NOT NULL)"
+)
 #: A journal is append-only: samples are inserted, never changed, never deleted.
 TABLES = (
     "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)",
@@ -182,7 +187,27 @@ TABLES = (
     f"{_RECORD_COLUMNS}, {CHECKSUM} INTEGER, UNIQUE ({KEY_NAMES}))",
     "CREATE TABLE segments (number INTEGER PRIMARY KEY, started TEXT, ended TEXT, "
     "reason TEXT)",
+    NAVIGATION,
 )
+
+_MESSAGE = ("elapsed", "line")
+INSERT_MESSAGE = f"INSERT INTO navigation (elapsed, line, {CHECKSUM}) VALUES (?, ?, ?)"
+
+
+def message_row(elapsed: float, line: str) -> tuple[Any, ...]:
+    """Return the values of a navigation message for `INSERT_MESSAGE`."""
+    if not math.isfinite(elapsed):
+        raise FormatError(f"navigation: the arrival of {line[:40]!r} is {elapsed:g} s")
+    return elapsed, line, checksum(_MESSAGE, (elapsed, line))
+
+
+def wrong_with_message(elapsed: Any, line: Any, stored: Any) -> str | None:
+    """Describe the damage to a navigation message; None if it is intact."""
+    if not isinstance(elapsed, float) or not isinstance(line, str):
+        return "no time and line of text"
+    if stored != checksum(_MESSAGE, (elapsed, line)):
+        return "its checksum is that of another message"
+    return None
 
 
 def row_of(key: Key, record: Record) -> tuple[Any, ...]:
@@ -232,7 +257,7 @@ def _differences(before: str, now: str) -> str:
 
 
 #: Rows tried behind an unreadable page if their number is unknown.
-_SEARCHED = 100_000
+SEARCHED = 100_000
 
 
 def columns_of(connection: sqlite3.Connection) -> list[str]:
@@ -285,7 +310,7 @@ class Rows:
         for number, *_ in self._judged(
             entries, columns, check, "number > ?", 0, unread=unread
         ):
-            missing = [*range(before + 1, min(number, before + _SEARCHED))]
+            missing = [*range(before + 1, min(number, before + SEARCHED))]
             for absent in missing:
                 # Rows are never deleted, so their numbers have no gaps.
                 if absent not in unread:
@@ -338,7 +363,7 @@ class Rows:
         except sqlite3.DatabaseError as error:
             if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_CORRUPT:
                 raise
-        most = last + _SEARCHED
+        most = last + SEARCHED
         with contextlib.suppress(sqlite3.DatabaseError):
             ((last_number,),) = self._connection.execute(
                 "SELECT MAX(number) FROM samples"

@@ -13,6 +13,7 @@ from amulor.acquisition.settings.parts import (
     DigitiserSettings,
     LaserSettings,
     LockInSettings,
+    NavigationSettings,
     SourceSettings,
 )
 
@@ -21,6 +22,7 @@ __all__ = [
     "LaserSettings",
     "LockInSettings",
     "MountSettings",
+    "NavigationSettings",
     "Procedure",
     "ScannerSettings",
     "Settings",

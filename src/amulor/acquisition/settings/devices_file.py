@@ -15,6 +15,7 @@ from amulor.acquisition.settings.parts import (
     LaserSettings,
     Linked,
     LockInSettings,
+    NavigationSettings,
     Options,
     PanTiltSettings,
     Patience,
@@ -301,6 +302,9 @@ class Settings(Description):
     """Digitizer that replaces the lock-in."""
     source: SourceSettings = SourceSettings()
     """Modulation source that replaces the oscillator of the lock-in."""
+    navigation: NavigationSettings | None = None
+    """Source of the poses of the vehicle; none by default. Simulated devices of a
+    survey with a section [platform] have one."""
     procedure: Procedure = Procedure()
     """Acquisition procedure."""
     simulation: SimulationSettings = SimulationSettings()
@@ -347,6 +351,8 @@ class Settings(Description):
         }
         if self.shutter is not None:
             drivers["shutter"] = self.shutter.driver
+        if self.navigation is not None:
+            drivers["navigation"] = self.navigation.driver
         simulated = [name for name, driver in drivers.items() if driver == "simulated"]
         real = [name for name, driver in drivers.items() if driver not in _ANYWHERE]
         if simulated and real:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from amulor.acquisition import plugins
-from amulor.survey.quantity import Angle, Description, Time, Voltage
+from amulor.survey.quantity import Angle, Description, Position, Time, Voltage
 
 Address = Annotated[str, Field(min_length=1, max_length=200)]
 Axis = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]{1,16}$")]
@@ -127,6 +127,39 @@ LaserDriver = Annotated[
     str, driver_check("laser", "simulated", "lock_in_output", "scpi", "ophyd_async")
 ]
 SourceDriver = Annotated[str, driver_check("source", "none", "scpi")]
+
+
+NavigationDriver = Annotated[str, driver_check("navigation", "nmea")]
+
+
+class PoseFrame(Description):
+    """Reference system and clock of poses."""
+
+    crs: str = ""
+    """Coordinate reference system of the positions, such as "EPSG:32632"; needed by
+    nmea, whose positions are projected."""
+    crs_offset: Position = (0.0, 0.0, 0.0)
+    """Offset of the local frame in the reference system (east, north, up) [m]."""
+    clock: Literal["unix", "relative"] = "unix"
+    """Origin of the time stamps: 1970-01-01 UTC, or unknown."""
+
+
+class NavigationSettings(Linked, PoseFrame):
+    """Source of the poses of the vehicle that carries the instrument."""
+
+    driver: NavigationDriver = "nmea"
+    """Driver: nmea (sentences of NMEA 0183), or a source of an installed package (entry
+    point amulor.navigation)."""
+    options: Options = None
+    """Options of a source of another package."""
+
+    @model_validator(mode="after")
+    def _nmea_is_described(self) -> Self:
+        if self.driver == "nmea":
+            need(self.address is not None, "navigation.address")
+            need(bool(self.crs), "navigation.crs")
+            need(self.clock == "unix", 'navigation.clock = "unix"')
+        return self
 
 
 class ScpiLaserSettings(Description):

@@ -14,7 +14,13 @@ import numpy as np
 
 from amulor.acquisition.clock import Clock
 from amulor.acquisition.settings import SimulationSettings
-from amulor.acquisition.simulated.scene import Places, Scene, Tone, mount_angles
+from amulor.acquisition.simulated.scene import (
+    LightByDirection,
+    Places,
+    Scene,
+    Tone,
+    mount_angles,
+)
 from amulor.acquisition.uncertainty import reading_variance
 from amulor.survey import Survey
 from amulor.survey.counting import background_rate
@@ -138,6 +144,7 @@ class Bench:
         clock: Clock,
         launch: Mapping[str, float],
         analyser: Mapping[str, float],
+        course: tuple[int, float] = (0, 0.0),
     ) -> None:
         self.survey = survey
         self.clock = clock
@@ -153,6 +160,10 @@ class Bench:
         # Light of all frequencies of the survey, and of others that were set.
         light = scene(survey)
         self._planned = (Places(light.with_target), Places(light.open_water))
+        # Vehicle that carries the instrument, and the clock at the start of the scan.
+        self.vehicle = None if light.vehicle is None else light.vehicle(*course)
+        self.scan_start = clock.now()
+        self._drawn: dict[int, float] = {}
         self._others: dict[float, tuple[Places, Places]] = {}
         self._tones = [self._tone(survey.instrument.modulation_frequencies[0])]
         self._pairs = mount_angles(survey, launch, analyser)
@@ -438,6 +449,8 @@ class Bench:
                 break
             self._settle(moment)
             self._trace.append([tone.level + tone.noise for tone in self._tones])
+            if self.vehicle is not None:
+                continue
             more = int((until - moment) / self._trace_interval * (1 - 1e-12))
             if (more := min(more, self._trace_most - len(self._trace))) > 0:
                 self._trace += in_steps(
@@ -461,10 +474,17 @@ class Bench:
         # The exponent is limited: the filter has forgotten its past by then.
         keep = math.exp(-min(passed / self._time_constant, 700.0))
         turn = cmath.exp(1j * self._settings.phase_drift * until)
+        before = [tone.input for tone in self._tones]
+        if self.vehicle is not None:
+            self._time = until
+            self._renew(again=False)
+        lag = self._time_constant / passed * (1 - keep)
         fresh = math.sqrt(max(1 - keep**2, 0.0)) * self._spread
-        for tone in self._tones:
+        for tone, old in zip(self._tones, before, strict=True):
+            # The light of a moving scene changes linearly; the filter lags behind.
+            start = old * turn + self._settings.pickup
             aim = tone.input * turn + self._settings.pickup
-            tone.level = aim + (tone.level - aim) * keep
+            tone.level = aim + (tone.level - start) * keep - (aim - start) * lag
             tone.noise = keep * tone.noise + fresh * complex(
                 self._rng.standard_normal(), self._rng.standard_normal()
             )
@@ -490,10 +510,16 @@ class Bench:
             )
         return self._others[frequency]
 
-    def _renew(self) -> None:
-        """Compute filter inputs, mean output and noise for the present direction."""
+    def _renew(self, *, again: bool = True) -> None:
+        """Compute filter inputs, mean output and noise for the present direction.
+
+        `again` draws new random errors of water and phases.
+        """
         rate = 0.0
+        if again:
+            self._drawn = {}
         bright = self.laser_on and not self._blocked
+        moving: LightByDirection | None = None
         lit = bright and not self.shutter_closed
         if lit:
             out = abs(self._place["target"]) > _OUT
@@ -501,7 +527,8 @@ class Bench:
             where = (self._place["azimuth"], self._place["elevation"])
             drift = self._settings.water_drift * (self.clock.now() - self._begun)
             # The water fluctuates equally at all frequencies.
-            change = max(1 + drift, 0.0) * (1 + self._fluctuation())
+            fluctuation = self.survey.water.signal_fluctuation
+            change = max(1 + drift, 0.0) * (1 + fluctuation * self._normal(0))
         for number, tone in enumerate(self._tones):
             leakage = complex(self._settings.leakage if bright else 0.0)
             tone.input = leakage
@@ -512,10 +539,14 @@ class Bench:
                 places.nearest(*where) if self._beam_place is None else self._beam_place
             )
             light, index = places.light, (tone.channel, pair, place)
+            if self.vehicle is not None and not out:
+                if moving is None:
+                    moving = self.vehicle.light(self._time - self.scan_start, place)
+                light, index = moving, (tone.channel, pair, 0)
             level = complex(light.target[index] + change * light.water[index])
             if self._reference is not None:
                 level = complex(self._reference)
-            phase = self._phase_error(abs(level), tone.frequency)
+            phase = self._phase_error(abs(level), tone.frequency, number)
             tone.input = level * cmath.exp(1j * phase) + leakage
             if number == 0 and self._reference is not None:
                 depth = self.survey.instrument.modulation_depth
@@ -558,11 +589,13 @@ class Bench:
             range(len(self._pairs)), key=lambda pair: abs(self._pairs[pair] - now)
         )
 
-    def _fluctuation(self) -> float:
-        fluctuation = self.survey.water.signal_fluctuation
-        return fluctuation * float(self._rng.standard_normal())
+    def _normal(self, number: int) -> float:
+        """Return a random number of the present stay, drawn on first use."""
+        if number not in self._drawn:
+            self._drawn[number] = float(self._rng.standard_normal())
+        return self._drawn[number]
 
-    def _phase_error(self, amplitude: float, frequency: float) -> float:
+    def _phase_error(self, amplitude: float, frequency: float, tone: int) -> float:
         settings = self._settings
         walk = 0.0
         if settings.phase_walk and amplitude > 0:
@@ -571,5 +604,5 @@ class Bench:
         return (
             2 * math.pi * frequency * settings.cable_delay
             + walk
-            + floor * float(self._rng.standard_normal())
+            + floor * self._normal(1 + tone)
         )

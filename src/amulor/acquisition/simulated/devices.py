@@ -21,6 +21,7 @@ from amulor.acquisition.simulated.bench import (
     TARGET_SPEED,
     Bench,
 )
+from amulor.acquisition.simulated.scene import Vehicle
 from amulor.errors import InstrumentError
 
 #: Full scales of the lock-in, as peak amplitudes [V].
@@ -459,3 +460,25 @@ class SimulatedLaserDriver:
     def _temperature(self) -> float:
         passed = self.bench.clock.now() - self._since
         return _TEMPERATURE + _WARMER * min(passed / _WARMING, 1.0) * self._lit()
+
+
+class SimulatedNavigation(_Simulated):
+    """Simulated navigation of the vehicle of a bench; messages arrive without delay."""
+
+    _kind = "navigation"
+
+    def __init__(self, bench: Bench, vehicle: Vehicle, elapsed: float) -> None:
+        super().__init__(bench)
+        self._vehicle, self._elapsed = vehicle, elapsed
+
+    def begin(self) -> None:
+        """Start to receive messages, and the time of the scan."""
+        self.bench.scan_start = self.bench.clock.now() - self._elapsed
+
+    def messages(self) -> list[tuple[float, str]]:
+        """Return arrival by the clock [s] and text of the messages since the last."""
+        start = self.bench.scan_start
+        now = self.bench.clock.now() - start
+        new = self._vehicle.messages(self._elapsed, now)
+        self._elapsed = now
+        return [(start + arrival, line) for arrival, line in new]

@@ -41,6 +41,19 @@ class LightByDirection(Protocol):
         """Photoelectron rate of the water, (frequency, polarization, place) [1/s]."""
 
 
+class Vehicle(Protocol):
+    """Simulated vehicle: light of a scan, and measured poses.
+
+    Times count from the start of the scan [s].
+    """
+
+    def light(self, time: float, direction: int) -> LightByDirection:
+        """Return the light in one direction of the scan, with a single place."""
+
+    def messages(self, begin: float, end: float) -> list[tuple[float, str]]:
+        """Return time and text of the poses from one time until before another."""
+
+
 class SceneLight(Protocol):
     """Detector signals with the target in the beam, and in open water."""
 
@@ -51,6 +64,13 @@ class SceneLight(Protocol):
     @property
     def open_water(self) -> LightByDirection:
         """Signals without the target, in the directions of references and scan."""
+
+    @property
+    def vehicle(self) -> Callable[[int, float], Vehicle] | None:
+        """Vehicle for a seed and the time at which its course starts [s].
+
+        None if the instrument stands still.
+        """
 
 
 #: Function for the light of a survey, such as `amulor.simulation.scene_light`; passed

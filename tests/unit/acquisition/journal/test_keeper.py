@@ -31,10 +31,10 @@ def test_samples_are_told_after_they_are_written_whenever_that_is(
     threads, told, there = set(), [], []
     commit = Journal.commit_together
 
-    def slowly(journal: Journal, samples) -> None:
+    def slowly(journal: Journal, samples, messages) -> None:
         threads.add(threading.current_thread().name)
         time.sleep(1e-3)
-        commit(journal, samples)
+        commit(journal, samples, messages)
 
     def acknowledged(key: Key) -> None:
         told.append(key)
@@ -61,13 +61,13 @@ def test_a_failure_beside_the_next_dwell_loses_nothing_that_was_told(
     monkeypatch.setattr("amulor.acquisition.run.SLOW", 0.0)
     commit, told, count = Journal.commit_together, [], 0
 
-    def sometimes(journal: Journal, samples) -> None:
+    def sometimes(journal: Journal, samples, messages) -> None:
         nonlocal count
         count += 1
         time.sleep(5e-3)
         if count == fails:
             raise FormatError("no room; free some space")
-        commit(journal, samples)
+        commit(journal, samples, messages)
 
     monkeypatch.setattr(Journal, "commit_together", sometimes)
     if fails is None:
