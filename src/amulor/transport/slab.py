@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -177,6 +178,20 @@ class _Run:
     index_ratio: float
     radius: Array
 
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 digest of the numbers that define the problem."""
+        return digest_of(
+            *self.water[:7],
+            self.medium.group_index,
+            self.medium.polarized,
+            self.incidence,
+            self.stokes,
+            self.outward,
+            self.index_ratio,
+            self.radius,
+        )
+
     def frame(self) -> Tally:
         """Return a tally of the run without batches."""
         directions = [f"direction {k + 1}" for k in range(len(self.outward))]
@@ -193,16 +208,7 @@ class _Run:
             seed=self.seed,
             next_batch=0,
             batch_size=self.size,
-            problem=digest_of(
-                *self.water[:7],
-                self.medium.group_index,
-                self.medium.polarized,
-                self.incidence,
-                self.stokes,
-                self.outward,
-                self.index_ratio,
-                self.radius,
-            ),
+            problem=self.digest,
             seconds=0.0,
             phase_function_integral=integrals_of(self.medium.layers),
         )

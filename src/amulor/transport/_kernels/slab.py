@@ -120,17 +120,15 @@ def cross_layers(
     edge, attenuation = water.edge, water.attenuation
     thickness = exponential(state)
     while 0 <= layer < attenuation.size:
-        step = math.inf
-        if nz > 0.0:
-            step = (edge[layer + 1] - z) / nz
-        elif nz < 0.0:
-            step = (edge[layer] - z) / nz
-        if thickness < attenuation[layer] * step:
+        face = edge[layer + 1] if nz > 0.0 else edge[layer]
+        # Compared without a division, which most flights do not need.
+        if thickness * abs(nz) < attenuation[layer] * abs(face - z):
             step = thickness / attenuation[layer]
             return z + nz * step, layer, length + step
+        step = (face - z) / nz
         thickness -= attenuation[layer] * step
         length += step
-        z = edge[layer + 1] if nz > 0.0 else edge[layer]
+        z = face
         layer += 1 if nz > 0.0 else -1
     return z, layer, length
 
@@ -207,6 +205,39 @@ def add_directions(
 
 
 @step
+def follow_depth(
+    state: States, nz: float, index_ratio: float, water: Water
+) -> tuple[int, float, float]:
+    """Trace a photon of which only the depth counts; return part, cosine and length.
+
+    The part is -1 if it is absorbed. The chance at which it is absorbed is drawn once.
+    """
+    layers = water.attenuation.size
+    z, length, layer = water.edge[0], 0.0, 0
+    survival, death = 1.0, uniform(state)
+    while True:
+        z, layer, length = cross_layers(state, z, nz, layer, length, water)
+        if layer < 0 or layer >= layers:
+            if index_ratio != 1.0 and uniform(state) < inner_reflectance(
+                abs(nz), index_ratio
+            ):
+                nz = -nz
+                layer = 0 if layer < 0 else layers - 1
+                continue
+            return REFLECTED if layer < 0 else TRANSMITTED, nz, length
+        survival *= water.albedo[layer]
+        if survival <= death:
+            return -1, nz, length
+        drawn, _ = draw_height(state, water.urn, water.table[layer])
+        azimuth = math.pi * uniform(state)
+        level = math.sqrt(max(1.0 - nz * nz, 0.0))
+        cosine = 1.0 - 2.0 * drawn
+        sine = 2.0 * math.sqrt(drawn * (1.0 - drawn))
+        nz = cosine * nz + sine * level * math.cos(azimuth)
+        nz = min(max(nz, -1.0), 1.0)
+
+
+@step
 def follow_photon(
     state: States,
     n: Vector,
@@ -223,8 +254,6 @@ def follow_photon(
     albedo, table, layers = water.albedo, water.table, water.attenuation.size
     polarized, directions = light.polarized, light.outward.shape[0]
     discs = light.radius.size
-    # Without Stokes vectors, fixed directions and discs only the cosine to z counts.
-    depth_only = not polarized and directions == 0 and discs == 0
     z, length, layer, x, y = water.edge[0], 0.0, 0, 0.0, 0.0
     while True:
         before = length
@@ -252,13 +281,6 @@ def follow_photon(
         at = table[layer]
         drawn, cell = draw_height(state, water.urn, at)
         azimuth = 2.0 * math.pi * uniform(state)
-        if depth_only:
-            level = math.sqrt(max(1.0 - n[2] * n[2], 0.0))
-            cosine = 1.0 - 2.0 * drawn
-            sine = 2.0 * math.sqrt(drawn * (1.0 - drawn))
-            nz = cosine * n[2] + sine * level * math.cos(azimuth)
-            n = (n[0], n[1], min(max(nz, -1.0), 1.0))
-            continue
         turn = (math.cos(azimuth), math.sin(azimuth))
         e = (now[0], now[1], now[2])
         if not polarized:
@@ -291,12 +313,20 @@ def follow_photons(
         x, y = n[0] / light.index_ratio, n[1] / light.index_ratio
         n = (x, y, math.sqrt(1.0 - x * x - y * y))
         mirrored = inner_reflectance(n[2], light.index_ratio)
+    # Without Stokes vectors, fixed directions and discs only the cosine to z counts.
+    depth_only = not light.polarized
+    depth_only = depth_only and light.outward.shape[0] + light.radius.size == 0
     for _ in range(histories):
         now[0], now[1], now[2] = axis
         for k in range(4):
             now[3 + k] = light.stokes[k]
         if mirrored > 0.0 and uniform(state) < mirrored:
             add_exit(n, now, REFLECTED, 0.0, record, arrival.light)
+            continue
+        if depth_only:
+            part, nz, length = follow_depth(state, n[2], light.index_ratio, water)
+            if part >= 0:
+                add_exit((n[0], n[1], nz), now, part, length, record, arrival.light)
             continue
         follow_photon(state, n, now, light, water, record, arrival)
 
