@@ -1,14 +1,17 @@
-"""List the public names of amulor, their defaults and limits, for `make surface`.
+"""List public names, defaults, limits and constants of amulor, for `make surface`.
 
 A public module is one that `__all__` of a package names, from `amulor` down. Its public
 names are its `__all__`, or, where it has none, the functions and classes defined in it.
 Defaults are those of arguments of public functions, of fields of public classes, and of
 the keys of all files that users write. Limits are those of these keys, in SI units.
+Constants are all numbers that modules define, such as thresholds.
 """
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import hashlib
 import importlib
 import inspect
 import re
@@ -23,6 +26,9 @@ import numpy as np
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
 LISTING = REFERENCE / "public_surface.txt"
 DEFAULTS = REFERENCE / "public_defaults.txt"
+CONSTANTS = REFERENCE / "constants.txt"
+#: Longest value that the listing of constants contains as text; others have a digest.
+_LONGEST = 120
 
 
 def kind(value: Any) -> str:
@@ -100,6 +106,40 @@ def _descriptions() -> list[type]:
     return [cls for cls in classes if cls.__module__.startswith("amulor.")]
 
 
+#: A constant of a module, up to the next line without a margin.
+_CONSTANT = re.compile(
+    r"^(?=\(?_?[A-Z][A-Z0-9_, ]*\)?(?::[^=\n]+)? = (?!\x22{3})).+(?:\n(?:[ )\]}].*)?)*",
+    re.MULTILINE,
+)
+
+
+def constants() -> list[str]:
+    """Return "file NAME = value" for the constants of all modules with a number."""
+    import amulor
+
+    package = Path(amulor.__file__).parent
+    lines = []
+    for file in sorted(package.rglob("*.py")):
+        place = file.relative_to(package).as_posix()
+        for found in _CONSTANT.finditer(file.read_text("utf-8")):
+            node = ast.parse(found[0]).body[0]
+            assert isinstance(node, ast.Assign | ast.AnnAssign)
+            assert node.value is not None
+            target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0]
+            text = ast.unparse(node.value)
+            if re.search(r"\b\d|\bTrue\b|\bFalse\b", text):
+                lines.append(f"{place} {ast.unparse(target)} = {_short(text)}")
+    return lines
+
+
+def _short(text: str) -> str:
+    """Return a text, or its begin and its digest if it is long."""
+    if len(text) <= _LONGEST:
+        return text
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return f"{text[: _LONGEST // 2]}... {digest[:16]}"
+
+
 def _arguments(function: Any) -> list[str]:
     """Return the arguments that have a default, with it."""
     return [
@@ -165,4 +205,8 @@ def _value(value: Any) -> str:
 if __name__ == "__main__":
     LISTING.write_text("\n".join(surface()) + "\n", encoding="utf-8")
     DEFAULTS.write_text("\n".join(defaults()) + "\n", encoding="utf-8")
-    print(f"{LISTING}: {len(surface())} names, {len(defaults())} defaults")
+    CONSTANTS.write_text("\n".join(constants()) + "\n", encoding="utf-8")
+    print(
+        f"{LISTING}: {len(surface())} names, {len(defaults())} defaults, "
+        f"{len(constants())} constants"
+    )

@@ -62,6 +62,14 @@ def test_defaults_are_those_of_the_listing() -> None:
     assert sorted(there - listed) == [], "write the listing anew by `make surface`"
 
 
+def test_constants_are_those_of_the_listing() -> None:
+    # A threshold that moves is a decision: it stands in the listing, too.
+    listed = set(TOOL["CONSTANTS"].read_text("utf-8").splitlines())
+    there = set(TOOL["constants"]())
+    assert sorted(listed - there) == [], "constants are gone or of another value"
+    assert sorted(there - listed) == [], "write the listing anew by `make surface`"
+
+
 #: Each name from the first import on, so that none is there by another's doing.
 FRESH = """
 import sys, warnings
