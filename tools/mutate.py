@@ -92,6 +92,8 @@ _UNSEEN = frozenset({"part", "_progress.part", "lru_cache", "functools.lru_cache
 #: Tests that look at all modules.
 _OF_ALL = ("test_messages.py", "test_public_surface.py")
 _LISTINGS = ("tests/unit/test_public_surface.py",)
+#: Least budget of a change for which slow tests run, too [s].
+_LONG = 30.0
 #: Tests of `make check` that are not of `make test`.
 _LONGER = "slow and not study"
 _ARITHMETIC: dict[type, type] = {
@@ -484,6 +486,11 @@ class Worker:
         try:
             while True:
                 outcome = self._tried(mutant, place)
+                if outcome.hangs:
+                    # Its time may have gone into the tests before it.
+                    test = [outcome.failed]
+                    outcome = self._run(test, self._budget, marks="not study")
+                    outcome.ended = not outcome.failed
                 if not outcome.failed or outcome.failed in self._sound:
                     return outcome
                 # A test that fails without the change, too, is left out.
@@ -876,7 +883,9 @@ def _switch(
             place = copy / "amulor" / mutant.file.relative_to(PACKAGE)
             if ">>>" in mutant.file.read_text("utf-8"):
                 chosen = [str(place), *chosen]
-            trials.append(Trial(number=number, tests=chosen))
+            # Slow tests only where there is time for them.
+            longer = near[0] if budget >= _LONG else []
+            trials.append(Trial(number=number, tests=chosen, longer=longer))
         for file, changes in by_file.items():
             place = copy / "amulor" / file.relative_to(PACKAGE)
             place.write_text(switched(file, changes), "utf-8")

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import hashlib
+import importlib
 import io
 import json
 import math
@@ -119,6 +121,8 @@ class Trial:
     """Number of the switch."""
     tests: list[str]
     """Tests and files of tests, in order."""
+    longer: list[str] = field(default_factory=list)
+    """Files whose slow tests run after them."""
     failed: str = ""
     """First test that failed."""
     hangs: bool = False
@@ -129,8 +133,6 @@ class Trial:
     """Processor time [s]."""
     count: int = 0
     """Number of tests that ran."""
-    broken: set[str] = field(default_factory=set)
-    """Tests that fail without the change, too."""
 
 
 class _Loop:
@@ -152,10 +154,21 @@ class _Loop:
             by_test[name.partition("::")[0]].append(item)
             by_test[str(item.path)].append(item)
         for trial in self._trials:
-            items = [item for test in trial.tests for item in by_test.get(test, [])]
+            items = [
+                item
+                for tests, slow in ((trial.tests, False), (trial.longer, True))
+                for test in tests
+                for item in by_test.get(test, [])
+                if bool(item.get_closest_marker("slow")) == slow
+            ]
             while True:
                 chosen = [each for each in items if each.nodeid not in self._broken]
                 self._fork(chosen, trial, trial.number)
+                if trial.hangs:
+                    # Its time may have gone into the tests before it.
+                    alone = [item for item in chosen if item.nodeid == trial.failed]
+                    self._fork(alone, trial, trial.number)
+                    trial.ended = not trial.failed
                 if not trial.failed or trial.failed in self._sound:
                     break
                 # A test that fails without the change, too, is left out.
@@ -243,6 +256,22 @@ def _waited(child: int, longest: float) -> tuple[int, resource.struct_rusage]:
         time.sleep(0.02)
 
 
+def _keep_compiled(copy: Path, root: Path) -> None:
+    """Let compiled functions of the repository count as those of the copy.
+
+    No switch is in their sources.
+    """
+    if not (copy / "amulor" / "_compiled.py").exists():
+        return
+    compiled = importlib.import_module("amulor._compiled")
+
+    def source(path: Path, package: Path) -> tuple[bytes, bytes]:
+        text = (root / "src" / path.relative_to(copy)).read_bytes()
+        return text, hashlib.sha256(text).digest()
+
+    compiled._source = source  # type: ignore[attr-defined]
+
+
 def try_all(
     copy: Path,
     trials: list[Trial],
@@ -272,11 +301,14 @@ def try_all(
     sys.path.insert(0, str(copy))
     os.environ |= {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
     __import__("amulor_switch")
+    _keep_compiled(copy, root)
     files = dict.fromkeys(
-        test.partition("::")[0] for trial in trials for test in trial.tests
+        test.partition("::")[0]
+        for trial in trials
+        for test in [*trial.tests, *trial.longer]
     )
     options = ["-c", str(root / "pyproject.toml"), "-q", "-p", "no:cacheprovider"]
-    options += ["-m", "not slow and not study", f"--basetemp={copy.parent / 'tests'}"]
+    options += ["-m", "not study", f"--basetemp={copy.parent / 'tests'}"]
     options += ["--continue-on-collection-errors"]
     options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
     with contextlib.redirect_stdout(io.StringIO()) as output:
