@@ -31,6 +31,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_the_design_page_opens_without_a_survey_file(
+    capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served = []
+    monkeypatch.setattr(
+        "amulor.cli.design.serve", lambda content, **options: served.append(content)
+    )
+    assert main(["design", str(paper_goal.PAPER), "--interactive"]) == 0
+    assert len(served) == 1
+    assert "amulor survey check" not in capsys.readouterr().out
+
+
 def test_the_report_stands_alone_and_says_what_was_found(folder: Path) -> None:
     page = (folder / "r.html").read_text()
     assert not re.findall(r'(?:src|href)="(?!data:)', page)

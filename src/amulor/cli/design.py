@@ -133,9 +133,10 @@ def _print(recommendation: Recommendation, files: list[Path]) -> None:
         _print_choice("runner-up", recommendation.runner_up, goal.accuracy.total_error)
     for file in files[: 1 if recommendation.runner_up is None else 2]:
         print(f"{file}: survey written")
-    from amulor.cli._output import print_next
+    if files:
+        from amulor.cli._output import print_next
 
-    print_next(f"amulor survey check {files[0]}")
+        print_next(f"amulor survey check {files[0]}")
 
 
 def _print_choice(word: str, choice: Choice, accuracy: float) -> None:

@@ -168,7 +168,7 @@ def test_a_saved_page_opens_alone_and_measures_as_the_library_does(
     click(shown, (12, 32))
     click(shown, (12, 8))
     shown.wait_for_selector("#measurements li")
-    assert shown.is_disabled("#tools button[data-kind=profile]")
+    assert shown.is_enabled("#tools button[data-kind=profile]")
     assert drawn(shown, "map")[..., :3].std() > 20
     assert [url for url in one.asked if not url.startswith(("file:", "data:"))] == []
     assert one.errors == []
