@@ -22,9 +22,13 @@ from amulor.platform import Mounting, Trajectory, instrument_poses
 from amulor.platform.arrivals import without_steps
 from amulor.platform.messages import messages_of, trajectory_of
 from amulor.survey import Survey
+from amulor.survey.course import planned_track
 from amulor.survey.scan import Pose
 
 Floats = NDArray[np.float64]
+
+#: Distance of lines over the planned one, above which a vehicle is too fast [1].
+_TOO_FAR = 1.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +55,32 @@ class RecordedTrajectory:
             poses = instrument_poses(self.trajectory, self.mounting, at)
             result[finite] = poses.known
         return result.reshape(time.shape)
+
+
+def speed_advice(
+    recorded: RecordedTrajectory, survey: Survey, time: Floats
+) -> list[str]:
+    """Describe lines that are farther apart than planned.
+
+    `time` has the times of the readings by frequency, channel, row and column [s].
+    """
+    if recorded.trajectory is None or len(time[0, 0]) < 2:
+        return []
+    rows = [row[np.isfinite(row)].mean() for row in np.moveaxis(time, 2, 0)
+            if np.isfinite(row).any()]  # fmt: skip
+    poses = instrument_poses(
+        recorded.trajectory, recorded.mounting, recorded.origin + np.array(rows)
+    )
+    steps = np.linalg.norm(np.diff(poses.position, axis=0), axis=1)
+    steps = steps[np.isfinite(steps)]
+    wanted = planned_track(survey)[0] / survey.scan.rows
+    if not steps.size or wanted == 0 or np.median(steps) <= _TOO_FAR * wanted:
+        return []
+    between = float(np.median(steps))
+    return [
+        f"too fast: {1e3 * between:.3g} mm between lines, {1e3 * wanted:.3g} wanted; "
+        f"drive {between / wanted:.2g} times slower, or plan shorter rows"
+    ]
 
 
 def recorded_trajectory(journal: Journal, survey: Survey) -> RecordedTrajectory | None:

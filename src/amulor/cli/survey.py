@@ -132,24 +132,20 @@ def _footprint(
     """Return distances of a scan from a vehicle: track, rows, readings, columns."""
     import numpy as np
 
-    from amulor.survey.course import planned
-    from amulor.survey.directions import reading_windows, readings_in_turn
+    from amulor.survey.course import planned_track
+    from amulor.survey.directions import reading_windows
 
     platform, scan = survey.platform, survey.scan
     assert platform is not None
-    row = scan.columns * scan.dwell * readings_in_turn(survey)
-    time = np.linspace(0.0, scan.rows * row, 2000)
-    position, _ = planned(platform.course, time)
-    position = position + time[:, None] * np.array(platform.disturbance.current)
-    track = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
-    speed = track / float(time[-1])
+    track, duration = planned_track(survey)
+    speed = track / duration
     middle, length = reading_windows(survey)
     pitch = scan.azimuth_span / max(scan.columns - 1, 1)
     return {
         "course": platform.course.kind,
         "speed_m_per_s": speed,
         "track_m": track,
-        "between_rows_m": speed * row,
+        "between_rows_m": track / scan.rows,
         "along_readings_m": speed * float(np.ptp(middle) + length),
         "between_columns_m": None if reach is None else pitch * sum(reach) / 2,
     }

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor._attitude import rotation_by, rotation_of
+from amulor.survey.directions import readings_in_turn
 from amulor.survey.platform import (
     Course,
     HoverCourse,
@@ -60,6 +61,18 @@ def _flat(
     across = line * course.line_spacing + radius * (1 - np.cos(turn))
     forth = np.minimum(rest, length) + radius * np.sin(turn)
     return across, np.where(line % 2 == 0, forth, length - forth)
+
+
+def planned_track(survey: Survey) -> tuple[float, float]:
+    """Return length [m] and duration [s] of the planned course during a scan."""
+    platform, scan = survey.platform, survey.scan
+    assert platform is not None
+    duration = scan.rows * scan.columns * scan.dwell * readings_in_turn(survey)
+    time = np.linspace(0.0, duration, 2000)
+    position, _ = planned(platform.course, time)
+    position = position + time[:, None] * np.array(platform.disturbance.current)
+    track = np.linalg.norm(np.diff(position, axis=0), axis=1).sum()
+    return float(track), float(duration)
 
 
 def planned_speed(platform: Platform) -> float:

@@ -133,6 +133,20 @@ def test_ranges_are_those_at_the_recorded_times(moving, folder, procedure):
     assert np.abs((points - center) @ normal).max() < 1e-3
 
 
+def test_a_vehicle_that_is_too_fast_is_told_so(moving, folder):
+    """Rows of 4 x 20 ms are planned; the way back of the beam makes them longer."""
+    wide = {"platform.readings": "at-once", "scan.azimuth_span": 0.1}
+    _scan(moving.with_(wide), folder, frequencies_at_once=2)
+    lines = []
+    cube = io.read_cube(acquisition.recover(folder / "scan", told=lines.append))
+    row = float(np.diff(cube["reading_time"].values[0, 0].mean(axis=-1)).mean())
+    (line,) = lines
+    assert line.startswith(
+        f"too fast: {1e3 * 0.5 * row:.3g} mm between lines, 40 wanted; drive "
+        f"{row / 0.08:.2g} times slower"
+    )
+
+
 def test_readings_in_turn_follow_one_another_at_each_pixel(moving, folder):
     _scan(moving, folder)
     with Journal.read(folder / "scan") as journal:

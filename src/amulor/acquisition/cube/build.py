@@ -34,7 +34,11 @@ from amulor.acquisition.cube.samples import (
 from amulor.acquisition.devices import is_simulated
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import EXTRA, QUANTITIES
-from amulor.acquisition.navigation import RecordedTrajectory, recorded_trajectory
+from amulor.acquisition.navigation import (
+    RecordedTrajectory,
+    recorded_trajectory,
+    speed_advice,
+)
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Procedure
 from amulor.cube.phase_drift import PhaseDrift
@@ -135,6 +139,8 @@ def recover(
         (damaged or told)(f"{folder}: and {more} more rows like these")
     if recorded is not None:
         _write_trajectory(recorded, cube, trajectory_path(path), told, overwrite)
+        for line in speed_advice(recorded, survey, cube["reading_time"].values):
+            told(line)
     write_cube(cube, path, overwrite=overwrite)
     result = read_cube(path)
     for name, variable in cube.variables.items():
