@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 import os
 import random
 import resource
@@ -15,6 +16,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +29,16 @@ from amulor import acquisition
 from amulor.acquisition import plan
 from amulor.acquisition import run as keeper
 from amulor.acquisition.bluesky import ScanDevice
+from amulor.acquisition.connect import connect
 from amulor.acquisition.journal.file import FILE_NAME
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import SCAN, Key
+from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
-from amulor.acquisition.simulated.scene import SceneLight
+from amulor.acquisition.simulated.scene import LightByDirection, SceneLight
 from amulor.errors import AmulorError
+from amulor.platform import pose_line
 from amulor.survey import Survey
 
 RECORD = Record(
@@ -57,6 +63,74 @@ def _known_light(survey: Survey) -> SceneLight:
 
 
 _LIGHT: dict[Survey, SceneLight] = {}
+#: Interval of the messages of the navigation [s].
+_INTERVAL = 0.01
+
+
+class _Carried:
+    """A vehicle without rays: the light of the first direction, and numbered poses."""
+
+    def __init__(self, light: LightByDirection, seed: int, start: float) -> None:
+        self._light = replace(
+            light,
+            **{
+                field.name: getattr(light, field.name)[..., :1]
+                for field in fields(light)
+            },
+        )
+
+    def light(self, time: float, direction: int) -> LightByDirection:
+        return self._light
+
+    def messages(self, begin: float, end: float) -> list[tuple[float, str]]:
+        first, last = (math.ceil(time / _INTERVAL) for time in (begin, end))
+        return [
+            (
+                number * _INTERVAL,
+                pose_line(
+                    time=number * _INTERVAL,
+                    position=[0.0, 1e-3 * number, -8.0],
+                    attitude=[0, 0, 0, 1],
+                    covariance=1e-6 * np.eye(6),
+                ),
+            )
+            for number in range(first, last)
+        ]
+
+
+def _light_of_vehicle(survey: Survey) -> SceneLight:
+    """Light of a survey on a vehicle, without rays after the fork."""
+    if survey not in _LIGHT:
+        standing = scene_light(survey.with_({"platform": None}))
+        _LIGHT[survey] = replace(
+            standing, vehicle=partial(_Carried, standing.with_target)
+        )
+    return _LIGHT[survey]
+
+
+def _last_elapsed(folder: Path) -> float:
+    if not (folder / FILE_NAME).exists():
+        return 0.0
+    with Journal.read(folder) as journal:
+        return journal.last_elapsed()
+
+
+def _lost_messages(journal: Journal, begin: float, told: set[Key]) -> int:
+    """Count the messages before the last acknowledged sample that are missing."""
+    kinds = (plan.DARK, plan.OPEN_WATER, SCAN)
+    ends = [
+        record.elapsed
+        for kind in kinds
+        for key, record in journal.samples(kind)
+        if key in told
+    ]
+    there = {round(arrival / _INTERVAL) for _, arrival, _ in journal.messages()}
+    first, last = (
+        math.ceil(time / _INTERVAL) for time in (begin, max(ends, default=0.0))
+    )
+    return len({*range(first, last)} - there)
+
+
 _SLOW = keeper.SLOW
 
 
@@ -80,9 +154,16 @@ def _scan(
         with Journal.read(folder) as journal:
             part = len(journal.segments())
     embedded = way in ("plan", "beside")
-    devices = devices_of(
-        "embedded" if embedded else way, survey, settings, scene=_known_light, part=part
-    )
+    if way == "vehicle":
+        devices = connect(
+            survey, settings, scene=_light_of_vehicle, part=part,
+            elapsed=_last_elapsed(folder),
+        )  # fmt: skip
+    else:
+        devices = devices_of(
+            "embedded" if embedded else way, survey, settings, scene=_known_light,
+            part=part,
+        )  # fmt: skip
     # As on a disk that takes its time.
     keeper.SLOW = 0.0 if way == "beside" else _SLOW
     try:
@@ -192,7 +273,7 @@ def _kill_loop(
         counts["folders"] += 1
         acknowledged: list[Key] = []
         while counts["kills"] < kills:
-            early = counts["kills"] % 4 == 3
+            early, begin = counts["kills"] % 4 == 3, _last_elapsed(folder)
             told, was_killed = _killed(
                 survey, folder,
                 samples=0 if early else rng.randrange(1, len(planned) * 5 // 4),
@@ -206,6 +287,8 @@ def _kill_loop(
                 with Journal.read(folder) as journal:
                     keys = journal.keys()
                     counts["twice"] += journal.count() - len(keys)
+                    if way == "vehicle":
+                        counts["lost"] += _lost_messages(journal, begin, {*told})
                 counts["lost"] += len({*acknowledged} - keys)
             else:
                 counts["lost"] += len(acknowledged)
@@ -220,6 +303,8 @@ def _kill_loop(
         assert not any(key.kind == SCAN for key in keys - {*planned})
         with Journal.read(folder) as journal:
             cube = acquisition.build(journal)
+        if way == "vehicle":
+            assert not (cube["user_sample_flag"] & SampleFlag.NO_POSE).any()
         assert np.isfinite(cube["in_phase"]).all()
         shutil.rmtree(folder)
     return counts
@@ -228,6 +313,14 @@ def _kill_loop(
 needs_fork = pytest.mark.skipif(
     not hasattr(os, "fork"), reason="SIGKILL and fork are needed"
 )
+
+
+@needs_fork
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_kills_lose_no_pose_before_an_acknowledged_sample(tiny, folder) -> None:
+    counts = _kill_loop(_prepared("", "vehicle", tiny), folder, 4, FEW, "vehicle")
+    assert (counts["lost"], counts["twice"]) == (0, 0)
+    assert counts["acknowledged"] > 10
 
 
 @needs_fork
@@ -278,6 +371,7 @@ WAYS = [
         {"output_filter": "known", "readings": "buffer", "mode": "continuous"},
         (),
     ),
+    ("carried by a vehicle", "vehicle", {}, ()),
     ("commits beside the next dwell", "beside", {}, ("unlock@9x2", "overload@15")),
 ]
 
@@ -291,6 +385,9 @@ def _prepared(name: str, way: str, survey: Survey) -> Survey:
             "instrument.polarizations": ["VV", "VH", "HV", "HH"],
             "instrument.modulation_depth": 0.4,
         }
+    if way == "vehicle":
+        course = {"kind": "hover", "start": [0.0, 0.0, -8.0]}
+        changes = {"platform": {"course": course}}
     if way == "sr865a":
         changes |= {"instrument.modulation_frequencies": ["3.9 MHz"]}
     if way == "digitiser":
