@@ -198,7 +198,10 @@ def change(
         # Changes that the first correction uncovers are left out of the second.
         uncorrected = result
         for _ in range(2):
-            result = _tested(_corrected(uncorrected, _unchanged(result)))
+            unchanged = _unchanged(result)
+            # Frees the derivatives by shared errors, which are the largest arrays.
+            result = uncorrected
+            result = _tested(_corrected(uncorrected, unchanged))
     return result
 
 
@@ -242,13 +245,16 @@ def _corrected(change: Change, unchanged: Flags) -> Change:
         weak = np.eye(rows.shape[1]) / size**2
         used = np.ones(len(at), dtype=bool)
         for _ in range(3):
-            matrix = rows[used].T @ rows[used]
+            some = rows[used]
+            matrix = some.T @ some
             inverse = np.linalg.inv(matrix + weak)
-            errors = inverse @ (rows[used].T @ values[used])
+            errors = inverse @ (some.T @ values[used])
+            del some
             used = np.abs(values - rows @ errors) < _OFF
         # Larger errors fit the shape of patches, and would change the bump.
         if np.abs(errors).max(initial=0.0) < _OFF * size:
             break
+    del rows
     spread = inverse @ (_TAILS * repeated * matrix + weak @ weak) @ inverse
     energy, axes = np.linalg.eigh(spread)
     root = axes * np.sqrt(np.maximum(energy, 0.0))

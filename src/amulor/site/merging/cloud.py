@@ -219,7 +219,8 @@ def merge(
             confirmed=confirmed,
             moving=through > confirmed,
         )
-    columns = {key: np.concatenate(values) for key, values in parts.items()}
+    # Parts are freed one by one, because they need as much memory as the columns.
+    columns = {key: np.concatenate(parts.pop(key)) for key in list(parts)}
     tell("weighing what several scans see", 0.9)
     share = _shares(
         site, columns["position"], columns["scan"], columns["own"], columns["moving"]
