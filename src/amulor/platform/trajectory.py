@@ -85,7 +85,8 @@ class Trajectory:
     adjacent poses are nearly equal. The interpolation error is added: each pose is
     predicted by a cubic polynomial through the two poses before and the two after it. A
     quarter of the rms departure over nine poses is the standard uncertainty in the
-    middle of an interval; at the poses it is zero.
+    middle of an interval; at the poses it is zero. In intervals longer than the median
+    it grows with the square of their length.
 
     Examples
     --------
@@ -311,7 +312,10 @@ class Trajectory:
         mixed = np.where(weight == 1, stated[low + 1], mixed)
         error = self._interpolation_error(begin, end)
         middle = np.sqrt((error[low] ** 2 + error[low + 1] ** 2) / 2)
-        sigma = middle * (4 * share * (1 - share))[:, None]
+        steps = np.diff(times)
+        # Errors are measured at the usual interval; in a longer one they are larger.
+        longer = np.maximum(steps[low] / np.median(steps), 1.0) ** 2
+        sigma = middle * (4 * share * (1 - share) * longer)[:, None]
         return np.asarray(mixed + sigma[:, :, None] ** 2 * np.eye(6))
 
     def _interpolation_error(self, begin: int, end: int) -> Floats:

@@ -93,10 +93,12 @@ def _check(seed, survey):
     time = np.arange(0.05, LENGTH, 0.037)
     known = recorded.known(time)
     if known.any():
-        error = recorded.trajectory.at(time[known]).position - _place(time[known])
-        # 5000 errors of this size: the largest is some four standard deviations. A
-        # step of 0.1 s gives ten.
-        assert np.abs(error).max() < 7 * ERROR, (seed, recorded.lines)
+        poses = recorded.trajectory.at(time[known])
+        error = poses.position - _place(time[known])
+        sigma = np.sqrt(np.einsum("nii->ni", poses.covariance)[:, :3])
+        # Five million errors: the largest is some 5.1 standard deviations. A step of
+        # 0.1 s gives ten.
+        assert np.abs(error / sigma).max() < 6, (seed, recorded.lines)
     return known.mean()
 
 

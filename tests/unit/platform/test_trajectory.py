@@ -231,3 +231,22 @@ def test_directions_turn_with_the_vehicle_and_the_boresight():
     np.testing.assert_allclose(
         poses.turn(np.eye(3)), [right, down, forward], atol=1e-15
     )
+
+
+def test_noise_of_the_poses_makes_long_intervals_uncertain():
+    """A vehicle at rest, whose positions alternate, without two of them."""
+    time = np.delete(np.arange(0.0, 10.0, 0.1), [50, 51])
+    place = np.zeros((time.size, 3))
+    place[:, 0] = 0.005 * (-1.0) ** np.arange(time.size)
+    track = Trajectory.of_angles(
+        time=time,
+        position=place,
+        heading=0.0,
+        position_uncertainty=0.005,
+        heading_uncertainty=0.0,
+        level_uncertainty=0.0,
+    )
+    poses = track.at([2.05, 5.05])
+    sigma = np.sqrt(poses.covariance[:, 0, 0] - 0.005**2)
+    # The interval is three times as long; departures near it are larger, too.
+    assert sigma[1] >= 9 * sigma[0] > 0
