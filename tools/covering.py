@@ -212,7 +212,8 @@ def covering(
     -------
     list of dict
         For each line, the tests that run it, and files whose fixtures do, with their
-        times [s]. Parameters of a test are left out.
+        times [s]. Parameters of a test are left out. An empty name is for a line that
+        runs outside of tests, such as during their collection.
     """
     by_file: dict[Path, dict[tuple[int, int], list[int]]] = defaultdict(dict)
     for number, (file, line) in enumerate(lines):
@@ -228,6 +229,7 @@ def covering(
         "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1",
         "AMULOR_PROBES": str(answer),
     }  # fmt: skip
+    environment.pop("PYTEST_CURRENT_TEST", None)
     words = [sys.executable, "-m", "pytest", "-q", "-p", "amulor_probe"]
     words += ["-p", "no:cacheprovider", "--continue-on-collection-errors"]
     subprocess.run([*words, *tests], env=environment, check=False)
@@ -244,6 +246,8 @@ def _read(text: str, count: int) -> list[dict[str, float]]:
             test = words[0].partition("[")[0]
             times[test] += float(words[1])
             times[test.partition("::")[0]] += float(words[1])
+        elif kind == "hit" and not words[1]:
+            hits[int(words[0])].add("")
         elif kind == "hit" and words[1].startswith("tests/"):
             test, _, phase = words[1].rpartition(" (")
             test = test.partition("[")[0]

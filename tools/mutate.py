@@ -510,7 +510,7 @@ class Worker:
         stem = mutant.file.stem.strip("_")
         first = [file for file in near[0] if stem in Path(file).stem]
         running = self._tests.get("\t".join(mutant.key), {})
-        if running:
+        if running and "" not in running:
             stages = [ordered(running, near)]
             if parsed(mutant.file).is_definition(mutant.line):
                 stages.append(list(_LISTINGS))
@@ -812,7 +812,7 @@ def main() -> int:
             return time.monotonic() < deadline
 
         _switch(waiting, tests, words.budget, done)
-        waiting = [m for m in waiting if m.key not in earlier or not _switches(m)]
+        waiting = [m for m in waiting if not _switches(m, tests)]
     with (
         tempfile.TemporaryDirectory() as folder,
         ProcessPoolExecutor(
@@ -856,8 +856,13 @@ def _record(
     print(f"{result} {outcome.seconds:.0f} s {place[:150]}", flush=True)
 
 
-def _switches(mutant: Mutant) -> bool:
-    return can_switch(mutant.file, mutant.line)
+def _switches(mutant: Mutant, tests: dict[str, dict[str, float]]) -> bool:
+    """Return whether a change takes effect behind a switch, and its tests are known.
+
+    A cache of a function that runs before the tests has the result without the change.
+    """
+    running = tests.get("\t".join(mutant.key), {})
+    return bool(running) and "" not in running and can_switch(mutant.file, mutant.line)
 
 
 def _switch(
@@ -870,7 +875,7 @@ def _switch(
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "src"
         shutil.copytree(ROOT / "src", copy)
-        mutants = dict(enumerate(mutant for mutant in waiting if _switches(mutant)))
+        mutants = dict(enumerate(m for m in waiting if _switches(m, tests)))
         by_file: dict[Path, list[tuple[int, tuple[int, ...], str]]] = {}
         trials = []
         for number, mutant in mutants.items():
@@ -879,7 +884,7 @@ def _switch(
             )
             near = tests_of(mutant.file)
             running = tests.get("\t".join(mutant.key), {})
-            chosen = ordered(running, near) or near[0][:4]
+            chosen = ordered(running, near)
             place = copy / "amulor" / mutant.file.relative_to(PACKAGE)
             if ">>>" in mutant.file.read_text("utf-8"):
                 chosen = [str(place), *chosen]

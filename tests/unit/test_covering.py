@@ -120,6 +120,8 @@ def test_tests_of_a_line_are_found_in_other_programs_and_in_fixtures(
     tests = tmp_path / "tests"
     tests.mkdir()
     (tests / "test_a.py").write_text(TESTS)
+    # A file of tests that runs a line when it is collected.
+    (tests / "test_c.py").write_text("from part.coil import wound\nwound(7)\n")
     (tests / "test_b.py").write_text(TESTS.replace("(length)", "()").replace(
         "    assert length == 7.5", "    pass"
     ))  # fmt: skip
@@ -128,8 +130,9 @@ def test_tests_of_a_line_are_found_in_other_programs_and_in_fixtures(
     copy = shutil.copytree(tmp_path / "src", tmp_path / "copy")
     coil = package / "coil.py"
     large, every = tool.covering(copy, package, [(coil, 12), (coil, 13)], ["tests"])
-    assert set(large) == {"tests/test_a.py", "tests/test_b.py::test_program"}
+    assert set(large) == {"", "tests/test_a.py", "tests/test_b.py::test_program"}
     assert set(every) == {
+        "",
         "tests/test_a.py",
         "tests/test_b.py::test_small",
         "tests/test_b.py::test_program",
