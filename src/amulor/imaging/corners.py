@@ -24,9 +24,13 @@ Complex = NDArray[np.complex128]
 _PATCHES = 400
 #: Least width of a patch, in pixels.
 _NARROWEST = 3
+#: Largest standard error of the tilt of a patch, from the noise of its pixels [rad].
+_TILT = 0.15
 #: A patch is flat if it deviates from its plane by less than this part of its width,
 #: or by so many standard errors of its pixels [1].
-_FLAT, _NOISE = 0.05, 4.0
+_FLAT, _NOISE = 0.05, 2.0
+#: Patches near a pixel; the largest shift by their orientations counts.
+_NEIGHBORS = 4
 #: Least cosine of the angle between a surface and the direction to the receiver [1].
 _GRAZING = 0.05
 #: Light that is reflected twice counts from this part of a range error on [1].
@@ -35,6 +39,8 @@ _MATTERS = 0.05
 #: of light that is reflected twice, which has no polarization left [1].
 _PASSED = {True: 0.75, False: 0.25}
 _UNPOLARIZED = 0.5
+#: Depolarization of the water over that of a surface, unless better known.
+_WATER_TO_SURFACE = 0.5
 #: Depths at which the echo of a white surface is computed.
 _DEPTHS = 5
 #: Pixels that are computed at once.
@@ -125,6 +131,7 @@ def corner_error(
     passed = 1.0 if name == "none" else _PASSED[name in ("VV", "HH", "RL", "LR")]
     # Light that is reflected twice is unpolarized, and passes crossed analyzers better.
     boost = 1.0 if name == "none" else max(1.0, _UNPOLARIZED / passed)
+    boost *= _leverage(observation)
     receiver = np.asarray(observation.geometry.receiver, dtype=float).reshape(-1, 3)[0]
     try:
         water = water_properties(survey)
@@ -164,13 +171,28 @@ def corner_error(
         shift = np.median(slope[valid]) * path_error(fit.position, fit.normal)
         fit = replace(fit, concerned=np.abs(shift) > limit)
     rows, columns = np.nonzero(valid)
-    chosen = np.flatnonzero(fit.concerned[near])
-    for first in range(0, chosen.size, _AT_ONCE):
-        part = chosen[first : first + _AT_ONCE]
-        place = rows[part], columns[part]
-        shift = path_error(position[place], fit.normal[near[part]])
-        error[place] = np.abs(slope[place] * shift)
+    for neighbor in near.T:
+        chosen = np.flatnonzero(fit.concerned[neighbor])
+        for first in range(0, chosen.size, _AT_ONCE):
+            part = chosen[first : first + _AT_ONCE]
+            place = rows[part], columns[part]
+            shift = path_error(position[place], fit.normal[neighbor[part]])
+            error[place] = np.maximum(error[place], np.abs(slope[place] * shift))
     return (error if fit.concerned.any() else None), fit
+
+
+def _leverage(observation: Observation) -> float:
+    """Return the factor on the shift from a change of the water that corners feign.
+
+    At one frequency, the rejection estimates a change of the water from the difference
+    between the phases of two channels. Unpolarized light changes this difference.
+    """
+    attributes = observation.channel.attrs
+    estimated = {"open_water_change", "channel_phase_probability"} <= set(attributes)
+    if observation.frequency.size > 1 or not estimated:
+        return 1.0
+    parallel, crossed = (_UNPOLARIZED / _PASSED[equal] for equal in (True, False))
+    return parallel + (crossed - parallel) / (1 - _WATER_TO_SURFACE)
 
 
 def _brightness(
@@ -221,7 +243,7 @@ def _patches(
 ) -> Patches:
     """Divide a scan into blocks of pixels; return the flat ones as surface patches."""
     rows, columns = slant_range.shape
-    side = max(_NARROWEST, math.ceil(math.sqrt(rows * columns / _PATCHES)))
+    side = _side(observation, slant_range, noise)
     scale = _coverage(observation)
     found: list[tuple[Floats, Floats, float, float]] = []
     for row in range(0, rows, side):
@@ -251,22 +273,46 @@ def _plane(
 ) -> tuple[Floats, Floats, float, float] | None:
     """Center, normal, area and brightness of a block; None if it is not flat."""
     valid = np.isfinite(position).all(axis=-1)
-    if valid.sum() < max(4, valid.size / 2) or min(valid.shape) < 2:
+    if valid.sum() < max(4, valid.size / 2):
         return None
-    down, right = (np.diff(position, axis=axis).reshape(-1, 3) for axis in (0, 1))
-    sides = [step[np.isfinite(step).all(axis=1)] for step in (down, right)]
-    if any(not len(step) for step in sides):
-        return None
+    row, column = np.nonzero(valid)
+    plane = np.stack([np.ones(row.size), row, column], axis=1)
     points = position[valid]
-    center = points.mean(axis=0)
-    spread, axes = np.linalg.eigh(np.cov((points - center).T))
-    width = math.sqrt(12 * max(spread[2], 0.0))
-    flat = max(_FLAT * width, _NOISE * float(np.median(noise[valid])))
-    if not math.sqrt(max(spread[0], 0.0)) < flat or not spread[1] > 4 * spread[0]:
+    fit, _, rank, _ = np.linalg.lstsq(plane, points, rcond=None)
+    across = np.cross(fit[1], fit[2])
+    size = float(np.linalg.norm(across))
+    if rank < 3 or size <= 0:
         return None
-    first, second = (np.median(step, axis=0) for step in sides)
-    area = valid.sum() * abs(float(np.cross(first, second) @ axes[:, 0]))
-    return center, axes[:, 0], area, float(np.median(brightness[valid]))
+    normal = across / size
+    rest = float(np.std((points - plane @ fit) @ normal))
+    width = math.sqrt(valid.sum() * size)
+    if rest > max(_FLAT * width, _NOISE * float(np.median(noise[valid]))):
+        return None
+    bright = float(np.median(brightness[valid]))
+    return points.mean(axis=0), normal, valid.sum() * size, bright
+
+
+def _side(observation: Observation, slant_range: Floats, noise: Floats) -> int:
+    """Return the width of patches, in pixels."""
+    rows, columns = slant_range.shape
+    side = max(_NARROWEST, math.ceil(math.sqrt(rows * columns / _PATCHES)))
+    steps = [step for step in _steps(observation) if step > 0]
+    step = math.sqrt(math.prod(steps)) if steps else 0.0
+    ratio = noise / np.where(slant_range > 0, slant_range, np.nan)
+    if step > 0 and np.isfinite(ratio).any():
+        # The tilt of `side` pixels across has an error of sqrt(12) noise / side^2.
+        tilt = math.sqrt(12) * float(np.nanmedian(ratio)) / step
+        side = max(side, math.ceil(math.sqrt(tilt / _TILT)))
+    return min(side, max(_NARROWEST, min(rows, columns) // 3))
+
+
+def _steps(observation: Observation) -> tuple[float, float]:
+    """Return the angles between neighbors of a row and of a column; 0 for one [rad]."""
+    azimuth, elevation = observation.geometry.azimuth, observation.geometry.elevation
+    across, down = np.diff(azimuth, axis=1), np.diff(elevation, axis=0)
+    return tuple(  # type: ignore[return-value]
+        float(np.median(np.abs(part))) if part.size else 0.0 for part in (across, down)
+    )
 
 
 def _coverage(observation: Observation) -> float:
@@ -275,10 +321,7 @@ def _coverage(observation: Observation) -> float:
     geometry = observation.geometry
     if span is None or min(geometry.azimuth.shape) < 2:
         return 1.0
-    steps = (
-        float(np.median(np.abs(np.diff(geometry.azimuth, axis=1)))),
-        float(np.median(np.abs(np.diff(geometry.elevation, axis=0)))),
-    )
+    steps = _steps(observation)
     if min(steps) <= 0:
         return 1.0
     angles = zip((span.azimuth, span.elevation), steps, strict=True)
@@ -287,9 +330,11 @@ def _coverage(observation: Observation) -> float:
 
 
 def _nearest(position: Floats, centers: Floats) -> NDArray[np.intp]:
-    """Return the index of the patch nearest to each point."""
+    """Return the indices of the patches nearest to each point, (point, neighbor)."""
     from scipy.spatial import cKDTree
 
+    count = min(_NEIGHBORS, len(centers))
     if not len(position):
-        return np.zeros(0, dtype=np.intp)
-    return np.asarray(cKDTree(centers).query(position)[1], dtype=np.intp)
+        return np.zeros((0, count), dtype=np.intp)
+    numbers = cKDTree(centers).query(position, k=list(range(1, count + 1)))[1]
+    return np.asarray(numbers, dtype=np.intp)

@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 _FEWEST_PIXELS = 10
 #: Relative difference between the waters of scan and references that is usual [1].
 _USUAL_CHANGE = 0.02
+#: Light in corners is a probable cause from this share of flagged pixels on [1].
+_CORNER_SHARE = 0.02
 #: A delay between channels explains their phases up to this share of the largest [1].
 _LIKE_DELAY = 0.2
 
@@ -188,9 +190,14 @@ def _channels(cube: xr.Dataset) -> InstrumentTest | None:
         return None
     phase = np.atleast_1d(cube.attrs["channel_phase_rad"])
     cause, measurement = f"{_AMPLITUDE}, or {_WATER}", _LEAKAGE
+    flag = np.asarray(cube.get("quality_flag", np.int16(0)))
+    in_corner = (flag & QualityFlag.CORNER) != 0
     if _is_delay(phase, cube):
         cause = "a delay between the channels"
         measurement = "measure the delay of each channel with a plate"
+    if np.mean(in_corner) > _CORNER_SHARE:
+        cause = f"light that corners reflect twice, or {cause}"
+        measurement = f"scan a plate in the same water; {measurement}"
     return InstrumentTest(
         name="channels",
         result=f"the channels differ by {1e3 * float(np.max(phase)):.3g} mrad",

@@ -8,11 +8,11 @@ import xarray as xr
 from corner_rays import double_over_single
 from numpy.testing import assert_allclose
 
-from amulor import imaging, rejection
+from amulor import Survey, imaging, rejection
 from amulor.cube import QualityFlag
 from amulor.imaging.corners import Patches, corner_ratio
 from amulor.simulation import simulate
-from amulor.studies.trust.surveys import survey
+from amulor.studies.trust.surveys import corner, survey
 
 #: The edge of the corner is vertical, at 2.6 m; its walls stand at 45 degrees.
 EDGE = np.array([0.0, 0.0, 2.6])
@@ -75,26 +75,29 @@ def test_the_ratio_is_that_of_traced_rays(away: float, reflectance: float) -> No
     assert_allclose(ratio, rays, rtol=0.05)
 
 
+def _corner_survey(
+    count: int, reflectance: float, *, columns: int, rows: int
+) -> Survey:
+    """Survey of an inside corner whose walls have a given reflectance."""
+    walls = corner(2.6, reflectance=reflectance)
+    scan = {"azimuth": 0.0, "wide": 14, "tall": 10, "columns": columns, "rows": rows}
+    return survey(count, *walls, baseline=1, **scan).with_(
+        {"instrument.receiver.acceptance": "0.3 rad"}
+    )
+
+
 def _image(
-    reflectance: float, *, corner: bool
+    reflectance: float, *, lit: bool
 ) -> tuple[xr.Dataset, np.ndarray, np.ndarray]:
     """Range image of a corner with the light of both walls added to its samples."""
-    walls = [
-        f'[[targets]]\nkind = "plate"\nposition = ["{side * 0.10607} m", "0 m", '
-        f'"2.49393 m"]\nrotation = ["0 deg", "{side * 45} deg", "0 deg"]\n'
-        f'width = "0.3 m"\nheight = "0.3 m"\nreflectance = {reflectance}'
-        for side in (-1, 1)
-    ]
-    described = survey(
-        4, *walls, baseline=1, azimuth=0.0, wide=14, tall=10, columns=36, rows=18
-    ).with_({"instrument.receiver.acceptance": "0.3 rad"})
+    described = _corner_survey(4, reflectance, columns=36, rows=18)
     cube = simulate(described, rng=3)
     signal = cube["truth_target_in_phase"] + 1j * cube["truth_target_quadrature"]
     distance = cube["truth_slant_range"].values
     across = (
         np.tan(cube["azimuth"].values / 1.34) * distance
     )  # nearly the beam in water
-    if corner:
+    if lit:
         away = np.abs(across) * 2**0.5
         places = np.linspace(0.005, 0.3, 14)
         ratio = np.zeros(signal.shape, dtype=complex)
@@ -114,7 +117,7 @@ def _image(
 
 
 def test_an_inside_corner_states_its_error() -> None:
-    image, distance, across = _image(0.4, corner=True)
+    image, distance, across = _image(0.4, lit=True)
     flag = image["quality_flag"].values
     # The flag of the corner itself excludes no pixel here.
     valid = ((flag & ~QualityFlag.CORNER) == 0) & np.isfinite(distance)
@@ -134,6 +137,22 @@ def test_an_inside_corner_states_its_error() -> None:
 
 
 def test_a_simulation_without_such_light_has_no_term() -> None:
-    image, _, _ = _image(0.4, corner=False)
+    image, _, _ = _image(0.4, lit=False)
     assert "slant_range_uncertainty_corners" not in image
     assert not (image["quality_flag"].values & QualityFlag.CORNER).any()
+
+
+def test_at_one_frequency_the_term_includes_a_feigned_change_of_the_water() -> None:
+    ranges = []
+    for twice in (None, True):
+        planned = _corner_survey(1, 0.4, columns=24, rows=12).with_(
+            {"scan.second_reflection": twice}
+        )
+        target = rejection.open_water(simulate(planned, rng=3), interval=(2.0, 3.0))
+        image = imaging.range_image(target, polarization="VV", interval=(2.0, 3.0))
+        ranges.append(image["slant_range"].values)
+    # Noise and water are the same, so the difference is the light of the corner.
+    shift = np.nanmedian(ranges[1] - ranges[0])
+    term = np.nanmedian(image["slant_range_uncertainty_corners"].values)
+    assert shift > 0.005
+    assert 0.5 * shift < term < 2 * shift

@@ -101,6 +101,21 @@ def plate(
     )
 
 
+def corner(distance: float, *, reflectance: float, right: float = 0.0) -> list[str]:
+    """Return TOML texts of two walls at right angles, from the distance of their edge.
+
+    The walls are 0.3 m wide and high, and face the instrument at 45 degrees.
+    """
+    half = 0.15 / 2**0.5
+    return [
+        f'[[targets]]\nkind = "plate"\nposition = ["{right + side * half:.5f} m", '
+        f'"0 m", "{distance - half:.5f} m"]\n'
+        f'rotation = ["0 deg", "{side * 45} deg", "0 deg"]\n'
+        f'width = "0.3 m"\nheight = "0.3 m"\nreflectance = {reflectance}'
+        for side in (-1, 1)
+    ]
+
+
 def stairs(distance: float, *, reflectance: float, tread: float = 0.03) -> str:
     """Return TOML text of a staircase of five treads."""
     return (

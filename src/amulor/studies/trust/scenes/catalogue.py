@@ -101,6 +101,8 @@ SCENES: tuple[Scene, ...] = (
     _scene("wide photons", "the same, light followed photon by photon",
            models.wide_photons, (2, 4)),
     _scene("stairs", "dim treads of 3 %", models.staircase),
+    _scene("corner", "inside corner at 2.6 m, walls of 40 % light each other",
+           models.inside_corner, (1, 2, 4)),
     _scene("coastal", "plate in coastal water", models.coastal),
     _scene("harbour", "plate in harbour water", models.harbour),
     _scene("circular", "plate seen with circular light", models.circular),

@@ -14,7 +14,7 @@ from amulor.simulation.models import (
     SmallAngleModel,
 )
 from amulor.studies.trust.case import Case, case_of
-from amulor.studies.trust.surveys import plate, stairs, survey
+from amulor.studies.trust.surveys import corner, plate, stairs, survey
 
 
 def around(distance: float) -> tuple[float, float]:
@@ -92,6 +92,13 @@ def staircase(count: int, seed: int) -> Case:
     """Simulate a staircase with a reflectance of 3 % in the water of the test tank."""
     planned = survey(count, stairs(2.4, reflectance=0.03))
     return case_of(simulate(planned, rng=seed), interval=around(2.4))
+
+
+def inside_corner(count: int, seed: int) -> Case:
+    """Simulate an inside corner at 2.6 m whose walls of 40 % illuminate each other."""
+    walls = corner(2.6, reflectance=0.4, right=-0.14)
+    planned = survey(count, *walls).with_({"scan.second_reflection": True})
+    return case_of(simulate(planned, rng=seed), interval=around(2.5))
 
 
 def coastal(count: int, seed: int) -> Case:
