@@ -182,16 +182,20 @@ def corner_error(
 
 
 def _leverage(observation: Observation) -> float:
-    """Return the factor on the shift from a change of the water that corners feign.
+    """Return the factor on the shift by two channels, which separated the water.
 
-    At one frequency, the rejection estimates a change of the water from the difference
-    between the phases of two channels. Unpolarized light changes this difference.
+    The method `polarization` separates the echo by its depolarization ratio, which
+    unpolarized light does not have. At one frequency, other methods estimate a change
+    of the water from the phase between two channels. Unpolarized light changes it.
     """
     attributes = observation.channel.attrs
+    parallel, crossed = (_UNPOLARIZED / _PASSED[equal] for equal in (True, False))
+    if {"target_ratio", "water_ratio"} <= set(attributes):
+        target, water = (float(attributes[f"{n}_ratio"]) for n in ("target", "water"))
+        return _UNPOLARIZED * (1 + target) * (1 - water) / abs(target - water)
     estimated = {"open_water_change", "channel_phase_probability"} <= set(attributes)
     if observation.frequency.size > 1 or not estimated:
         return 1.0
-    parallel, crossed = (_UNPOLARIZED / _PASSED[equal] for equal in (True, False))
     return parallel + (crossed - parallel) / (1 - _WATER_TO_SURFACE)
 
 

@@ -96,8 +96,10 @@ def staircase(count: int, seed: int) -> Case:
 
 def inside_corner(count: int, seed: int) -> Case:
     """Simulate an inside corner at 2.6 m whose walls of 40 % illuminate each other."""
-    walls = corner(2.6, reflectance=0.4, right=-0.14)
-    planned = survey(count, *walls).with_({"scan.second_reflection": True})
+    walls = corner(2.6, reflectance=0.4, right=-0.03)
+    planned = survey(count, *walls, wide=8, tall=6).with_(
+        {"scan.second_reflection": True}
+    )
     return case_of(simulate(planned, rng=seed), interval=around(2.5))
 
 
