@@ -120,7 +120,7 @@ def volume(
 def _between(line: Sequence[int], places: Numbers) -> Numbers:
     """Rows or columns of a grid from the first to the last place."""
     at = np.asarray(line, dtype=np.intp)
-    return at[(at >= places.min()) & (at <= places.max())]
+    return np.asarray(at[(at >= places.min()) & (at <= places.max())])
 
 
 class _Ground:

@@ -46,7 +46,7 @@ class Recorded:
             cube = simulate(survey(count, _TARGET), rng=seed)
         self.survey = cube.amulor.survey
         # Half of the repeats in each direction are recorded after the scan.
-        repeats = self.survey.scan.open_water.repeats  # type: ignore[union-attr]
+        repeats = self.survey.scan.open_water.repeats
         order = np.arange(cube.sizes["shot"]).reshape(-1, repeats)
         first, second = order[:, : repeats // 2].ravel(), order[:, repeats // 2 :]
         self.cube = cube.isel(shot=np.concatenate([first, second.ravel()]))
