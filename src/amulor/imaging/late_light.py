@@ -69,11 +69,11 @@ def late_light(
 ) -> tuple[LateLight, LateFit]:
     """Range error of one channel due to late light, and the statistics used.
 
-    The water is that of the survey, a rectangular distribution between two ends: with
-    an asymmetry between the Henyey-Greenstein function and half of its delay, since
-    natural waters of the same asymmetry are less late; with moments of the forward
-    part alone between Henyey-Greenstein functions with these moments and with
-    asymmetries of 0.90 to 0.98.
+    The water is that of the survey. A stated phase function gives one delay. Otherwise
+    the delay has a rectangular distribution between two ends: with an asymmetry between
+    the Henyey-Greenstein function and half of its delay, since natural waters of the
+    same asymmetry are less late; with moments of the forward part alone between
+    Henyey-Greenstein functions with these moments and with asymmetries of 0.90 to 0.98.
     """
     nothing = np.zeros(slant_range.shape)
     survey = observation.survey
@@ -239,9 +239,18 @@ def _between(
         delays.append(
             np.moveaxis(delay, -1, 0).reshape(*weight.shape[:-1], *usable.shape)
         )
-    if len(delays) == 1:
+    if _states_asymmetry_only(survey):
         delays.append(_LEAST_PART * delays[0])
     return np.min(delays, axis=0), np.max(delays, axis=0)
+
+
+def _states_asymmetry_only(survey: Survey) -> bool:
+    """Return whether the survey states the whole phase function by its mean cosine."""
+    function = getattr(survey.water, "phase_function", None)
+    return (
+        getattr(survey.water, "asymmetry", None) is not None
+        or getattr(function, "kind", "") == "henyey-greenstein"
+    )
 
 
 def _spread(low: float, high: float) -> Floats:

@@ -11,6 +11,8 @@ from amulor import imaging, rejection
 from amulor.optics import ranging
 from amulor.optics.late_echo import late_echo
 from amulor.optics.phase_functions.models import henyey_greenstein_function
+from amulor.optics.phase_functions.phase_function import PhaseFunction
+from amulor.optics.phase_functions.tables import petzold
 from amulor.simulation import simulate
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import view
@@ -32,9 +34,11 @@ def haze(plate_text: str) -> str:
 
 
 def seen(
-    text: str, depth: np.ndarray, asymmetry: float, frequency: float
+    text: str, depth: np.ndarray, function: PhaseFunction | float, frequency: float
 ) -> np.ndarray:
     """Return the delay of each pixel, worked out without a table."""
+    if isinstance(function, float):
+        function = henyey_greenstein_function(asymmetry=function)
     made = Survey.from_text(text)
     water = water_properties(made)
     cube = simulate(made, rng=1)
@@ -47,7 +51,7 @@ def seen(
         frequency,
         depth=depth,
         scattering=made.water.scattering,
-        phase_function=henyey_greenstein_function(asymmetry=asymmetry),
+        phase_function=function,
         group_index=water.group_index,
         baseline=look.baseline,
         receiver_radius=made.instrument.receiver.radius,
@@ -84,6 +88,21 @@ def test_the_delay_is_taken_off_and_its_uncertainty_is_a_term(haze: str) -> None
         np.sqrt(0.05**2 + wide**2 + 0.4**2) * taken[usable],
         rtol=1e-6,
     )
+
+
+def test_a_stated_phase_function_has_one_delay(haze: str) -> None:
+    text = haze.replace(
+        "asymmetry = 0.95\n",
+        'phase_function = { kind = "petzold", station = "NUC 2040" }\n',
+    )
+    image = imaging.range_image(measured(text), polarization="VH")
+    usable = image["slant_range"].notnull().values
+    depth = image["slant_range"].fillna(1.5).values
+    late = seen(text, depth, petzold("NUC 2040"), 39e6)[usable]
+    taken = image["slant_range_late_echo"].values[usable]
+    assert_allclose(taken, late, rtol=0.01)
+    term = image["slant_range_uncertainty_late_echo"].values[usable]
+    assert_allclose(term, 0.05 * taken, rtol=1e-6)
 
 
 def test_moments_alone_leave_a_rectangle_between_natural_waters(
