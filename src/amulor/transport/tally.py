@@ -520,7 +520,7 @@ class Tally:
         >>> slope, covariance = tally.derivative("absorption")
         >>> mean_path = -slope[0].real / tally.signal[0].real
         >>> print(f"{mean_path:.1f} m")
-        0.4 m
+        0.6 m
         """
         if self.derivative_batches is None or name not in self.derivatives:
             names = ", ".join(repr(known) for known in self.derivatives) or "none"
