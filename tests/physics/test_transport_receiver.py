@@ -194,6 +194,7 @@ def test_target_joined_through_shifted_paths_is_the_same():
     assert abs(runs[0].target_signal[0]) > 3 * abs(runs[0].water_signal[0])
 
 
+@pytest.mark.study
 def test_a_far_target_whose_light_the_run_has_missed_is_flagged():
     # At 16 attenuation lengths the light of the target comes by paths scattered both
     # ways, which most runs of this size do not meet at all: what they have met is less

@@ -214,7 +214,7 @@ def few() -> Tank:
     return Tank(photons("Fournier-Forand", histories=60_000, open_histories=120_000))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("shots", [True, False])
 def test_photons_of_another_water_bias_ten_times_less_than_raw_phases(
     few: Tank, shots: bool

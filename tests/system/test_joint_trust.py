@@ -209,7 +209,7 @@ def _with_shots_of(cube: xr.Dataset, factor: float) -> xr.Dataset:
     return cubes.without_groups(cube, "truth").assign(shots)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("late", "trusted"),
     [pytest.param(0.0, 0.97, marks=pytest.mark.study), (0.022, 0.0)],

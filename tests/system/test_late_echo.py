@@ -11,7 +11,7 @@ from amulor.studies.trust.scenes.photons import photon_water
 from amulor.studies.trust.table import score
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("function", ["petzold", "fournier-forand", "two-term"])
 def test_intervals_hold_the_surface_and_not_only_the_late_echo(function: str) -> None:
     # The survey knows a and b and the moments of another phase function.

@@ -191,6 +191,7 @@ def test_what_the_drift_of_3_against_7_degrees_needs(quick):
     assert 0.80 < m22 < 0.82
 
 
+@pytest.mark.study
 def test_statements_hold_and_fail_as_documented(tables):
     sure = {
         "(a) VV does not drift in tap water": False,
@@ -234,6 +235,7 @@ def test_open_water_takes_most_of_the_drift_away(quick):
     assert abs(left) < 0.3 * abs(before)
 
 
+@pytest.mark.study
 def test_without_milk_or_without_a_baseline_nothing_drifts(quick):
     row = {"kind": "drift", "statement": "VV drifts", "low": 1.0, "high": 1.6}
     rows = Statements("", "", {"b_VV": row, "tap_VV": row})
@@ -309,6 +311,7 @@ def test_walls_send_back_light_without_polarization(quick):
     assert abs(more - 2 * little) < 4 * np.hypot(2 * error, other)
 
 
+@pytest.mark.study
 def test_larger_spheres_trade_crossed_light_for_light_of_the_same_hand(quick):
     # Single scattering by spheres crosses nothing straight back, but some degrees off
     # it sends back light of the same hand, which small ones do not.

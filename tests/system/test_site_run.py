@@ -203,7 +203,7 @@ def spread(site: Path, folder: Path, here: Here) -> dict[str, site_run.Done]:
     return {one.name: one for one in found if one is not None}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.usefixtures("dated")
 def test_rows_as_tasks_make_the_same_bytes(site: Path, tmp_path: Path) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"

@@ -398,7 +398,7 @@ def test_intervals_hold_from_half_to_three_attenuation_lengths(scene: str) -> No
         assert row.score.worst < 4, row
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     "function",
     [

@@ -224,7 +224,7 @@ def test_photons_that_were_interrupted_are_printed_and_no_success(
     assert printed.err == "amulor: interrupted\n"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_closure_warns_of_a_narrow_receiver_in_one_line(
     tank: Path, tmp_path: Path, capsys
 ) -> None:
