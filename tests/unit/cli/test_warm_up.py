@@ -18,7 +18,8 @@ from amulor.studies import ladder
 LEFT_OUT = {
     "amulor.transport._kernels.slab": {
         "way_out", "inner_reflectance", "meridian", "cross_layers", "add_exit",
-        "add_discs", "add_directions", "follow_photon", "follow_photons", "run_slab",
+        "add_discs", "add_directions", "follow_depth", "follow_photon",
+        "follow_photons", "run_slab",
     },
     "amulor.transport._kernels.sampling": {"fill_uniform"},
     "amulor.optics.small_angle._kernels": {"spread"},
