@@ -295,15 +295,15 @@ def test_a_plan_without_open_water_is_noted(
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (["reject"], "CUBE requires"),
-        (["reject", "a.nc", "--method", "magic", "-o", "b.nc"], '"magic" for --method'),
+        (["reject"], "CUBE"),
+        (["reject", "a.nc", "--method", "magic", "-o", "b.nc"], '"magic"'),
         (["simulate", "a.toml", "-o", "b.nc", "--seed", "one"], '"one" into int'),
         (["swim"], 'command "swim"'),
         (["survey", "czech"], 'command "czech"'),
         (["--verbose"], '"--verbose"'),
-        (["info"], "FILE requires"),
+        (["info"], "FILE"),
         (["info", "a.nc", "b.nc"], "['b.nc']"),
-        (["report", "-o", "x.html"], "IMAGES requires"),
+        (["report", "-o", "x.html"], "IMAGES"),
         (
             ["calibrate", "plate", "a.nc", "-o", "x.toml"],
             "--distance is missing; state it, such as",
@@ -326,7 +326,7 @@ def test_a_plan_without_open_water_is_noted(
         ),
         (
             ["devices", "simulate", "a.toml", "-o", "b.toml", "--lock-in", "mine"],
-            '"mine" for --lock-in',
+            '"mine"',
         ),
         (
             [
@@ -393,7 +393,7 @@ def test_a_plan_without_open_water_is_noted(
             ["design", "a.toml", "-o", "b.toml", "--runner-up", "b.toml"],
             "name the same file",
         ),
-        (["site", "check"], "SITE requires"),
+        (["site", "check"], "SITE"),
         (["site", "register", "a.toml", "-o", "b.txt"], "use one of .json"),
         (
             ["site", "merge", "a.toml", "--poses", "p.json", "-o", "b", "--tile", "5"],
@@ -407,7 +407,7 @@ def test_a_plan_without_open_water_is_noted(
             ["site", "report", "a.toml", "--poses", "p.json", "-o", "b.pdf"],
             "use one of .html",
         ),
-        (["run", "a.toml"], "--output requires"),
+        (["run", "a.toml"], "--output"),
         (["archive"], "name a project file and the folder"),
         (["archive", "a.toml"], "name a project file and the folder"),
         (
