@@ -102,6 +102,20 @@ def frequencies_of(option: str, text: str) -> list[float]:
     return frequencies
 
 
+def row_and_column(
+    pixel: str, *, error: type[AmulorError] = UsageError
+) -> tuple[int, int]:
+    """Parse the option --pixel; raise `error` for another form."""
+    try:
+        row, column = (int(part) for part in pixel.split(","))
+    except ValueError:
+        raise error(
+            f"--pixel: {pixel!r} is no row and column; state two whole numbers with a "
+            "comma between them, such as 20,50"
+        ) from None
+    return row, column
+
+
 def interval_of(
     nearest: str | None, farthest: str | None
 ) -> tuple[float, float] | None:

@@ -65,7 +65,7 @@ def _explain_pixel(words: tuple[str, ...], pixel: str, *, json: bool) -> None:
     """Print the flags of a pixel by channel, with the numbers behind each flag."""
     from dataclasses import asdict
 
-    from amulor.cli._arguments import check_inputs
+    from amulor.cli._arguments import check_inputs, row_and_column
     from amulor.cli._output import print_json, print_table
     from amulor.view import explanations
     from amulor.view.explanations import reasons
@@ -75,13 +75,7 @@ def _explain_pixel(words: tuple[str, ...], pixel: str, *, json: bool) -> None:
             f"--pixel needs one file before it, got {len(words)}; for example: amulor "
             "explain range.nc --pixel 20,50"
         )
-    try:
-        row, column = (int(part) for part in pixel.split(","))
-    except ValueError:
-        raise FormatError(
-            f"--pixel: {pixel!r} is no row and column; state two whole numbers with a "
-            "comma between them, such as 20,50"
-        ) from None
+    row, column = row_and_column(pixel, error=FormatError)
     path = Path(words[0])
     check_inputs(path)
     flags = reasons(path, row, column)

@@ -13,6 +13,7 @@ from amulor.cli._arguments import (
     check_ending,
     check_inputs,
     interval_of,
+    row_and_column,
 )
 from amulor.cli._output import print_json, print_table
 
@@ -53,13 +54,7 @@ def profile(
     json
         Print the result as JSON, in SI units.
     """
-    try:
-        row, column = (int(part) for part in pixel.split(","))
-    except ValueError:
-        raise UsageError(
-            f"--pixel: {pixel!r} is no row and column; state two whole numbers with a "
-            "comma between them, such as 20,50"
-        ) from None
+    row, column = row_and_column(pixel)
     if most < 1:
         raise UsageError(f"--most must be 1 or more, got {most}")
     interval = interval_of(nearest, farthest)
