@@ -239,7 +239,7 @@ def _between(
         delays.append(
             np.moveaxis(delay, -1, 0).reshape(*weight.shape[:-1], *usable.shape)
         )
-    if _states_asymmetry_only(survey):
+    if len(delays) == 1 and _states_asymmetry_only(survey):
         delays.append(_LEAST_PART * delays[0])
     return np.min(delays, axis=0), np.max(delays, axis=0)
 
