@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from amulor import Survey, simulate
 from amulor.simulation import ClosureModel, geometry, lock_in
-from amulor.studies.trust.surveys import survey
+from amulor.studies.trust.surveys import corner, survey
 
 EDGE = np.array([0.0, 0.0, 2.6])
 LEFT, RIGHT = np.array([-1.0, 0.0, -1.0]) / 2**0.5, np.array([1.0, 0.0, -1.0]) / 2**0.5
@@ -24,10 +24,8 @@ def _corner(
     reflectance: tuple[float, float] = (0.4, 0.4), *, twice: bool = True
 ) -> Survey:
     walls = [
-        f'[[targets]]\nkind = "plate"\nposition = ["{side * 0.10607} m", "0 m", '
-        f'"2.49393 m"]\nrotation = ["0 deg", "{side * 45} deg", "0 deg"]\n'
-        f'width = "{SIDE} m"\nheight = "{SIDE} m"\nreflectance = {value}'
-        for side, value in zip((-1, 1), reflectance, strict=True)
+        corner(2.6, reflectance=value)[number]
+        for number, value in enumerate(reflectance)
     ]
     scan = {"azimuth": 0.0, "wide": 9, "tall": 4, "columns": 6, "rows": 2}
     return survey(2, *walls, baseline=1, **scan).with_(
