@@ -1,4 +1,4 @@
-"""Which tests run a line of a package, by probes in a copy of it."""
+"""Tests that run a line of a package, found by probes in a copy of it."""
 
 from __future__ import annotations
 
