@@ -14,8 +14,8 @@ export PYTHONDONTWRITEBYTECODE =
 help:
 	@echo "make demo      install, scan a ladder in clear and milky water, write a report"
 	@echo "make test      install, then lint, type check, import contracts and tests"
-	@echo "make check     make test with more inputs, then pages and parts of studies"
-	@echo "make study     the long statistical studies (minutes)"
+	@echo "make check     make test, then pages and parts of studies with more inputs"
+	@echo "make study     the long statistical studies, and make test with more inputs (an hour)"
 	@echo "make coverage  make test, and which lines no test has run"
 	@echo "make docs      build the documentation site, docs/_build/html, and look for broken links"
 	@echo "make linkcheck ask the sites that the documentation links to"
@@ -81,13 +81,12 @@ test: lint
 	$(NODE) --test --test-reporter=dot 'tests/javascript/*.test.js'
 	$(PYTEST) $(TOGETHER)
 
-check: EXAMPLES = thorough
 check: .venv/installed-docs test
-	$(PYTEST) $(TOGETHER) -m 'slow and not study'
+	$(PYTEST) --hypothesis-profile=thorough $(TOGETHER) -m 'slow and not study'
 
 study: EXAMPLES = thorough
 study: .venv/installed-test
-	$(PYTEST) $(TOGETHER) -m study
+	$(PYTEST) $(TOGETHER) -m 'study or not slow'
 
 soak: .venv/installed-test
 	AMULOR_SOAK_MINUTES=18 $(PYTEST) -s -m study tests/system/soak -o faulthandler_timeout=3600

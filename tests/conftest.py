@@ -86,21 +86,24 @@ class Skips:
                 terminalreporter.line(f"{test}: {reason}")
 
 
+REFERENCE = Path(__file__).parent / "reference"
 #: Tests that took longer than others when `tools/long_tests.py` measured them.
-LONG = frozenset(
-    (Path(__file__).parent / "reference" / "long_tests.txt").read_text().splitlines()
-)
+LONG = frozenset((REFERENCE / "long_tests.txt").read_text().splitlines())
+#: Tests, and files whose shared fixture alone, took more than 5 s of processor time.
+LONGEST = frozenset((REFERENCE / "longest_tests.txt").read_text().splitlines())
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave long tests to `make check`, and put tests of the whole program first.
+    """Leave long tests to `make check`, the longest to `make study`, order the rest.
 
-    Short tests then fill the end of a run.
+    Tests of the whole program run first. Short tests then fill the end of a run.
     """
     for item in items:
         if item.nodeid in LONG:
             item.add_marker(pytest.mark.slow)
+        if LONGEST & {item.nodeid, item.nodeid.partition("::")[0]}:
+            item.add_marker(pytest.mark.study)
     folders = ("tests/system/", "tests/physics/")
     items.sort(key=lambda item: not item.nodeid.startswith(folders))
 
