@@ -10,14 +10,20 @@ row of `benchmarks/site_changes.csv`; the options are those of `measure_sites.py
 
 from __future__ import annotations
 
-import argparse
 import time
 import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from measure_sites import drawn_sites, go_on, oracle, rows_of, version
+from measure_sites import (
+    drawn_sites,
+    go_on,
+    measuring_options,
+    oracle,
+    rows_of,
+    version,
+)
 
 from amulor.errors import AmulorError
 from amulor.site.change.distances import change, regions
@@ -203,12 +209,7 @@ def table(rows: list[dict[str, str]]) -> None:
 
 def main() -> None:
     """Measure further pairs of visits, or print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("count", type=int, nargs="?", default=0)
-    parser.add_argument("--redo", action="store_true")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=1150.0)
-    options = parser.parse_args()
+    options = measuring_options(__doc__).parse_args()
     warnings.simplefilter("ignore")
     present = version("registration", "merging", "change")
     go_on(TABLE, COLUMNS, measured, options, present)

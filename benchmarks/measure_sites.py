@@ -3,15 +3,20 @@
 Sites come from `tests/oracles/underwater_sites.py`, which shares no code with the
 package: beds, walls, bodies, planes and corners; starts wrong by up to 50 cm and 20
 degrees, stated as they are or too small; a fish, a scan that nothing explains, a drift
-over the rows, a delay, another height datum, and quiet sites; from number 1000 on a
-scan of another place. Each site is a row of `benchmarks/sites.csv`, with a digest of
-the code of `amulor.site.registration` that measured it. A number of further sites is
-measured, and the campaign goes on where it ended. `--redo` measures rows of other
-versions again, in random order, evenly by kind and error. Without a number the summary
-of all rows of the present version, or of another one (`--of`), is printed. `--page`
-writes it into docs/benchmarks.md.
+over the rows, a delay, another height datum, and quiet sites. Sites from number 1000 on
+have a scan of another place, those from 3000 on a delay or drift near the limit of
+detection, and those from 4000 on the same in each scan, as stated.
 
-`--first 1000` draws from that number on.
+Each site is a row of `benchmarks/sites.csv`, with a digest of the code of
+`amulor.site.registration` that measured it. A number of further sites is measured, and
+the campaign goes on where it ended. `--redo` measures rows of other versions again, in
+random order, evenly by kind and error. Without a number the summary of all rows of the
+present version, or of another one (`--of`), is printed. `--page` writes it into
+docs/benchmarks.md.
+
+`--first 1000 --until 1100` draws numbers from 1000 to 1099. `--part 3/16` measures the
+fourth of 16 parts of the sites, and writes its rows beside the table; `--merge` adds
+them to the table.
 """
 
 from __future__ import annotations
@@ -42,7 +47,7 @@ import underwater_sites as oracle  # noqa: E402
 from amulor.errors import AmulorError  # noqa: E402
 from amulor.io.files import atomic_output  # noqa: E402
 from amulor.site.registration.pose import start_pose  # noqa: E402
-from amulor.site.registration.register import register  # noqa: E402
+from amulor.site.registration.register import register, surface_of  # noqa: E402
 
 TABLE = HERE / "sites.csv"
 PAGE = HERE.parent / "docs/benchmarks.md"
@@ -58,6 +63,7 @@ SPOILERS = ("quiet", "quiet", "quiet", "fish", "outlier", "drift", "delay", "dat
 WORDS = {
     "quiet": "quiet", "fish": "fish", "outlier": "wrong ranges",
     "elsewhere": "another place", "drift": "drift", "delay": "delay", "datum": "datum",
+    "near": "near the limit", "stated": "stated delay or drift",
 }  # fmt: skip
 #: First reasons of contradictions in words; all others are shared errors.
 REASONS = {
@@ -73,6 +79,16 @@ REASONS = {
 }
 #: From this number on the scan a3 is one of another place.
 ELSEWHERE = 1000
+#: From these numbers on a2 has a delay or drift near the limit of detection, and from
+#: the second one on all scans have a stated one.
+NEAR, STATED_ERRORS = 3000, 4000
+#: Limits of these sizes [m].
+SIZES = {"drift": (0.002, 0.02), "delay": (0.003, 0.06)}
+#: Parts of the generator's sites without an error or with a fish, and with a delay or
+#: drift [1].
+PARTS = {"quiet": 0.5, "near": 0.25}
+#: Limits of the largest test value of a site [1].
+CLASSES = (0.0, 2.0, 3.0, np.inf)
 #: A pose is grossly wrong beyond so many standard uncertainties, and beyond so much
 #: [1, m, rad].
 GROSS = (6.0, 0.02, 0.01)
@@ -81,13 +97,38 @@ COLUMNS = (
     "gross", "silent", "beyond", "covered", "poses", "undetected_m",
     "within_1", "within_2", "components", "points_1", "points_2", "points",
     "lengths_1", "lengths_2", "lengths", "largest_m", "gicp_gross", "seconds",
-    "off", "tied", "unchecked", "reasons", "named", "version", "words",
+    "off", "tied", "unchecked", "score", "reasons", "named", "version", "words",
 )  # fmt: skip
 
 
-def ramp(distance: np.ndarray, size: float) -> np.ndarray:
-    """Ranges with a drift over the rows, minus to plus a size."""
-    return distance + size * np.linspace(-1, 1, distance.shape[0])[:, None]
+def changed_ranges(error: str, size: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Function that adds a delay, or a drift over the rows (from minus to plus)."""
+
+    def changed(distance: np.ndarray) -> np.ndarray:
+        if error == "delay":
+            return distance + size
+        return distance + size * np.linspace(-1, 1, distance.shape[0])[:, None]
+
+    return changed
+
+
+def state_errors(drawn: Any, error: str, size: float) -> None:
+    """State a delay or a drift of each scan by itself in a drawn site."""
+    for image in drawn.images.values() if error == "delay" else ():
+        for name in ("_delay", ""):
+            value = image[f"slant_range_uncertainty{name}"]
+            value.values = np.hypot(value.values, size)
+        common = image["slant_range_common_uncertainty"]
+        common.values = np.hypot(common.values, size)
+    scans = []
+    for scan in drawn.site.scan:
+        changed = {"drift": size} if error == "drift" else {"instrument": scan.name}
+        scans.append(scan.model_copy(update=changed))
+    drawn.site = drawn.site.model_copy(update={"scan": tuple(scans)})
+    drawn.surfaces = {
+        scan.name: surface_of(drawn.site, scan, drawn.images[scan.name])
+        for scan in scans
+    }
 
 
 def version(*folders: str) -> str:
@@ -118,8 +159,10 @@ def drawn(number: int) -> tuple[Any, dict[str, Any]]:
     spoiler = SPOILERS[rng.integers(len(SPOILERS))]
     if number >= ELSEWHERE:
         spoiler = "elsewhere"
+    if number >= NEAR:
+        spoiler = "near" if number < STATED_ERRORS else "stated"
     position, degrees = STARTS[rng.integers(len(STARTS))]
-    stated = STATED[rng.integers(len(STATED))]
+    stated = STATED[rng.integers(len(STATED))] if number < NEAR else 1.0
     angle = np.radians(degrees)
     if kind == "wall":
         scene, places = oracle.wall(rng), oracle.wall_stations(4, rng)
@@ -149,8 +192,17 @@ def drawn(number: int) -> tuple[Any, dict[str, Any]]:
         pitch = float(np.clip(start.station.pitch, -1.55, 1.55))
         station = dataclasses.replace(start.station, pitch=pitch)
         starts[name] = dataclasses.replace(start, station=station)
-    spoiled = {}
-    if spoiler == "fish":
+    spoiled: dict[str, Any] = {}
+    error, size = "", 0.0
+    if number >= NEAR:
+        error = ("drift", "delay")[rng.integers(2)]
+        size = float(np.exp(rng.uniform(*np.log(SIZES[error]))))
+    if spoiler == "near":
+        spoiled["a2"] = changed_ranges(error, size)
+    elif spoiler == "stated":
+        for name in stations:
+            spoiled[name] = changed_ranges(error, size * float(rng.normal()))
+    elif spoiler == "fish":
         row, column = rng.integers(8, rows - 12), rng.integers(8, rows * 4 // 3 - 12)
 
         def fish(distance: np.ndarray) -> np.ndarray:
@@ -174,10 +226,10 @@ def drawn(number: int) -> tuple[Any, dict[str, Any]]:
         spoiled["a3"] = elsewhere
     elif spoiler == "drift":
         size = float(rng.choice([0.005, 0.01, 0.03]))
-        spoiled["a2"] = lambda distance: ramp(distance, size)
+        spoiled["a2"] = changed_ranges(spoiler, size)
     elif spoiler == "delay":
         size = float(rng.choice([0.02, 0.05]))
-        spoiled["a2"] = lambda distance: distance + size
+        spoiled["a2"] = changed_ranges(spoiler, size)
     elif spoiler == "datum":
         for name in ("a3", "a4"):
             east, north, up = starts[name].station.place
@@ -191,9 +243,12 @@ def drawn(number: int) -> tuple[Any, dict[str, Any]]:
     }  # fmt: skip
 
     def scanned() -> Any:
-        return drawn_sites.drawn_site(
+        site = drawn_sites.drawn_site(
             {"one": scene}, {"one": stations}, starts, rng, rows=rows, spoiled=spoiled
         )
+        if spoiler == "stated":
+            state_errors(site, error, size)
+        return site
 
     return scanned, words
 
@@ -221,6 +276,7 @@ def measured(number: int) -> dict[str, Any]:
     row["reasons"] = " ".join(
         (one.error or "start").replace(" ", "_") for one in result.contradictions
     )
+    row["score"] = round(max((abs(t.score) for t in result.patterns), default=0.0), 2)
     row["named"] = " ".join(
         dict.fromkeys(
             name
@@ -357,12 +413,16 @@ def table(rows: list[dict[str, str]]) -> str:
         "| silent | within 1 error | within 1.96 errors | small_gicp wrong |",
         "| --- " * 11 + "|",
     ]
-    groups = [
-        (words, [row for row in rows if row["spoiler"] == name])
+    of_error = {
+        words: [row for row in rows if row["spoiler"] == name]
         for name, words in WORDS.items()
-    ]
-    groups += [(kind, [row for row in rows if row["kind"] == kind]) for kind in KINDS]
-    for words, some in (*groups, ("all", rows)):
+    }
+    further = {words: of_error.pop(words) for words in (WORDS["near"], WORDS["stated"])}
+    drawn = [row for row in rows if int(row["site"]) < NEAR]
+    of_kind = {kind: [row for row in drawn if row["kind"] == kind] for kind in KINDS}
+    for words, some in {**of_error, **of_kind, "all": drawn, **further}.items():
+        if not some:
+            continue
         good = good_of(some)
         counts = [
             len(some),
@@ -403,12 +463,60 @@ def quantities(rows: list[dict[str, str]]) -> str:
     return "\n".join(lines)
 
 
+def classes(rows: list[dict[str, str]]) -> str:
+    """Shares of pose components by the largest test value of a site (Markdown).
+
+    Sites without an error and sites near the limit count as often as the generator
+    draws sites without an error, and with a delay or drift.
+    """
+    honest = [row for row in rows if row.get("score") and float(row["stated"]) == 1]
+    groups = {
+        "quiet": [row for row in honest if row["spoiler"] in ("quiet", "fish")],
+        "near": [row for row in honest if row["spoiler"] == "near"],
+    }
+    counted = [
+        (
+            PARTS[name] / len(some),
+            float(row["score"]),
+            *(int(row[key]) for key in ("components", "within_1", "within_2")),
+            name,
+        )
+        for name, some in groups.items()
+        for row in good_of(some)
+        if int(row["components"])
+    ]
+    lines = [
+        "| largest test value | sites without an error | sites near the limit "
+        "| within 1 error | within 1.96 errors |",
+        "| --- " * 5 + "|",
+    ]
+    names = ["below 2", "2 to 3", "above 3"]
+    limits = [*itertools.pairwise(CLASSES), (0.0, np.inf)]
+    for words, (low, high) in zip([*names, "all"], limits, strict=True):
+        some = [row for row in counted if low <= row[1] < high]
+        cells = ["", ""]
+        if some:
+            values = np.array([row[:5] for row in some])
+            drawn = np.random.default_rng(0).integers(len(some), size=(400, len(some)))
+            for at in (0, 1):
+                total, inside = (values[:, 0] * values[:, k] for k in (2, 3 + at))
+                spread = inside[drawn].sum(axis=1) / total[drawn].sum(axis=1)
+                share = inside.sum() / total.sum()
+                cells[at] = f"{100 * share:.1f} +- {100 * spread.std():.1f} %"
+        counts = [sum(row[5] == name for row in some) for name in groups]
+        lines.append(
+            f"| {words} | {' | '.join(map(str, counts))} | {' | '.join(cells)} |"
+        )
+    return "\n".join(lines)
+
+
 def reasons(rows: list[dict[str, str]]) -> str:
     """Numbers of contradicted sites by first reason and error (Markdown)."""
     firsts = [(row["spoiler"], row["reasons"].split()[0]) for row in rows
               if row["outcome"] == "contradicted"]  # fmt: skip
-    lines = [f"| first reason | {' | '.join(WORDS.values())} |"]
-    lines.append("| --- " * (len(WORDS) + 1) + "|")
+    errors = [name for name in WORDS if any(row["spoiler"] == name for row in rows)]
+    lines = [f"| first reason | {' | '.join(WORDS[name] for name in errors)} |"]
+    lines.append("| --- " * (len(errors) + 1) + "|")
     named = {name for names in REASONS.values() for name in names}
     for words, names in {**REASONS, "shared error": ()}.items():
         cells = [
@@ -417,7 +525,7 @@ def reasons(rows: list[dict[str, str]]) -> str:
                 and (first in names or (not names and first not in named))
                 for spoiler, first in firsts
             )
-            for error in WORDS
+            for error in errors
         ]
         if any(cells):
             lines.append(f"| {words} | {' | '.join(map(str, cells))} |")
@@ -431,6 +539,7 @@ def write_page(rows: list[dict[str, str]], total: int, shown: str) -> None:
     for name, content in {
         "random sites": f"{count}\n\n{table(rows)}",
         "quantities of random sites": quantities(rows),
+        "test values of random sites": classes(rows),
         "reasons of random sites": reasons(rows),
     }.items():
         marks = rf"(<!-- {name} -->\n).*?(<!-- end of {name} -->\n)"
@@ -447,13 +556,9 @@ def write_page(rows: list[dict[str, str]], total: int, shown: str) -> None:
 
 def main() -> None:
     """Measure further sites, or print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("count", type=int, nargs="?", default=0)
-    parser.add_argument("--redo", action="store_true")
+    parser = measuring_options(__doc__)
     parser.add_argument("--page", action="store_true")
     parser.add_argument("--of", metavar="VERSION")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=1150.0)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     present = version("registration")
@@ -463,7 +568,20 @@ def main() -> None:
     some = [row for row in rows if row["version"] == shown]
     if options.page:
         write_page(some, len(rows), shown)
-    print(table(some), quantities(some), reasons(some), sep="\n\n")
+    print(table(some), quantities(some), classes(some), reasons(some), sep="\n\n")
+
+
+def measuring_options(about: str | None) -> argparse.ArgumentParser:
+    """Options of the campaigns of drawn sites and of drawn changes."""
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("count", type=int, nargs="?", default=0)
+    parser.add_argument("--redo", action="store_true")
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--until", type=int, default=10**6)
+    parser.add_argument("--seconds", type=float, default=1150.0)
+    parser.add_argument("--part", metavar="K/N")
+    parser.add_argument("--merge", action="store_true")
+    return parser
 
 
 def go_on(
@@ -475,20 +593,40 @@ def go_on(
 ) -> None:
     """Add rows to a table, or measure rows of other versions again."""
     rows: dict[int, Any] = {int(row["site"]): row for row in rows_of(path)}
+    output, written = path, rows
+    part, parts = 0, 1
+    if options.part:
+        part, parts = map(int, options.part.split("/"))
+        output = path.with_name(f"{path.stem}_part{part}.csv")
+        written = {int(row["site"]): row for row in rows_of(output)}
+        rows |= written
+    if options.merge:
+        merge_parts(path, columns, rows)
     if options.redo:
         others = [n for n in rows if rows[n].get("version") != present]
         numbers = iter(evenly({n: rows[n] for n in others}))
     else:
-        numbers = (n for n in range(options.first, 10**6) if n not in rows)
+        numbers = (n for n in range(options.first, options.until) if n not in rows)
     begin = time.monotonic()
-    for number in itertools.islice(numbers, options.count):
+    mine = (number for number in numbers if number % parts == part)
+    for number in itertools.islice(mine, options.count):
         if time.monotonic() - begin > options.seconds:
             break
-        rows[number] = measure(number) | {"version": present}
-        with atomic_output(path, overwrite=True) as temporary:
-            _write(temporary, columns, rows)
+        rows[number] = written[number] = measure(number) | {"version": present}
+        with atomic_output(output, overwrite=True) as temporary:
+            _write(temporary, columns, written)
     total = sum(row.get("version") == present for row in rows.values())
     print(f"{path.name}: {total} of {len(rows)} rows are of this version ({present})")
+
+
+def merge_parts(path: Path, columns: tuple[str, ...], rows: dict[int, Any]) -> None:
+    """Move the rows of all parts of a campaign into the table."""
+    parts = sorted(path.parent.glob(f"{path.stem}_part*.csv"))
+    rows |= {int(row["site"]): row for part in parts for row in rows_of(part)}
+    with atomic_output(path, overwrite=True) as temporary:
+        _write(temporary, columns, rows)
+    for part in parts:
+        part.unlink()
 
 
 def evenly(rows: dict[int, Any]) -> list[int]:

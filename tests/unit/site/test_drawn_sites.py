@@ -454,3 +454,44 @@ def test_scans_of_a_visit_without_stated_water_share_the_error_of_its_index(
         keys.append({key for key in surface.shared.keys if "group_index" in key})
     assert len(keys[0]) == len(keys[1]) == 1
     assert (keys[0] == keys[1]) == (visits[0] == visits[1])
+
+
+def test_parts_of_a_campaign_add_their_rows_to_the_table(tmp_path: Path) -> None:
+    campaign = script("benchmarks/measure_sites.py")
+    table, columns = tmp_path / "squares.csv", ("site", "square", "version")
+
+    def go_on(*options: str) -> None:
+        parsed = campaign.measuring_options(None).parse_args(options)
+        measure = lambda number: {"site": number, "square": number**2}  # noqa: E731
+        campaign.go_on(table, columns, measure, parsed, "new")
+
+    for part in ("0/2", "1/2"):
+        go_on("9", "--first", "1", "--until", "6", "--part", part)
+    odd = campaign.rows_of(tmp_path / "squares_part1.csv")
+    assert [row["site"] for row in odd] == ["1", "3", "5"]
+    assert not table.exists()
+    go_on("--merge")
+    assert [row["square"] for row in campaign.rows_of(table)] == [
+        "1", "4", "9", "16", "25"
+    ]  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["squares.csv"]
+
+
+def test_sites_near_the_limit_count_as_often_as_the_generator_draws_errors() -> None:
+    campaign = script("benchmarks/measure_sites.py")
+
+    def row(spoiler: str, outcome: str, inside: int, score: float) -> dict[str, str]:
+        return {
+            "spoiler": spoiler, "stated": "1.0", "outcome": outcome,
+            "score": f"{score}", "components": "18", "within_1": f"{inside}",
+            "within_2": "18",
+        }  # fmt: skip
+
+    rows = [row("quiet", "good", 12, 1.5), row("fish", "good", 12, 2.5)]
+    rows += [row("near", "good", 6, 1.0), row("near", "contradicted", 0, 9.0)]
+    # Half of the sites have no error, and a quarter has a delay or drift. So the quiet
+    # site counts 1/4, and that near the limit 1/8: (12 / 4 + 6 / 8) / (18 * 3 / 8).
+    lines = campaign.classes(rows).splitlines()
+    assert lines[2].startswith("| below 2 | 1 | 1 | 55.6 +- ")
+    assert lines[3].startswith("| 2 to 3 | 1 | 0 | 66.7 +- 0.0 % | 100.0 +- 0.0 % |")
+    assert lines[4] == "| above 3 | 0 | 0 |  |  |"
