@@ -88,6 +88,8 @@ def test_the_state_that_is_asked_for_is_the_one_that_is_used(capsys) -> None:
             "399nm",
             "known from 400 nm to 700 nm",
         ),
+        ("--wavelength", "399.8nm", "from 400 nm to 700 nm"),
+        ("--wavelength", "700.2nm", "from 400 nm to 700 nm"),
         ("--wavelength", "405", 'the wavelength as text such as "405 nm"'),
         ("--wavelength", "405MHz", "not one of wavelength"),
         ("--temperature", "31", "temperature must be from 0 to 30 [degC]"),
@@ -109,3 +111,19 @@ def test_what_has_to_be_said_is_asked_for(left_out, capsys) -> None:
     position = WORDS.index(left_out)
     assert cli.main(WORDS[:position] + WORDS[position + 2 :]) == 2
     assert left_out in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("--wavelength", "400nm"),
+        ("--wavelength", "700nm"),
+        ("--temperature", "0"),
+        ("--temperature", "30"),
+        ("--salinity", "0"),
+        ("--salinity", "43"),
+    ],
+)
+def test_the_ends_of_a_range_belong_to_it(name, value, capsys) -> None:
+    assert cli.main(changed(name, value)) == 0
+    assert capsys.readouterr().err == ""

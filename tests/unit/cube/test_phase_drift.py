@@ -126,3 +126,17 @@ def test_the_phase_of_the_first_reading_is_kept() -> None:
     assert_allclose(np.angle(corrected), result.zero[0, 0], atol=4 * NOISE)
     assert_allclose(np.abs(corrected), 1.0, rtol=1e-12)
     assert_allclose(result.zero[0, 0], 0.3 + 0.1, atol=3 * NOISE)
+
+
+def test_the_error_of_the_reference_is_the_root_mean_square_of_its_readings() -> None:
+    # Two frequencies, two channels, two readings; 3 and 4 in squares are 5 / sqrt(2).
+    errors = np.array([[[3.0, 4.0], [1.0, 1.0]], [[0.2, 0.2], [6.0, 8.0]]]) * NOISE
+    drift = PhaseDrift(
+        time=np.broadcast_to([0.0, 1.0], (2, 2, 2)),
+        phase=np.zeros((2, 2, 2)),
+        uncertainty=errors,
+        zero=np.zeros((2, 2)),
+    )
+    attributes = drift.attributes(np.array([40e6, 50e6]))
+    expected = np.array([5.0, 10.0]) * NOISE / np.sqrt(2)
+    assert_allclose(attributes["reference_phase_uncertainty_rad"], expected)

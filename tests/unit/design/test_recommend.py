@@ -14,6 +14,7 @@ import xarray as xr
 
 from amulor.design import Goal, Recommendation, evaluate, recommend
 from amulor.design.candidates import drawn, first_choice, scan_time, survey_of
+from amulor.design.requirements import _row
 from amulor.design.scores import Judge, draws_at
 from amulor.design.search import candidate_of, cheaper
 from amulor.survey import water_properties
@@ -284,3 +285,14 @@ def test_the_choice_of_the_paper_comes_out_and_for_its_reasons() -> None:
     assert error.sel(polarization="VH", frequency=36.8e6) > error.sel(
         polarization="VH", frequency=39e6
     )
+
+
+@pytest.mark.parametrize(
+    ("value", "met"),
+    # A billionth above the limit is rounding.
+    [(0.0, True), (2.0, True), (2.0 + 1e-9, True), (2.0 + 4e-9, False), (4.0, False)],
+)
+def test_a_requirement_is_met_up_to_its_limit(value: float, met: bool) -> None:
+    row = _row("scan time", value, 2.0, "s", "")
+    assert row.met == met
+    assert row.margin == pytest.approx(2.0 / value if value else np.inf)

@@ -20,7 +20,13 @@ from amulor.errors import FormatError
 from amulor.handover import Order, hand_over
 from amulor.imaging import products
 from amulor.io.drawings import FIELDS, Drawing, Line
-from amulor.view.sheet import colours_of, fitting_scale, line_sheet
+from amulor.view.sheet import (
+    _Paper,
+    _scale_bar,
+    colours_of,
+    fitting_scale,
+    line_sheet,
+)
 
 SVG = "{http://www.w3.org/2000/svg}"
 PROJECT = project_text(
@@ -283,3 +289,67 @@ def test_a_half_profile_without_known_errors_has_no_nan() -> None:
 
     assert drawings._diameter(0.1458, 0.00011) == "145.8 ± 0.11 mm"
     assert drawings._diameter(0.1458, float("nan")) == "145.8 mm (error not known)"
+
+
+@pytest.mark.parametrize(("scale", "length"), [(1.0, 0.05), (2.0, 0.1), (50.0, 2.0)])
+def test_a_scale_bar_has_four_parts_of_two_colours_in_turn(scale, length) -> None:
+    axis = Figure().add_subplot()
+    _scale_bar(axis, scale, (3.0, 5.0))
+    bars = axis.patches
+    # Paper is drawn in mm; the length is the next of 1, 2, 5 above 30 mm on paper.
+    width = length / scale * 1e3
+    assert [bar.get_x() for bar in bars] == pytest.approx(
+        [3.0 + n * width / 4 for n in range(4)]
+    )
+    assert {round(bar.get_width(), 9) for bar in bars} == {round(width / 4, 9)}
+    assert [bar.get_facecolor()[0] for bar in bars] == [0.0, 1.0, 0.0, 1.0]
+    number, unit = (length, "m") if length >= 1 else (length * 1e3, "mm")
+    texts = {text.get_text(): text.get_position()[0] for text in axis.texts}
+    assert texts == pytest.approx(
+        {
+            "0": 3.0,
+            f"{number / 2:g}": 3.0 + width / 2,
+            f"{number:g} {unit}": 3.0 + width,
+        }
+    )
+
+
+def test_entries_of_a_legend_stand_inside_the_frame_beside_their_colours(steps) -> None:
+    legend = [("#ff0000", "", f"entry {n}") for n in range(5)]
+    paper = _Paper((0.0, 0.1, 0.0, 0.05), steps, scale=1.0)
+    paper.block(legend, arrow="north")
+    (frame,) = (axis for axis in paper.figure.axes if axis is not paper.axis)
+    texts = {text.get_text(): text.get_position() for text in frame.texts}
+    boxes = [
+        bar for bar in frame.patches if bar.get_facecolor() == (1.0, 0.0, 0.0, 1.0)
+    ]
+    outer = frame.patches[0].get_bbox()
+    title = texts["Step"][1]
+    for box, (_, _, words) in zip(boxes, legend, strict=True):
+        corners = box.get_bbox()
+        x, y = texts[words]
+        # Paper is drawn in mm.
+        assert corners.y0 < y < corners.y1
+        assert 0 < x - corners.x1 < 3
+        assert outer.x0 < corners.x0 < corners.x1 < outer.x1
+        assert outer.y0 < corners.y0 < corners.y1 < title
+    areas = {(round(b.get_x(), 6), round(b.get_y(), 6)) for b in boxes}
+    assert len(areas) == len(legend)
+
+
+@pytest.mark.parametrize("count", [1, 4, 9])
+def test_statements_fill_the_title_block_to_its_lower_border(steps, count) -> None:
+    told = replace(steps, statements=tuple(f"statement {n}" for n in range(count)))
+    figure = line_sheet(told, scale=1.0)
+    figure.draw_without_rendering()
+    to_paper = figure.dpi_scale_trans.inverted()
+    boxes = [
+        to_paper.transform(text.get_window_extent()) * 25.4
+        for axis in figure.axes
+        for text in axis.texts
+        if text.get_text().startswith("statement 0")
+    ]
+    ((low, high),) = [box[:, 1] for box in boxes]
+    # Lines of 3.1 mm, 10 mm above the edge of the paper.
+    assert high - low == pytest.approx(3.1 * count, abs=1.2)
+    assert 11.5 < low < 15

@@ -19,7 +19,7 @@ from pdf_files import letter_sizes, pages_of
 
 from amulor.cli import main
 from amulor.handover.site_drawings import _ellipse
-from amulor.site.registration.result import write_registration
+from amulor.site.registration.result import read_registration, write_registration
 from amulor.view.sheet import Station, error_ellipse
 from amulor.view.site_plan import label_plan
 
@@ -204,3 +204,19 @@ def test_coordinates_of_a_report_have_all_digits() -> None:
         assert len(labels) >= 3
         assert all(re.fullmatch(first + r"\d+(\.\d)?", label) for label in labels)
         assert len(set(labels)) == len(labels)
+
+
+def test_the_plan_states_the_error_of_the_whole_site(site, drawings) -> None:
+    registration = read_registration(site.with_name("poses.json"))
+    first = registration.covariance_of("pose a1")[:3, :3]
+    # The largest standard uncertainty of the position in any direction.
+    turns = np.random.default_rng(1).normal(size=(20_000, 3))
+    turns /= np.linalg.norm(turns, axis=1)[:, None]
+    largest = np.sqrt(np.einsum("ni,ij,nj->n", turns, first, turns).max())
+    words = " ".join(
+        element.text or ""
+        for element in ET.parse(drawings / "site_plan.svg").iter(f"{SVG}text")
+    )
+    stated = re.search(r"of the whole site, (\S+) mm", words)
+    assert stated is not None, words
+    assert float(stated[1]) == pytest.approx(1e3 * largest, rel=0.05)

@@ -238,8 +238,9 @@ class TestDxf:
         corners = np.array(frame.get_points("xy"))
         # The frame reaches from A to A', and past the lowest and the highest line.
         assert corners[:, 0].tolist() == [0.0, 0.12, 0.12, 0.0]
-        assert corners[:, 1].min() < -1.5
-        assert corners[:, 1].max() > -1.4
+        # Two letters beyond, each way.
+        assert corners[:, 1].min() == pytest.approx(-1.508)
+        assert corners[:, 1].max() == pytest.approx(-1.392)
         texts = {t.dxf.text: t for t in space.query('TEXT[layer=="axes"]')}
         # Letters of 2 mm on paper at 1:2.
         assert {t.dxf.height for t in texts.values()} == {0.004}

@@ -7,6 +7,7 @@ import trimesh
 from amulor.errors import FormatError
 from amulor.io import write_ply
 from amulor.io.ply import read_ply
+from amulor.io.shapes import scalars_of
 
 
 @pytest.fixture
@@ -179,3 +180,21 @@ def test_a_count_beyond_any_file_gives_one_line(path, count):
     with pytest.raises(FormatError, match=r"cloud\.ply") as caught:
         read_ply(path, unit=1.0)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        (("amplitude", "intensity"), {"amplitude": 0.0}),
+        (("scalar_Intensity",), {"intensity": 0.0}),
+        (("i", "intensity"), {"intensity": 0.0, "intensity 2": 1.0}),
+        (("a/b", "height"), {"a_b": 0.0, "height 2": 1.0}),
+        (tuple(f"c{n}" for n in range(8)), {f"c{n}": float(n) for n in range(8)}),
+        (tuple(f"c{n}" for n in range(9)), {f"c{n}": float(n) for n in range(8)}),
+    ],
+)
+def test_columns_become_scalars_by_their_names(columns, expected) -> None:
+    numbered = {name: np.array([float(n)]) for n, name in enumerate(columns)}
+    scalars, omitted = scalars_of(numbered)
+    assert {name: value[0] for name, value in scalars.items()} == expected
+    assert omitted == list(columns[8:])

@@ -375,3 +375,16 @@ def test_a_bag_that_is_cut_off_is_refused(keep, tmp_path):
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(FormatError, match=r"is damaged, or no MCAP file|holds no pose"):
         trajectory_from_bag(path)
+
+
+@pytest.mark.parametrize(("length", "shown"), [(199, 199), (200, 200), (201, 200)])
+def test_a_long_reason_of_a_damaged_bag_is_shortened(
+    length, shown, tmp_path, monkeypatch
+):
+    def refuse(*_, **__):
+        raise ValueError("x" * length)
+
+    monkeypatch.setattr("mcap.reader.make_reader", refuse)
+    with pytest.raises(FormatError) as refused:
+        trajectory_from_bag(_bag(tmp_path / "a.mcap"))
+    assert str(refused.value).count("x") == shown

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from amulor.cube import QualityFlag, WaterResidualCause
+from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.quality import (
     flags,
@@ -118,3 +119,15 @@ def test_a_lone_or_saturated_sample_has_no_shape() -> None:
     saturated = np.array([False, True]).reshape(2, 1, 1)
     assert _likeness(water, water)[0]
     assert not _likeness(water, water, saturated=saturated)[0]
+
+
+def test_a_phase_is_uncertain_by_the_noise_over_the_signal_where_there_is_one() -> None:
+    signal = np.array([2.0 + 0j, 0.0, 0.0, 0.0 + 4.0j])
+    variance = np.full(4, 0.01)
+    error = quality.phase_error(
+        signal,
+        Covariance(variance, variance, np.zeros(4)),
+        np.array([True, True, False, True]),
+    )
+    # 0.1 of 2 and of 4; a signal of zero counts as 1 V, no target as 1 V of 1 V.
+    assert_allclose(error, [0.05, 0.1, 1.0, 0.025])

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from distributed import Client, LocalCluster
 from amulor.cli import main
 from amulor.errors import FormatError, MissingExtraError
 from amulor.optics.phase_functions.models import henyey_greenstein_function
+from amulor.scale import parts, tasks
 from amulor.scale.batches import spread_batches
 from amulor.transport import DiscReceiver, Medium, Source, Tally, simulate
 from amulor.transport.monte_carlo import Spread
@@ -184,3 +186,22 @@ def test_the_command_prints_the_same_with_a_cluster(
     assert json.loads(capsys.readouterr().out) == here
     assert np.isfinite(here["power_share_unmodulated"])
     assert len(list(batches.rglob("*.npz"))) >= 16
+
+
+def test_a_record_names_its_arguments_in_any_order() -> None:
+    first = tasks._made_of("digest", {"step": "ranges", "rows": [0, 4]})
+    assert tasks._made_of("digest", {"rows": [0, 4], "step": "ranges"}) == first
+    assert tasks._made_of("digest", {"rows": [0, 5], "step": "ranges"}) != first
+    assert tasks._made_of("other", {"rows": [0, 4], "step": "ranges"}) != first
+
+
+def test_a_fitted_step_is_used_again_for_the_same_file_only() -> None:
+    step, source = cast(Any, object()), cast(Any, object())
+    key = parts._Known("ranges, a.nc, 1", step, source)
+    # Opened again for each range of rows.
+    again = parts._Known("ranges, a.nc, 1", cast(Any, object()), cast(Any, object()))
+    other = parts._Known("ranges, a.nc, 2", step, source)
+    assert key == again
+    assert hash(key) == hash(again)
+    assert key != other
+    assert key != "ranges, a.nc, 1"

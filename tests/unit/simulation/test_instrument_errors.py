@@ -386,3 +386,20 @@ def test_wrong_errors_are_refused(survey: Survey) -> None:
         survey.with_({"instrument.errors": {"gremlins": {}}})
     with pytest.raises(SurveyError, match="found 4"):
         survey.with_({"instrument.errors": {"harmonic": {"order": 4, "fraction": 1}}})
+
+
+def test_daylight_fills_the_dead_time(survey: Survey) -> None:
+    bright = {"radiance": 4e6, "bandwidth": 3e-9}
+    quiet = survey.with_({"water.signal_fluctuation": 0})
+    lit = quiet.with_({"daylight": bright})
+    whole, dead = simulated(lit), simulated(lit, counting={"dead_time": "40 ps"})
+    detector = survey.instrument.detector
+    energy = 6.62607015e-34 * 299792458.0 / survey.instrument.wavelength
+    cone, area = np.pi * 0.08**2, np.pi * 0.02**2
+    # Behind an analyzer half of unpolarized light passes.
+    daylight = 0.5 * 4e6 * 3e-9 * area * cone / energy
+    daylight *= detector.quantum_efficiency * detector.optical_transmission
+    live = 1 / (1 + (_rate(whole, quiet) + daylight) * 40e-12)
+    assert 1 / (1 + daylight * 40e-12) < 0.9
+    ratio = np.abs(outputs(dead)[:, 0] / outputs(whole)[:, 0])
+    assert_allclose(ratio, live[:, 0] ** 2, rtol=0.02)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ from amulor.site.change.distances import (
     write_change,
 )
 from amulor.site.change.moved import _best_place
+from amulor.site.description import Comparison
 from amulor.site.merging.cloud import merge
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import register, surface_of
@@ -407,3 +408,42 @@ def test_a_registration_is_read_as_it_was_written(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text('{"kind": "something"}')
     with pytest.raises(FormatError, match="amulor site register makes one"):
         read_registration(tmp_path / "other.json")
+
+
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        # Twice the coarsest pixels of 10 mm, and one and a half times this.
+        ({}, (0.02, 0.03)),
+        ({"spacing": "5 cm"}, (0.05, 0.075)),
+        ({"radius": "4 cm"}, (0.02, 0.04)),
+        ({"spacing": "5 cm", "radius": "4 cm"}, (0.05, 0.04)),
+    ],
+)
+def test_a_comparison_has_a_spacing_and_a_radius(
+    stated: dict[str, str], expected: tuple[float, float], monkeypatch
+) -> None:
+    taken: list[float] = []
+
+    def cores(_: object, __: object, *lengths: float) -> None:
+        taken.extend(lengths)
+        raise StopIteration
+
+    monkeypatch.setattr("amulor.site.change.distances._cores", cores)
+    site: Any = SimpleNamespace(
+        epoch=[SimpleNamespace(name=name) for name in ("one", "two")],
+        scan=[SimpleNamespace(name=name) for name in "ab"],
+        comparison=Comparison(**stated),
+    )
+    cloud: Any = SimpleNamespace(
+        of_epoch=lambda _: np.ones(4, dtype=bool),
+        moving=np.zeros(4, dtype=bool),
+        normal=np.ones((4, 3)),
+    )
+    surfaces: Any = {
+        "a": SimpleNamespace(spacing=0.01),
+        "b": SimpleNamespace(spacing=0.004),
+    }
+    with pytest.raises(StopIteration):
+        change(site, cast(Any, None), surfaces, cloud)
+    assert taken == pytest.approx(expected)

@@ -18,7 +18,7 @@ from amulor.site.description import SphereTarget
 from amulor.site.registration.align import Alignment, align
 from amulor.site.registration.centres import centre_of
 from amulor.site.registration.network import KnownPose, Ties
-from amulor.site.registration.pair import _bend, compared
+from amulor.site.registration.pair import _bend, compared, on_grid
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import register
 from amulor.site.registration.surface import ScanSurface, scan_surface, shared_errors
@@ -357,3 +357,24 @@ def test_directions_between_pixels_are_bent_to_second_order() -> None:
     # A corner has the bend of its neighbor.
     corner = _bend(grid, (5, 7), np.array([0, 34]), off[:2])
     np.testing.assert_allclose(corner, expected[:2], rtol=1e-9)
+
+
+@pytest.mark.parametrize("off", [(0, 0), (5, -4), (-7, 8), (3, 0), (0, -6)])
+def test_a_point_is_found_on_the_grid_from_a_pixel_beside_it(
+    off: tuple[int, int],
+) -> None:
+    azimuth, elevation, unit = scanning.grid(30, 40, 0.2)
+    normal = np.array([0.2, -0.1, 1.0])
+    exact = 2.0 / (unit @ normal)
+    wall = scanning.image(
+        exact, azimuth, elevation, errors=ERRORS, draw=None, scan="a",
+        instrument="i", water="w",
+    )  # fmt: skip
+    scan = surface(wall, "a")
+    row, column = 14, 20
+    begin = (row + off[0]) * 40 + column + off[1]
+    point = (exact[row, column] * unit[row, column])[None]
+    found = on_grid(scan, point, np.array([begin]))
+    assert found.pixel[0] == row * 40 + column
+    np.testing.assert_allclose(found.off[0], 0.0, atol=1e-3)
+    np.testing.assert_allclose(found.distance[0], 0.0, atol=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -274,3 +275,24 @@ def test_control_points_and_a_scale_bar_place_a_scan_within_what_is_stated() -> 
     )
     # The bar tells the index better than it was known.
     assert max(scales) < 0.3
+
+
+def test_a_pivot_moves_as_both_poses_carry_it() -> None:
+    rng = np.random.default_rng(3)
+    place, turn = rng.normal(size=(2, 3)), rng.normal(size=(2, 3))
+    shift, pivot = rng.normal(size=(2, 3)), rng.normal(size=3)
+    poses = {
+        name: ScanPose(np.eye(3), position)
+        for name, position in zip("ab", place, strict=True)
+    }
+    state = State(poses, {}, {"delay": 0.0})
+    layout = network.Layout(state, None)
+    pair = SimpleNamespace(source="a", target="b", pivot=pivot, keys=("delay",))
+    at, spread = network.pair_unknowns(pair, state, layout)
+    change = np.zeros(layout.size)
+    for name, move, rotation in zip("ab", shift, turn, strict=True):
+        change[layout.at["pose", name]] = [*move, *rotation]
+    change[layout.at["error", "delay"]] = 0.7
+    first, second = shift + np.cross(turn, pivot - place)
+    expected = [*(first - second), *(turn[0] - turn[1]), 0.7]
+    np.testing.assert_allclose(spread @ change[at], expected)

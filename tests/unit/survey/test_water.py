@@ -453,3 +453,18 @@ def test_the_error_of_a_quadrature_output_is_that_of_turned_phasors(
     expected = np.sqrt(np.mean(turned**2))
     # The terms of second order of the gain are 3 %.
     np.testing.assert_allclose(quadrature_phase_error(gain, angle), expected, rtol=0.03)
+
+
+def test_water_without_scattering_stays_so_by_its_coefficients(with_water) -> None:
+    survey = with_water(
+        'kind = "layers"\n'
+        '[[water.layers]]\nthickness = "1 m"\nabsorption = "0.1 1/m"\n'
+        'scattering = "0 1/m"\nphase_function = {kind = "rayleigh"}\n'
+        '[[water.layers]]\nabsorption = "0.1 1/m"\nscattering = "0 1/m"\n'
+        'phase_function = {kind = "rayleigh"}',
+        "532 nm",
+    )
+    water = by_coefficients(survey, factor=2.0).water
+    assert isinstance(water, Water)
+    assert (water.absorption, water.scattering) == (0.2, 0.0)
+    assert water.forward_fraction == 1.0

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -160,3 +162,14 @@ def test_a_folder_without_a_scan_gets_one_line(
 ) -> None:
     assert main(["watch", str(tmp_path)]) == 1
     assert "holds no journal" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("after", "name"),
+    [([np.nan, np.nan], "range_before"), ([np.nan, 1.5], "range")],
+)
+def test_a_map_is_that_before_water_rejection_until_there_is_one(
+    after: list[float], name: str
+) -> None:
+    live = cast(Live, SimpleNamespace(now=lambda *_: np.array(after)))
+    assert terminal.map_name(live, "VH", "range") == name

@@ -14,7 +14,7 @@ from amulor.acquisition.connect import simulated_bench
 from amulor.acquisition.protocols import Overload
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.bench import LOCK_TIME, SCAN_SPEED, Bench
-from amulor.acquisition.simulated.devices import SimulatedLockIn
+from amulor.acquisition.simulated.devices import SimulatedLockIn, SimulatedScanner
 from amulor.acquisition.uncertainty import reading_variance, variance_ratio
 from amulor.simulation import simulate
 from amulor.survey import Survey
@@ -219,3 +219,44 @@ def test_a_lock_in_has_full_scales_of_100_nv_to_1_v(quiet, clock) -> None:
     assert_allclose(scales, [1, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7])
     assert lock_in.relieve(Overload.OUTPUT)
     assert_allclose(lock_in.full_scale(), 1e-6)
+
+
+@pytest.mark.parametrize("axis", ["azimuth", "elevation"])
+@pytest.mark.parametrize("begin", [-0.2, 0.1])
+def test_a_sweep_lasts_its_duration_from_any_direction(
+    small, clock, axis, begin
+) -> None:
+    found = bench(small, clock, position_error=0.0)
+    found.send({axis: begin}, speed=SCAN_SPEED)
+    clock.sleep(1.0)
+    goals = {"azimuth": 0.0, "elevation": 0.0, axis: 0.2}
+    SimulatedScanner(found).begin_sweep(*goals.values(), duration=2.0)
+    clock.sleep(1.0)
+    assert found.place(axis) == pytest.approx((begin + 0.2) / 2)
+    clock.sleep(0.99)
+    assert not found.arrived(axis)
+    clock.sleep(0.02)
+    assert found.arrived(axis)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda found: found.set_laser(False),
+        lambda found: found.set_shutter(closed=True),
+        lambda found: found.set_time_constant(1.0),
+        lambda found: found.set_frequency(10e6),
+        lambda found: found.send({"azimuth": 0.4}, speed=1e6),
+    ],
+)
+def test_an_input_changes_the_output_from_its_own_moment_on(
+    quiet, clock, change
+) -> None:
+    plain, changed = (bench(quiet, clock, position_error=0.0) for _ in range(2))
+    plain.set_laser(True)
+    changed.set_laser(True)
+    # The output still rises.
+    clock.sleep(TAU)
+    change(changed)
+    # As above: what is left of shot noise.
+    assert_allclose(changed.output()[0], plain.output()[0], rtol=1e-4)

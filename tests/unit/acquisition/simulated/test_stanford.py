@@ -199,3 +199,29 @@ def test_octets_that_are_no_ascii_do_not_end_a_link(bench) -> None:
         with socket.create_connection((host, int(port)), timeout=5) as link:
             link.sendall(b"\xff\xe9\nFREQ nan\n*ESR?\n")
             assert link.recv(100) == b"48\n"
+
+
+@pytest.mark.parametrize(
+    ("model", "line"),
+    [
+        *[
+            (model, line)
+            for model in (SimulatedSr844, SimulatedSr865a)
+            for line in (
+                "*CLS", "*RST", "*SRE 8", "*ESE 3,1", "ERRE 1", "LIAE 2", "OFLT 5",
+                "PHAS 10", "FREQ 1E6",
+            )
+        ],
+        (SimulatedSr844, "AUXO 1,0.5"),
+        *[
+            (SimulatedSr865a, line)
+            for line in (
+                "APHS", "AUXV 1,0.5", "CDSP 0,2", "FREQINT 1E6", "CAPTURELEN 64",
+                "CAPTURECFG XY", "CAPTURERATE 2", "CAPTURESTART ONE,IMM", "CAPTURESTOP",
+            )
+        ],
+    ],
+)  # fmt: skip
+def test_a_setting_has_no_answer_and_the_next_command_has(bench, model, line) -> None:
+    device = model(bench)
+    assert device.answer(f"{line};*ESR?") == ["0"]

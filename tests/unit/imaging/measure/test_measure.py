@@ -182,9 +182,11 @@ def test_a_cylinder_is_covered() -> None:
     coverage(scan, exact, [0.1, axis[0], axis[2]], take, draws=250)
 
 
-@pytest.mark.slow
-def test_a_circle_is_covered() -> None:
-    # Beams that meet a circle 0.1 m wide on a tilted plane, two rows of them.
+def circle() -> tuple[shapes.Beams, np.ndarray, np.ndarray, np.ndarray]:
+    """Return beams that meet a circle on a tilted plane, in two rows, and the circle.
+
+    These are ranges, center and normal; the radius is 0.1 m.
+    """
     normal, centre = unit(0.2, -0.1, -1.0), np.array([0.0, 0.02, 1.5])
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     one = unit(*np.cross(normal, [0.0, 1.0, 0.0]))
@@ -195,6 +197,22 @@ def test_a_circle_is_covered() -> None:
     scan = shapes.Beams(
         np.arctan2(direction[..., 0], direction[..., 2]), -np.arcsin(direction[..., 1])
     )
+    return scan, exact, centre, normal
+
+
+def test_a_circle_without_error_is_found_exactly() -> None:
+    scan, exact, centre, normal = circle()
+    rim = shapes.image(scan, exact)
+    found = measure.circle(rim, every(rim)).values
+    assert_allclose(found["radius"], 0.1, rtol=0, atol=1e-9)
+    for name, expected in (("centre", centre), ("normal", normal)):
+        parts = [found[f"{name}_{axis}"] for axis in "xyz"]
+        assert_allclose(parts, expected, rtol=0, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_circle_is_covered() -> None:
+    scan, exact, _, _ = circle()
 
     def take(image: xr.Dataset) -> tuple[float, float]:
         found = measure.circle(image, every(image))
@@ -360,3 +378,27 @@ def test_a_fit_is_doubted_beyond_its_limits() -> None:
     # The curvature 1 / r is normal: its upper limit at two errors is (1 + 2 s) / r.
     least = 100 / (1 + 2 * 1.001 / 4)
     assert f"above {least:.3g} mm" in text
+
+
+def test_an_angle_between_arms_of_different_length_has_the_error_of_each() -> None:
+    # Own noise alone, so that three draws of one pixel each are independent.
+    beams = shapes.beams()
+    flat = shapes.to_plane(beams, unit(0.3, -0.2, 1.0), 1.5)
+    pixels = (12, 14), (12, 10), (23, 31)
+    found = measure.angle(shapes.image(beams, flat), *pixels)
+
+    def angle(ranges: np.ndarray) -> float:
+        first, corner, second = places(beams, ranges, *pixels)
+        a, b = first - corner, second - corner
+        return float(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
+
+    assert found.value == pytest.approx(angle(flat))
+    square = 0.0
+    for pixel in pixels:
+        ends = []
+        for sign in (1, -1):
+            moved = flat.copy()
+            moved[pixel] += sign * 1e-6
+            ends.append(angle(moved))
+        square += ((ends[0] - ends[1]) / 2e-6 * shapes.OWN) ** 2
+    assert found.random == pytest.approx(np.sqrt(square), rel=1e-4)

@@ -126,6 +126,11 @@ def test_the_server_measures_what_the_library_measures(
     assert found["lines"][0]["uncertainty"] == expected.uncertainty
     # The plate is flat: 9 columns and 3 rows apart.
     assert found["lines"][0]["value"] == pytest.approx(0.093, abs=0.01)
+    # A height without an axis is against that of elevation.
+    request |= {"kind": "height"}
+    found = client.post(f"/{TOKEN}/measure", json=request).json()
+    upwards = imaging.measure.height(image, (1, 1), (4, 10), axis=(0.0, -1.0, 0.0))
+    assert found["lines"][0]["value"] == upwards.value
     request = {"kind": "plane", "channel": "VV", "region": [5, 11, 0, 0]}
     found = client.post(f"/{TOKEN}/measure", json=request).json()
     offset = next(line for line in found["lines"] if line["label"] == "offset")
