@@ -27,6 +27,10 @@ FREQUENCY_PROBABILITY = "frequency_phase_probability"
 FREQUENCY_PHASES = "frequency_phase_rad"
 #: Attribute with the fraction of samples beyond the amplitudes of a calibration [1].
 UNCALIBRATED_SHARE = "uncalibrated_share"
+#: Attributes with the largest step of rounded outputs [V], and with the largest ratio
+#: of the rounding error to the stated noise [1].
+OUTPUT_STEP = "output_step_volt"
+OUTPUT_STEP_RATIO = "output_step_ratio"
 #: A target counts as present if no more than this fraction of the frequencies lacks it
 #: [1].
 _HALF = 0.5

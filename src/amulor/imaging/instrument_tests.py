@@ -14,6 +14,8 @@ from amulor.cube.error import (
     FREQUENCY_PHASES,
     FREQUENCY_PROBABILITY,
     LARGEST_CHANCE,
+    OUTPUT_STEP,
+    OUTPUT_STEP_RATIO,
     UNCALIBRATED_SHARE,
 )
 from amulor.imaging.observation import Observation, readable_survey
@@ -112,8 +114,8 @@ class InstrumentTest:
     """One failed test of the instrument, in words."""
 
     name: str
-    """Name: "references", "water", "channels", "frequencies", "drift", "methods" or
-    "calibration"."""
+    """Name: "references", "water", "channels", "frequencies", "drift", "methods",
+    "resolution" or "calibration"."""
     result: str
     """Measured contradiction, with its size."""
     probability: float | None
@@ -137,7 +139,8 @@ _AMPLITUDE = "leakage, a phase that depends on the amplitude"
 def instrument_tests(cube: xr.Dataset) -> tuple[InstrumentTest, ...]:
     """Return the failed tests of a target signal or range image."""
     tests = (
-        _references, _water, _channels, _frequencies, _drift, _methods, _calibration,
+        _references, _water, _channels, _frequencies, _drift, _methods, _resolution,
+        _calibration,
     )  # fmt: skip
     results = (test(cube) for test in tests)
     return tuple(result for result in results if result is not None)
@@ -279,6 +282,24 @@ def _methods(cube: xr.Dataset) -> InstrumentTest | None:
         probability=6.4e-5,
         cause=f"{_AMPLITUDE}, or {_WATER}",
         measurement=_LEAKAGE,
+    )
+
+
+def _resolution(cube: xr.Dataset) -> InstrumentTest | None:
+    """Test whether the steps of the outputs are finer than their stated noise."""
+    ratio = float(cube.attrs.get(OUTPUT_STEP_RATIO, 0.0))
+    if ratio <= 1:
+        return None
+    step = float(cube.attrs[OUTPUT_STEP])
+    return InstrumentTest(
+        name="resolution",
+        result=f"the outputs have steps of {1e6 * step:.3g} uV, with an error of "
+        f"{ratio:.3g} times the stated noise",
+        probability=None,
+        cause="the resolution of the demodulator or of the file; the stated error "
+        "includes the rounding",
+        measurement="choose a more sensitive range of the demodulator, or store more "
+        "digits",
     )
 
 

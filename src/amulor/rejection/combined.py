@@ -18,7 +18,7 @@ from amulor.rejection.covariance import along
 from amulor.rejection.methods import Needs, method
 from amulor.rejection.observation import Observation
 from amulor.rejection.open_water import cube_of, reference_attributes
-from amulor.rejection.reference.shots import with_noise_of_shots
+from amulor.rejection.reference.shots import Noise, with_measured_noise
 from amulor.rejection.subtraction import SubtractionFit, subtract_open_water
 
 Floats = NDArray[np.float64]
@@ -31,8 +31,8 @@ _WITH_CHANNEL = (slice(None), None)
 class CombinedFit:
     """Scan-wide parameters of the combined method."""
 
-    noise_scale: float
-    """Factor on the stated errors, from the scatter of the open-water shots [1]."""
+    noise: Noise
+    """Corrections of the stated noise."""
     subtraction: SubtractionFit
     """Scan-wide parameters of the open-water subtraction."""
     target_ratio: ratios.Ratio | None
@@ -56,9 +56,7 @@ def _combine(
 ) -> tuple[xr.Dataset, CombinedFit]:
     """Combine the channels of a scan or, with `fit`, of rows; return also the fit."""
     scan = Observation(cube=cubes.checked(cube, "samples"))
-    scan, noise_scale = with_noise_of_shots(
-        scan, None if fit is None else fit.noise_scale
-    )
+    scan, noise = with_measured_noise(scan, None if fit is None else fit.noise)
     cube = scan.cube
     _refuse_odd(target_ratio, water_change)
     co, cross = pair_of(cube)
@@ -174,7 +172,7 @@ def _combine(
         # A doubtful reference cannot be compensated here.
         result = quality.add_water_residual(result, subtracted.cause)
     return result, CombinedFit(
-        noise_scale=noise_scale,
+        noise=noise,
         subtraction=subtracted.fit,
         target_ratio=estimate,
         terms=tuple(terms),

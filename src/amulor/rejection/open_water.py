@@ -17,7 +17,7 @@ from amulor.rejection.build import present_terms, target_cube
 from amulor.rejection.methods import Needs, method
 from amulor.rejection.observation import Observation
 from amulor.rejection.quality import ChannelPhase
-from amulor.rejection.reference.shots import with_noise_of_shots
+from amulor.rejection.reference.shots import Noise, with_measured_noise
 from amulor.rejection.subtraction import (
     Subtraction,
     SubtractionFit,
@@ -29,8 +29,8 @@ from amulor.rejection.subtraction import (
 class OpenWaterFit:
     """Scan-wide parameters of the open-water method."""
 
-    noise_scale: float
-    """Factor on the stated errors, from the scatter of the open-water shots [1]."""
+    noise: Noise
+    """Corrections of the stated noise."""
     subtraction: SubtractionFit
     """Scan-wide parameters of the open-water subtraction."""
     terms: tuple[str, ...]
@@ -46,16 +46,12 @@ def _subtract(
 ) -> tuple[xr.Dataset, OpenWaterFit]:
     """Subtract open water from a scan, or with `fit` from rows; return also the fit."""
     scan = Observation(cube=cubes.checked(cube, "samples"))
-    scan, noise_scale = with_noise_of_shots(
-        scan, None if fit is None else fit.noise_scale
-    )
+    scan, noise = with_measured_noise(scan, None if fit is None else fit.noise)
     subtracted = subtract_open_water(
         scan, fit=None if fit is None else fit.subtraction, span=span, **options
     )
     result, terms = cube_of(scan, subtracted, terms=None if fit is None else fit.terms)
-    return result, OpenWaterFit(
-        noise_scale=noise_scale, subtraction=subtracted.fit, terms=terms
-    )
+    return result, OpenWaterFit(noise=noise, subtraction=subtracted.fit, terms=terms)
 
 
 @method(

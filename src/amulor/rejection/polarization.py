@@ -33,10 +33,11 @@ from amulor.rejection.reference.before_target import (
     raised_to_shot_amplitude,
 )
 from amulor.rejection.reference.shots import (
+    Noise,
     ShotsFit,
     fit_shots,
     fluctuation_of,
-    with_noise_of_shots,
+    with_measured_noise,
 )
 from amulor.rejection.subtraction import subtract_open_water
 
@@ -276,8 +277,8 @@ def choose_channel(
 class PolarizationFit:
     """Scan-wide parameters of unmixing; None if given by the user or not needed."""
 
-    noise_scale: float
-    """Factor on the stated errors, from the scatter of the open-water shots [1]."""
+    noise: Noise
+    """Corrections of the stated noise."""
     target_ratio: ratios.Ratio | None
     """Depolarization ratio of the targets."""
     water_ratio: ratios.Ratio | None
@@ -315,9 +316,7 @@ def _unmix(
 ) -> tuple[xr.Dataset, PolarizationFit]:
     """Unmix a scan or, with `fit`, some of its rows; return also the fit."""
     scan = Observation(cube=cubes.checked(cube, "samples"))
-    scan, noise_scale = with_noise_of_shots(
-        scan, None if fit is None else fit.noise_scale
-    )
+    scan, noise = with_measured_noise(scan, None if fit is None else fit.noise)
     cube = scan.cube
     co, cross = pair_of(cube)
     of_target = None if fit is None else fit.target_ratio
@@ -407,7 +406,7 @@ def _unmix(
     )
     bits = np.full(result["quality_flag"].shape, cause, dtype=np.int8)
     return quality.add_water_residual(result, bits), PolarizationFit(
-        noise_scale=noise_scale,
+        noise=noise,
         target_ratio=of_target,
         water_ratio=of_water,
         fluctuation=fluctuation,
@@ -655,7 +654,7 @@ def unmix_stokes(
     >>> target.amulor.polarizations
     ['VV']
     """
-    scan, _ = with_noise_of_shots(Observation(cube=cubes.checked(cube, "samples")))
+    scan, _ = with_measured_noise(Observation(cube=cubes.checked(cube, "samples")))
     cube = scan.cube
     chosen = _launched_as(cube, launched)
     if len(chosen) < 2:

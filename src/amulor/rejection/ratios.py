@@ -13,7 +13,7 @@ from amulor.errors import CubeError
 from amulor.rejection.channels import pair_of
 from amulor.rejection.observation import Observation
 from amulor.rejection.open_water import open_water
-from amulor.rejection.reference.shots import with_noise_of_shots
+from amulor.rejection.reference.shots import with_measured_noise
 from amulor.rejection.reference.surface import FEWEST_SHOTS
 from amulor.survey.properties import TYPICAL_CHANNEL_GAIN, TYPICAL_CROSSTALK
 
@@ -115,7 +115,7 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
     >>> print(f"{ratio.value:.4f} ± {ratio.uncertainty:.4f}, true {0.18 / 1.82:.4f}")
     0.0992 ± 0.0009, true 0.0989
     """
-    scan, _ = with_noise_of_shots(Observation(cube=cubes.checked(cube, "samples")))
+    scan, _ = with_measured_noise(Observation(cube=cubes.checked(cube, "samples")))
     cube = scan.cube
     co, cross = pair_of(cube)
     if water_only is not None:
@@ -146,6 +146,14 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
             f"the depolarization ratio of the water needs {FEWEST_SHOTS} {needed} with "
             f"numbers in {co} and {cross}, found {int(both.sum(axis=1).min())}; record "
             "more"
+        )
+    empty = ~np.any(np.where(both, first, 0), axis=1)
+    if empty.any():
+        raise CubeError(
+            f"the water in {co} is 0 V in all {needed} at "
+            f"{scan.frequency[empty][0] / 1e6:g} MHz, below the resolution of the "
+            "demodulator; choose a more sensitive range, or state water_ratio (command "
+            "line: --water-ratio)"
         )
     values, errors = np.transpose(
         [_line(a[use], b[use]) for a, b, use in zip(first, second, both, strict=True)]

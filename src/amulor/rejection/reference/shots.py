@@ -28,6 +28,7 @@ from amulor.rejection.reference.surface import (
     places_of,
     surface_of,
 )
+from amulor.rejection.resolution import Resolution, resolution_of, with_resolution
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -466,23 +467,37 @@ _SURE_OF_NOISE = 4.0
 _SPIKE = 6.0
 #: Relative spread of noise below which noise and fluctuation are inseparable [1].
 _ALIKE = 1e-6
+#: Least square of the factor during the fit: rounded repeats may not scatter [1].
+_LEAST_SQUARE = 0.1
 #: Steps of the fit, each with the weights from the previous step.
 _STEPS = 12
 
 
-def with_noise_of_shots(
-    scan: Observation, scale: float | None = None
-) -> tuple[Observation, float]:
-    """Scale stated errors to the scatter of references; return also the factor.
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Corrections of the stated noise, from the data of a scan."""
 
-    The stated errors of samples and shots times `scale`, by default that of
-    `noise_scale`, which the attribute `open_water_noise_scale` says; the scan as it is,
-    if that is 1 or was done. Also return the scale.
+    scale: float
+    """Factor on the stated errors, from the scatter of the open-water shots [1]."""
+    resolution: Resolution
+    """Steps of the outputs."""
+
+
+def with_measured_noise(
+    scan: Observation, noise: Noise | None = None
+) -> tuple[Observation, Noise]:
+    """Correct stated errors by rounding and scatter; return also the corrections.
+
+    The rounding error of outputs on a grid is added. The sum is multiplied by
+    `noise_scale`, which the attribute `open_water_noise_scale` states. A corrected scan
+    is returned unchanged. `noise` replaces the corrections of this scan.
     """
-    if scale is None:
-        scale = _scale_of(scan)
+    resolution = resolution_of(scan) if noise is None else noise.resolution
+    scan = with_resolution(scan, resolution)
+    scale = _scale_of(scan) if noise is None else noise.scale
+    noise = Noise(scale=scale, resolution=resolution)
     if scale == 1:
-        return scan, scale
+        return scan, noise
     larger = {}
     for name, values in scan.cube.data_vars.items():
         if not str(name).startswith(("truth_", "user_")):
@@ -491,7 +506,7 @@ def with_noise_of_shots(
             elif str(name).endswith("in_phase_quadrature_covariance"):
                 larger[name] = values.copy(data=scale**2 * values.values)
     cube = scan.cube.assign(larger).assign_attrs({NOISE_SCALE: scale})
-    return Observation(cube=cube), scale
+    return Observation(cube=cube), noise
 
 
 def _scale_of(scan: Observation) -> float:
@@ -556,9 +571,8 @@ def noise_scale(scatters: list[Scatter]) -> float:
     if not valid:
         return 1.0
     # From above, so that noisy directions are not mistaken for spikes.
-    square = float(
-        np.median(np.concatenate([scatter[0] / scatter[1] for scatter in valid]))
-    )
+    ratios = np.concatenate([scatter[0] / scatter[1] for scatter in valid])
+    square = max(float(np.median(ratios)), _LEAST_SQUARE)
     estimate, information = 0.0, 0.0
     ratio = [0.0] * len(valid)
     for _ in range(_STEPS):
@@ -581,6 +595,6 @@ def noise_scale(scatters: list[Scatter]) -> float:
         if not information > 0:
             return 1.0
         estimate = score / information
-        square = max(estimate, 0.1)
+        square = max(estimate, _LEAST_SQUARE)
     error = information**-0.5
     return float(np.sqrt(estimate)) if estimate > 1 + _SURE_OF_NOISE * error else 1.0

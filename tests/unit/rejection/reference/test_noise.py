@@ -11,7 +11,7 @@ from amulor.rejection.reference.shots import (
     NOISE_SCALE,
     noise_scale,
     scatter_of,
-    with_noise_of_shots,
+    with_measured_noise,
 )
 from amulor.rejection.reference.surface import places_of
 from amulor.simulation import simulate
@@ -78,11 +78,11 @@ def test_samples_and_shots_are_scaled_once() -> None:
     cube = simulate(survey(1, columns=3, rows=2), rng=1)
     names = [name for name in cube if str(name).endswith("_uncertainty")]
     understated = cube.assign({name: cube[name] / 2 for name in names})
-    scaled, _ = with_noise_of_shots(Observation(cube=understated))
+    scaled, _ = with_measured_noise(Observation(cube=understated))
     found = scaled.cube
     factor = found.attrs[NOISE_SCALE]
     assert factor == pytest.approx(2, rel=0.15)
     for name in names:
         np.testing.assert_allclose(found[name], cube[name] * factor / 2)
     for again in (scaled, Observation(cube=cube)):
-        assert with_noise_of_shots(again)[0] is again
+        assert with_measured_noise(again)[0] is again
