@@ -378,6 +378,9 @@ _IMAGE_TESTS = {
     "ambiguous_misfit_probability": _optional(
         _PIXEL, "1", "p-value of the phases of all frequencies, for ambiguous pixels"
     ),
+    "range_spread": _optional(
+        _PIXEL, "m", "standard deviation of the range within a mixed beam"
+    ),
 }
 #: Test statistics of each sample.
 SAMPLE_TESTS = {

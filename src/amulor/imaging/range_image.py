@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from amulor.imaging.ranges import (
     weight_of,
 )
 from amulor.optics import ambiguity, ranging
+from amulor.optics._mixed_beam import SpreadFit, mixed_beams
 from amulor.survey.reach import unsettled_interval
 
 Floats = NDArray[np.float64]
@@ -66,6 +67,8 @@ class RangeImageFit:
     """Ratio of the observed noise of the phases to the stated noise [1]."""
     rescaled: PathFit | None = None
     """Statistics for optical paths with scaled noise; None without scaling."""
+    spread: SpreadFit | None = None
+    """Typical fall of the amplitudes with the frequency; None if unknown."""
 
 
 def range_image(
@@ -74,7 +77,7 @@ def range_image(
     polarization: str | None = None,
     interval: tuple[float, float] | None = None,
 ) -> xr.Dataset:
-    """Slant range and uncertainty of every pixel from the phase of the target signal.
+    r"""Slant range and uncertainty of every pixel from the phase of the target signal.
 
     Parameters
     ----------
@@ -116,6 +119,14 @@ def range_image(
     frequencies scatter more than stated, the stated noise is multiplied by the
     attribute `noise_scale`.
 
+    Two surfaces in a beam turn the phases of all frequencies nearly alike, but weaken
+    high frequencies. To second order the logarithm of the amplitude at a phase per
+    range :math:`\kappa` falls by :math:`\kappa^2 \sigma_z^2 / 2`, where
+    :math:`\sigma_z` is the standard deviation of the range within the beam,
+    `range_spread`. A pixel whose amplitudes fall by five standard errors more than in
+    the scan is `MIXED`. This needs two frequencies, and one surface in most of the
+    beams.
+
     References
     ----------
     .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
@@ -153,6 +164,7 @@ def fitted_range_image(
     rescaled = None if fit is None else fit.rescaled
     factor = 1.0 if fit is None else fit.noise_scale
     phases = None if fit is None else fit.phases
+    spread = None if fit is None else fit.spread
     if joint:
         ranges, of_ranges = ranges_of_joint(
             observation, interval=interval, fit=of_ranges
@@ -174,6 +186,9 @@ def fitted_range_image(
             observation = observation.with_noise(factor)
             path, rescaled = _settled_path(observation, interval, fit=rescaled)
         ranges, of_ranges = ranges_of_path(observation, path, fit=of_ranges)
+        ranges, spread = _with_mixed(
+            observation, ranges, spread, fitted=fit is not None
+        )
         if fit is None:
             phases = frequency_phase(observation, path)
     samples = cube if joint else observation.channel
@@ -214,7 +229,36 @@ def fitted_range_image(
         path=of_path,
         noise_scale=factor,
         rescaled=rescaled,
+        spread=spread,
     )
+
+
+def _with_mixed(
+    observation: Observation,
+    ranges: Ranges,
+    fit: SpreadFit | None,
+    *,
+    fitted: bool,
+) -> tuple[Ranges, SpreadFit | None]:
+    """Ranges with mixed beams flagged by their amplitudes, and the fit of the scan."""
+    if fitted and fit is None:
+        return ranges, None
+    per_range = ranging.phase_per_range(
+        observation.frequency, group_index=observation.geometry.medium.group_index
+    )
+    mixed, spread, fit = mixed_beams(
+        np.abs(observation.signal),
+        observation.sigma,
+        phase_per_range=per_range,
+        slant_range=np.where(ranges.usable, ranges.slant_range, np.nan),
+        uncertainty=ranges.total,
+        fit=fit,
+    )
+    if not mixed.any():
+        return ranges, fit
+    flag = np.where(mixed, ranges.flag | np.int16(QualityFlag.MIXED), ranges.flag)
+    tests = {**ranges.tests, "range_spread": np.where(mixed, spread, np.nan)}
+    return replace(ranges, flag=flag, tests=tests), fit
 
 
 def _settled_path(

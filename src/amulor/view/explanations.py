@@ -408,6 +408,8 @@ def _tests(numbers: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[
         _Test(flag.MIXED, "clear_of_both",
               "off both surfaces around it, in standard errors", ">",
               default_of(edges.flag_mixed, "significance")),
+        _Test(flag.MIXED, "range_spread",
+              "standard deviation of the range in the beam", unit="m"),
         _Test(flag.MIXED, "apart", "distance of the two surfaces", unit="m"),
         _Test(flag.OUTLIER, "channel_disagreement",
               "phase off another channel, in units of its scatter", ">",
