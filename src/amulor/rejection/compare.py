@@ -20,6 +20,7 @@ from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels, instrument_phase
 from amulor.errors import AmulorError, CubeError
 from amulor.optics import ambiguity, detection, ranging
 from amulor.optics._geometry import Geometry
+from amulor.optics._mixed_beam import mixed_beams
 from amulor.rejection.channels import CROSS_POLARIZED, PARTNERS
 from amulor.rejection.methods import Method, compared_methods, load, method
 from amulor.rejection.observation import Observation
@@ -42,6 +43,11 @@ _DISAGREE = 4.0
 _FEWEST_PIXELS = 10
 #: Errors closer than this count as equal: the simpler method wins [1].
 _EQUAL = 0.05
+#: Largest error of a method that is preferred for its smaller noise, over the smallest
+#: error of all methods [1].
+_LARGER = 2.0
+#: Ratio of the standard deviation to the median absolute deviation [1].
+_OF_MEDIAN = 1.4826
 _INSTRUMENT = (
     "no water explains the open-water shots and the scan together, so the instrument "
     "has an error: signal without light (leakage), a phase that depends on the "
@@ -182,6 +188,8 @@ class _Trial:
     """Row of the comparison."""
     path: Floats | None = None
     """Optical paths, NaN in untrusted pixels [m]."""
+    own_noise: float = math.nan
+    """Median range uncertainty without errors common to all pixels [m]."""
 
 
 def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
@@ -210,12 +218,17 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     -----
     The recommended method has the smallest error, bias and noise together, among the
     methods that trust at least nine tenths as many pixels as the best one. A trusted
-    pixel has no flag, its frequencies agree, and a neighbor is trusted, too. Of errors
-    within a twentieth of each other the simpler method wins. An unknown bias counts as
-    infinite. If the joint estimation trusts few pixels with the shots, and these show
-    no error of the instrument, it is tried without shots as well. If the ranges of
-    another method differ by more than four times both errors, the comparison states the
-    difference.
+    pixel has no flag, its frequencies agree, its beam meets one surface, and a neighbor
+    is trusted, too. Of errors within a twentieth of each other the simpler method wins.
+    An unknown bias counts as infinite.
+
+    The ranges of a method with up to twice this error may agree with those of the first
+    choice. Then both have the same common error, and the method with less noise is
+    recommended. The systematic difference counts as noise.
+
+    If the joint estimation trusts few pixels with the shots, and these show no error of
+    the instrument, it is tried without shots as well. If the ranges of another method
+    differ by more than four times both errors, the comparison states the difference.
     """
     cube = cubes.checked(cube, "samples")
     candidates, broken = compared_methods()
@@ -246,7 +259,11 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
             else row
             for row in rows
         ]
-    best = _best(rows)
+    best, steadier = _best(rows), None
+    if best is not None:
+        steadier = _steadier(
+            [replace(t, row=r) for t, r in zip(trials, rows, strict=True)], best, cube
+        )
     if best is None and any(row.caution is Caution.INSTRUMENT for row in rows):
         raise CubeError(f"no method can be trusted: {_INSTRUMENT}")
     if best is None and any(row.caution is Caution.LONE_PIXELS for row in rows):
@@ -262,7 +279,16 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
         )
     if best is None:
         raise CubeError(_refusal(cube, rows))
+    agreement = ""
+    if steadier is not None:
+        first, best = rows[best], steadier.index
+        agreement = (
+            f"; its ranges agree with {first.method} {first.polarization} "
+            f"({_length(first.error)}) within {_length(steadier.difference)}, and have "
+            "less noise"
+        )
     reason = _reason(rows, best, has_shots=cube.amulor.open_water is not None)
+    reason += agreement
     other, disagreement = _disagreement(trials, best, cube)
     if other is not None:
         reason += (
@@ -432,11 +458,16 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
     )
     usable = (flag & UNUSABLE) == 0
     caution, note = Caution.NONE, ""
-    bias, noise = float("nan"), float("nan")
+    bias, noise, own_noise = math.nan, math.nan, math.nan
     agree = np.zeros(usable.shape, dtype=bool)
     path = np.full(usable.shape, np.nan)
     if usable.any():
-        noises, biases, agree[usable], path[usable] = _errors(target, usable, excluded)
+        errors = _errors(target, usable, excluded)
+        noises, biases = errors.noise, errors.bias
+        agree[usable], path[usable] = errors.agree, errors.path
+        own_noise = float(np.median(errors.own_noise)) if noises.size else math.nan
+        flag = flag.copy()
+        flag[usable] |= np.where(errors.mixed, np.int16(QualityFlag.MIXED), 0)
         water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
         # A few pixels with unknown bias have a flag, and are counted there.
         clear = flag[usable] == 0
@@ -475,7 +506,7 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
         caution=caution,
         note=note,
     )
-    return _Trial(row=row, path=np.where(trusted, path, np.nan))
+    return _Trial(row=row, path=np.where(trusted, path, np.nan), own_noise=own_noise)
 
 
 def _instrument_error(target: xr.Dataset) -> float:
@@ -509,24 +540,48 @@ def _has_neighbor(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(around > mask)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Errors:
+    """Range errors of the usable pixels of a method."""
+
+    noise: Floats
+    """Standard uncertainty of the slant range [m]."""
+    own_noise: Floats
+    """Part of it that is not common to all pixels [m]."""
+    bias: Floats
+    """Estimated bias of the slant range [m]."""
+    agree: NDArray[np.bool_]
+    """Mask of pixels whose frequencies agree."""
+    path: Floats
+    """Optical path [m]."""
+    mixed: NDArray[np.bool_]
+    """Mask of beams with two surfaces."""
+
+
 def _errors(
     target: xr.Dataset, usable: NDArray[np.bool_], excluded: NDArray[np.bool_]
-) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-    """Return range noise, bias, agreement of frequencies, and path of usable pixels.
-
-    Uncertainty and estimated bias of the slant range [m], whether the frequencies
-    agree, and the optical path [m].
-    """
+) -> _Errors:
+    """Return the range errors of the usable pixels, joint estimations by themselves."""
     if "joint_slant_range_uncertainty" in target:
         uncertainty = target["joint_slant_range_uncertainty"].values[usable]
         settled = np.isfinite(uncertainty)
         # Unknown instrument errors are not included in any other method's error.
         instrument = target.attrs["joint_instrument_uncertainty_m"]
         rest = np.sqrt(np.maximum(uncertainty[settled] ** 2 - instrument**2, 0.0))
-        return rest, np.zeros(settled.shape), settled, _joint_path(target)[usable]
+        common = target["joint_slant_range_common_uncertainty"].values[usable][settled]
+        own = np.sqrt(np.maximum(uncertainty[settled] ** 2 - common**2, 0.0))
+        return _Errors(
+            noise=rest,
+            own_noise=own,
+            bias=np.zeros(settled.shape),
+            agree=settled,
+            path=_joint_path(target)[usable],
+            mixed=np.zeros(settled.shape, dtype=bool),
+        )
     signal = target.amulor.signal.values[:, 0][:, usable]
     instrument = instrument_phase(target, target.amulor.survey)
-    errors = Observation(cube=target).covariance.part((slice(None), 0))
+    observed = Observation(cube=target)
+    errors = observed.covariance.part((slice(None), 0))
     to_range = ranging.range_per_phase(
         target["modulation_frequency"].values[:, None],
         group_index=float(target["geometry"].attrs["group_index"]),
@@ -539,6 +594,17 @@ def _errors(
     )
     sigma = np.where(excluded[:, usable], np.inf, sigma)
     weight, noise = ranging.weights_and_uncertainty(sigma)
+    own = noise
+    if (common := observed.common_covariance) is not None:
+        common = common.part((slice(None), 0))
+        shared = to_range * detection.phase_uncertainty(
+            signal,
+            in_phase_variance=common.in_phase[:, usable],
+            quadrature_variance=common.quadrature[:, usable],
+            covariance=common.cross[:, usable],
+        )
+        rest = np.where(np.isfinite(sigma), sigma**2 - shared**2, 0.0)
+        own = np.sqrt(np.sum(weight**2 * np.maximum(rest, 0.0), axis=0))
     bias = np.zeros(noise.shape)
     if "residual_in_phase" in target:
         water = (
@@ -561,7 +627,23 @@ def _errors(
     # Only whether they agree: which interval is right is a matter of its limits.
     freedom = (np.isfinite(sigma) & ~path.left_out).sum(axis=0) - 1
     agree = path.strain <= chdtri(np.maximum(freedom, 1), _DISAGREEMENT)
-    return noise, bias, np.asarray(agree | (freedom < 1)), path.length
+    agree = np.asarray(agree | (freedom < 1))
+    group_index = float(target["geometry"].attrs["group_index"])
+    mixed, _, _ = mixed_beams(
+        np.abs(signal),
+        sigma / to_range,
+        phase_per_range=1 / to_range.ravel(),
+        slant_range=np.where(agree, path.length / (2 * group_index), np.nan),
+        uncertainty=noise,
+    )
+    return _Errors(
+        noise=noise,
+        own_noise=own,
+        bias=bias,
+        agree=agree,
+        path=path.length,
+        mixed=mixed,
+    )
 
 
 def _joint_path(target: xr.Dataset) -> Floats:
@@ -584,6 +666,59 @@ def _joint_path(target: xr.Dataset) -> Floats:
     return np.where(settled, path, np.nan)
 
 
+@dataclass(frozen=True)
+class _Steadier:
+    """Method that agrees with the first choice and has less noise."""
+
+    index: int
+    """Index of its row."""
+    difference: float
+    """Systematic difference from the first choice [m]."""
+
+
+def _steadier(trials: list[_Trial], best: int, cube: xr.Dataset) -> _Steadier | None:
+    """Return the method that agrees with the best and has the least noise, if any.
+
+    Methods whose ranges agree have the same common error, whatever they state of it.
+    """
+    first = trials[best]
+    if not (np.isfinite(first.row.error) and first.own_noise > 0):
+        return None
+    group_index = float(cube["geometry"].attrs["group_index"])
+    repeat = _repeated_path(cube["modulation_frequency"].values)
+    least = first.own_noise / (1 + _EQUAL)
+    chosen = None
+    for index, trial in enumerate(trials):
+        row = trial.row
+        if (
+            index == best
+            or row.caution is not Caution.NONE
+            or row.trusted < _USES_ENOUGH * first.row.trusted
+            or not row.error <= _LARGER * first.row.error
+        ):
+            continue
+        differences = _differences(trial, first, repeat) / (2 * group_index)
+        if differences.size < _FEWEST_PIXELS:
+            continue
+        middle = float(np.median(differences))
+        spread = _OF_MEDIAN * float(np.median(np.abs(differences - middle)))
+        # Noise of the first choice scatters the differences as well.
+        rest = max(spread**2 - first.own_noise**2, 0.0)
+        difference = math.sqrt(middle**2 + rest)
+        if (noise := math.hypot(trial.own_noise, difference)) < least:
+            least, chosen = noise, _Steadier(index, difference)
+    return chosen
+
+
+def _differences(trial: _Trial, other: _Trial, repeat: float) -> Floats:
+    """Return differences of optical paths, less whole intervals [m]."""
+    if trial.path is None or other.path is None:
+        return np.zeros(0)
+    differences = trial.path - other.path
+    differences = differences[np.isfinite(differences)]
+    return np.asarray(differences - repeat * np.round(differences / repeat))
+
+
 def _disagreement(
     trials: list[_Trial], best: int, cube: xr.Dataset
 ) -> tuple[Row | None, float]:
@@ -597,18 +732,11 @@ def _disagreement(
     other, largest = None, 0.0
     for trial in trials:
         row = trial.row
-        if (
-            trial is chosen
-            or trial.path is None
-            or chosen.path is None
-            or row.caution is not Caution.NONE
-        ):
+        if trial is chosen or row.caution is not Caution.NONE:
             continue
-        differences = trial.path - chosen.path
-        differences = differences[np.isfinite(differences)]
+        differences = _differences(trial, chosen, repeat)
         if differences.size < _FEWEST_PIXELS:
             continue
-        differences -= repeat * np.round(differences / repeat)
         difference = abs(float(np.median(differences))) / (2 * group_index)
         # A difference beyond the noise shows an error of the instrument.
         parts = (row, chosen.row)

@@ -284,6 +284,7 @@ def test_ranges_of_methods_are_compared_within_their_errors(
     # The phases of 20 and 80 MHz repeat after a path of 299792458 / 20e6 m.
     path = np.full((6, 8), 4.0)
     apart = path + 2 * 1.38 * 10e-3 + 299792458.0 / 20e6
+    module = importlib.import_module("amulor.rejection.compare")
     trials = [
         module._Trial(row=_row("first", noise), path=path),
         module._Trial(row=_row("second", noise), path=apart),
@@ -309,3 +310,39 @@ def test_a_disagreement_of_methods_counts_as_an_error(by_hand: Make) -> None:
     image = imaging.range_image(target, interval=(0.5, 3.0))
     assert image["slant_range_uncertainty_instrument"].values == pytest.approx(7e-3)
     assert np.all(image["slant_range_common_uncertainty"].values > 7e-3)
+
+
+@pytest.mark.parametrize(
+    ("difference", "error", "expected"),
+    [(0.05, 0.6, 1), (0.25, 0.6, None), (0.05, 1.1, None)],
+)
+def test_a_method_that_agrees_with_the_first_and_has_less_noise_is_taken(
+    by_hand: Make, difference: float, error: float, expected: int | None
+) -> None:
+    # Noise of 0.23 and 0.1 mm, common errors of 0.5 mm and more. With a difference of
+    # 0.05 mm the second has 0.11 mm, with 0.25 mm it has 0.27 mm.
+    cube = by_hand(frequency=[39e6], channels={"VV": (1.0, 1.0)})
+    index = float(cube["geometry"].attrs["group_index"])
+    rng = np.random.default_rng(1)
+    noise = rng.normal(0, 1e-4, (2, 30, 30))
+    second = 2.0 + noise[1] + 1e-3 * difference
+    # The second uses the samples of the first, and more.
+    first = 2.0 + noise[1] + 2.07 * noise[0]
+    module = importlib.import_module("amulor.rejection.compare")
+    trials = [
+        module._Trial(
+            row=rejection.Row(
+                method=name, polarization="VV", bias=0.0, noise=1e-3 * total,
+                usable=1.0, flagged=0.0, trusted=1.0,
+            ),
+            path=2 * index * path,
+            own_noise=own,
+        )
+        for name, total, path, own in (
+            ("first", 0.5, first, 2.3e-4), ("second", error, second, 1e-4),
+        )
+    ]  # fmt: skip
+    steadier = module._steadier(trials, 0, cube)
+    assert (None if steadier is None else steadier.index) == expected
+    if steadier is not None:
+        assert steadier.difference == pytest.approx(1e-3 * difference, abs=3e-5)
